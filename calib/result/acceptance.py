@@ -65,8 +65,10 @@ class Check:
     def outcome(self) -> Outcome:
         """``"fail"`` if A - U > T, ``"pass"`` if f A + U <= T and the judged rows are unseen, else ``"undecided"``.
 
-        Of this check's fields, A is ``figure``, U ``uncertainty`` and T ``tolerance``, all in m or all in rad, and
-        f >= 1 is ``factor``. ``seen`` rows are those that a calibration was fitted to: they can fail, but not pass.
+        Of this check's fields, A is ``figure``, an error such as the largest pose accuracy, U ``uncertainty``, the
+        expanded measuring uncertainty, and T ``tolerance``, all in m or all in rad; f >= 1 is ``factor``, random errors
+        before frames or targets were registered to the judged rows over those after it. ``seen`` is True where a
+        calibration was fitted to judged rows: these can fail, but not pass.
         """
         if self.figure - self.uncertainty > self.tolerance:
             return "fail"
@@ -78,8 +80,8 @@ class Check:
     def held(self) -> float:
         """The sum f A + U [m] or [rad], which must be within the tolerance for a pass.
 
-        A is the judged error ``figure``, U its expanded measuring ``uncertainty``, and f >= 1 the ``factor`` by which
-        errors were larger before frames or targets were registered to the same rows.
+        A is the judged error ``figure``, U its expanded measuring ``uncertainty``, in the same unit, and f >= 1 the
+        ``factor`` by which random errors were larger before frames or targets were registered to the judged rows.
         """
         return self.figure * self.factor + self.uncertainty
 
@@ -103,15 +105,15 @@ class Acceptance:
     def checks(self) -> tuple[tuple[Check, bool], ...]:
         """The comparisons of errors with tolerances that were made, one or two, each with True if it is of angles.
 
-        First ``length``, of positions or lengths [m], with False; then ``angle``, of orientations [rad], with True. One
-        for which no tolerance was stated is left out.
+        First ``length``, of positions or lengths [m], with False; then ``angle``, of orientations [rad], with True.
+        Either field is None, and left out, where no tolerance was stated.
         """
         both = ((self.length, False), (self.angle, True))
         return tuple((check, angle) for check, angle in both if check is not None)
 
     @property
     def outcome(self) -> Outcome:
-        """``"pass"``, ``"undecided"`` or ``"fail"``: the worst outcome of ``checks``, of positions and orientations."""
+        """``"pass"``, ``"undecided"`` or ``"fail"``: the worst outcome of the one or two ``checks``."""
         outcomes = [check.outcome for check, _ in self.checks]
         return max(outcomes, key=OUTCOMES.index)
 
@@ -119,8 +121,9 @@ class Acceptance:
     def share(self) -> float:
         """Least share of poses, chosen as these were, that is within the tolerances, with 95 % confidence; 0 to 1.
 
-        Clopper and Pearson's lower limit of a binomial share, where ``within`` of the ``accuracy.poses`` are within the
-        tolerances; it holds for poses chosen at random and independently of each other.
+        Clopper and Pearson's lower limit of a binomial share, where the number ``within`` of the judged
+        ``accuracy.poses`` are within the tolerances; it holds for poses chosen at random and independently of each
+        other.
         """
         count = len(self.accuracy.poses)
         if not self.within:
@@ -131,12 +134,13 @@ class Acceptance:
         """Return the error of a pose that this acceptance test's ``criterion`` looks at.
 
         Args:
-            pose: Accuracy and repeatability at one of the judged poses.
-            angle: True for the error of the orientation [rad], False for that of the position [m].
+            pose: Accuracy and repeatability at one of the judged poses, over its repeats.
+            angle: True for the error of the orientation [rad], False for that of the position or length [m].
 
         Returns:
-            The largest error of a single repeat where the criterion is ``"single"``, else the pose accuracy AP, the
-            norm of the mean error over the repeats; [m] or [rad], 0 or more. NaN if it was not measured.
+            The largest error of a single repeat where the criterion is ``"single"``; for ``"max"`` and ``"mean"`` the
+            pose accuracy AP, the norm of the mean error over the repeats; [m] or [rad], 0 or more. NaN if it was not
+            measured.
         """
         return error_of(pose, self.criterion, angle=angle)
 
@@ -144,11 +148,12 @@ class Acceptance:
         """Return the share of its tolerance that a pose uses: error over tolerance.
 
         Args:
-            pose: Accuracy and repeatability at one of the judged poses.
+            pose: Accuracy and repeatability at one of the judged poses. Its error is the largest of a single repeat, or
+                the pose accuracy AP, by ``criterion``.
 
         Returns:
-            The larger share of position and orientation, as far as ``checks`` has a tolerance of them: 0 or more, above
-            1 out of tolerance; 0 if no such error was measured at the pose.
+            The larger of error over tolerance for position and for orientation, as far as ``checks`` has a tolerance of
+            them [1]: 0 or more, above 1 out of tolerance; 0 if no such error was measured at the pose.
         """
         largest = 0.0
         for check, angle in self.checks:
@@ -162,10 +167,10 @@ def error_of(pose: PoseAccuracy, criterion: str, *, angle: bool) -> float:
     """Return the error of a pose that a criterion of acceptance looks at.
 
     Args:
-        pose: Accuracy and repeatability at one pose, over its repeats.
-        criterion: One of `CRITERIA`: ``"single"`` looks at the largest error of a single repeat; ``"max"`` and
-            ``"mean"`` at the pose accuracy AP, the norm of the mean error over the repeats.
-        angle: True for the error of the orientation [rad], False for that of the position [m].
+        pose: Accuracy and repeatability at one pose, over its repeats: measured minus predicted.
+        criterion: ``"single"`` looks at the largest error of a single repeat; ``"max"`` and ``"mean"`` at the pose
+            accuracy AP, the norm of the mean error over the repeats.
+        angle: True for the error of the orientation [rad], False for that of the position or length [m].
 
     Returns:
         The error [m] or [rad], 0 or more; NaN if it was not measured at the pose.
@@ -189,19 +194,20 @@ def acceptance(
     """Compare a robot's pose accuracy with a tolerance.
 
     Args:
-        evaluation: Residuals of the robot that is judged at the N rows of a table, with frames and targets as given or
-            registered.
+        evaluation: Residuals, measured minus predicted, of the robot that is judged at the N rows of a table, with
+            frames and targets as given or registered.
         tolerance: Of positions and lengths [m]; None: they are not judged.
         tolerance_angle: Of orientations [rad]; None: they are not judged.
         uncertainty: Expanded uncertainty (k = 2) of a measured position or length [m]; 0: it is not taken account of.
         uncertainty_angle: The same of a measured orientation [rad].
-        criterion: What must be within: ``"max"``, the AP of every pose; ``"mean"``, the mean AP; ``"single"``, every
-            single repeat.
+        criterion: What must be within: ``"max"``, the pose accuracy AP of every pose, the norm of its mean error over
+            repeats; ``"mean"``, the mean of AP over the poses; ``"single"``, the error of every single repeat.
         seen: True for the rows that a calibration of this robot was fitted to, shape (N,); or one bool: whether it was
             fitted to the estimation rows.
 
     Returns:
-        The checks of positions and of orientations, the accuracy at each pose, and the number of poses within.
+        The checks of positions and of orientations, each ``"pass"``, ``"undecided"`` or ``"fail"``; the accuracy at
+        each pose; and the number of poses within both tolerances.
 
     Raises:
         CalibError: No tolerance, one that is not positive, an uncertainty below 0, or no such criterion.
@@ -256,8 +262,9 @@ def _sizes(judged: Accuracy, criterion: str, *, angle: bool) -> Array:
     """Return the error of each judged pose that the criterion looks at.
 
     Args:
-        judged: Accuracy of the robot at k poses.
-        criterion: One of `CRITERIA`, see `error_of`.
+        judged: Accuracy of the robot, of whose k ``poses`` each has its error over repeats.
+        criterion: ``"single"``: the largest error of a single repeat; ``"max"`` and ``"mean"``: the pose accuracy AP,
+            the norm of the mean error over repeats.
         angle: True for errors of orientations [rad], False for those of positions or lengths [m].
 
     Returns:
@@ -276,15 +283,16 @@ def _check(
     """Compare the errors of poses with a tolerance, all in m or all in rad.
 
     Args:
-        judged: Accuracy of the robot at k poses: whether a calibration was fitted to them, and the factor of what was
-            registered to them.
-        criterion: One of `CRITERIA`: ``"mean"`` compares the mean of the errors, the others compare the largest.
-        sizes: Error of each pose, shape (k,), 0 or more; NaN where it was not measured, but not everywhere.
+        judged: Accuracy of the robot. Of it are used ``seen``, whether a calibration was fitted to judged rows, and
+            ``factor``, 1 or more, random errors before frames or targets were registered to the judged rows over those
+            after it.
+        criterion: ``"mean"`` compares the mean of the errors, ``"max"`` and ``"single"`` compare the largest.
+        sizes: Error of each of k poses, shape (k,), 0 or more; NaN where it was not measured, but not everywhere.
         tolerance: The tolerance T > 0.
         uncertainty: Expanded measuring uncertainty U; 0: it is not taken account of.
 
     Returns:
-        The judged figure with its tolerance, which has the outcome.
+        The judged error with tolerance, uncertainty and factor, from which the outcome follows.
     """
     figure = np.nanmean(sizes) if criterion == "mean" else np.nanmax(sizes)
     return Check(float(figure), tolerance, uncertainty, judged.factor, judged.seen)
@@ -329,11 +337,13 @@ def assess(
         which: What is taken from the result and not registered to these rows: ``"frame"``, ``"target"``, both or none.
         judge: Name of the robot that is judged, a key of `Assessment.evaluations`; None: the calibrated one, or the
             URDF's without a result.
-        limits: Arguments of `acceptance` by name, such as ``{"tolerance": 5e-4}``; None: nothing is accepted or
-            refused.
+        limits: Arguments of `acceptance` by name, such as ``{"tolerance": 5e-4}`` [m]; None or empty: no acceptance
+            test.
 
     Returns:
-        Residuals and pose accuracy of each robot by its name, and the acceptance of the judged one if there are limits.
+        Residuals and pose accuracy of each robot by its name, and the acceptance of the judged one if there are limits;
+        judged rows outside of the fitted joint ranges; and a usual mistake or a moved frame or target that explains
+        large errors.
 
     Raises:
         CalibError: There is no such robot to be judged, or what `evaluate` and `acceptance` raise.
@@ -371,15 +381,16 @@ def _evaluations(
 
     Args:
         robot: The robot as its URDF is, nominal or corrected.
-        table: The measurement rows.
+        table: The N measurement rows.
         cell: What is known of frames, targets and loads.
-        calibration: A result of this robot; None: only the URDF is evaluated.
+        calibration: A result of this robot: joint origins, frames and targets, nominal and calibrated; None: only the
+            URDF is evaluated.
         which: What is taken from the result and not registered to these rows: ``"frame"``, ``"target"``, both or none.
 
     Returns:
-        Residuals of each robot by its name: ``"urdf"``, the robot as it is; and with a result ``"nominal"``, its
-        nominal robot, ``"calibration"``, the robot with calibrated joint origins, and ``"non_geometric"``, the nominal
-        robot with the non-geometric model, if there is one.
+        Residuals of each robot, measured minus predicted, by its name: ``"urdf"``, the robot as it is; and with a
+        result ``"nominal"``, its nominal robot, ``"calibration"``, the robot with calibrated joint origins, and
+        ``"non_geometric"``, the nominal robot with the non-geometric model, if there is one.
     """
     if calibration is None:
         return {"urdf": evaluate(robot, table, cell)}
@@ -407,14 +418,15 @@ def _explanation(
     """Explain large errors of the robot by something other than the robot itself.
 
     Args:
-        evaluations: Residuals of each robot at the rows of one table, by the names of `Assessment.evaluations`.
+        evaluations: Errors of each robot at the rows of one table, by the names of `Assessment.evaluations`:
+            ``"urdf"``, and with a result ``"calibration"``, each with its robot and the table.
         cell: What is known of frames, targets and loads.
-        calibration: The result that was evaluated; None: there is none.
+        calibration: The result that was evaluated, with its frames and targets; None: there is none.
         which: What was taken from the result: ``"frame"``, ``"target"``, both or none.
 
     Returns:
-        Without a result a usual mistake of the table that would explain the URDF's errors far better; with one the
-        frame or target that has moved since. None where nothing of this kind explains the errors.
+        Without a result a usual mistake of the table, such as a wrong unit, that would explain the URDF's errors far
+        better; with one the frame or target that has moved since. None where nothing of this kind explains the errors.
     """
     if calibration is None:
         urdf = evaluations["urdf"]
@@ -428,9 +440,9 @@ def _judged_name(judge: str | None, evaluations: Mapping[str, Evaluation]) -> st
     """Return the name of the robot that is judged.
 
     Args:
-        judge: The name that the user chose; None: ``"calibration"`` if there is one, else ``"urdf"``. An empty name is
-            taken as none.
-        evaluations: Residuals of each robot, by the names to choose from.
+        judge: The name that the user chose; None or empty: ``"calibration"`` if there is one, else ``"urdf"``.
+        evaluations: Errors of each robot, by the names to choose from: ``"urdf"``, and with a result ``"nominal"``,
+            ``"calibration"`` and perhaps ``"non_geometric"``.
 
     Returns:
         A key of ``evaluations``.
@@ -456,15 +468,17 @@ def _outside(
     """List judged rows whose joint values lie outside of the ranges that the calibration was fitted to.
 
     Args:
-        table: All rows.
-        calibration: The result; None: there are no fitted ranges.
-        figures: Accuracy of the robot that is judged, at each judged pose.
-        judged: Its name, of `Assessment.evaluations`; only ``"calibration"`` and ``"non_geometric"`` depend on fitted
+        table: All N rows, with their numbers in the table, from 1, and joint values.
+        calibration: The result, with the smallest and largest fitted value of each joint; None: there are no fitted
             ranges.
+        figures: Accuracy of the robot that is judged; each of its poses names the rows that repeat it, of which the
+            first counts.
+        judged: Name of that robot, of `Assessment.evaluations`; only ``"calibration"`` and ``"non_geometric"`` depend
+            on fitted ranges.
 
     Returns:
-        The rows outside, which name a row by its index, from 0, in what follows; and the numbers in the table, from 1,
-        of the first rows of all judged poses.
+        The rows outside, each by its index, from 0, in the second part, with the joints and by how much, [rad] or [m];
+        empty for other robots. And the numbers in the table of the first rows of all judged poses.
     """
     numbers = tuple(pose.rows[0] for pose in figures.poses)
     if calibration is None or judged not in ("calibration", "non_geometric"):
@@ -480,12 +494,12 @@ def _refuse_commands(
 ) -> None:
     """Refuse a table of commands, whose poses the nominal robot predicts: any tolerance would seem to be kept.
 
-    Commands are recognised by a column that 'calib compensate' writes, and by errors of the nominal robot below
-    `_EXACT` in more scalars than the registration of frame and target has unknowns.
+    Commands are recognised by a column that 'calib compensate' writes, together with errors of the nominal robot below
+    `_EXACT` [m] in all rows, which hold more scalars than the registration of frame and target has unknowns.
 
     Args:
         robot: The robot as its URDF is, nominal or corrected.
-        table: The rows, measured or commanded.
+        table: The rows, measured or commanded; ``ignored`` are the headers of columns that are not used otherwise.
         calibration: The result with the nominal joint origins of this robot; None: the robot is taken to be nominal.
 
     Raises:

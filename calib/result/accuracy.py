@@ -78,9 +78,10 @@ class PoseAccuracy:
 
     @property
     def rp_angle(self) -> float:
-        """The largest repeatability about one of the base's three axes, the largest of ``rp_abc`` [rad].
+        """The largest repeatability of the orientation about one of the base's three axes [rad].
 
-        NaN where no orientation was measured, or the pose has fewer than three repeats.
+        The largest of ``rp_abc``, shape (3,), 3 standard deviations over the repeats about each axis. NaN where no
+        orientation was measured, or the pose has fewer than three repeats.
         """
         return float(np.max(self.rp_abc))
 
@@ -113,8 +114,9 @@ class Accuracy:
     def factor(self) -> float:
         """Random errors before something was registered to the same rows, over those after it; 1 or more.
 
-        With n scalars (``numbers``) and u unknowns of frames and targets (``unknowns``) it is sqrt(n / (n - u));
-        infinite where no degree of freedom remains, and 1 where nothing is ``registered`` to the judged rows.
+        With n scalars that frames and targets were registered to (``numbers``, repeats counted once) and u unknowns of
+        frames and targets (``unknowns``) it is sqrt(n / (n - u)); infinite where no degree of freedom remains, and 1
+        where nothing is ``registered`` to the judged rows.
         """
         if not self.registered:
             return 1.0
@@ -127,22 +129,25 @@ class Accuracy:
         """Return one figure of all judged poses that have it.
 
         Args:
-            name: Of positions [m] ``"ap"``, pose accuracy, ``"rp"``, pose repeatability, or ``"single"``, the largest
-                error of a single repeat; of orientations [rad] ``"ap_angle"``, ``"rp_angle"`` or ``"single_angle"``.
+            name: Of positions or lengths [m] ``"ap"``, pose accuracy, the norm of the mean error over repeats,
+                ``"rp"``, pose repeatability by ISO 9283, or ``"single"``, the largest error of a single repeat; of
+                orientations [rad] ``"ap_angle"``, ``"rp_angle"`` or ``"single_angle"``.
 
         Returns:
-            shape (k,), in the order of ``poses``, 0 or more; poses where the figure is NaN, not measured, are left out.
+            shape (k,), in the order of ``poses``, the judged ones, 0 or more; poses where the figure is NaN, not
+            measured, are left out.
         """
         values = np.array([getattr(pose, name) for pose in self.poses])
         return np.asarray(values[np.isfinite(values)])
 
     def figures(self, *, angle: bool = False) -> dict[str, float]:
-        """Return the largest and the mean AP and RP over the judged poses, and the largest single error.
+        """Return the largest and the mean AP and RP over the judged ``poses``, and the largest single error.
 
-        AP is pose accuracy, the norm of the mean error over a pose's repeats; RP is pose repeatability.
+        AP is pose accuracy, the norm of the mean error over a pose's repeats; RP is pose repeatability. Poses without a
+        figure are left out of it.
 
         Args:
-            angle: True for figures of orientations [rad], False for those of positions [m].
+            angle: True for figures of orientations [rad], False for those of positions or lengths [m].
 
         Returns:
             By ``"ap_max"``, ``"ap_mean"``, ``"rp_max"``, ``"rp_mean"`` and ``"single_max"``; NaN where no pose has one.
@@ -159,7 +164,7 @@ class Accuracy:
 
     @property
     def repeats(self) -> tuple[int, int]:
-        """The smallest and the largest number of repeats, measured rows, of one of the judged ``poses``."""
+        """The smallest and the largest number of repeats of a judged pose: ``rows`` of each of ``poses``."""
         counts = [len(pose.rows) for pose in self.poses]
         return min(counts), max(counts)
 
@@ -171,13 +176,15 @@ def accuracy(evaluation: Evaluation, *, seen: bool | Mask = False) -> Accuracy:
     any; where a calibration was fitted to some rows, the others, see `judged_rows`.
 
     Args:
-        evaluation: Residuals, measured minus predicted, of the robot at the N rows of a table, and the frames and
-            targets as given or registered.
+        evaluation: Errors of the robot at the N rows of a table: ``residual``, measured minus predicted, and ``used``,
+            True for measured scalars, shapes (N, D); frames and targets as given or registered; and ``registered``,
+            which of both were registered to these rows.
         seen: True for the rows that a calibration of this robot was fitted to, shape (N,); or one bool: whether it was
             fitted to the rows that frames and targets are registered to, the estimation rows.
 
     Returns:
-        Accuracy and repeatability at each judged pose, and how these rows were chosen.
+        Accuracy and repeatability at each judged pose, [m] and [rad] along the base's axes, and how these rows were
+        chosen.
 
     Raises:
         MeasurementError: No row measures anything.
@@ -216,7 +223,8 @@ def _scalars_without_repeats(rows: Rows, chosen: Mask) -> int:
     """Return the number of scalars that some rows measure, those of repeats of a pose counted once.
 
     Args:
-        rows: The N rows of a table; those of one number ``poses`` are repeats.
+        rows: The N rows of a table. Those of one number in ``poses``, shape (N,), are repeats; ``used``, shape (N, D),
+            is True for the scalars that a row measures.
         chosen: True for the rows that count, shape (N,).
     """
     _, first_of_pose = np.unique(rows.poses[chosen], return_index=True)
@@ -225,16 +233,16 @@ def _scalars_without_repeats(rows: Rows, chosen: Mask) -> int:
 
 
 def _registered_to(measurements: Measurements, setup: Setup, rows: Rows) -> Mask:
-    """Return the rows that frames and targets were registered to, if they were.
+    """Return the rows that frames and targets were registered to, if any were.
 
     Args:
         measurements: The N rows of the table.
-        setup: Frames and targets of these rows, and which of them are unknown and given.
-        rows: The same N rows as arrays.
+        setup: Frames and targets of these rows, which of them are unknown, and which were given.
+        rows: The same N rows as arrays, with the index of the frame and target of each.
 
     Returns:
-        True for these rows, shape (N,): the estimation rows, or all if there are none; and other rows whose frame or
-        target none of these sees.
+        True for these rows, shape (N,): the estimation rows, or all if there are none; and other rows that see an
+        unknown frame or target which was not given and which none of these sees.
     """
     usual = registration_rows(measurements)
     unseen_by_usual = setup.with_given_fixed(rows.samples.select(usual))
@@ -245,8 +253,9 @@ def _unknowns(setup: Setup) -> int:
     """Return the number of unknowns of the targets and frames that were not given, and so were registered.
 
     Args:
-        setup: Frames and targets of a table. A target counts 3 unknowns, or 6 where orientations were measured; a frame
-            as many as its unknown directions.
+        setup: F frames and T targets of a table: ``target_unknown`` and ``target_given``, masks of shape (T,),
+            ``frame_given``, of shape (F,), and ``unknown``, the estimated directions of each frame. A target counts 3
+            unknowns, or 6 where orientations were measured (``rotation``); a frame as many as its unknown directions.
     """
     targets = int(np.sum(setup.target_unknown & ~setup.target_given))
     of_target = 6 if setup.rotation else 3
@@ -266,8 +275,8 @@ def _name_of(judged: Mask, measured: Mask, validation: Mask) -> JudgedRows:
         validation: True for the rows of the table's set ``validate``, shape (N,).
 
     Returns:
-        ``"all"`` if all measured rows are judged, ``"validation"`` if the measured validation rows are, else
-        ``"fresh"``.
+        ``"all"`` if all measured rows are judged; ``"validation"`` if just the measured validation rows are; else
+        ``"fresh"``, rows that no calibration was fitted to.
     """
     if np.array_equal(judged, measured):
         return "all"
@@ -280,8 +289,10 @@ def _poses(evaluation: Evaluation, rows: Rows, judged: Mask) -> tuple[PoseAccura
     """Return accuracy and repeatability at each pose of the judged rows.
 
     Args:
-        evaluation: Residuals of the robot at the N rows of a table.
-        rows: The same N rows as arrays; those of one number ``poses`` are repeats.
+        evaluation: Residuals of the robot, measured minus predicted, at the N rows of a table, with T_frame_base of
+            each measurement frame.
+        rows: The same N rows as arrays; those of one number in ``poses``, shape (N,), are repeats of one pose, target,
+            station and kind.
         judged: True for the rows that the robot is judged by, shape (N,).
 
     Returns:
@@ -300,9 +311,11 @@ def _in_base_axes(evaluation: Evaluation, rows: Rows) -> Array:
     """Return residuals along the axes of the robot's base: e_base = R^T e_frame, with the rotation R of T_frame_base.
 
     Args:
-        evaluation: Residuals, measured minus predicted, of the robot at N rows along the axes of each row's measurement
-            frame, shape (N, D), [m] and [rad]; and T_frame_base, the pose of the base in each frame.
-        rows: The same N rows as arrays: the index of each row's frame, and which scalars it measures.
+        evaluation: ``residual``, measured minus predicted by the robot at N rows, along the axes of each row's
+            measurement frame, shape (N, D), lengths [m] in the first three columns, rotation vectors [rad] behind; and
+            ``setup.T_frame_base``, the pose of the base in each of F frames, shape (F, 4, 4).
+        rows: The same N rows as arrays: ``samples.frame``, the index of each row's frame, shape (N,), and ``used``,
+            which scalars it measures, shape (N, D).
 
     Returns:
         shape (N, D), [m] and [rad]: vectors of three components, of positions or of orientations, are turned; what has
@@ -323,14 +336,15 @@ def _of_pose(evaluation: Evaluation, residual: Array, repeats: NDArray[np.intp])
     """Return accuracy and repeatability at one pose, as ISO 9283 defines them.
 
     Args:
-        evaluation: The robot's errors at the N rows of a table: which scalars each row measures, and the table itself,
-            for kind, station and target of the pose.
+        evaluation: Errors of the robot at the N rows of a table: ``used``, which scalars each row measures, shape
+            (N, D), and the table itself, for kind, station and target of the pose.
         residual: Measured minus predicted of all N rows, shape (N, D): lengths [m] in the first three columns, rotation
             vectors [rad] behind; three components are along the base's axes.
         repeats: Indices of the pose's rows in the table, from 0, shape (n,).
 
     Returns:
-        The figures of the pose, NaN for what was not measured: repeatability needs `FEWEST_REPEATS` rows.
+        The figures of the pose, [m] and [rad], with the numbers of its rows in the table; NaN for what was not
+        measured, and for repeatability with fewer than `FEWEST_REPEATS` rows.
     """
     m, first = evaluation.measurements, repeats[0]
     used = evaluation.used[first]
@@ -396,15 +410,17 @@ def judged_rows(
 ) -> Mask:
     """Choose the rows that a robot is judged by.
 
-    Rows that the calibration was not fitted to, if the table sets some of them aside or they are of five poses; and of
-    these the validation rows, if there are any and something was registered to the others. Otherwise all.
+    Rows that the calibration was not fitted to, if the table sets some of them aside or they are of at least
+    `FEWEST_APART` poses; and of these the validation rows alone, if there are any and something was registered to the
+    estimation rows. Otherwise all measured rows.
 
     Args:
-        measurements: The N rows, of the sets ``estimate`` and ``validate``.
+        measurements: The N rows, of the sets ``estimate`` and ``validate``. Validation rows are set aside if there are
+            estimation rows too.
         measured: True for rows that hold a measurement, shape (N,).
-        fitted: True for rows that the calibration was fitted to, shape (N,).
+        fitted: True for rows that the calibration was fitted to, shape (N,); nowhere without a calibration.
         poses: Number of the pose of each row; repeats have the same, shape (N,).
-        registered: Whether a frame or target was registered to these rows.
+        registered: Whether a frame or target was registered to rows of this table.
 
     Returns:
         True for the rows to judge by, shape (N,).
@@ -427,11 +443,13 @@ def fitted_rows(
 ) -> Mask:
     """Find the rows of a table that a result was fitted to, in any file, in any order and under any number.
 
-    A row is recognised by its residuals with the nominal and with the corrected robot, which depend on every digit of
-    its joint values and of what was measured. In the very file these are the estimation rows where none is recognised.
+    A row is recognised by its residuals in length with the nominal and with the corrected robot, which depend on every
+    digit of its joint values and of what was measured. Where none is recognised in the very file that was calibrated
+    from, these are its estimation rows.
 
     Args:
-        calibration: The result, which holds the residuals of the rows that it was fitted to.
+        calibration: The result, which holds the residuals of the rows that it was fitted to, and the hash of their
+            file.
         robot: The robot with which the table is evaluated, nominal or corrected.
         measurements: The table, N rows.
         cell: What is known of frames, targets and loads of the table.
@@ -467,18 +485,21 @@ class _LengthResiduals:
         """Return the lengths of residuals, without their angles.
 
         Args:
-            nominal: Measured minus predicted by the nominal robot, shape (N, D), [m] in the first three columns, [rad]
-                in those behind.
+            nominal: Measured minus predicted by the nominal robot at N rows, shape (N, D), [m] in the first three
+                columns, [rad] in those behind.
             corrected: The same by the corrected robot.
             used: True for the scalars that were measured, shape (N, D).
 
         Returns:
-            The residuals in length; two rows are alike where these are.
+            The first three columns of each, [m], or all where D is less. Two rows are taken as the same where these are
+            equal.
         """
         return cls(nominal[:, :LENGTHS], corrected[:, :LENGTHS], used[:, :LENGTHS])
 
     def rows_with(self, lengths: int) -> NDArray[np.intp]:
-        """Return the rows that measure a number of lengths, by the mask ``used``.
+        """Return the rows that measure a number of lengths.
+
+        With ``used``, shape (N, 3) or fewer columns, True for the lengths that each of N rows measures.
 
         Args:
             lengths: 1 for a distance, up to 3 for a position.
@@ -490,6 +511,9 @@ class _LengthResiduals:
 
     def side_by_side(self, rows: Integers) -> Array:
         """Return the measured lengths' residuals of some rows by both robots, side by side.
+
+        With ``nominal`` and ``corrected``, measured minus predicted by either robot at all rows [m], and ``used``, True
+        for the lengths that were measured, all of shape (N, 3) or fewer columns.
 
         Args:
             rows: Indices, from 0, of n rows that measure the same number k of lengths.
@@ -505,11 +529,13 @@ class _LengthResiduals:
 
 
 def _recognised(c: CalibrationValues, robot: Robot, measurements: Measurements, cell: Cell) -> Mask:
-    """Find the rows whose residuals are those of a row that a result was fitted to.
+    """Find the rows of a table whose residuals in length are those of a row that a result was fitted to.
 
     Args:
-        c: The result, which holds the residuals of its own rows by its nominal and by its corrected robot.
-        robot: The robot with which the table is evaluated, nominal or corrected.
+        c: The result, which holds the residuals of its own rows by its nominal and by its calibrated robot, and the
+            frames and targets of either.
+        robot: The robot with which the table is evaluated, nominal or corrected; its joint origins are replaced by
+            those of the result.
         measurements: The table, N rows.
         cell: What is known of frames, targets and loads of the table.
 

@@ -68,21 +68,24 @@ def calibrate(
     """Calibrate a robot from measurements of a target on its tip.
 
     Args:
-        robot: The nominal robot.
-        measurements: Rows of the set ``estimate`` are fitted, those of ``validate`` only predicted.
+        robot: The nominal robot, a chain of the URDF from base to tip.
+        measurements: Rows of joint values and of what was measured of the target there. Rows of the set ``estimate``
+            are fitted, those of ``validate`` only predicted; rows that are copies of others are left out.
         cell: What is known of targets, frames, noise and priors; default: the measurements are in the base frame, the
             target is estimated. Measurements in a tracker's own frame: ``Cell(estimate_frame=True)``.
         model: Name of the parameter set, with families behind it: ``"auto"`` (the data choose), ``"dh"``, ``"paper"``,
-            ``"hayati"``, ``"placement"``, ``"zeros"`` or ``"frames"``, such as ``"dh+compliance"``; default the
-            cell's. See docs/parameters.md. Or the robot's parameters themselves, each a twist at a placement.
+            ``"hayati"``, ``"placement"``, ``"zeros"`` or ``"frames"``, such as ``"dh+compliance"``; default the cell's.
+            See docs/parameters.md. Or the robot's parameters themselves, each a twist at a placement.
         solver: ``"lm"`` (default), ``"scipy"`` (the same problem by SciPy), or ``"paper"`` (the paper's algorithm,
             without priors and robust weights); or a function like those of `calib.numerics.solvers.SOLVERS`.
         robust: Whether outliers lose their weight; they are named either way.
-        validate: Whether to cross-validate; one fold a row up to 60 rows, ten folds above.
-        progress: Called after each fit of the cross-validation.
+        validate: Whether to cross-validate; one fold a row or pose up to 60, ten folds above.
+        progress: Called after each fold of the cross-validations with the number of folds done and of all; None:
+            nothing is called.
 
     Returns:
-        The calibration, with a verdict if it was cross-validated or a usual mistake explains the measurements better.
+        The calibration: parameters with covariance, corrected robot, frames and targets, and residuals of all rows;
+        with a verdict if it was cross-validated or a usual mistake explains the measurements better.
 
     Raises:
         ModelError: An unknown parameter set, parameter or solver, or measurements that the model does not cover.
@@ -119,13 +122,15 @@ def _validated(
     """Cross-validate the fits of a table, and assemble the result with its verdict.
 
     Args:
-        measurements: All rows of the table.
-        fits: The fits of its estimation rows: of the geometry, and of the non-geometric model that was chosen or named,
-            which is replaced where refits reject it.
+        measurements: All rows of the table, of the sets ``estimate`` and ``validate``.
+        fits: The fits of its estimation rows: ``geometry``, and ``non_geometric``, that of the model that was chosen or
+            named, or None; a chosen one is replaced where refits without each fold reject it. ``fitted_rows`` are the
+            estimation rows as arrays.
         progress: Called after each fold with the number of folds done and of all; None: nothing is called.
 
     Returns:
-        The result with cross-validations and verdicts.
+        The result with the cross-validations of the nominal robot, of the geometry and of the non-geometric model, and
+        with verdicts.
     """
     outliers = fits.geometry.estimate.outliers
     parts = 1 if fits.non_geometric is None else 2
@@ -137,7 +142,7 @@ def _validated(
 
 
 def _part_of(progress: Progress | None, part: int, parts: int) -> Progress | None:
-    """Return a progress callback for one cross-validation out of several, as if all were one.
+    """Return a progress callback for one of several cross-validations that are reported as one.
 
     Args:
         progress: Called with the number of folds done and of all folds, over all parts; None: nothing is called.
@@ -145,13 +150,13 @@ def _part_of(progress: Progress | None, part: int, parts: int) -> Progress | Non
         parts: Number of cross-validations as far as it is known; each counts as many folds as this one.
 
     Returns:
-        To be called with the folds done and all folds of this part; None where ``progress`` is.
+        A function to be called with the folds done and all folds of this part; None where ``progress`` is.
     """
     if progress is None:
         return None
 
     def report(done: int, folds: int) -> None:
-        """Report the folds of this part, behind those of the parts before it.
+        """Report the folds of this part, behind those of the parts before it, to ``progress``.
 
         Args:
             done: Number of folds of this part that are done.
@@ -170,18 +175,20 @@ def _confirmed(
 ) -> tuple[Fits, CrossValidation | None]:
     """Confirm the non-geometric model by refits without each fold, or replace it.
 
-    The one that was chosen passed the cross-validation of the linearised problem. Refitted without each fold it has to
-    leave smaller squares than the geometry; else the next by evidence is tried. One that was given by name stays.
+    The chosen model passed the cross-validation of the linearised problem. Refitted without each fold it has to leave
+    smaller squares than the geometry; else the models with the next highest evidence are tried. A model that was named
+    by the user stays.
 
     Args:
         measurements: All rows of the table.
-        fits: The fits of its estimation rows: of the geometry, of the non-geometric model that was chosen, or None, and
-            the candidates that it was chosen from, or none where it was named.
-        of_geometry: Cross-validation of the fit of the geometry.
+        fits: The fits of its estimation rows: ``geometry``; ``non_geometric``, or None; and ``candidates``, the models
+            that it was chosen from, empty where it was named.
+        of_geometry: Cross-validation of the fit of the geometry, residuals of the same rows.
         progress: Called after each fold with the number of folds done and of all; None: nothing is called.
 
     Returns:
-        The fits with the confirmed model, and its cross-validation; None for both where none is confirmed.
+        The fits with the confirmed model, and its cross-validation. Where none is confirmed, the fits without a
+        non-geometric model, and None.
     """
     if fits.non_geometric is None:
         return fits, None
@@ -203,10 +210,11 @@ def _squares(fits: Fits, validation: CrossValidation) -> float:
     """Return the sum of squared held-out residuals in standard deviations of the geometry's noise, outliers aside.
 
     Args:
-        fits: The fits of a table; that of the geometry says the noise of each scalar of its N rows, and which rows are
-            outliers.
-        validation: Cross-validation of any model on these N rows: residuals, measured minus predicted, by fits without
-            the row, shape (N, D), [m] and [rad].
+        fits: The fits of a table. Of the geometry's ``estimate`` are used ``problem.scales``, the estimated standard
+            deviation of each scalar of the N fitted rows, shape (N, D), [m] and [rad], and ``outliers``, True for
+            flagged rows, shape (N,).
+        validation: Cross-validation of any model on these N rows: ``residual``, measured minus predicted by fits
+            without the row, shape (N, D), [m] and [rad]; 0 where nothing was measured.
 
     Returns:
         The sum over all scalars of rows that are no outliers [1].
@@ -217,16 +225,18 @@ def _squares(fits: Fits, validation: CrossValidation) -> float:
 
 
 def _contenders(measurements: Measurements, fits: Fits, chosen: Fitted) -> Iterator[Fitted]:
-    """Yield fits of non-geometric models: the one that was chosen, then the alternatives.
+    """Yield fits of non-geometric models: the one that was chosen, then the alternatives by falling evidence.
 
     Args:
-        measurements: All rows of the table.
-        fits: The fits of its estimation rows, with the candidates that the model was chosen from.
-        chosen: Fit of the non-geometric model that was chosen.
+        measurements: All rows of the table, which say which of them are for validation.
+        fits: The fits of its estimation rows: ``candidates``, the models that were tried; ``all_rows`` and
+            ``fitted_rows``, the rows of the table and of its estimation set as arrays; and ``unseen``, the measurement
+            setup in which only frames and targets that no estimation row sees are unknown.
+        chosen: Fit of the non-geometric model that was chosen; the alternatives are fitted with its options.
 
     Yields:
-        Each fit to the estimation rows, made when it is its turn; frames and targets that only validation rows see are
-        registered to these.
+        At most four fits to the estimation rows, each made when it is its turn; frames and targets that only validation
+        rows see are registered to these.
     """
     yield chosen
     validation_rows = fits.all_rows.select(measurements.validation)
@@ -243,7 +253,8 @@ def _with_non_geometric(fits: Fits, non_geometric: Fitted | None) -> Fits:
         non_geometric: Fit of the model to take; None: the fits are left without any.
 
     Returns:
-        The fits with that model; the candidate of its name, and that of the geometry, are marked as chosen.
+        The fits with that model. Its candidate is marked ``"non_geometric"``, that of the geometry ``"geometry"``, all
+        others ``""``.
     """
     geometry = str(fits.geometry.task.model)
     name = "" if non_geometric is None else str(non_geometric.task.model)
@@ -255,8 +266,8 @@ def _judged(result: CalibrationValues, rows: Rows) -> CalibrationValues:
     """Return a cross-validated result with the verdicts on its geometry and on its non-geometric model.
 
     Args:
-        result: The result without verdicts, its fits in memory.
-        rows: The rows that were fitted, as arrays, those of sole postures marked.
+        result: The result without verdicts, with its measurements and fits in memory.
+        rows: The rows that were fitted, as arrays; ``sole`` marks those of sole postures, which no other row can check.
 
     Returns:
         The same result, its field ``verdict`` set, and that of its non-geometric model if it has one.
@@ -299,12 +310,15 @@ def _assembled(
 
     Args:
         measurements: All N rows of the table.
-        fits: Fits of its estimation rows: of the geometry, and of the non-geometric model if there is one.
-        validations: Cross-validations of these fits; None: there are none.
-        verdict: The verdict on the geometry, where it is known already; None: it is not.
+        fits: Fits of its estimation rows: of the geometry, and of the non-geometric model if there is one; the N rows
+            as arrays; and the time that the fits took [s].
+        validations: Cross-validations of the nominal robot and of these fits; None: there are none.
+        verdict: The verdict on the geometry, where it is known already, as with a usual mistake in the table; None: it
+            is not.
 
     Returns:
-        The result, with residuals and scores of all rows, fitted or not.
+        The result, with residuals, scores and weights of all N rows, fitted or not, and the fits themselves in its part
+        ``fit``.
     """
     validations = _Validations() if validations is None else validations
     m, geometry, all_rows = measurements, fits.geometry, fits.all_rows
@@ -357,9 +371,10 @@ def _robustness(geometry: Fitted) -> Robustness | None:
     """Fit once more without robust weights if the fit has them, else with them, and compare the two.
 
     Args:
-        geometry: Fit of the geometry, with the scores of its rows, and its options.
+        geometry: Fit of the geometry: which rows are outliers, and its options.
 
     Returns:
+        The distance between the predictions of both fits at the measured poses [m], and the held-out errors of both.
         None where no row is an outlier, and for the paper's solver, which has no robust weights.
     """
     has_outliers = np.any(geometry.estimate.outliers)
@@ -372,11 +387,13 @@ def _outside(measurements: Measurements, fits: Fits) -> tuple[OutsideRow, ...]:
     """List the validation rows with joint values outside of those of the estimation rows.
 
     Args:
-        measurements: All N rows of the table.
-        fits: The fits of the table, with the robot and the joint values of these N rows.
+        measurements: All N rows of the table: which are for estimation, which for validation.
+        fits: The fits of the table: the robot, and ``all_rows.joints``, joint values of these N rows, shape (N, m),
+            [rad] or [m].
 
     Returns:
-        These rows in their order, each by its index among the validation rows, from 0.
+        These rows in their order, each by its index among the validation rows, from 0, with the joints that are outside
+        and by how much, [rad] or [m].
     """
     robot, q = fits.geometry.task.robot, fits.all_rows.joints
     types = [joint.type for joint in robot.inputs]
@@ -389,12 +406,21 @@ def _model_values(
     """Return the attributes of `calib.result.prediction.FittedModel` by their names.
 
     Args:
-        fitted: The fit of the model, geometric or not.
-        observability: Rank and undetermined combinations of the fit's parameters at the rows that were fitted.
+        fitted: The fit of the model, geometric or not, of p parameters: task, kinematics, and estimate with its rows.
+        observability: Which of the p parameters the fitted rows determine.
         validation: Cross-validation of the fit; None: there was none.
 
     Returns:
-        Such as ``"x"``, the parameters, shape (p,), and ``"covariance"``, theirs, shape (p, p).
+        ``"kinematics"``, the nominal robot under its error model, with registered frames and targets; ``"x"``, shape
+        (p,), the parameters, offsets from there in their units; ``"covariance"``, shape (p, p), of x; ``"prior_std"``,
+        prior standard deviation by the name of a family of parameters; ``"parameters"``, value, interval and prior of
+        each; ``"setup"``, frames and targets at the solution; ``"base_motion"``, shape (6, p), velocity of the base's
+        origin [m] then turn [rad] along the base's axes, the rigid motion that is nearest to what a unit of each
+        parameter does to the measured positions and is subtracted from it, None where the rows determine where the base
+        stands; ``"cross_validation"``, as given; ``"expected_measured"``, standard deviation of the predicted position
+        of the target by the covariance, rms over the fitted rows, in the base without ``base_motion`` if there is one
+        [m]; ``"expected_everywhere"``, the same over joint values spread over the joint limits [m];
+        ``"extrapolation"``, squared error of extrapolated predictions over their variance, 1 or more.
     """
     kinematics, x = fitted.kinematics, fitted.estimate.x
     covariance = fitted.estimate.covariance
@@ -419,14 +445,14 @@ def _model_values(
 
 
 def _spread_samples(fitted: Fitted) -> Samples:
-    """Return joint values spread over the joint limits, over which expected errors are averaged.
+    """Return 200 sets of joint values spread over the joint limits, over which expected errors are averaged.
 
     Args:
-        fitted: A fit: its robot, its cell with payload and gravity, and its error model.
+        fitted: A fit: its robot, its error model, and its cell with payload and gravity.
 
     Returns:
-        Samples of the first frame and target, always the same ones; with the loads of gravity on the joints if a
-        parameter of the model is multiplied by them, else without loads.
+        Samples of the first measurement frame and target, always the same ones; with the loads of gravity and payload
+        on the joints if a parameter of the model is multiplied by them, else without loads.
     """
     robot, cell = fitted.task.robot, fitted.task.cell
     q = spread_poses(robot)
@@ -441,11 +467,12 @@ def _non_geometric(fits: Fits, validation: CrossValidation | None) -> NonGeometr
     """Return the non-geometric model of the result; None if none was fitted.
 
     Args:
-        fits: The fits of a table: that of the non-geometric model, or None, and all rows.
+        fits: The fits of a table: ``non_geometric``, the fit of that model, or None; and all N rows as arrays.
         validation: Cross-validation of the non-geometric fit; None: it was not run.
 
     Returns:
-        The fitted model with its residuals of all rows, and the payload and gravity that loaded the joints.
+        The fitted model with its residuals of all rows, measured minus predicted, shape (N, D), [m] and [rad], and the
+        payload and gravity that loaded the joints; without a verdict.
     """
     fitted = fits.non_geometric
     if fitted is None:
@@ -467,10 +494,12 @@ def _nominal_places(measurements: Measurements, fits: Fits) -> Setup:
 
     Args:
         measurements: All N rows of the table: which are for estimation, which for validation.
-        fits: The fits of the table: the nominal robot, frames and targets as given, and the N rows as arrays.
+        fits: The fits of the table: the nominal robot, frames and targets as given (``geometry.task.setup``), and the N
+            rows as arrays. In ``unseen`` only frames and targets that no estimation row sees are unknown.
 
     Returns:
-        T_frame_base of each frame and T_tip_target of each target, with which the nominal robot predicts.
+        T_frame_base, the pose of the base in each measurement frame, and T_tip_target, that of each target in the tip
+        [m], with which the nominal robot predicts.
     """
     task, rows = fits.geometry.task, fits.all_rows
     T_base_tip = task.robot.poses(rows.joints)
@@ -485,11 +514,13 @@ def _scored(measurements: Measurements, fits: Fits) -> _Scored:
 
     Args:
         measurements: All N rows of the table: which are for estimation, which for validation.
-        fits: The fits of the table: that of the geometry, and the N rows as arrays.
+        fits: The fits of the table: that of the geometry, with scores and weights of the estimation rows, and the N
+            rows as arrays.
 
     Returns:
-        Residuals of the N rows, measured minus predicted; their scores, those of validation rows by the fit without
-        them; and their weights, 0 for validation rows.
+        Residuals of the N rows, measured minus predicted, shape (N, D), [m] and [rad]; their scores, the distance of
+        each from what the other rows predict in standard deviations, shape (N,); their robust weights, 0 for validation
+        rows, shape (N,); and the scores above which estimation and validation rows are flagged.
     """
     geometry, estimate = fits.geometry, fits.geometry.estimate
     estimation, validation = measurements.estimation, measurements.validation
@@ -520,12 +551,14 @@ def _flagged(
     Args:
         measurements: All N rows of the table, with their numbers.
         fits: The fits of the table, with the N rows as arrays: which scalars each measures.
-        scored: Residuals and scores of the N rows by the fit of the geometry.
+        scored: Of the N rows by the fit of the geometry: ``residual``, measured minus predicted, shape (N, D), lengths
+            [m] in the first three columns, and ``scores``, in standard deviations, shape (N,).
         chosen: True for the rows of the set, estimation or validation, shape (N,).
-        limit: Score, in standard deviations, above which one is flagged.
+        limit: The score above which a row is flagged.
 
     Returns:
-        Number in the table, error in length [m] and score of each flagged row, in the table's order.
+        Of each flagged row, in the table's order, its number in the table, the norm of its residual in length [m], NaN
+        where it measures none, and its score.
     """
     lengths = np.linalg.norm(scored.residual[:, :LENGTHS], axis=1)
     measured = np.any(fits.all_rows.used[:, :LENGTHS], axis=1)
@@ -540,10 +573,10 @@ def _fitted_ranges(joints: Array) -> Array:
     """Return the smallest and the largest value of each joint.
 
     Args:
-        joints: Joint values of the rows with weight in the fit, shape (n, m), [rad] or [m].
+        joints: Joint values of the n rows with weight in the fit, shape (n, m), [rad] or [m].
 
     Returns:
-        shape (m, 2), [rad] or [m], read-only; of no rows from infinity down to minus infinity.
+        Smallest and largest, shape (m, 2), [rad] or [m], read-only; infinity and minus infinity where n is 0.
     """
     low = joints.min(axis=0, initial=np.inf)
     high = joints.max(axis=0, initial=-np.inf)
@@ -557,7 +590,7 @@ def _without_rows(candidates: Iterable[Candidate]) -> tuple[Candidate, ...]:
         candidates: Models that were fitted when the model was chosen, each with its cross-validation.
 
     Returns:
-        The same candidates; residuals and pose numbers of their cross-validations are empty.
+        The same candidates; ``residual`` and ``poses`` of their cross-validations, one entry a row, are empty.
     """
     result = []
     for candidate in candidates:
@@ -580,10 +613,11 @@ def _solver_name(solver: str | Solver) -> str:
 
 
 def _noise_std(fitted: Fitted, columns: slice) -> float:
-    """Return the estimated standard deviation of one measured scalar, median over all that were fitted.
+    """Return the estimated standard deviation of one measured scalar, median over all scalars that were fitted.
 
     Args:
-        fitted: A fit, with the estimated standard deviation of each scalar of its N rows, shape (N, D).
+        fitted: A fit to N rows. Of its problem are used ``scales``, the estimated standard deviation of each scalar,
+            and ``rows.used``, which were measured, both shape (N, D).
         columns: Columns of the residual: the first three, of lengths [m], or those behind, of angles [rad].
 
     Returns:
@@ -614,13 +648,16 @@ def _stated(by_row: Array | None, by_cell: float | None, fitted: Mask) -> float:
 
 
 def _repeats(fitted: Fitted) -> Repeats | None:
-    """Return the scatter of rows that repeat a pose, in SI units.
+    """Return the scatter of rows that repeat a pose.
 
     Args:
-        fitted: A fit: residuals of its rows, their weights, and which rows repeat a pose.
+        fitted: A fit to N rows: its residuals, ``weights`` of the rows, robust ones and those of the problem with
+            repeats shared out, and ``problem.rows.poses``, the same number for repeats of a pose.
 
     Returns:
-        Scatter within the poses; None where no pose is repeated, or only by rows without weight.
+        Standard deviation of one coordinate within the poses, of lengths [m] and of angles [rad], with degrees of
+        freedom, and the intraclass correlation of repeats; None where no pose is repeated, or only by rows without
+        weight.
     """
     estimate = fitted.estimate
     rows = estimate.problem.rows

@@ -63,12 +63,12 @@ class RowNames:
 
     @property
     def estimation(self) -> Mask:
-        """True for the rows that were fitted, those of the set ``estimate`` in ``sets``, shape (N,)."""
+        """True for the rows that were fitted, those whose entry of ``sets`` is ``"estimate"``, shape (N,)."""
         return np.array([name == SETS[0] for name in self.sets], dtype=bool)
 
     @property
     def validation(self) -> Mask:
-        """True for the rows that were only predicted, those not of the set ``estimate`` in ``sets``, shape (N,)."""
+        """True for the rows that were only predicted, whose entry of ``sets`` is not ``"estimate"``, shape (N,)."""
         return ~self.estimation
 
 
@@ -200,7 +200,7 @@ class CalibrationValues(FittedModel):
     def fit_in_memory(self) -> Fit:
         """Measurements, cell, and the fits of the geometry and of the non-geometric model, if there is one.
 
-        They are held by ``fit``. `ModelError` where it is None, because the result was read from a file.
+        They are held by ``fit``. Raises `ModelError` where it is None, because the result was read from a file.
         """
         if self.fit is None:
             raise ModelError(
@@ -223,8 +223,10 @@ class CalibrationValues(FittedModel):
     def errors(self) -> dict[str, dict[str, Errors]]:
         """``errors["nominal" | "calibrated" | "non_geometric"]["estimation" | "validation"]``.
 
-        Largest, mean and rms error of the residuals of the nominal robot, of the calibrated one, and of the
-        non-geometric model if there is one, over the rows that were fitted and over those that were only predicted.
+        Largest, mean and rms error, lengths in [m] and angles in [rad], of the nominal robot (``residual_nominal``), of
+        the calibrated one (``residual_calibrated``), and of the non-geometric model if there is one, over the rows that
+        were fitted and over those that were only predicted. Residuals are measured minus predicted, shape (N, D), of N
+        rows; ``used`` is True for the scalars that were measured.
         """
         residuals = {"nominal": self.residual_nominal, "calibrated": self.residual_calibrated}
         if self.non_geometric is not None:
@@ -237,6 +239,9 @@ class CalibrationValues(FittedModel):
 
     def parameter(self, name: str) -> ParameterEstimate:
         """Return one parameter by its exact name: of the geometry, else of the non-geometric model.
+
+        ``parameters`` are those of the geometry, in the order of ``model.names``; ``non_geometric`` has its own, or is
+        None.
 
         Args:
             name: Such as ``"d1"`` or ``"elbow_joint.rx"``.
@@ -254,7 +259,7 @@ class CalibrationValues(FittedModel):
 
     @property
     def tells_place(self) -> bool:
-        """True if some row, by its kind in ``rows``, determines where the base stands, such as a measured point.
+        """True if some row, by its kind in ``rows.kinds``, determines where the base stands, such as a measured point.
 
         If none does, as where only sockets, planes, anchors or pairs were measured, predictions are in the base.
         """
@@ -264,11 +269,11 @@ class CalibrationValues(FittedModel):
         """Return the verdict on the model with which one predicts.
 
         Args:
-            non_geometric: Whether the non-geometric model is to be used, as of `part`.
+            non_geometric: True to use the model of the field ``non_geometric``, if there is one; False: the geometry.
 
         Returns:
-            The verdict on the non-geometric model if it is to be used and has one, else that on the geometry; None
-            where neither has one.
+            The verdict on the non-geometric model if it is to be used and has one, else ``verdict``, that on the
+            geometry; None where there is none.
         """
         if non_geometric and self.non_geometric is not None and self.non_geometric.verdict:
             return self.non_geometric.verdict
@@ -278,7 +283,8 @@ class CalibrationValues(FittedModel):
         """Return the model to predict with.
 
         Args:
-            non_geometric: Whether to take the non-geometric model, if there is one.
+            non_geometric: True to take the model of the field ``non_geometric``, whose errors depend on the joints'
+                state, if there is one; False: the geometry.
 
         Returns:
             The non-geometric model, or this result itself, which is the model of the geometry that the URDF holds.
@@ -297,15 +303,18 @@ class CalibrationValues(FittedModel):
     ) -> Samples:
         """Return joint values as a prediction takes them, with frame, target, and the loads on the joints.
 
+        Names of stations and targets are those of ``setup``. The loads are those by ``non_geometric`` with its gravity.
+
         Args:
             q: shape (N, m) or (m,), joint values in the robot's order, [rad] or [m].
             target: Name of the target; None: the first.
             group: Name of the station, which has one measurement frame; None: the first.
-            payload: Carried by the tip; None: that of the measurements. It counts for a non-geometric model only.
+            payload: Point mass that the tip carries; None: that of the measurements. It counts for a non-geometric
+                model only.
 
         Returns:
-            N samples: the joint values, the index of the frame and of the target of each, from 0, and the loads of
-            gravity on the joints; without loads where the result has no non-geometric model.
+            N samples: the joint values, shape (N, m); the index of the frame and of the target of each, from 0; and the
+            loads of gravity on the joints, see `gravity_loads`, None where the result has no non-geometric model.
 
         Raises:
             ModelError: There is no such target or station.
@@ -331,12 +340,16 @@ class CalibrationValues(FittedModel):
     ) -> Array:
         """Predict poses of the target, T_frame_target, in the measurement frame.
 
+        By ``kinematics`` and parameters ``x`` of the chosen model, with the frames and targets that were estimated or
+        given.
+
         Args:
             q: shape (N, m) or (m,), joint values in the robot's order, [rad] or [m].
             target: Name of the target; None: the first.
             group: Name of the station whose frame is meant; None: the first, or the base where no row determines where
                 it stands.
-            non_geometric: Whether to use the non-geometric model, if there is one; else the geometry of the URDF.
+            non_geometric: Whether to use the non-geometric model, if there is one, with the payload of the
+                measurements; else the geometry of the URDF.
 
         Returns:
             shape (N, 4, 4), [m].
@@ -377,9 +390,9 @@ class CalibrationValues(FittedModel):
     ) -> Array:
         """Return the standard deviation of positions by `predict`, sqrt(trace(J C J^T)).
 
-        C is the covariance of the parameters and J the derivative of the position by them. Where only sockets, planes,
-        anchors or pairs were measured, and no group is named, it leaves out what moves all positions as one body. It
-        knows nothing of errors that the model lacks.
+        C is the ``covariance`` of the p parameters of the chosen model and J, shape (3, p), the derivative of the
+        position by them. Where only sockets, planes, anchors or pairs were measured, and no group is named, it leaves
+        out what moves all positions as one body. It knows nothing of errors that the model lacks.
 
         Args:
             q: shape (N, m) or (m,), joint values in the robot's order, [rad] or [m].
@@ -389,7 +402,7 @@ class CalibrationValues(FittedModel):
             non_geometric: Whether to use the non-geometric model, if there is one; else the geometry of the URDF.
 
         Returns:
-            shape (N,), [m].
+            shape (N,), [m], of the three axes together.
 
         Raises:
             ModelError: There is no such target or station.
@@ -400,11 +413,12 @@ class CalibrationValues(FittedModel):
         return part.pose_std(samples, in_base=in_base)[:, 0]
 
     def tip_poses(self, q: ArrayLike, *, payload: Payload | None = None) -> Array:
-        """Return T_base_tip by the non-geometric model if there is one, or by the corrected joint origins.
+        """Return T_base_tip by the non-geometric model if there is one, or by the corrected joint origins of ``robot``.
 
         Args:
             q: shape (N, m) or (m,), joint values in the robot's order, [rad] or [m].
-            payload: Carried by the tip; None: that of the measurements. It counts for a non-geometric model only.
+            payload: Point mass that the tip carries; None: that of the measurements. It counts for a non-geometric
+                model only.
 
         Returns:
             shape (N, 4, 4), pose of the tip in the base, [m].
@@ -414,14 +428,17 @@ class CalibrationValues(FittedModel):
         return self.non_geometric.tips(self.samples(q, payload=payload))
 
     def outside_of_measured(self, q: ArrayLike) -> tuple[OutsideRow, ...]:
-        """List the joint values that lie outside of the ranges that were fitted, ``ranges``.
+        """List the joint values that lie outside of the ranges that were fitted.
+
+        With ``ranges``, shape (m, 2), the smallest and largest joint values of fitted rows, [rad] or [m]. A margin of 5
+        % of the range is allowed; a continuous joint's range may pass the full turn.
 
         Args:
             q: shape (N, m) or (m,), joint values in the robot's order, [rad] or [m].
 
         Returns:
-            The rows of ``q`` with a joint outside, each by its index, from 0, with the joints and by how much; empty
-            where the fitted ranges are not known.
+            The rows of ``q`` with a joint outside, each by its index, from 0, with the joints and their distances from
+            the range, [rad] or [m]; empty where the fitted ranges are not known.
         """
         if not np.isfinite(self.ranges).all():
             return ()
@@ -431,13 +448,13 @@ class CalibrationValues(FittedModel):
         return outside(seen, values, self.nominal.joint_names, types)
 
     def corrected(self, robot: Robot) -> Robot:
-        """Return a robot with the calibrated joint origins, base and tip of this result.
+        """Return a robot with the calibrated joint origins, base and tip of this result, those of its ``robot``.
 
         Args:
             robot: A URDF of this robot, nominal or corrected, such as one with meshes.
 
         Returns:
-            The same URDF with the origins, base and tip of the calibrated robot.
+            The same URDF with these origins, base and tip; all else is its own.
 
         Raises:
             UrdfError: It lacks one of the joints.
@@ -445,13 +462,13 @@ class CalibrationValues(FittedModel):
         return _with_origins_of(self.robot, robot)
 
     def uncorrected(self, robot: Robot) -> Robot:
-        """Return a robot with the nominal joint origins, those that this calibration began with.
+        """Return a robot with the nominal joint origins of this result, those of its ``nominal``.
 
         Args:
             robot: A URDF of this robot, nominal or corrected.
 
         Returns:
-            The same URDF with the origins, base and tip of the nominal robot.
+            The same URDF with these origins and the base and tip of the nominal robot; all else is its own.
 
         Raises:
             UrdfError: It lacks one of the joints.
@@ -463,8 +480,12 @@ def _with_origins_of(source: Robot, robot: Robot) -> Robot:
     """Return a robot with the joint origins, base and tip of another one.
 
     Args:
-        source: The robot whose joint origins, base link and tip link are taken.
+        source: The robot whose joint origins, poses of each joint in the link before it, base link and tip link are
+            taken.
         robot: A URDF of the same robot, which gives all else, such as meshes.
+
+    Returns:
+        A new robot; both given ones stay as they are.
 
     Raises:
         UrdfError: It lacks one of the joints.
@@ -479,7 +500,7 @@ def _repeated_index(
     names: tuple[str, ...],
     count: int,
 ) -> NDArray[np.int_]:
-    """Return the index of a name among names, once for each sample.
+    """Return the index of a station or target among all, once for each sample.
 
     Args:
         what: What is named, for the error message: ``"station"`` or ``"target"``.

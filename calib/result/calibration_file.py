@@ -49,8 +49,9 @@ def error_table(errors: Errors) -> dict[str, Any]:
         errors: Largest, mean and rms errors of lengths [m], and of angles [rad] where there are any.
 
     Returns:
-        The figures by keys with the unit, such as ``"rms_m"``; those of angles, ``"..._rad"``, only where there are
-        any.
+        ``"n"``, the number of rows with a length; ``"max_m"``, ``"mean_m"`` and ``"rms_m"`` of the norms;
+        ``"mean_xyz_m"``, ``"rms_xyz_m"`` and ``"span_xyz_m"``, shape (3,), along x, y, z; and only where there are
+        angles ``"n_rad"``, their number, ``"max_rad"``, ``"mean_rad"`` and ``"rms_rad"``.
     """
     table = _LAYOUT.table(errors)
     if errors.n_angle:
@@ -66,8 +67,8 @@ def pose_table(T: Array, prefix: str = "") -> dict[str, Any]:
         prefix: Begins the keys, such as ``"frame_base_"``.
 
     Returns:
-        ``"xyz_m"``, shape (3,), and ``"rpy_rad"``, shape (3,), with R = Rz(yaw) Ry(pitch) Rx(roll); both behind the
-        prefix.
+        ``"xyz_m"``, shape (3,), [m], and ``"rpy_rad"``, shape (3,), roll, pitch, yaw [rad], with R = Rz(yaw) Ry(pitch)
+        Rx(roll); both behind the prefix.
     """
     return {f"{prefix}xyz_m": T[:3, 3], f"{prefix}rpy_rad": pin.rpy.matrixToRpy(T[:3, :3])}
 
@@ -88,10 +89,11 @@ def _prior_std_table(prior_std: Mapping[str, float]) -> dict[str, float]:
     """Return the table of prior standard deviations for the file.
 
     Args:
-        prior_std: Standard deviation of the prior of each family's errors, by the family's name, in its SI unit.
+        prior_std: Standard deviation of the prior of a family's errors, such as of lengths, by the family's name, in
+            its SI unit.
 
     Returns:
-        The same values by the family's name with the unit behind it.
+        The same values by the family's name with the unit behind it, such as ``"length_m"``.
     """
     return {_prior_std_key(family): std for family, std in prior_std.items()}
 
@@ -100,7 +102,8 @@ def _read_prior_std(table: Json) -> dict[str, float]:
     """Return prior standard deviations from their table in the file.
 
     Args:
-        table: Values in SI units, by the family's name with the unit behind it; families may be missing.
+        table: Values in SI units, by the family's name with the unit behind it, such as ``"length_m"``; families may be
+            missing.
 
     Returns:
         Standard deviation of the prior of each family that the table has, by the family's name, in its SI unit.
@@ -113,7 +116,7 @@ def _values_table(values: Mapping[str, Any]) -> list[dict[str, Any]]:
     """Return the values of a verdict's reason as a list for the file, in their order.
 
     Args:
-        values: Numbers, in SI units, and names by their own names, see `calib.diagnosis.reasons.Reason`.
+        values: Numbers, in SI units, and words of a reason, by name, such as ``"noise_m"``.
 
     Returns:
         One table ``{"name": ..., "value": ...}`` for each.
@@ -284,13 +287,16 @@ _LAYOUT: JsonLayout = JsonLayout(
 
 
 def versions() -> dict[str, str]:
-    """Return the versions of calib, of Python, and of the packages that computed the result, by their names."""
+    """Return the versions of calib, of Python, and of the packages that computed the result.
+
+    By ``"calib"``, ``"python"``, ``"pin"``, ``"numpy"`` and ``"scipy"``.
+    """
     packages = {name: importlib.metadata.version(name) for name in ("pin", "numpy", "scipy")}
     return {"calib": __version__, "python": platform.python_version(), **packages}
 
 
 def result_table(c: CalibrationValues) -> dict[str, Any]:
-    """Return a result as nested tables of plain values, before missing numbers become null.
+    """Return a result as nested tables of plain values and arrays, before missing numbers become null.
 
     Args:
         c: The calibration result; its measurements and fits in memory are no part of the tables.
@@ -314,13 +320,18 @@ def result_table(c: CalibrationValues) -> dict[str, Any]:
 
 
 def _derived_values(c: CalibrationValues) -> dict[str, Any]:
-    """Return what the file has besides the attributes of a calibration result, such as joint origins and versions.
+    """Return what the file has besides the attributes of a calibration result.
 
     Args:
         c: The result.
 
     Returns:
-        Values in SI units by their path in the file, such as ``"robot.origins"``.
+        By their path in the file, in SI units: ``"schema"``, the number of the layout; ``"robot"``, ``"robot.held"``,
+        ``"robot.origins"`` and ``"robot.nominal_origins"``, names, held joint values and joint origins; ``"frames"``
+        with ``"frames.target_given_m"``, None if the first target was not given, and ``"frames.target_estimated"``;
+        ``"errors"`` by robot and set of rows; ``"model"``; ``"inputs.urdf"``, ``"inputs.urdf.text"``,
+        ``"inputs.measurements"`` and ``"inputs.measurements.rows"``, names, hashes and number of rows; and
+        ``"versions"``.
     """
     robot, urdf = c.nominal, c.nominal.urdf
     target_given = c.setup.target_given[0]
@@ -437,7 +448,7 @@ def _calibration(table: Json, folder: Path) -> CalibrationValues:
 
     Args:
         table: The tables of a result file, see docs/result-json.md.
-        folder: The file's folder; meshes lie beside the URDF, where that is in the folder.
+        folder: The file's folder; meshes are looked for beside the URDF, if that is in the folder.
 
     Returns:
         The result, without measurements and fits in memory.
@@ -467,7 +478,8 @@ def _nominal(table: Json, folder: Path) -> Robot:
     """Return the nominal robot from the tables of a result file.
 
     Args:
-        table: All tables of the file; they hold the text of the nominal URDF, base, tip and held joint values.
+        table: All tables of the file. Used are ``"robot"``, with base, tip and held joint values, [rad] or [m], and
+            ``"inputs"."urdf"``, with the nominal URDF's name and text.
         folder: The folder where the URDF is looked for, if only for the meshes beside it.
 
     Returns:
@@ -489,7 +501,9 @@ def _model_values(kind: type[FittedModel], table: Json, nominal: Robot) -> dict[
         nominal: The nominal robot.
 
     Returns:
-        Values that the table holds, and ``"kinematics"``, which follows from them.
+        Arguments of the class by name: all that the table holds, such as ``"x"``, the p parameters, shape (p,), and
+        ``"setup"``, frames and targets at the solution, but not ``"non_geometric"``; and ``"kinematics"``, the nominal
+        robot under the error model, which follows from them.
 
     Raises:
         ValueError: A number that a fitted model has is missing.
@@ -506,9 +520,10 @@ def _check_numbers(values: Mapping[str, Any]) -> None:
     """Refuse a fitted model of whose parameters, covariance, frames or targets a number is missing.
 
     Args:
-        values: Attributes of the model by their names: parameters ``"x"``, shape (p,), ``"covariance"``, which must
-            have the shape (p, p), ``"setup"``, and ``"parameters"``, one `ParameterEstimate` each. A missing number is
-            NaN.
+        values: Attributes of the model by their names, of which are used: ``"x"``, the parameters, shape (p,);
+            ``"covariance"``, which must have the shape (p, p); ``"setup"``, with T_frame_base and T_tip_target, stacks
+            of shape (4, 4) matrices [m]; and ``"parameters"``, whose ``data_gradient`` must be finite. A missing number
+            is NaN.
 
     Raises:
         ValueError: One is missing or infinite, or the shapes do not fit.
@@ -522,7 +537,7 @@ def _check_numbers(values: Mapping[str, Any]) -> None:
 
 
 def _kinematics(nominal: Robot, model: ErrorModel, setup: Setup, x: Array) -> Kinematics:
-    """Return the nominal robot under an error model, with frames and targets from where the parameters count.
+    """Return the nominal robot under an error model, with frames and targets where the parameters count from.
 
         T_frame_base(0) = T_frame_base(x) D_frame(x)^-1,    T_tip_target(0) = T_tip_target(x) D_target(x)^-1
 
@@ -531,7 +546,8 @@ def _kinematics(nominal: Robot, model: ErrorModel, setup: Setup, x: Array) -> Ki
     Args:
         nominal: The nominal robot.
         model: Its error model of p parameters, those of frames and targets included.
-        setup: Frames and targets at the solution: T_frame_base and T_tip_target at x.
+        setup: Frames and targets at the solution: T_frame_base, pose of the base in each of F frames, and T_tip_target,
+            pose of each of T targets in the tip, shapes (F, 4, 4) and (T, 4, 4), [m].
         x: The parameters at the solution, shape (p,), offsets from the start of the fit [m, rad, ...].
 
     Returns:
@@ -548,12 +564,13 @@ def _model_table(model: ErrorModel) -> dict[str, Any]:
     """Return an error model as a table for the file.
 
     Args:
-        model: The model: its places, such as joints and frames, and its terms, each an error at a place.
+        model: The model of p parameters: its ``places``, such as frames, joints and targets, and its ``terms``, each an
+            error at a place: the parameters, and errors that are tied to them.
 
     Returns:
-        The name of its set, ``"set"``, its places and terms, and ``"mixing"``, shape (terms, p): the values of the
-        terms are mixing @ x with the p parameters x; None where no parameter is tied, so that the terms are the
-        parameters.
+        ``"set"``, its name, such as ``"dh"``; ``"places"``, their names; ``"terms"``, one table each; and ``"mixing"``,
+        shape (terms, p): the values of the terms are mixing @ x with the p parameters x; None where no parameter is
+        tied, so that the terms are the parameters.
     """
     mixing = None if model.terms is model.parameters else model.mixing
     terms = [_LAYOUT.table(term) for term in model.terms]
@@ -564,7 +581,9 @@ def _model_of(table: Json, names: Sequence[str]) -> ErrorModel:
     """Return an error model from its table in the file.
 
     Args:
-        table: The table, as `_model_table` makes it.
+        table: The table, as `_model_table` makes it: ``"set"``, the model's name; ``"places"``; ``"terms"``, a table
+            for each error at a place; and ``"mixing"``, shape (terms, p), by which the terms follow the parameters, or
+            None.
         names: Names of the p parameters in the order of the parameter vector x; the other terms are tied to these.
 
     Returns:

@@ -58,7 +58,7 @@ class ComparisonValues:
     only_b: tuple[str, ...]
 
     def __repr__(self) -> str:
-        """One line with the names of both results, the outcome, and the p-value of the difference."""
+        """One line with the ``names`` of both results, the ``outcome``, and the p-value of the ``test``."""
         first, second = self.names
         return f"Comparison({first!r}, {second!r}, {self.outcome}, p = {self.test.p:.2g})"
 
@@ -76,7 +76,8 @@ def compare(
         robot: The robot, or its URDF, nominal or corrected, to show with its meshes; None: that of the first result.
 
     Returns:
-        The outcome, the test of the difference, and the displacement of the target from a to b.
+        The outcome, ``"drift"``, ``"no drift shown"`` or ``"cannot tell"``; the test of the difference of the
+        predictions; and the displacement of the target from a to b [m], without what frame and target compensate.
 
     Raises:
         FileError: A file cannot be read or is no result.
@@ -135,12 +136,13 @@ def _check_same_chain(
     """Refuse calibration results of different chains: of other links, joints, or held joint values.
 
     Args:
-        first: The first result.
+        first: The first result, of whose nominal robot are compared base and tip link, names of the measured joints,
+            names of the joints with origins, and values of held joints, [rad] or [m].
         second: The second.
         names: Names of their files, for the error message.
 
     Raises:
-        ModelError: Base, tip, joints or held values of their nominal robots differ.
+        ModelError: Any of these differ.
     """
     chains = []
     for robot in (first.nominal, second.nominal):
@@ -157,7 +159,8 @@ def _robot_to_show(given: Robot | str | Path | None, nominal: Robot) -> Robot:
     """Return the robot to show, with base and tip of the results' nominal one.
 
     Args:
-        given: The robot, or the path of its URDF; None: the nominal robot is shown.
+        given: The robot, or the path of its URDF, nominal or corrected, such as one with meshes; None: the nominal
+            robot is shown.
         nominal: The nominal robot of the first result, with its base, tip and held joint values.
 
     Returns:
@@ -177,11 +180,11 @@ def _same_origins(first: CalibrationValues, second: CalibrationValues) -> bool:
     """Tell if two calibration results count from the same nominal joint origins.
 
     Args:
-        first: The first result.
+        first: The first result, with the ``<origin>`` of each joint of its nominal URDF, shape (4, 4), [m].
         second: The second, of the same chain.
 
     Returns:
-        True if no element of the nominal robots' joint origins, 4x4 matrices [m], differs by `_SAME` or more.
+        True if no element of these matrices differs by `_SAME` or more between both nominal robots.
     """
     of_second = second.nominal.origins()
     origins = first.nominal.origins().items()
@@ -194,15 +197,17 @@ def _why_not_told(
     """Return the reason why nothing can be told of a drift; empty if there is none.
 
     Args:
-        first: Result a.
+        first: Result a: hash of the file of its measurements, its verdict, and the residuals of its fitted rows.
         second: Result b.
-        differences: The difference of their predictions: its test, the displacement of the target, and parameters whose
-            effects only one of the results can have.
+        differences: The difference of their predictions. Of it are used ``test``, ``moves[0]``, the displacement of the
+            target over the joint values that both data cover, and ``only_a`` and ``only_b``, parameters whose effects
+            only that result can have.
 
     Returns:
-        ``"same data"`` if both are of one file; ``"bad verdict"`` if either should not be used; ``"nothing known"`` if
-        no combination of parameters could be tested; ``"other errors"`` if they differ, but either has parameters that
-        the other lacks, and the target moved no further than what the residuals show these to lack.
+        ``"same data"`` if both are of one file, or one result; ``"bad verdict"`` if either should not be used;
+        ``"nothing known"`` if no combination of parameters could be tested; ``"other errors"`` if they differ
+        significantly, but either has parameters that the other lacks, and the target's rms displacement without noise
+        is no more than `_FAR` times the larger rms residual [m] of fitted rows.
     """
     if first is second:
         return "same data"

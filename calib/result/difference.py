@@ -84,7 +84,9 @@ class Displacement:
     def moved(self) -> float:
         """The rms displacement without the part that the noise of both results would show [m], 0 or more.
 
-        sqrt(rms^2 - noise^2) of the fields ``rms`` and ``noise`` [m].
+        sqrt(rms^2 - noise^2), with ``rms``, the rms displacement of the predicted target from result a to result b over
+        joint values [m], and ``noise``, the rms that the covariance of the parameters of both results alone would show
+        [m].
         """
         return float(np.sqrt(max(self.rms**2 - self.noise**2, 0.0)))
 
@@ -106,19 +108,21 @@ class Differences:
 
 
 def own_names(result: CalibrationValues) -> tuple[str, ...]:
-    """Return the names of the robot's own parameters, in their order: those of frames and targets left out.
+    """Return the names of the robot's own parameters, in the order of the result's vector x.
 
     Args:
-        result: A calibration result, with the parameters of its geometry.
+        result: A calibration result. Its ``model`` lists the p parameters of its geometry; those of measurement frames
+            and targets are left out.
     """
     return tuple(result.model.names[k] for k in _own_indices(result))
 
 
 def _own_indices(result: CalibrationValues) -> NDArray[np.int_]:
-    """Return the indices of the robot's own parameters among all: those of frames and targets left out.
+    """Return the indices of the robot's own parameters in a result's parameter vector x.
 
     Args:
-        result: A calibration result, with the p parameters of its geometry.
+        result: A calibration result. Its ``model`` lists p parameters: of the robot, of measurement frames and of
+            targets; the last two are left out.
 
     Returns:
         shape (k,), from 0, ascending.
@@ -127,26 +131,29 @@ def _own_indices(result: CalibrationValues) -> NDArray[np.int_]:
 
 
 def _own_steps(result: CalibrationValues) -> Array:
-    """Return typical errors of arms in each of the robot's own parameters, such as 1 mm of a length.
+    """Return typical errors of arms in each of the robot's own parameters: 1 mm of a length, 1 mrad of an angle.
 
     Args:
-        result: A calibration result, with the parameters of its geometry.
+        result: A calibration result, of whose ``model`` the units of the parameters are used.
 
     Returns:
-        shape (k,) for the k parameters that are not of frames and targets, each in its unit, [m], [rad], ...
+        shape (k,), for the k parameters that are not of frames and targets, in the order of x, each in its SI unit:
+        1e-3 [m], 1e-3 [rad], and those that `calib.model.families` declares for other units.
     """
     return steps([result.model.units[k] for k in _own_indices(result)])
 
 
 def unknown_frame(result: CalibrationValues) -> tuple[str, ...]:
-    """Return the directions in which a result's measurements did not know where the base stands.
+    """Return the directions in which a result's measurements did not determine the base's pose beforehand.
 
     Args:
-        result: A calibration result: its kinds of measurements, and which directions of the frames it estimated.
+        result: A calibration result. Of it are used the kinds of its rows, ``frame_estimated``, whether the measurement
+            frames were left to be estimated, and ``setup.unknown``, the directions of each frame that were.
 
     Returns:
-        Some of ``"x"``, ``"y"``, ``"z"``, ``"rx"``, ``"ry"`` and ``"rz"``, along and about the base's axes; all where
-        no row determines where the base stands, none where all frames were given.
+        Some of ``"x"``, ``"y"``, ``"z"``, ``"rx"``, ``"ry"`` and ``"rz"``, along and about the base's axes, in this
+        order: those that were estimated for at least one frame. All six where no row determines where the base stands;
+        none where the measurement frames were taken as known.
     """
     if not result.tells_place:
         return DIRECTIONS  # sockets, planes, anchors and pairs never do
@@ -157,15 +164,15 @@ def unknown_frame(result: CalibrationValues) -> tuple[str, ...]:
 
 
 def _common_ranges(a: Array, b: Array) -> Array:
-    """Return the range of each joint that both data cover, or that either does where there is none.
+    """Return the range of each joint that both data cover, or from the lowest to the highest value of both if none is.
 
     Args:
-        a: Smallest and largest fitted joint values of the first result, shape (m, 2), [rad], [m]; infinite or NaN where
-            no row was fitted.
+        a: Smallest and largest fitted value of each of m joints in the first result, shape (m, 2), [rad] or [m]; NaN,
+            or from infinity down to minus infinity, where no row was fitted: then the other result's range is taken.
         b: Those of the second.
 
     Returns:
-        shape (m, 2), [rad], [m], finite.
+        Lower and upper end, shape (m, 2), [rad] or [m], finite; both 0 where neither has fitted rows.
     """
     low = np.fmax(a[:, 0], b[:, 0])
     high = np.fmin(a[:, 1], b[:, 1])
@@ -184,15 +191,20 @@ def _estimate(result: CalibrationValues, other: CalibrationValues) -> Estimate:
 
         C_q = (C^-1 + Q - P)^-1,    x_q = x + C_q (s - Q x)
 
-    with the priors' precision P of the fit and Q in common, and s, minus the gradient of half the data's squares.
-    Parameters at a bound stay there.
+    with the diagonal precision P of the fit's priors and Q of the shared ones, which have the mean 0. Q differs from P
+    for the k parameters of the robot alone. Parameters at a bound are held there.
 
     Args:
-        result: The calibration result: parameters x, their covariance C, priors and data gradients s.
-        other: The one with which it is compared; only its priors count.
+        result: The calibration result: its p parameters ``x``, offsets from the registered start in their units; their
+            ``covariance`` C, shape (p, p); of each of ``parameters`` the ``prior_std``, NaN without prior,
+            ``at_bound``, and ``data_gradient`` s, minus the derivative of half the data's weighted squares [1/unit];
+            and ``freedom``, the degrees of freedom of its noise.
+        other: The result with which it is compared, of which only the priors count.
 
     Returns:
-        Covariance and change of the k parameters of the result's robot, those of frames and targets left out.
+        Of the k parameters of the robot: ``covariance`` C_q and ``noise``, its part from the measurements, C_q - C_q Q
+        C_q over all p parameters, both shape (k, k); ``pull`` C_q Q, shape (k, k); ``prior``, the shared priors'
+        variances, and ``shift``, x_q - x, both shape (k,); and the degrees of freedom.
     """
     precision, indices = _prior_precision(result), _own_indices(result)
     shared = _shared_precision(result, other)
@@ -201,6 +213,7 @@ def _estimate(result: CalibrationValues, other: CalibrationValues) -> Estimate:
     common[indices] = shared
     common[bounded] = 0.0
 
+    # Covariance C_q of all p parameters under the common priors, (p, p), zero for those at a bound.
     C = covariance_under(result.covariance, common - precision, ~bounded)
     of_own = C[np.ix_(indices, indices)]
     noise = C - (C * common) @ C
@@ -217,17 +230,19 @@ def _estimate(result: CalibrationValues, other: CalibrationValues) -> Estimate:
 
 
 def _shared_precision(result: CalibrationValues, other: CalibrationValues) -> Array:
-    """Return the precision of priors under which two results are compared, for a result's own parameters.
+    """Return the precision of the priors under which two results are compared, for one result's own parameters.
 
-    It is the lower of both results' precisions; but the prior's standard deviation is at least `_ROOM`, to leave room
-    for a drift, and at most `_WIDEST`, both in the typical errors of arms.
+    It is the lower of both results' precisions, or this result's where the other lacks the parameter; but the prior's
+    standard deviation is at least `_ROOM`, to leave room for a drift, and at most `_WIDEST`, both in the typical errors
+    of arms, 1 mm or 1 mrad.
 
     Args:
-        result: The calibration result.
-        other: The one with which it is compared; its parameters are matched by name.
+        result: The calibration result, with the prior standard deviations of its parameters.
+        other: The result with which it is compared; its parameters are matched by name.
 
     Returns:
-        1 / variance of the k parameters of the result's robot, shape (k,), [1/unit^2].
+        1 / variance of the k parameters of the result's robot, those of frames and targets left out, shape (k,),
+        [1/unit^2].
     """
     precision, of_other = _prior_precision(result), _prior_precision(other)
     by_name = dict(zip(other.model.names, of_other, strict=True))
@@ -245,7 +260,8 @@ def _prior_precision(result: CalibrationValues) -> Array:
     """Return the precision of each parameter's prior, 1 / variance.
 
     Args:
-        result: A calibration result with p parameters, those of frames and targets included.
+        result: A calibration result. Of its ``parameters``, p in the order of x, frames and targets included, the
+            ``prior_std`` is used, in the parameter's unit; NaN without prior.
 
     Returns:
         shape (p,), [1/unit^2]; 0 where there was no prior.
@@ -277,28 +293,34 @@ class _Predictions:
 
     @property
     def signed(self) -> Array:
-        """Derivative of b's prediction less a's by both results' parameters: minus ``effects`` of a, then those of b.
+        """Derivative of b's prediction less a's by the parameters of both results: minus those of a, then those of b.
 
-        Shape (N D, p_a + p_b), [m] a unit of each parameter.
+        Shape (N D, p_a + p_b), [m] a unit of each parameter. With ``effects``, the derivatives of the predictions of a
+        and of b by the p_a and p_b parameters of their robots, shapes (N D, p_a) and (N D, p_b), at the nominal robot:
+        D coordinates at each of N joint values.
         """
         effect_a, effect_b = self.effects
         return np.hstack([-effect_a, effect_b])
 
     @property
     def coordinates(self) -> int:
-        """Number D of coordinates of a prediction: 3 of the position, and 3 of the orientation if that counts too."""
+        """Number D of coordinates of a prediction: 3 of the position, and with ``turns`` 3 of the orientation."""
         return 6 if self.turns else 3
 
     def moved(self, estimates: tuple[Estimate, Estimate]) -> Array:
-        """Return the difference of the predictions, b less a, if both results had the same priors.
+        """Return the difference of the predictions, b less a, with both results brought to the same priors.
 
-        To ``difference`` is added what the change of each result's parameters does, by ``slopes``.
+        To ``difference``, shape (N D,) [m], of the results as they are, is added what the change of each result's
+        parameters does, by ``slopes``, shapes (N D, p_a) and (N D, p_b), [m] a unit: derivatives of the predictions of
+        a and of b by the parameters of their robots, at the calibrated values.
 
         Args:
-            estimates: Results a and b under common priors: ``shift`` is the change of their parameters.
+            estimates: Results a and b under common priors, of which ``shift`` is used: the change of their p_a and p_b
+                parameters by the change of priors, in their units.
 
         Returns:
-            shape (N D,), [m]: D coordinates at each of N joint values; angles count at the end of a lever.
+            shape (N D,), [m]: of each of N joint values the position in the base, and with D = 6 the rotation vector
+            behind, times a lever of 0.1 m.
         """
         slope_a, slope_b = self.slopes
         a, b = estimates
@@ -309,12 +331,15 @@ def _predictions(a: CalibrationValues, b: CalibrationValues, q: Array) -> _Predi
     """Predict one target in the base by two calibration results.
 
     Args:
-        a: The first result, whose first target is predicted by both.
+        a: The first result, whose first target, as it is in the tip, is predicted by both.
         b: The second.
         q: Joint values, shape (N, m), [rad] or [m].
 
     Returns:
-        The difference of the predictions, b less a, and their derivatives by the parameters of either result.
+        The difference of the predictions by the calibrated geometries, b less a, shape (N D,) [m]; their derivatives by
+        the parameters of either robot; and ``gauge``, shape (N D, g), those by the g directions of base and target that
+        either result had to estimate. D is 6, with rotation vectors of R_b R_a^T times a lever of 0.1 m, where both
+        results measured orientations; else 3, positions alone. All along the base's axes.
     """
     turns = a.setup.rotation and b.setup.rotation
     by_a, by_b = _prediction(a, a, q), _prediction(b, a, q)
@@ -354,12 +379,14 @@ def _prediction(result: CalibrationValues, first: CalibrationValues, q: Array) -
     """Predict a target in the base by the parameters of one result's robot, those of frames and targets left out.
 
     Args:
-        result: The calibration result that predicts.
-        first: The result whose first target, as it estimated it or was given it, is predicted.
+        result: The calibration result that predicts, by its nominal robot and the k parameters of its geometry that are
+            the robot's own, with their values in ``x``.
+        first: The result whose first target is predicted: ``setup.T_tip_target[0]``, as it was estimated or given.
         q: Joint values, shape (N, m), [rad] or [m].
 
     Returns:
-        Poses and derivatives, by the nominal and by the calibrated robot.
+        T_base_target by the nominal and by the calibrated robot, shape (N, 4, 4) [m], and the target's derivatives by
+        the k parameters at either, shape (N, 6, k), linear [m] then angular [rad], along the base's axes.
     """
     indices = _own_indices(result)
     others = np.delete(np.array(result.model.names), indices)
@@ -368,6 +395,7 @@ def _prediction(result: CalibrationValues, first: CalibrationValues, q: Array) -
     kinematics = Kinematics(result.nominal, result.model.without(others), frames, targets)
     # Effects at the nominal robot, from which both count: elsewhere they would differ by what is of second order, and
     # that would look like combinations of their own.
+    # Poses, (N, 4, 4), and their derivatives, (N, 6, k).
     nominal, effect = kinematics.twists(np.zeros(len(indices)), q)
     calibrated, slope = kinematics.twists(result.x[indices], q)
     return _Prediction(nominal, calibrated, effect, slope)
@@ -380,8 +408,9 @@ def _place_twists(T_base_target: Array) -> Array:
         T_base_target: Poses of the target in the base, shape (N, 4, 4), [m].
 
     Returns:
-        shape (N, 6, 12), the target's velocity along the base's axes, linear [m] then angular [rad]: columns are a unit
-        of x, y, z, rx, ry, rz of the base, then of the target, in the target's own axes.
+        shape (N, 6, 12), the target's velocity along the base's axes, linear [m] then angular [rad]. Columns are a
+        unit, 1 m or 1 rad, of x, y, z, rx, ry, rz of the base, along its axes and about its origin; then of the target,
+        along and about its own axes.
     """
     twists = np.zeros((len(T_base_target), 6, 12))
     points, R = T_base_target[:, None, :3, 3], T_base_target[:, :3, :3]
@@ -396,12 +425,14 @@ def _unknown_places(a: CalibrationValues, b: CalibrationValues, *, turns: bool) 
     """Tell of each motion of base and target if either result had to estimate it.
 
     Args:
-        a: The first calibration result.
+        a: The first calibration result: its unknown directions of the base, see `unknown_frame`, and whether it
+            estimated a target.
         b: The second.
-        turns: Whether orientations count, so that the target's orientation is a motion that could be estimated.
+        turns: Whether orientations were measured for both, so that the target's orientation was estimated too.
 
     Returns:
-        12 values: x, y, z, rx, ry, rz of the base, then of the target, as the columns of `_place_twists`.
+        12 values, True where it had to: x, y, z, rx, ry, rz of the base, then of the target, as the columns of
+        `_place_twists`.
     """
     unknown = {*unknown_frame(a), *unknown_frame(b)}
     target = a.setup.estimate_target or b.setup.estimate_target
@@ -410,10 +441,10 @@ def _unknown_places(a: CalibrationValues, b: CalibrationValues, *, turns: bool) 
 
 
 def _as_lengths(twists: Array, *, turns: bool) -> Array:
-    """Return twists as displacements in length: angles count at the end of a lever of `_LEVER`.
+    """Return twists as displacements in length: angles are multiplied by a lever of `_LEVER`, 0.1 m.
 
     Args:
-        twists: shape (N, 6, k), linear [m] then angular [rad], of k motions at N joint values.
+        twists: shape (N, 6, k), at N joint values, linear [m] then angular [rad], by each of k motions or parameters.
         turns: Whether orientations count; if not, the angular part is left out.
 
     Returns:
@@ -436,7 +467,7 @@ class _Compensation:
     inside: _Predictions
     #: Results a and b under common priors
     estimates: tuple[Estimate, Estimate]
-    #: Shape (p_a + p_b, p_a + p_b), joint covariance of both results' own parameters
+    #: Shape (p_a + p_b, p_a + p_b), covariance of the parameters of both results together, those of their robots
     joint: Array
     #: Shape (g, N D), takes displacements at the joint values inside to the motion
     to_motion: Array
@@ -453,12 +484,15 @@ class _Compensation:
         """Fit the motion of base and target to the difference of two results' predictions, by least squares.
 
         Args:
-            inside: Predictions of both results at N joint values that both data cover, D coordinates each [m].
-            estimates: Results a and b under common priors.
-            joint: Joint covariance of their own parameters, shape (p_a + p_b, p_a + p_b).
+            inside: Predictions of both results at N joint values that both data cover, D coordinates each. Their
+                ``gauge``, shape (N D, g) [m], is what a unit of each of g directions of base and target does, those
+                that either result had to estimate; it may have no columns.
+            estimates: Results a and b under common priors, of which the change of their parameters is used.
+            joint: Covariance of the parameters of both results together, those of the robots, shape
+                (p_a + p_b, p_a + p_b), which is only stored.
 
         Returns:
-            The motion along the directions that either result had to estimate.
+            The fitted motion, shape (g,), [m] and [rad], with what it was fitted to.
         """
         to_motion = np.asarray(np.linalg.pinv(inside.gauge, rcond=1e-9), dtype=np.float64)
         motion = to_motion @ inside.moved(estimates)
@@ -467,11 +501,12 @@ class _Compensation:
     def remaining(self, effect: Array) -> Array:
         """Return effects of parameters without what a motion of base and target explains of each.
 
-        The motion is fitted by ``to_motion`` and displaces the target by ``inside.gauge``.
+        The motion is fitted by ``to_motion``, shape (g, N D), the least-squares inverse of ``inside.gauge``, shape
+        (N D, g), which is what g directions of base and target do.
 
         Args:
-            effect: Displacements by a unit of each of p parameters, at the joint values of ``inside``, shape (N D, p),
-                [m].
+            effect: Displacements of the target by a unit of each of p parameters, shape (N D, p), [m]: D coordinates at
+                each of the N joint values of ``inside``.
 
         Returns:
             Likewise, shape (N D, p), [m].
@@ -481,39 +516,53 @@ class _Compensation:
     def difference(self, at: _Predictions) -> Array:
         """Return the difference of two results under common priors, without the ``motion`` of base and target.
 
+        With ``estimates``, results a and b under common priors, and ``motion``, shape (g,), which was fitted to the
+        difference at other joint values, those that both data cover: g directions of base and target, [m] and [rad].
+
         Args:
-            at: Predictions of both results at any N joint values, D coordinates each.
+            at: Predictions of both results at any N joint values, D coordinates each, with ``gauge``, shape (N D, g),
+                the displacements of the target by a unit of each direction.
 
         Returns:
-            b less a, shape (N D,), [m]; angles count at the end of a lever.
+            b less a, shape (N D,), [m], along the base's axes: of each joint value the position, then, with D = 6, the
+            rotation vector times a lever of 0.1 m.
         """
         return np.asarray(at.moved(self.estimates) - at.gauge @ self.motion)
 
     def jacobian(self, at: _Predictions) -> Array:
-        """Return the derivative of `difference` by both results' own parameters.
+        """Return the derivative of `difference` by the parameters of both results' robots.
+
+        The motion of base and target follows the parameters: ``to_motion``, shape (g, M), takes displacements at the
+        joint values of ``inside``, M coordinates together, to the motion in g directions that explains them best.
 
         Args:
-            at: Predictions of both results at any N joint values, D coordinates each.
+            at: Predictions of both results at any N joint values, D coordinates each: ``signed``, shape
+                (N D, p_a + p_b), the derivative of b's prediction less a's by the parameters of both, and ``gauge``,
+                shape (N D, g), that by the motion.
 
         Returns:
-            shape (N, D, p_a + p_b), [m] a unit of each parameter; the motion follows the parameters.
+            shape (N, D, p_a + p_b), [m] a unit of each parameter of a, then of b.
         """
         J = at.signed - at.gauge @ (self.to_motion @ self.inside.signed)
         return np.asarray(J.reshape(-1, at.coordinates, J.shape[1]))
 
     def displacement(self, where: Where, at: _Predictions) -> Displacement:
-        """Return the displacement of the target from a to b, without the motion of base and target.
+        """Return the displacement of the target from result a to result b, without the motion of base and target.
+
+        With ``joint``, the covariance of the parameters of both results together, shape (p_a + p_b, p_a + p_b).
 
         Args:
             where: Name of the joint values: ``"measured ranges"`` or ``"joint limits"``.
             at: Predictions of both results at these N joint values.
 
         Returns:
-            Its rms and largest length, what of it the ``joint`` covariance of both results makes, and its angle.
+            ``rms`` and ``max``, of the displacements of the position over the N joint values [m]; ``noise``, the rms
+            that ``joint`` alone would make [m]; ``std``, the standard deviation of ``rms`` by it [m]; and ``rms_angle``
+            [rad], NaN where orientations do not count.
         """
         moved = self.difference(at).reshape(-1, at.coordinates)
-        points, angles = moved[:, :3], moved[:, 3:] / _LEVER
-        J = self.jacobian(at)[:, :3]
+        points, angles = moved[:, :3], moved[:, 3:] / _LEVER  # b less a, (N, 3) [m] and [rad]
+        J = self.jacobian(at)[:, :3]  # (N, 3, p_a + p_b)
         count = len(points)
         noise = float(np.einsum("ndp,pq,ndq->", J, self.joint, J)) / count
         square = np.sum(points**2, axis=1)
@@ -547,16 +596,21 @@ def _compensation(
 ) -> _Compensation:
     """Bring two results to common priors, and fit a motion of base and target to the difference of their predictions.
 
+    The motion is what frame and target, which each result estimated from its own data, can absorb of the difference.
+
     Args:
-        first: Result a.
+        first: Result a, with its parameters, their covariance and priors, and the joint ranges of its fitted rows.
         second: Result b.
-        same_start: Whether both count from the same nominal robot.
+        same_start: Whether both count from the same nominal robot. If so, and if their parameters are the same, they
+            share the means of their priors, and their errors are correlated.
 
     Returns:
-        The motion, with the predictions that it was fitted to and both results under common priors.
+        The motion, with the predictions at the 200 joint values, spread over the ranges that both data cover, to which
+        it was fitted, both results under common priors, and the covariance of the parameters of both together.
     """
     estimates = (_estimate(first, second), _estimate(second, first))
     alike = same_start and _same_parameters(first, second)
+    # Covariance of the parameters of both results together, (p_a + p_b, p_a + p_b).
     joint = joint_covariance(*estimates, alike=alike)
     ranges = _common_ranges(first.ranges, second.ranges)
     inside = _predictions(first, second, spread_between(ranges, _POSES))
@@ -583,16 +637,17 @@ class _OwnEffects:
         effect: Array,
         compensation: _Compensation,
     ) -> _OwnEffects:
-        """Take from effects what a motion of base and target explains.
+        """Take from the effects of a robot's parameters what a motion of base and target explains.
 
         Args:
-            result: The calibration result with p parameters of its robot.
-            effect: Displacements of the target by a unit of each, at the joint values that both data cover, shape
-                (N D, p), [m].
-            compensation: The motion, which was fitted at these joint values.
+            result: The calibration result, for names and units of the p parameters of its robot, frames and targets
+                left out.
+            effect: Displacements of the target by a unit of each of these, shape (N D, p), [m]: D coordinates, along
+                the base's axes, at each of N joint values that both data cover.
+            compensation: The fit of a motion of base and target at these joint values.
 
         Returns:
-            The effects that remain, and of which parameters enough remains.
+            The effects that remain, shape (N D, p), and ``known``, of which parameters enough remains, shape (p,).
         """
         remaining = compensation.remaining(effect)
         return cls(
@@ -604,22 +659,31 @@ class _OwnEffects:
 
     @property
     def in_steps(self) -> Array:
-        """Displacements by the typical error of each parameter: ``remaining`` times ``steps``, shape (N D, p), [m]."""
+        """Displacements of the target by a typical error of each parameter, shape (N D, p), [m].
+
+        ``remaining``, shape (N D, p), the displacements by a unit of each of p parameters, without what a motion of
+        base and target explains, times ``steps``, shape (p,), typical errors of arms such as 1 mm or 1 mrad.
+        """
         return self.remaining * self.steps
 
     @property
     def compensated(self) -> list[str]:
-        """Names of the parameters that a motion of base and target compensates, those not ``known``."""
+        """Names of the parameters that a motion of base and target compensates: of ``names``, those not ``known``."""
         return list(self.names[~self.known].tolist())
 
     def along(self, basis: Array) -> Array:
-        """Return the effects of a unit of each parameter along an orthonormal basis of displacements.
+        """Return the components of the effects of a unit of each parameter along an orthonormal basis of displacements.
+
+        With ``remaining``, shape (N D, p), [m]: displacements of the target in the base by a unit of each of p
+        parameters of the robot, D coordinates (3 of the position, and 3 of the orientation times a lever of 0.1 m if it
+        counts) at each of N joint values that both data cover, without what a motion of base and target explains; and
+        ``known``, shape (p,), False for parameters of which such a motion explains all but a trace.
 
         Args:
-            basis: shape (N D, r), its vectors as columns.
+            basis: Orthonormal displacements as columns, shape (N D, r), [1].
 
         Returns:
-            shape (r, p), [m]; zero for parameters that a motion of base and target compensates.
+            shape (r, p), [m]; zero for parameters that are not ``known``.
         """
         return np.asarray(basis.T @ np.where(self.known, self.remaining, 0.0))
 
@@ -630,13 +694,16 @@ def differences_of(
     """Test the difference of two results' predictions of a target, and average it over joint values.
 
     Args:
-        first: Result a.
-        second: Result b.
-        same_start: Whether both count from the same nominal robot.
+        first: Result a: its nominal robot, the parameters of its geometry with covariance and priors, frames and
+            targets, and fitted joint ranges.
+        second: Result b, of the same chain.
+        same_start: Whether both have the same nominal joint origins, from which their parameters count.
 
     Returns:
-        The test; the displacement of the target from a to b over the joint values that both data cover, and over the
-        joint limits; and names of parameters whose drift does not show, or that only one of the results can explain.
+        ``test``, whether the difference is more than noise; ``moves``, the displacement of the target from a to b over
+        the joint values that both data cover, and over the joint limits; and names of parameters: ``compensated``,
+        whose drift frame and target would hide, and ``only_a`` and ``only_b``, whose effects the other result's
+        parameters cannot have.
     """
     compensation = _compensation(first, second, same_start=same_start)
     inside = compensation.inside
@@ -644,6 +711,7 @@ def differences_of(
     own_a = _OwnEffects.of(first, inside.effects[0], compensation)
     own_b = _OwnEffects.of(second, inside.effects[1], compensation)
     basis = _basis(own_a, own_b, _NOTHING if same_start else _NOTHING_APART)
+    # In the r coordinates of the basis, (r, p_a) and (r, p_b), [m] a unit of each parameter.
     effect_a, effect_b = own_a.along(basis), own_b.along(basis)
     test = drift_test(
         basis.T @ compensation.difference(inside),
@@ -670,11 +738,11 @@ def _same_parameters(first: CalibrationValues, second: CalibrationValues) -> boo
     """Tell if two calibration results have the same parameters of the robot, tied alike.
 
     Args:
-        first: The first result.
+        first: The first result: names of its parameters, name of its parameter set, and ``ties``.
         second: The second.
 
     Returns:
-        True if names, parameter set and ties are equal; those of frames and targets do not count.
+        True if names, in their order, parameter set and ties are equal; parameters of frames and targets do not count.
     """
     same_names = own_names(first) == own_names(second)
     same_ties = dict(first.ties) == dict(second.ties)
@@ -685,24 +753,26 @@ def _is_known(remaining: Array, effect: Array) -> Mask:
     """Tell of each parameter if a motion of base and target does not compensate it.
 
     Args:
-        remaining: Displacements by a unit of each of p parameters, without what the motion explains, shape (N D, p),
-            [m].
+        remaining: Displacements of the target by a unit of each of p parameters, without what the motion explains,
+            shape (N D, p), [m]: D coordinates at each of N joint values.
         effect: The whole displacements, shape (N D, p), [m].
 
     Returns:
-        shape (p,), True where at least the share `_OWN` of the effect remains, by the norm over all displacements.
+        shape (p,), True where the norm of what remains, over all N D displacements, is at least `_OWN` times that of
+        the effect.
     """
     size = np.linalg.norm(effect, axis=0)
     return np.asarray(np.linalg.norm(remaining, axis=0) >= _OWN * size)
 
 
 def _basis(a: _OwnEffects, b: _OwnEffects, smallest: float) -> Array:
-    """Return an orthonormal basis of all displacements that both results' own parameters can make.
+    """Return an orthonormal basis of all displacements that the parameters of both results' robots can make.
 
     Args:
-        a: Effects of the p_a own parameters of result a, without what a motion of base and target explains.
-        b: Those of result b.
-        smallest: Singular values below this share of the largest are none.
+        a: Effects of the p_a parameters of result a on the target at N joint values, D coordinates each, without what a
+            motion of base and target explains; used by typical errors of arms, such as 1 mm or 1 mrad.
+        b: Those of result b, at the same joint values.
+        smallest: Singular values up to this share of the largest are none.
 
     Returns:
         shape (N D, r), its vectors as columns.
@@ -717,12 +787,14 @@ def _not_spanned(effect: Array, other: Array, names: NDArray[Any]) -> tuple[str,
     """List the parameters of one result whose effects those of the other result cannot have.
 
     Args:
-        effect: Displacements by the typical errors of the result's p parameters, in r coordinates, shape (r, p), [m].
-        other: Those of the other result's parameters, in the same coordinates, shape (r, p_other), [m].
+        effect: Displacements of the target by typical errors of the result's p parameters, in r coordinates, shape
+            (r, p), [m].
+        other: Those by the other result's parameters, in the same coordinates, shape (r, p_other), [m].
         names: Names of the result's parameters, shape (p,).
 
     Returns:
-        Names of parameters of whose effect more than the share `_OWN` lies outside of what the other's effects span.
+        Names of parameters of whose effect more than the share `_OWN` lies outside of what the other's effects span;
+        effects below `_OWN` times the largest count as that large.
     """
     U, values, _ = np.linalg.svd(other, full_matrices=False)
     largest = max(float(values.max(initial=0.0)), 1e-300)

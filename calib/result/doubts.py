@@ -83,11 +83,12 @@ def doubts_of(result: CalibrationValues, rows: Rows) -> tuple[Reason, ...]:
     They concern the fit of the non-geometric model where the result has one, else that of the geometry.
 
     Args:
-        result: A result in memory, with its fits.
-        rows: The rows that were fitted, those of sole postures marked.
+        result: A result in memory, with its measurements and fits.
+        rows: The rows that were fitted, as arrays; ``sole`` marks those of sole postures, which no other row can check.
 
     Returns:
-        Reasons in the order of the report; empty where there is no doubt.
+        Reasons, each a code with the numbers of its sentence in SI units, in the order of the report; empty where there
+        is no doubt.
     """
     best = result.fit_in_memory.non_geometric or result.fitted
     return tuple(_doubts(result, best, rows))
@@ -98,8 +99,14 @@ def _doubts(result: CalibrationValues, fitted: Fitted, rows: Rows) -> Iterator[R
 
     Args:
         result: A result in memory, with its measurements and fits.
-        fitted: The fit of the result's best model: the non-geometric one if there is one, else the geometry.
-        rows: The rows that were fitted, as arrays, those of sole postures marked.
+        fitted: The fit of the result's best model: the non-geometric one if there is one, else the geometry. Many rows
+            are thinned for most of the tests.
+        rows: The rows that were fitted, as arrays; ``sole`` marks those of sole postures.
+
+    Yields:
+        Reasons on given targets and frame, the instrument's scale, joints that hardly moved, sole postures, a model
+        that lacks something, the coverage of the workspace, patterns of the residuals, stations, compliances, repeats,
+        and the lack of any measured length.
     """
     few, chosen = thin(fitted)
     yield from _given_targets(result)
@@ -124,7 +131,8 @@ def _named_model(result: CalibrationValues) -> bool:
     """Tell if the user named the model, so that no larger one was tried.
 
     Args:
-        result: The result: it has no candidates of a choice then, and the paper's solver did not make it.
+        result: The result. True if its ``candidates``, the models of a choice, are empty, and its ``solver`` is not the
+            paper's.
     """
     return not result.candidates and result.solver != PAPER
 
@@ -133,10 +141,12 @@ def _given_targets(result: CalibrationValues) -> Iterator[Reason]:
     """Doubt targets that the user gave and that were estimated far from there.
 
     Args:
-        result: The result: T_tip_target of each target as given, and as estimated.
+        result: The result: ``nominal_setup`` has T_tip_target of each target as given, shape (T, 4, 4), [m], ``setup``
+            as estimated, and which targets were given and which estimated.
 
     Yields:
-        A reason with the distance [m] for each target that is more than `_ELSEWHERE` away.
+        A reason with the target's name and the distance ``far_m`` [m] for each target that is more than `_ELSEWHERE`
+        away.
     """
     given, estimated = result.nominal_setup, result.setup
     for t, name in enumerate(estimated.targets):
@@ -152,11 +162,13 @@ def _given_frame(fitted: Fitted) -> Iterator[Reason]:
     """Doubt a frame that was given as known, where the base seems to stand elsewhere in it.
 
     Args:
-        fitted: A fit with prior standard deviations from the data.
+        fitted: A fit with prior standard deviations that were estimated from the data.
 
     Yields:
-        One reason, with the base's motion [m], [rad] and its effect on the rows [m], beside that of the arm's
-        corrections; none where no frame is known, or the base has not moved by far.
+        One reason: displacement ``moved_m`` [m] and turn ``turned_rad`` [rad] of the base, the displacement of the
+        measured positions by it, rms, ``effect_m`` [m], and that by the arm's corrections, ``arm_m`` [m]. None where no
+        position was measured in a known frame, or the base's motion is not significant or small beside the arm's
+        corrections.
     """
     base = motion_of_base(fitted)
     if base is None or not base.p < UNLIKELY:
@@ -175,12 +187,15 @@ def _scale(fitted: Fitted, *, certified: bool) -> Iterator[Reason]:
     """Doubt the scale of the instrument, or say that it cannot be seen unless it is certified.
 
     Args:
-        fitted: A fit with prior standard deviations from the data.
+        fitted: A fit with prior standard deviations that were estimated from the data.
         certified: Whether the user states that the scale was certified or checked.
 
     Yields:
-        One reason: measured lengths are too long by a share that no arm is off by; or the largest share that lengths of
-        the arm may hide, and its effect [m] at the rms distance of the target from the base [m].
+        At most one reason. Either all measured lengths are too long by a share ``scale``, below 0 too short, with its
+        standard deviation ``std`` and p-value ``p``, that no arm is off by; or ``scale`` is the largest share that
+        lengths of the arm may hide, with its effect ``effect_m`` at ``reach_m``, the rms distance of the target from
+        the base [m]. None where no length of the arm is estimated, nothing measures a length, or the scale is certified
+        and not off.
     """
     scale = instrument_scale(fitted)
     if scale is None:
@@ -201,7 +216,7 @@ def _still(robot: Robot, rows: Rows) -> Iterator[Reason]:
 
     Args:
         robot: The robot, with m measured joints.
-        rows: The rows that were fitted, as arrays, with their joint values.
+        rows: The N rows that were fitted, as arrays, with their joint values, shape (N, m), [rad] or [m].
 
     Yields:
         One reason with the joints' names; none where all moved.
@@ -215,8 +230,8 @@ def _hardly_moved(robot: Robot, rows: Rows) -> Mask:
     """Find the joints that hardly moved over the rows.
 
     Args:
-        robot: The robot, with m measured joints.
-        rows: N rows as arrays, with their joint values, [rad] or [m].
+        robot: The robot, with m measured joints, each turning or sliding.
+        rows: N rows as arrays, with their joint values, shape (N, m), [rad] or [m].
 
     Returns:
         True for a joint whose values span less than `_STILL_RAD`, or `_STILL_M` if it slides, shape (m,).
@@ -228,12 +243,13 @@ def _hardly_moved(robot: Robot, rows: Rows) -> Mask:
 def _sole_postures(result: CalibrationValues, rows: Rows) -> Iterator[Reason]:
     """Name the first row of each sole posture, and the joint whose value there is furthest from all other rows'.
 
-    A sole posture is one that no other row can check.
+    A sole posture is one that no other row can check. Distances count as shares of the joint's range.
 
     Args:
         result: The result with its nominal robot and its table, for the numbers of the rows.
-        rows: The N rows that were fitted, as arrays: those of sole postures marked, and the block of each, rows of one
-            posture.
+        rows: The N rows that were fitted, as arrays: ``checked``, shape (N,), False for rows of sole postures;
+            ``blocks``, the same number for rows of one posture, shape (N,); and joint values, shape (N, m), [rad] or
+            [m].
 
     Yields:
         One reason with the rows' numbers in the table and the joints' names; none without sole postures.
@@ -257,7 +273,9 @@ def _negative_compliances(result: CalibrationValues) -> Iterator[Reason]:
     """Name joints that would move against their load: their estimated compliance is negative beyond its interval.
 
     Args:
-        result: The result, with the parameters of its non-geometric model, if it has one.
+        result: The result, with the parameters of its non-geometric model, if it has one. Of each compliance, [rad/Nm]
+            or [m/N], value and upper end of the 95 % interval are used: it is named if twice the upper end is below the
+            value.
 
     Yields:
         One reason for each such joint, with its name.
@@ -277,11 +295,14 @@ def _agreeing_repeats(result: CalibrationValues, fitted: Fitted) -> Iterator[Rea
     """Say if repeats of a pose agree far better with each other than with the model, which then lacks something.
 
     Args:
-        result: The result, with the scatter of repeats in length [m], if there were any.
-        fitted: The fit of its best model, with the estimated noise of a length over the one stated or assumed.
+        result: The result. Of ``repeats``, None where no pose was repeated, the first entries are used: ``within``, the
+            standard deviation of one length within the poses [m], and ``freedoms``, its degrees of freedom.
+        fitted: The fit of its best model: ``estimate.noise[0]``, the noise of a length as a multiple of the given
+            sigma, which is ``rows.sigma`` [m], median over rows.
 
     Yields:
-        One reason with the scatter and the noise [m]; none where they are alike, or the repeats are too few.
+        One reason with the scatter, ``within_m``, and the noise, ``noise_m`` [m]; none where they are alike, or the
+        repeats are too few.
     """
     repeats = result.repeats
     sigma = float(np.median(fitted.estimate.problem.rows.sigma))
@@ -294,13 +315,16 @@ def _agreeing_repeats(result: CalibrationValues, fitted: Fitted) -> Iterator[Rea
 
 
 def thin(fitted: Fitted) -> tuple[Fitted, Mask]:
-    """Reduce a fit to about `ENOUGH` of its rows, evenly over frames and targets, without fitting again.
+    """Reduce a fit to about `ENOUGH` of its rows, evenly over frames, targets and kinds, without fitting again.
+
+    It saves time in tests of large tables.
 
     Args:
         fitted: Fit to N rows.
 
     Returns:
-        The same fit, with equal parameters and noise, of fewer rows; and True for these rows, shape (N,).
+        The same fit, with equal parameters, covariance and noise, of fewer rows; and True for these rows, shape (N,).
+        The fit itself where it has no more rows.
     """
     problem, estimate = fitted.estimate.problem, fitted.estimate
     chosen = problem.rows.evenly(ENOUGH)
@@ -329,12 +353,13 @@ def _order(result: CalibrationValues, chosen: Mask) -> Order:
     """Return the order in which some fitted rows were measured, with the joints' moves to them in the whole table.
 
     Args:
-        result: The result with its table, whose rows stand in the order in which they were measured.
-        chosen: True for these rows among those that were fitted, shape (N,).
+        result: The result with its table, whose rows stand in the order in which they were measured, validation rows
+            too.
+        chosen: True for n rows among the N that were fitted, shape (N,).
 
     Returns:
-        Numbers of the n chosen rows in the table, shape (n,), and each joint's value less that in the table's row
-        before, shape (n, m), [rad] or [m]; 0 in the table's first row.
+        ``numbers`` of the chosen rows in the table, shape (n,), and ``moves``, each joint's value less that in the
+        table's row before, shape (n, m), [rad] or [m]; 0 in the table's first row.
     """
     m = result.measurements
     q = m.joints_for(result.nominal.joint_names)
@@ -347,11 +372,12 @@ def _missing_model(fitted: Fitted) -> Iterator[Reason]:
     """Say if full placements, or these with non-geometric errors, would lower the noise far below that of a fit.
 
     Args:
-        fitted: The fit of the model that was named: its model, its rows, and its noise over the one stated or assumed.
+        fitted: The fit of the model that was named: its model, its rows, and ``estimate.noise[0]``, the noise of its
+            first instrument (of a length, if any was measured) as a multiple of the given sigma.
 
     Yields:
-        One reason with the model that leaves the least noise, and the noise of a length of both [m]; none where no
-        larger model lowers it to `_FAR_LESS`.
+        One reason with the name of the larger model that leaves the least noise, and the noise of a length, ``noise_m``
+        by the named model and ``less_m`` by the larger one [m]; none where no larger model lowers it to `_FAR_LESS`.
     """
     rows, name = fitted.estimate.problem.rows, fitted.kinematics.model.name
     noise = least = fitted.estimate.noise[0]
@@ -371,14 +397,14 @@ def _missing_model(fitted: Fitted) -> Iterator[Reason]:
 
 
 def _noise_of(fitted: Fitted, model: str) -> float | None:
-    """Return the noise that another model leaves on the rows of a fit, of the first instrument, over its sigma.
+    """Return the noise that another model leaves on the rows of a fit, of the first instrument, over its given sigma.
 
     Args:
         fitted: The fit: its task, its rows, and its registered frames and targets, from which the other one starts.
         model: Name of the other model, which is fitted without frozen or tied parameters, bounds, and own priors.
 
     Returns:
-        Estimated over given standard deviation [1]; None where the rows have less than two scalars for each parameter.
+        Estimated over given standard deviation [1]; None where the rows have fewer than two scalars for each parameter.
     """
     task, rows = fitted.task, fitted.estimate.problem.rows
     free = replace(task.cell, frozen=(), ties={}, bounds={}, parameter_priors={})
@@ -395,11 +421,15 @@ def noise_doubts(
 
     Args:
         result: The result with its table and cell in memory, which may state the noise.
-        fitted: The fit. Its noise is the ratio of the estimated to the given standard deviation, for each instrument.
-        doubts: Doubts so far; where a model lacks something, residuals are no noise, and nothing is yielded.
+        fitted: The fit. Its ``estimate.noise``, shape (C,), is the estimated over the given standard deviation of each
+            instrument: lengths of each kind of rows, then angles of each; ``rows.instruments``, shape (N, D), is the
+            index of each scalar's instrument.
+        doubts: Doubts so far. Where a model lacks something, residuals are no noise, and nothing is yielded; nor where
+            residuals of a named geometry follow a joint.
 
     Yields:
-        The noise before and after the fit, [m] of lengths and [rad] of angles, and their ratio.
+        A reason with the noise as stated or assumed and as estimated, [m] of lengths and [rad] of angles, and their
+        ratio; where none is stated, the estimated noise of lengths alone.
     """
     codes = {doubt.why for doubt in doubts}
     if Why.MODEL_LACKS in codes:
@@ -425,14 +455,15 @@ def _length_noise(
     """Doubt the noise of an instrument for lengths.
 
     Args:
-        result: The result with its table and cell in memory, which may state the noise of a length [m].
-        rows: The rows that were fitted, as arrays, with the standard deviation of a length as stated or assumed [m].
-        of_instrument: Indices of those that the instrument measured, from 0; of a row once for each of its lengths.
-        ratio: Estimated noise over the one stated or assumed.
+        result: The result with its table and cell in memory, either of which may state the noise of a length [m].
+        rows: The N rows that were fitted, as arrays: ``sigma``, the standard deviation of a length as stated or
+            assumed, shape (N,), [m].
+        of_instrument: Indices of the rows that the instrument measured, from 0; of a row once for each of its lengths.
+        ratio: Estimated noise over the stated or assumed one.
 
     Yields:
-        One reason with the noise [m], where it is far above the stated one, or above `_LARGE_NOISE` where none is
-        stated.
+        One reason: ``before_m`` as stated, ``after_m`` as estimated [m] and their ratio, where the noise is far above
+        the stated one; or ``noise_m`` [m], where none is stated and it is above `_LARGE_NOISE`. Else none.
     """
     m, sigma = result.measurements, float(np.median(rows.sigma[of_instrument]))
     noise = ratio * sigma
@@ -452,13 +483,15 @@ def _angle_noise(
     """Doubt the noise of an instrument for angles.
 
     Args:
-        result: The result with its table and cell in memory, which may state the noise of an angle [rad].
-        rows: The rows that were fitted, as arrays, with the standard deviation of an angle as stated or assumed [rad].
-        of_instrument: Indices of those that the instrument measured, from 0; of a row once for each of its angles.
-        ratio: Estimated noise over the one stated or assumed.
+        result: The result with its table and cell in memory, either of which may state the noise of an angle [rad].
+        rows: The N rows that were fitted, as arrays: ``sigma_angle``, the standard deviation of an angle as stated or
+            assumed, shape (N,), [rad].
+        of_instrument: Indices of the rows that the instrument measured, from 0; of a row once for each of its angles.
+        ratio: Estimated noise over the stated or assumed one.
 
     Yields:
-        One reason with the noise [rad], where it is far above the stated one; none where none is stated.
+        One reason: ``before_rad`` as stated, ``after_rad`` as estimated [rad] and their ratio, where the noise is far
+        above the stated one; none where none is stated.
     """
     m, sigma = result.measurements, float(np.median(rows.sigma_angle[of_instrument]))
     noise = ratio * sigma
@@ -478,7 +511,7 @@ def _all_stated(sigma: Array | None, estimation: Mask, chosen: Integers) -> bool
         sigma: Standard deviation of each row of the table, shape (N,), [m] or [rad]; NaN where a row states none; None:
             the table has no such column.
         estimation: True for the rows that were fitted, shape (N,).
-        chosen: Indices, from 0, of some of the fitted rows among these.
+        chosen: Indices, from 0, of some of the fitted rows, counted among the fitted ones alone.
 
     Returns:
         False where any of these rows states none.
@@ -491,14 +524,16 @@ def _all_stated(sigma: Array | None, estimation: Mask, chosen: Integers) -> bool
 def _corner(fitted: Fitted) -> Iterator[Reason]:
     """Say if the poses cover only part of the joints' ranges, or a corner of the workspace, and which.
 
-    Joints that hardly moved are named by themselves.
+    Joints that hardly moved are named by another reason.
 
     Args:
-        fitted: A fit: its robot, and the joint values and weights of its rows; those without weight do not count.
+        fitted: A fit: its robot, and the joint values and robust weights of its rows; those without weight do not count
+            in spread and shares.
 
     Yields:
-        One reason with the spread of the tips over that of the whole workspace, and the narrow joints: their names, the
-        share of its range that each used, its lowest and highest value, [rad] or [m], and whether it slides.
+        At most one reason: ``spread``, the rms distance of the tips from their mean over that in the whole workspace,
+        and of each narrow joint, the narrowest first, its name, the share of its range that it used, its lowest and
+        highest value, [rad] or [m], and whether it slides.
     """
     robot, rows = fitted.task.robot, fitted.estimate.problem.rows
     q = rows.joints[fitted.estimate.weights > 0.0]

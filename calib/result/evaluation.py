@@ -61,7 +61,8 @@ class Evaluation:
     def errors(self) -> dict[str, Errors]:
         """``errors["estimation" | "validation" | "all"]``: largest, mean and rms error of the rows of one set.
 
-        Of ``residual``, measured minus predicted; lengths in [m], angles in [rad].
+        Of ``residual``, measured minus predicted by the robot as it is at N rows, shape (N, D), where ``used`` marks
+        what was measured; lengths in [m], angles in [rad]. The sets are those of ``measurements``.
         """
         m = self.measurements
         every_row = np.ones(len(m), dtype=bool)
@@ -83,8 +84,8 @@ def evaluate(
 ) -> Evaluation:
     """Compare a robot with measurements.
 
-    Target and measurement frame are used as the cell gives them; what it does not give is registered to the
-    estimation rows; to the others where none of them sees it.
+    Target and measurement frame are used as the cell gives them; what it does not give is registered to the estimation
+    rows, or to all rows if there are none; to the others where no estimation row sees it.
 
     Args:
         robot: The robot, nominal or corrected.
@@ -95,15 +96,17 @@ def evaluate(
             ``nominal_setup`` for the nominal robot; None: there are none.
         which: What of ``known`` is taken: its ``"frame"``, its ``"target"`` or both.
         non_geometric: The non-geometric model of a result, to predict with on the nominal robot; None: the robot
-            predicts by its joint origins. Its frames and targets are the known ones, and a payload of the cell wins
-            over its own.
+            predicts by its joint origins. Its frames and targets are the known ones, of which ``which`` are taken; its
+            gravity counts, and a payload of the cell wins over its own.
 
     Returns:
-        Residuals of the N rows, measured minus predicted, with the frames and targets that were used.
+        Residuals of the N rows, measured minus predicted, shape (N, D), [m] and [rad], with the frames and targets that
+        were used.
 
     Raises:
         MeasurementError: Too few rows to register what was not given, or a joint's column is missing.
-        ModelError: The table has a station that neither the earlier result nor the cell knows.
+        ModelError: Frames are taken from the earlier result, and the table has a station that it lacks and whose frame
+            is not to be registered.
     """
     cell = Cell() if cell is None else cell
     if non_geometric is not None:
@@ -145,8 +148,9 @@ def _tip_poses(robot: Robot, rows: Rows, non_geometric: NonGeometric | None) -> 
 
     Args:
         robot: The robot: nominal or corrected, but nominal under a non-geometric model.
-        rows: The N rows as arrays: joint values, [rad] or [m], and the loads of gravity on the joints.
-        non_geometric: The model whose errors displace the robot; None: the robot is taken as it is.
+        rows: The N rows as arrays: joint values, shape (N, m), [rad] or [m], and the loads of gravity on the joints.
+        non_geometric: The fitted model, geometry included, whose errors displace the robot; None: the robot is taken as
+            it is.
 
     Returns:
         shape (N, 4, 4), [m].
@@ -164,11 +168,12 @@ def _registered(T_base_tip: Array, rows: Rows, setup: Setup, chosen: Mask) -> Se
     Args:
         T_base_tip: Predicted poses of the tip in the base, shape (N, 4, 4), [m].
         rows: The N rows as arrays: what was measured, and the frame and target of each.
-        setup: Frames and targets as far as they are given.
+        setup: Frames and targets as far as they are given: which are unknown, and which of these are given all the same
+            and stay as they are.
         chosen: True for the rows to register to, shape (N,).
 
     Returns:
-        The frames and targets, all placed: T_frame_base and T_tip_target, [m].
+        The frames and targets, all placed: T_frame_base, pose of the base in each frame, and T_tip_target, [m].
 
     Raises:
         MeasurementError: Too few rows for a frame or target.
@@ -179,13 +184,15 @@ def _registered(T_base_tip: Array, rows: Rows, setup: Setup, chosen: Mask) -> Se
 
 
 def _not_given(setup: Setup) -> tuple[str, ...]:
-    """List what has to be registered.
+    """List what has to be registered: frames and targets that are unknown and were not given.
 
     Args:
-        setup: Frames and targets of a table: which of them are unknown, and which of these are given all the same.
+        setup: F frames and T targets of a table: ``unknown``, the directions of each frame that are to be estimated,
+            ``frame_given``, shape (F,); ``target_unknown`` and ``target_given``, shape (T,).
 
     Returns:
-        ``"target"`` if a target is unknown and not given, and ``"frame"`` if a frame is; neither, one or both.
+        ``"target"`` if a target is unknown and not given, and ``"frame"`` if a frame is; neither, one or both, in this
+        order.
     """
     places = []
     if np.any(setup.target_unknown & ~setup.target_given):
@@ -199,20 +206,23 @@ def _not_given(setup: Setup) -> tuple[str, ...]:
 def _with_known(setup: Setup, known: Setup, which: tuple[str, ...]) -> Setup:
     """Return a table's measurement setup with the frames and targets of an earlier result.
 
-    They are matched by name. Where table and result have one frame each, or one target, these are matched whatever
-    they are called; but a single target that the table names, so that it is not the default one, is matched by name.
+    They are matched by name. Where table and result have one frame each, or one target, these are matched whatever they
+    are called; but a single target that the table names, so that it is not the default one, is matched by name.
 
     Args:
         setup: Frames and targets of the table, as far as they are given.
-        known: Those of the result, as it estimated them or was given them.
+        known: Those of the result, as it estimated them or was given them: T_frame_base of each station, T_tip_target
+            of each target [m], and ``oriented``, whether the orientations of its targets are known.
         which: What to take from the result: ``"frame"``, ``"target"``, or both.
 
     Returns:
         The table's setup; frames and targets that were taken are given, and no longer unknown. Where orientations were
-        measured and the result knows none of its targets, their orientation stays unknown.
+        measured and those of the result's targets are not known, targets stay unknown and count as not given; their
+        position is only where registration begins.
 
     Raises:
-        ModelError: Frames are to be taken, and the table has a station that the result lacks.
+        ModelError: Frames are to be taken, and the table has a station that the result lacks, with a frame that is not
+            to be estimated.
     """
     frame_index: dict[int, int] = {}
     target_index: dict[int, int] = {}
@@ -241,12 +251,12 @@ def _replaced(poses: Array, known: Array, index: Mapping[int, int]) -> Array:
     """Return poses of a table's frames or targets, some of them replaced by those of a result.
 
     Args:
-        poses: Of the table, shape (n, 4, 4), [m].
-        known: Of the result, shape (k, 4, 4), [m].
+        poses: Of the table's n frames or targets, T_frame_base or T_tip_target, shape (n, 4, 4), [m].
+        known: The same of the result's k frames or targets, shape (k, 4, 4), [m].
         index: Index in the result, by the index in the table, of those to replace; from 0.
 
     Returns:
-        A copy, shape (n, 4, 4), [m].
+        A copy of ``poses``, shape (n, 4, 4), [m].
     """
     result: Array = poses.copy()
     for k, known_index in index.items():
@@ -255,10 +265,11 @@ def _replaced(poses: Array, known: Array, index: Mapping[int, int]) -> Array:
 
 
 def _check_stations(setup: Setup, frame_known: Mask, known_groups: tuple[str, ...]) -> None:
-    """Refuse a station whose frame neither the result nor the cell knows, and that is not to be registered.
+    """Refuse a station whose frame the result does not know and that is not to be registered.
 
     Args:
-        setup: Frames and targets of the table: the F stations' names, and the unknown directions of each frame.
+        setup: Frames and targets of the table: ``groups``, the F stations' names, and ``unknown``, the directions of
+            each frame that are to be estimated, none for a frame taken as known.
         frame_known: True for frames that were taken from the result, shape (F,).
         known_groups: Names of the result's stations.
 
@@ -282,9 +293,9 @@ def _matches(
     """Match frames or targets of a table with those of a result, by name or the only one with the only one.
 
     Args:
-        names: Names in the table.
-        known: Names in the result.
-        by_name: Match by name also where there is only one of each.
+        names: Names of all stations, or of all targets, in the table.
+        known: Those in the result.
+        by_name: True to match by name also where there is only one of each.
 
     Returns:
         Index in the result, by the index in the table, both from 0; without those that the result lacks.
@@ -303,7 +314,8 @@ def moved_place(
 ) -> Reason | None:
     """Name the frame or the target of an earlier result if it has moved since.
 
-    It has if registering it anew explains the errors of the rows by far.
+    It has if registering it anew makes the rms error at most one `_FAR_SMALLER`-th. If both do, it is the one with the
+    smaller error.
 
     Args:
         robot: The calibrated robot.
@@ -313,7 +325,8 @@ def moved_place(
         which: What is taken from them: some of `PLACES`, ``"frame"`` and ``"target"``.
 
     Returns:
-        The reason, with the rms errors before and after [m]; None where nothing has moved.
+        The reason, ``FRAME_MOVED`` or ``TARGET_MOVED``, with the rms errors in length before, ``given_m``, and after,
+        ``error_m`` [m]; None where nothing has moved, or the error is below `_SMALL`.
     """
     as_known = evaluate(robot, measurements, cell, known=known, which=which)
     rms, best = as_known.errors["all"].rms, None
@@ -336,7 +349,7 @@ def _with_open(cell: Cell, place: str) -> Cell:
 
     Args:
         cell: What is known of frames, targets and loads.
-        place: ``"frame"``, all six directions of which are then unknown, or ``"target"``.
+        place: ``"frame"``, all six directions of which are then unknown; or ``"target"``.
     """
     if place == "frame":
         return replace(cell, estimate_frame=True, frame_directions=DIRECTIONS)
@@ -350,7 +363,7 @@ def _registered_error(
     known: Setup,
     which: tuple[str, ...],
 ) -> float | None:
-    """Return the rms error of a robot after frames or targets were registered to the rows.
+    """Return the rms error in length of a robot after frames or targets were registered to the rows.
 
     Args:
         robot: The calibrated robot.
@@ -360,7 +373,8 @@ def _registered_error(
         which: What is taken from them: ``"frame"``, ``"target"``, both or none.
 
     Returns:
-        [m], over all rows; None where the rows are too few for the registration to be believed, or nothing is open.
+        [m], over all rows; None where the table cannot be evaluated, nothing is open, or there are fewer than
+        `_SCALARS_PER_UNKNOWN` measured scalars for each unknown of frames and targets.
     """
     try:
         after = evaluate(robot, measurements, cell, known=known, which=which)

@@ -35,13 +35,16 @@ def evidence_of(
     """Collect the evidence for the verdict on a part of a result.
 
     Args:
-        result: A cross-validated result, its fits in memory.
+        result: A cross-validated result, with its measurements and fits in memory.
         part: The result itself, for the verdict on its geometry, or its non-geometric model.
-        rows: The N rows that were fitted, as arrays, those of sole postures marked.
+        rows: The N rows that were fitted, as arrays; ``sole`` marks those of sole postures, which no other row can
+            check and which count in no error.
         doubts: Reasons for doubt besides the errors, as of `doubts_of`.
 
     Returns:
-        Held-out errors of the nominal and the calibrated robot, and all else that `verdict` weighs.
+        All figures that `verdict` weighs: held-out errors of the nominal and of the calibrated robot, noise of each
+        scalar and its floor, errors on validation rows, size of the changes, expected errors over the joint limits [m],
+        doubts and notes.
     """
     assert result.nominal_cross_validation is not None
     assert part.cross_validation is not None
@@ -78,7 +81,7 @@ def _fit_of(result: CalibrationValues, part: FittedModel) -> Fitted:
     """Return the fit of a part of a result.
 
     Args:
-        result: A result with its fits in memory.
+        result: A result with its fits in memory: of the geometry, and of the non-geometric model if there is one.
         part: The result itself, for the fit of its geometry, or its non-geometric model, for the fit of that.
     """
     fits = result.fit_in_memory
@@ -91,11 +94,12 @@ def _full_model_parameters(result: CalibrationValues, fitted: Fitted) -> int:
     """Return the number of parameters of a full geometry, with those of the frames and targets that are estimated.
 
     Args:
-        result: The result, with the candidates that its model was chosen from.
-        fitted: A fit of it, with its robot, frames and targets.
+        result: The result: ``candidates`` are the models that its model was chosen from, empty where it was named.
+        fitted: A fit of it: its robot, and ``setup.count``, the number of unknowns of its frames and targets.
 
     Returns:
-        `_PER_JOINT` for each joint, and those of frames and targets; 0 where the model was named and not chosen.
+        `_PER_JOINT` for each measured joint, and those of frames and targets; 0 where the model was named and not
+        chosen.
     """
     if not result.candidates:
         return 0
@@ -103,14 +107,14 @@ def _full_model_parameters(result: CalibrationValues, fitted: Fitted) -> int:
 
 
 def _usable_non_geometric(result: CalibrationValues) -> tuple[str, Errors] | None:
-    """Return the non-geometric model of a result if it may be used.
+    """Return name and held-out errors of the non-geometric model of a result if it may be used.
 
     Args:
         result: A cross-validated result, with the verdict on its non-geometric model, if it has one.
 
     Returns:
-        The model's name, such as ``"dh+compliance"``, and its errors on held-out rows without outliers; None without
-        such a model, its cross-validation or verdict, or where the verdict is not to use it.
+        The model's name, such as ``"dh+compliance"``, and its errors on held-out rows without outliers, [m] and [rad];
+        None without such a model, its cross-validation or verdict, or where the verdict is not to use it.
     """
     model = result.non_geometric
     if model is None or model.cross_validation is None or model.verdict is None:
@@ -123,11 +127,16 @@ def _usable_non_geometric(result: CalibrationValues) -> tuple[str, Errors] | Non
 def _noise_floor(result: CalibrationValues, fitted: Fitted, doubts: tuple[Reason, ...]) -> Array:
     """Return the least noise by any model tried over that of a fit, for each scalar.
 
+    What the noise of a fit exceeds it by is lack of model.
+
     Args:
-        result: The result with its fits in memory, of the geometry and of the non-geometric model if there is one.
-        fitted: The fit to N rows whose noise is compared.
-        doubts: Reasons for doubt: among them may be that a full geometry, or one with non-geometric errors, would leave
-            less noise.
+        result: The result with its fits in memory, of the geometry and of the non-geometric model if there is one;
+            ``estimate.noise``, shape (C,), of each is the noise of each instrument (lengths of each kind of rows, then
+            angles), as a multiple of the given sigma.
+        fitted: The fit to N rows whose noise is compared; ``rows.instruments``, shape (N, D), is the index of each
+            scalar's instrument, -1 for none.
+        doubts: Reasons for doubt. That a larger model leaves less noise, ``Why.MODEL_LACKS``, has both noises of a
+            length [m] as its values; their ratio then counts for the first instrument.
 
     Returns:
         shape (N, D), above 0 and at most 1; 1 for scalars that were not measured.
@@ -149,10 +158,13 @@ def _notes(result: CalibrationValues) -> Iterator[Reason]:
     """Yield reasons that only inform; they do not affect the verdict.
 
     Args:
-        result: A result with its measurements in memory.
+        result: A result with its measurements in memory. Of these are used the rows' numbers and ``copies``, rows left
+            out as copies of others; and ``outside``, the validation rows beyond the fitted joint ranges.
 
     Yields:
-        Whether there is a non-geometric model, copied rows, and validation rows outside of the fitted joint ranges.
+        As far as they hold: that there is a non-geometric model; the number of copied rows, with the first; and the
+        number of validation rows outside, with the joint that is furthest out, its distance [m] or [rad] and the row's
+        number in the table.
     """
     yield from _note_on_non_geometric(result)
     m = result.measurements
@@ -175,8 +187,9 @@ def _note_on_non_geometric(result: CalibrationValues) -> Iterator[Reason]:
         result: A result with the cross-validations of its geometry and of its non-geometric model, if it has one.
 
     Yields:
-        One reason, with the model's errors on held-out rows; none without such a model, its cross-validation or
-        verdict.
+        One reason, with the model's name, its errors on held-out rows without outliers and its verdict:
+        ``LARGER_NO_CLOSER`` if the rms error is not below the geometry's, else ``LARGER_MODEL``. None without such a
+        model, its cross-validation or verdict.
     """
     model = result.non_geometric
     if model is None or model.cross_validation is None or model.verdict is None:
@@ -193,19 +206,24 @@ def _note_on_non_geometric(result: CalibrationValues) -> Iterator[Reason]:
 def _over_joint_limits(result: CalibrationValues, part: FittedModel) -> tuple[float, float]:
     """Return the expected errors over the joint limits, rms [m], of a part of a result and of the nominal robot.
 
-    With the variance v of a prediction there, v_0 at the measured poses and the factor f by which extrapolated errors
-    exceed their variance, the part is off by e^2 = v_0 + f (v - v_0). It is d away from the nominal robot, of which
-    (f - 1) (v - v_0) is error of its own: the nominal robot is off by d^2 - (f - 1) (v - v_0) + v. Where the frame is
-    registered anew for each table, motions of the base do not count.
+    With the variance v of a predicted position there, mean over 200 joint values, v_0 at the measured poses and the
+    factor f by which extrapolated errors exceed their variance, the part is off by e^2 = v_0 + f (v - v_0). It is d
+    away from the nominal robot, of which (f - 1) (v - v_0) is error of its own: the nominal robot is off by d^2 - (f -
+    1) (v - v_0) + v, and by no less than the part. Where the frame was estimated, or no row determines where the base
+    stands, rigid motions of all positions do not count.
 
     Args:
-        result: The result: its nominal robot, frames and targets, and whether the frames were estimated.
-        part: The result itself, for its geometry, or its non-geometric model: parameters, covariance, f and v_0.
+        result: The result: its nominal robot, that robot's frames and targets (``nominal_setup``), ``frame_estimated``,
+            and whether a row determines where the base stands.
+        part: The result itself, for its geometry, or its non-geometric model: its kinematics, p parameters ``x``, their
+            ``covariance``, shape (p, p), f as ``extrapolation``, and the root of v_0 as ``expected_measured`` [m].
 
     Returns:
-        Expected errors of predicted positions of the first target, by the part and by the nominal robot.
+        Expected errors of predicted positions of the first target in the first measurement frame, by the part and by
+        the nominal robot.
     """
     samples = result.samples(spread_poses(result.nominal))
+    # T_frame_target, (N, 4, 4), and the derivatives of its position by the p parameters, (N, 3, p).
     poses, columns = part.kinematics.twists(part.x, samples, rotation=False)
     T_base_tip = result.nominal.poses(samples.q)
     nominal_points = result.nominal_setup.target_poses(T_base_tip, samples)[:, :3, 3]
@@ -227,7 +245,7 @@ def _mean_variance(J: Array, covariance: Array) -> float:
     """Return the variance of a predicted position, trace(J C J^T), mean over N positions [m^2].
 
     Args:
-        J: Derivatives of the positions by p parameters, shape (N, 3, p), [m] a unit of each.
+        J: Derivatives of N positions by p parameters, shape (N, 3, p), [m] a unit of each.
         covariance: Covariance C of the parameters, shape (p, p).
     """
     variances = np.einsum("nip,pq,niq->n", J, covariance, J, optimize=True)
@@ -238,11 +256,13 @@ def _validation_errors(result: CalibrationValues, part: FittedModel) -> tuple[Er
     """Compare errors of the nominal robot and of a part of a result on the validation rows.
 
     Args:
-        result: The result with its measurements in memory, the residuals of all N rows, and its suspects.
+        result: The result with its measurements in memory. For all N rows it has the residuals, measured minus
+            predicted, and the mask ``used`` of measured scalars, shapes (N, D); ``suspects`` are the validation rows
+            whose score is beyond the limit, by their numbers in the table.
         part: The result itself, for its geometry, or its non-geometric model.
 
     Returns:
-        Errors of the nominal robot and by the part; and the number of suspects that were set aside, see
+        Errors of the nominal robot and by the part, [m] and [rad]; and the number of suspects that were set aside, see
         `validation_errors`.
     """
     m = result.measurements
@@ -262,17 +282,19 @@ def validation_errors(
 ) -> tuple[Errors, Errors, int]:
     """Compare errors on the validation rows, without suspects if they are few.
 
-    One wild row would decide the comparison; many of them are no accidents.
+    One wild row would decide the comparison; many of them are no accidents, and count. Few are no more than one, or
+    `_FEW_SUSPECTS` of the validation rows, but not all.
 
     Args:
         validation: True for validation rows, shape (N,).
         suspects: True for rows whose score is beyond the limit, shape (N,).
-        nominal: Measured minus predicted by the nominal robot, shape (N, D), [m] and [rad].
-        calibrated: By the calibrated robot, shape (N, D), [m] and [rad].
+        nominal: Measured minus predicted by the nominal robot, shape (N, D), lengths [m] in the first three columns,
+            angles [rad] behind.
+        calibrated: The same by the calibrated robot.
         used: True for the scalars that were measured, shape (N, D).
 
     Returns:
-        Errors of the nominal and of the calibrated robot, and the number of rows that were set aside.
+        Errors of the nominal and of the calibrated robot, [m] and [rad], and the number of rows that were set aside.
     """
     aside = suspects & validation
     many = np.sum(suspects) > max(1, int(_FEW_SUSPECTS * np.sum(validation)))

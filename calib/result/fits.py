@@ -85,12 +85,13 @@ class _SplitTable:
         """Convert a table to the arrays of a fit, and split it by its sets.
 
         Args:
-            robot: The nominal robot, whose joints the table's columns are.
+            robot: The nominal robot, whose measured joints the table's columns are.
             measurements: All N rows, of the sets ``estimate`` and ``validate``.
             cell: Frames, targets and noise as given.
 
         Returns:
-            The rows of both sets, and the frames and targets that each sees.
+            The rows of both sets as arrays, and the measurement setup twice, not registered: unknown in ``seen`` are
+            only frames and targets that estimation rows see, in ``unseen`` only those that none sees.
 
         Raises:
             MeasurementError: A pair has one row only, or columns that the robot needs are missing.
@@ -111,11 +112,11 @@ class _SplitTable:
         """Return a fit with frames and targets that only validation rows see registered to these rows.
 
         Args:
-            fitted: A fit to ``rows``.
+            fitted: A fit to ``rows``, the estimation rows.
 
         Returns:
-            The fit with the frames and targets of ``unseen`` placed by ``validation_rows``; its parameters are the
-            same.
+            The fit with the frames and targets that are unknown in ``unseen``, the measurement setup, placed on the
+            calibrated robot by ``validation_rows``; its parameters are the same.
 
         Raises:
             MeasurementError: Too few rows for such a frame or target.
@@ -146,8 +147,10 @@ def fit_table(
         robust: Whether outliers lose their weight.
 
     Returns:
-        The fits. A usual mistake in the table is not raised but returned as their ``mistake``; the model ``"auto"`` is
-        then ``"zeros"``, since no larger one of such measurements means anything.
+        The fits of the geometry and, if the model has one or the data ask for it, of a non-geometric model; the
+        candidates of the choice; and the rows as arrays. A usual mistake in the table is not raised but returned as
+        their ``mistake``; the model ``"auto"`` is then ``"zeros"``, since no larger one of such measurements means
+        anything.
 
     Raises:
         ModelError: An unknown parameter set, parameter or solver, or measurements that the model does not cover.
@@ -188,13 +191,14 @@ def _fit_models(task: Task, rows: Rows) -> tuple[Fitted, Fitted | None, tuple[Ca
     """Choose models if the task leaves it open, and fit them.
 
     Args:
-        task: The fit: robot, cell, frames and targets as given, and solver. Its model may be ``"auto"``, a name, or
-            parameters.
-        rows: The rows to fit, as arrays.
+        task: The fit: robot, cell, frames and targets as given, and solver. Its ``model`` may be ``"auto"``, a name, or
+            the robot's parameters themselves.
+        rows: The estimation rows to fit, as arrays.
 
     Returns:
-        The fit of the geometry; that of the non-geometric model, None if there is none; and the candidates of the
-        choice, empty where the model was named.
+        The fit of the geometry, with its own row weights or those of the non-geometric fit, whichever predict held-out
+        rows better; that of the non-geometric model, None if there is none; and the candidates of the choice, empty
+        where the model was named.
     """
     if task.model == AUTO and task.solver == PAPER:
         return fit(replace(task, model="dh", allow_absent=True), rows), None, ()
@@ -217,12 +221,14 @@ def _with_outliers_confirmed(geometry: Fitted, measurements: Measurements) -> Fi
     """Fit a named geometry again with the weights of a non-geometric model, if that explains some of its outliers.
 
     Args:
-        geometry: Fit of the geometry to the estimation rows: its task, rows, weights and outliers.
-        measurements: All rows; they say what loads the joints, which a non-geometric model needs.
+        geometry: Fit of the geometry to the N estimation rows: its task, its rows, and ``estimate.outliers``, True for
+            flagged rows, shape (N,).
+        measurements: All rows of the table; they say what loads the joints, which a non-geometric model needs.
 
     Returns:
-        The fit with the weights that predict held-out rows better: its own, or those of the fit with all non-geometric
-        errors that the rows determine.
+        The fit of the geometry with the weights that predict held-out rows better: its own, or those of the fit with
+        all non-geometric errors that the rows determine. Unchanged where few rows are outliers, without priors, by the
+        paper's solver, and where the non-geometric model calls all of them outliers too.
     """
     task, flagged = geometry.task, geometry.estimate.outliers
     if task.solver == PAPER or task.cell.priors.source == "off":
@@ -244,11 +250,12 @@ def _outliers_of_a_part_too(geometry: Fitted, estimation: Measurements) -> bool:
     """Tell if a non-geometric model that is fitted to a part of the rows calls every outlier one too.
 
     Args:
-        geometry: Fit of the geometry to N rows: its rows, and which of them are outliers.
-        estimation: These N rows of the table.
+        geometry: Fit of the geometry to N rows: its rows, and ``estimate.outliers``, True for flagged rows, shape (N,).
+        estimation: These N rows of the table, which say what loads the joints.
 
     Returns:
-        True if the scores of all outliers of ``geometry``, held out, are beyond the limit of the non-geometric model.
+        True if the scores of all outliers of ``geometry``, as if held out from the fit to the part, are beyond the
+        limit from which on that model flags a row.
     """
     rows, flagged = geometry.estimate.problem.rows, geometry.estimate.outliers
     part = _with_loads(geometry, estimation, rows.evenly(_MANY_ROWS))
@@ -260,15 +267,18 @@ def _outliers_of_a_part_too(geometry: Fitted, estimation: Measurements) -> bool:
 
 
 def _with_loads(geometry: Fitted, estimation: Measurements, chosen: Mask) -> Rows:
-    """Return some rows of a fit with the loads of gravity and payload on the joints.
+    """Return some rows of a fit with the loads on the joints, of gravity and payload or as the drives measured them.
 
     Args:
-        geometry: Fit to N rows: its rows as arrays, its robot, and its cell with payload and gravity.
-        estimation: These N rows of the table.
+        geometry: Fit to N rows, of which its rows as arrays, its nominal robot, and its cell with payload and gravity
+            are used.
+        estimation: These N rows of the table; torques of the drives, where it has them, take the place of the loads of
+            gravity.
         chosen: True for the rows to return, shape (N,).
 
     Returns:
-        These rows in their order; the loads are those of `calib.robot.gravity.gravity_loads`.
+        These n rows in their order; ``samples.load`` is of the shape (n, joints, joints + 3), see
+        `calib.robot.gravity.gravity_loads`.
     """
     task, rows = geometry.task, geometry.estimate.problem.rows.select(chosen)
     load = joint_loads(task.robot, estimation.select(chosen), task.cell, rows.joints)

@@ -115,7 +115,9 @@ class FittedModel:
         """Standard deviation of the predicted point over the joint limits, rms [m], with what the model lacks.
 
         Errors that the model lacks do not average out over rows: beyond the measured poses the variance that the
-        covariance adds, ``expected_everywhere``^2 - ``expected_measured``^2, is ``extrapolation`` times as large.
+        covariance adds, ``expected_everywhere``^2 - ``expected_measured``^2, is ``extrapolation`` times as large, if it
+        is positive. The first two are standard deviations by the covariance, rms over the joint limits and over the
+        measured poses [m]; the factor is 1 or more.
         """
         at_measured = self.expected_measured**2
         added = self.expected_everywhere**2 - at_measured
@@ -127,9 +129,9 @@ class FittedModel:
         """Expected error at a new point, rms [m]: at poses like those measured, and over the joint limits.
 
         The first is the rms error of held-out rows of ``cross_validation``, outliers aside, and knows what the model
-        lacks. For the second the variance of the prediction at the measured poses, the square of
-        ``expected_measured``, is exchanged for that over the limits, the square of ``expected_elsewhere``.
-        Without cross-validation, or where no length was measured, these two are returned, by the covariance alone.
+        lacks. For the second the variance of the prediction at the measured poses, the square of ``expected_measured``,
+        is exchanged for that over the limits, the square of ``expected_elsewhere``. Without cross-validation, or where
+        no length was measured, these two are returned, by the covariance alone.
         """
         at_measured, elsewhere = self.expected_measured, self.expected_elsewhere
         if self.cross_validation is None or not self.cross_validation.errors_without_outliers.n:
@@ -146,12 +148,14 @@ class FittedModel:
     def pose_std(self, samples: Samples, *, in_base: bool = False) -> Array:
         """Return standard deviations of predicted poses of the target, by the covariance of the parameters.
 
-        They know nothing of errors that the model lacks.
+        They know nothing of errors that the model lacks. With ``kinematics``, the nominal robot with frames and targets
+        under the error model, ``x``, its p parameters, shape (p,), and their ``covariance``, shape (p, p).
 
         Args:
             samples: N joint values, with the frame, the target and the loads of each.
-            in_base: True to predict in the base, less ``base_motion``, which moves all poses as one body; False to
-                predict in each sample's own frame.
+            in_base: True to predict in the base, less ``base_motion``, shape (6, p): the rigid motion of all poses that
+                compensates a unit of each parameter, None for none; False to predict in each sample's own measurement
+                frame.
 
         Returns:
             Of the position [m] and of the orientation [rad], shape (N, 2): the root of the sum of the variances along
@@ -169,8 +173,11 @@ class FittedModel:
     def tips(self, samples: Samples) -> Array:
         """Return T_base_tip, the pose of the tip in the base, by the parameters ``x``, the joints' own errors included.
 
+        ``kinematics`` predicts the target in its measurement frame, from which T_frame_base and T_tip_target of
+        ``setup``, frames and targets at the solution, are taken off.
+
         Args:
-            samples: N joint values, with frames, targets and loads; frames and targets do not matter.
+            samples: N joint values, with frames, targets and loads; which frames and targets does not matter.
 
         Returns:
             shape (N, 4, 4), [m].
@@ -202,14 +209,17 @@ class NonGeometric(FittedModel):
     def load(self, nominal: Robot, q: Array, payload: Payload | None = None) -> Array:
         """Return the load of gravity on the joints, with the ``gravity`` of the calibration, see `gravity_loads`.
 
+        ``gravity`` is the acceleration in the URDF's root link, shape (3,), [m/s^2].
+
         Args:
             nominal: The nominal robot, n joints in its chain.
-            q: Joint values, shape (N, m), [rad] or [m].
-            payload: Carried by the tip; None: that of the measurements, the field ``payload``.
+            q: Joint values, shape (N, m), [rad] or [m], in the order of the robot's ``joint_names``.
+            payload: Point mass that the tip carries; None: that of the measurements, the field ``payload``.
 
         Returns:
-            shape (N, n, n + 3). Of each joint first its load, [Nm] or [N] where it slides; then lever arms of masses
-            along the chain. Positive where gravity drives the joint towards larger values.
+            shape (N, n, n + 3). Of each joint first its load, [Nm], or [N] where it slides; then the lever arms about
+            it, [m], or 1 where it slides, of masses at the origins of the n joints, at the tip and at the base.
+            Positive where gravity drives the joint towards larger values.
         """
         return gravity_loads(nominal, q, payload or self.payload, self.gravity)
 
@@ -229,15 +239,16 @@ def pose_std(
 
     Args:
         kinematics: The nominal robot under its error model of p parameters, with frames and targets at x = 0.
-        x: Parameters, shape (p,), in their units.
+        x: Parameters, shape (p,), in their units, offsets from there.
         covariance: Of the parameters, shape (p, p).
         samples: N joint values, with the frame, the target and the loads of each.
-        base_motion: Compensating motion of the base, shape (6, p), see `compensating_base_motion`; None: no motion.
-            It counts in the base only.
-        in_base: True to predict in the base, False in each sample's own frame.
+        base_motion: Rigid motion of the base that compensates a unit of each parameter, shape (6, p), linear [m] then
+            angular [rad], which is subtracted from its effect; None: no motion. It counts in the base only.
+        in_base: True to predict in the base, False in each sample's own measurement frame.
 
     Returns:
-        Of the position [m] and of the orientation [rad], shape (N, 2), read-only.
+        Of the position [m] and of the orientation [rad], shape (N, 2), read-only: the root of the sum of the variances
+        along three axes.
     """
     if in_base:
         poses, twists = twists_in_base(kinematics, x, samples)
@@ -246,6 +257,7 @@ def pose_std(
             twists[:, 3:] -= base_motion[3:]
     else:
         _, twists = kinematics.twists(x, samples)
+    # Twists are of the shape (N, 6, p), linear [m] then angular [rad] a unit of each parameter.
     JC = (twists.reshape(-1, len(x)) @ covariance).reshape(twists.shape)
     variance_by_axis = np.sum(JC * twists, axis=2)
     variance = variance_by_axis.reshape(-1, 2, 3).sum(axis=2)
@@ -259,15 +271,16 @@ def expected_error(
     samples: Samples,
     base_motion: Array | None,
 ) -> float:
-    """Return the standard deviation of the predicted position over samples, rms [m].
+    """Return the standard deviation of the target's predicted position, rms over samples [m].
 
     Args:
         kinematics: The nominal robot under its error model of p parameters, with frames and targets at x = 0.
         x: Parameters, shape (p,), in their units.
         covariance: Of the parameters, shape (p, p).
         samples: Joint values with frames, targets and loads, of which the first `_MOST_EXPECTED` count.
-        base_motion: Motion of the base that compensates a unit of each parameter, shape (6, p): the error in the base
-            less it; None: the error in each sample's frame.
+        base_motion: Rigid motion of the base that compensates a unit of each parameter, shape (6, p), linear [m] then
+            angular [rad]: the position is predicted in the base, less this motion; None: in each sample's measurement
+            frame.
     """
     std = pose_std(
         kinematics,
@@ -283,14 +296,17 @@ def expected_error(
 def parameter_estimates(
     fitted: Fitted, observability: Observability
 ) -> tuple[ParameterEstimate, ...]:
-    """Return nominal value, value and interval of each parameter of a fit.
+    """Return nominal value, value, interval and prior of each parameter of a fit.
 
     Args:
-        fitted: A fit with p parameters: its task, error model and estimate.
-        observability: Which of the p parameters the rows that were fitted determine.
+        fitted: A fit with p parameters: its task, error model and estimate, with the offsets x from the registered
+            start, their covariance, and the degrees of freedom of the noise.
+        observability: ``identifiable``, shape (p,), is True for parameters that the fitted rows determine, not in
+            combinations only.
 
     Returns:
-        One entry for each parameter, in the order of the parameter vector x.
+        One entry for each parameter, in the order of the parameter vector x and in the parameter's unit. The interval
+        holds the true value with 95 %; it and ``std`` are NaN at a bound.
     """
     estimate = fitted.estimate
     std = _std(fitted)
@@ -324,7 +340,8 @@ def _std(fitted: Fitted) -> Array:
     """Return the standard deviation of each parameter of a fit.
 
     Args:
-        fitted: A fit with p parameters: their covariance, and which are at a bound.
+        fitted: A fit with p parameters, of whose estimate are used ``covariance``, shape (p, p), and ``at_bound``,
+            indices of the parameters that are held at a bound.
 
     Returns:
         shape (p,), in the parameters' units; NaN at a bound.
@@ -351,17 +368,19 @@ def _prior_std(precision: Array) -> Array:
 def _values(fitted: Fitted, placed: Setup, k: int) -> tuple[float | None, float, float]:
     """Return nominal value, value and change of one parameter, in its unit.
 
-    The position of a target is stated along the tip's axes, from where it was given, whatever the axes of its
-    parameter.
+    Of a parameter of the robot the nominal value is that of the DH table, or 0; of a measurement frame, and of a
+    target's orientation, it is 0, and value and change are the offset from the registered start. The position of a
+    target is stated along the tip's axes, in the tip, whatever the axes of its parameter.
 
     Args:
-        fitted: A fit: its error model, its parameters x, and frames and targets as given and as registered.
+        fitted: A fit: its error model, its offsets x from the registered start, and frames and targets as given
+            (``task.setup``) and as registered (``kinematics``).
         placed: Its frames and targets at the solution.
-        k: Index of the parameter, from 0.
+        k: Index of the parameter in x, from 0.
 
     Returns:
         The value before the fit, None for the position of a target that was not given; the value after it; and the
-        difference, for such a target from where registration put it.
+        difference, for such a target the offset from where registration put it.
     """
     model, given = fitted.kinematics.model, fitted.task.setup
     parameter = model.parameters[k]
@@ -382,10 +401,11 @@ def _data_gradient(fitted: Fitted) -> Array:
     """Return minus the derivative of half the sum of the data's weighted squares by each parameter, at the solution.
 
     At the least of squares with priors it equals their pull, precision (x - centre), which is returned for the paper's
-    solver.
+    solver. It shows what the data ask for where a sharp prior keeps a parameter near its nominal value.
 
     Args:
-        fitted: A fit with p parameters: its problem, with residuals and priors, and its solution x.
+        fitted: A fit with p parameters: its problem, with residuals, known distances, and priors of mean ``centre`` and
+            ``precision``, 1 / variance, shapes (p,); and its solution x.
 
     Returns:
         shape (p,), [1/unit]; positive where the data ask for a larger value.
@@ -394,21 +414,26 @@ def _data_gradient(fitted: Fitted) -> Array:
     if fitted.task.solver == PAPER:  # not at the least of squares, and without priors
         return np.asarray(problem.precision * (x - problem.centre))
     without_priors = replace(problem, precision=np.zeros(len(x)))
+    # Measured minus predicted in standard deviations, (m,), and its derivative by the parameters, (m, p).
     residual, jacobian = without_priors.system(x)
     return -residual @ jacobian
 
 
 def compensating_base_motion(kinematics: Kinematics, x: Array, samples: Samples) -> Array:
-    """Return the motion of the base that compensates a unit of each parameter best over some poses: their gauge.
+    """Return the motion of the base that compensates a unit of each parameter best over some poses.
+
+    Where rows do not determine where the base stands, it is subtracted from what a parameter does, wherever a pose is
+    predicted.
 
     Args:
         kinematics: The nominal robot under its error model of p parameters, with frames and targets at x = 0.
         x: Parameters, shape (p,), in their units.
-        samples: The measured poses: joint values with frames, targets and loads; of many only `_MOST_MEASURED` count.
+        samples: The measured poses: joint values with targets and loads; of many, `_MOST_MEASURED` spread evenly count.
 
     Returns:
-        shape (6, p), read-only: velocity of the base's origin [m], then turn [rad], along the base's axes. It is the
-        rigid motion nearest to what the parameter does to the target's positions, and is subtracted from that.
+        shape (6, p), read-only: velocity of the base's origin [m], then turn [rad], along the base's axes, in a unit of
+        each parameter. It is the rigid motion nearest, by least squares, to what the parameter does to the target's
+        positions in the base.
     """
     count = min(len(samples), _MOST_MEASURED)
     spread = np.linspace(0, len(samples) - 1, count).astype(int)
@@ -421,12 +446,12 @@ def twists_in_base(kinematics: Kinematics, x: Array, samples: Samples) -> tuple[
 
     Args:
         kinematics: The nominal robot under its error model of p parameters, with frames and targets at x = 0.
-        x: Parameters, shape (p,), in their units.
+        x: Parameters, shape (p,), in their units; those of measurement frames are taken as 0.
         samples: N joint values, with the target and the loads of each; their frames do not count.
 
     Returns:
-        T_base_target, shape (N, 4, 4) [m], and the target's velocity in a unit of each parameter along the base's
-        axes, shape (N, 6, p), linear part first [m, rad]; zero for the parameters of frames.
+        T_base_target, shape (N, 4, 4) [m], and the target's velocity in a unit of each parameter along the base's axes,
+        shape (N, 6, p), linear part first [m, rad]; zero for the parameters of frames.
     """
     of_frame = kinematics.model.family(FRAME)
     frames = np.broadcast_to(np.eye(4), kinematics.T_frame_base.shape)

@@ -70,37 +70,45 @@ class Bootstrap:
     x: Array
     #: Seed of the draws
     seed: int
-    #: Number of samples whose fits reached the solver's limit of iterations
+    #: Number of draws whose fits reached the solver's limit of iterations
     stopped: int
 
     @property
     def measured_rms(self) -> float:
-        """Standard deviation over the samples of the predicted position, rms over the measured poses [m].
+        """Standard deviation of the predicted position over the bootstrap's draws, rms over the measured poses [m].
 
-        Over at most `_POSES` of the rows that ``fitted`` was fitted to.
+        Over at most `_POSES` of the rows to which ``fitted``, the fit to all rows, was fitted, evenly spread over their
+        order.
         """
         measured = self.fitted.estimate.problem.rows.samples
         return rms(self.position_std(_evenly(measured)))
 
     @property
     def everywhere_rms(self) -> float:
-        """Standard deviation over the samples of the predicted position, rms over the joint limits of the robot [m].
+        """Standard deviation of the predicted position over the bootstrap's draws, rms over the joint limits [m].
 
-        Over `_POSES` joint values spread evenly between the limits, of the first frame and target.
+        Over `_POSES` joint values spread evenly between the limits of the robot of ``fitted``, for the first frame and
+        target.
         """
         spread = spread_poses(self.fitted.task.robot, _POSES)
         return rms(self.position_std(Samples.at(spread)))
 
     @property
     def std(self) -> Array:
-        """Standard deviation of each parameter over the samples ``x``, shape (p,), in the parameters' units."""
+        """Standard deviation of each parameter over the bootstrap's draws, shape (p,), in the parameters' units.
+
+        Of ``x``, shape (count, p), the parameters fitted to each draw of the rows; over count - 1.
+        """
         return np.asarray(np.std(self.x, axis=0, ddof=1))
 
     def intervals(self, level: float = 0.95) -> Array:
-        """Return the percentile interval of each parameter's value over the samples.
+        """Return the percentile interval of each parameter's value over the bootstrap's draws.
+
+        With ``x``, shape (count, p), the parameters fitted to each draw, offsets from the registered start like
+        ``fitted.estimate.x``; and ``parameters``, of which ``value`` is the value of each by the fit to all rows.
 
         Args:
-            level: Its probability, between 0 and 1.
+            level: Probability that an interval holds the true value, between 0 and 1.
 
         Returns:
             Lower and upper ends of the values, not of their changes, shape (p, 2), in the parameters' units.
@@ -111,28 +119,33 @@ class Bootstrap:
         return np.asarray(ends + (values - self.fitted.estimate.x)[:, None])
 
     def positions(self, where: SamplesOrValues) -> Array:
-        """Predict the target's position by each sample of the bootstrap, in the measurement frame.
+        """Predict the target's position in the measurement frame by the parameters of each of the bootstrap's draws.
+
+        With ``x``, shape (count, p), the parameters fitted to each draw, and ``fitted.kinematics``, the nominal robot
+        under its error model with registered frames and targets.
 
         Args:
-            where: N samples, which name the frame and target of each, or joint values of shape (N, m), [rad] or [m],
-                for the first frame and target.
+            where: N samples: joint values with the index of the frame and of the target of each; or joint values alone,
+                shape (N, m), [rad] or [m], for the first frame and target.
 
         Returns:
-            shape (count, N, 3), [m]: by the parameters of each of the ``count`` samples.
+            shape (count, N, 3), [m], each in the frame of its sample.
         """
         return np.array([self.fitted.kinematics.points(x, where) for x in self.x])
 
     def position_std(self, where: SamplesOrValues) -> Array:
-        """Return the standard deviation of the predicted position over the samples of the bootstrap.
+        """Return the standard deviation of the predicted position over the bootstrap's draws.
 
-        Where no row determines where the base stands, it leaves out what moves all positions as one body.
+        Where no row of ``fitted``, the fit to all rows, determines where the base stands, the rigid motion that
+        explains each draw's change at the measured poses best is left out, and all positions are seen from the first
+        frame.
 
         Args:
             where: N samples, see `Calibration.samples`, or joint values of shape (N, m), [rad] or [m], for the first
                 frame and target.
 
         Returns:
-            shape (N,), [m].
+            shape (N,), [m]: the root of the sum of the variances along three axes.
         """
         samples = where if isinstance(where, Samples) else Samples.at(where)
         problem = self.fitted.estimate.problem
@@ -140,18 +153,20 @@ class Bootstrap:
             _, scatter = self._scatter(samples)
         else:
             measured = _in_first_frame(_evenly(problem.rows.samples))
+            # Mean positions, (N, 3), and each draw's differences from them, (N, 3, count) [m].
             points, scatter = self._scatter(_in_first_frame(samples))
             scatter = without_rigid_motion(points, scatter, self._scatter(measured))
         return np.asarray(np.sqrt(np.sum(np.var(scatter, axis=2, ddof=1), axis=1)))
 
     def _scatter(self, samples: Samples) -> tuple[Array, Array]:
-        """Return the target's mean positions over the samples of the bootstrap, and each sample's difference from them.
+        """Return the target's mean positions over the bootstrap's draws, and each draw's difference from them.
 
         Args:
             samples: N joint values, with the frame and target of each.
 
         Returns:
-            Mean positions in the measurement frames, shape (N, 3), and the differences, shape (N, 3, count), [m].
+            Mean positions in the frame of each sample, shape (N, 3), and the differences from them by each of ``count``
+            draws, shape (N, 3, count), [m].
         """
         points = self.positions(samples)
         mean = points.mean(axis=0)
@@ -168,21 +183,21 @@ def bootstrap(
 ) -> Bootstrap:
     """Fit the geometry again to rows drawn with replacement, whole poses within each set-up; see the module's text.
 
-    The samples are the same for the same seed, wherever they are fitted; 200 are enough for standard deviations, 1000
-    for intervals.
+    The draws are the same for the same seed, wherever they are fitted; 200 are enough for standard deviations, 1000 for
+    intervals.
 
     Args:
-        calibration: A result in memory, with the fit of its geometry.
-        count: Number of samples.
+        calibration: A result in memory, with the fit of its geometry to N rows.
+        count: Number of draws of the N rows, each of which is fitted, `FEWEST_SAMPLES` to `MOST_SAMPLES`.
         seed: Seed of the draws, 0 or more.
         progress: Called after each fit with the number of fits done and of all; None: nothing is called.
         executor: Where the fits run; None: in this process.
 
     Returns:
-        The parameters of each sample's fit.
+        The parameters fitted to each draw, shape (count, p), and the number of fits that did not converge.
 
     Raises:
-        CalibError: Too few or too many samples, or a seed below 0.
+        CalibError: Too few or too many draws, or a seed below 0.
         ModelError: The paper's solver made the calibration, or the result was read from a file.
     """
     if not FEWEST_SAMPLES <= count <= MOST_SAMPLES or seed < 0:
@@ -204,16 +219,17 @@ def bootstrap(
 
 
 def _draws(problem: Problem, count: int, seed: int) -> Iterator[tuple[Array, Array]]:
-    """Draw the rows and the priors' means of each sample of a bootstrap.
+    """Draw the rows and the priors' means for each fit of a bootstrap.
 
     Args:
-        problem: The problem that is fitted again: N rows, p parameters, and known distances between stations.
-        count: Number of samples.
+        problem: The problem that is fitted again: N rows, with the block of each, rows that are drawn together, and its
+            measurement frame, within which blocks are drawn; p parameters; and K known distances between frames.
+        count: Number of draws.
         seed: Seed of the draws, 0 or more.
 
     Returns:
-        For each sample the number of times that each row is drawn, shape (N,), and standard normal numbers, one for the
-        prior of each parameter, then one for each known distance.
+        An iterator over the draws. Of each, the number of times that each row is drawn, shape (N,), and independent
+        standard normal numbers, shape (p + K,): one for the prior of each parameter, then one for each known distance.
     """
     rows = problem.rows
     times_drawn = bootstrap_counts(rows.blocks, count, seed, rows.samples.frame)
@@ -229,17 +245,17 @@ def bootstrap_counts(
     seed: int,
     strata: NDArray[np.generic],
 ) -> Integers:
-    """Draw blocks of rows with replacement, as many as there are, for each sample of a bootstrap.
+    """Draw blocks of rows with replacement, as many as there are, ``count`` times.
 
     Args:
         blocks: Label of each row's block, shape (N,): rows of one block, such as repeats of a pose, are drawn together.
-        count: Number of samples.
+        count: Number of draws.
         seed: Seed of the draws, 0 or more.
-        strata: Label of each row's stratum, shape (N,). Within each, such as a station, blocks are drawn apart, so that
-            it stays in every sample.
+        strata: Label of each row's stratum, shape (N,). Within each, such as a station, as many blocks are drawn as it
+            has, so that it stays in every draw.
 
     Returns:
-        Number of times that each row is drawn in each sample, shape (count, N).
+        Number of times that each row is drawn in each draw, shape (count, N).
     """
     rng = np.random.default_rng(seed)
     result = np.zeros((count, len(blocks)), dtype=np.int_)
@@ -252,15 +268,19 @@ def bootstrap_counts(
 
 
 def _fit_sample(fitted: Fitted, drawn: tuple[Array, Array]) -> tuple[Array, bool]:
-    """Fit one sample of a bootstrap, with noise, priors and robust weights as they were estimated.
+    """Fit one draw of a bootstrap, with noise, prior standard deviations and robust weights as they were estimated.
 
     Args:
-        fitted: The fit to all N rows, of p parameters.
-        drawn: Number of times that each row is drawn, shape (N,), and standard normal numbers, one for the prior of
-            each parameter and one for each known distance between stations.
+        fitted: The fit to all N rows, of p parameters. Of its problem are changed the rows' ``weights``, shape (N,);
+            ``centre``, the priors' means, shape (p,), where ``precision``, 1 / variance, is that of a prior sharper
+            than `_WIDEST_DRAWN`; and the lengths of K known distances [m], by their standard deviations ``sigma`` [m].
+        drawn: Number of times that each row is drawn, shape (N,), by which its weight is multiplied; and standard
+            normal numbers, shape (p + K,), by which the priors' means and the known distances are moved, in their
+            standard deviations.
 
     Returns:
-        Its parameters, shape (p,), offsets like those of ``fitted``, and whether the fit converged.
+        Its parameters, shape (p,), offsets from the registered start in their units like those of ``fitted``, and
+        whether the fit converged.
     """
     problem, start = fitted.estimate.problem, fitted.estimate.x
     counts, normal = drawn
@@ -306,10 +326,11 @@ def profile_interval(calibration: CalibrationValues, name: str, level: float = 0
         level: Probability that the interval holds the true value, between 0 and 1.
 
     Returns:
-        Both ends of the parameter's value, not of its change.
+        Both ends of the parameter's value, not of its change from the nominal one, and the level.
 
     Raises:
-        ModelError: No such parameter, it stands at a bound, or the paper's solver made the calibration.
+        ModelError: No such parameter, it stands at a bound, the paper's solver made the calibration, or the result was
+            read from a file.
         CalibError: The level is not between 0 and 1.
     """
     parameter = calibration.parameter(name)
@@ -328,10 +349,10 @@ def profile_interval(calibration: CalibrationValues, name: str, level: float = 0
     x = float(estimate.x[k])
 
     def cost_at(offset: float) -> float:
-        """Return the least cost, the sum of squares over their variance, with the parameter held.
+        """Return the least cost over the other parameters, the sum of squares over their variance, with one held.
 
         Args:
-            offset: Where it is held, counted from the registered start, in its unit.
+            offset: Where the parameter is held, counted from the registered start, in its unit.
         """
         return _least_cost(fitted, k, offset)
 
@@ -352,9 +373,10 @@ def profile(
     cost(x) - cost(value) <= quantile of chi^2(1), or of F(1, freedom) where the noise was estimated.
 
     Args:
-        cost_at: Least sum of squares over their variance with the parameter held at a value.
+        cost_at: Function that returns the least sum of squares over their variance [1] with the parameter held at a
+            value, in the parameter's unit.
         value: The estimate, where the cost is least, in the parameter's unit.
-        std: Its standard deviation, the first step of the search, in the same unit.
+        std: Its standard deviation, from which the search for an end starts, in the same unit.
         level: Probability of the interval, between 0 and 1.
         freedom: Degrees of freedom of the noise; infinite where the noise is known.
 
@@ -370,13 +392,13 @@ def profile(
     least = cost_at(value)
 
     def above(x: float) -> float:
-        """Return the cost at a value of the parameter, less the highest one allowed within the interval.
+        """Return the cost at a value of the parameter, less the highest one allowed within the interval [1].
 
         Args:
             x: The value, in the parameter's unit.
 
         Returns:
-            Negative within the interval; finite, for the root finder.
+            Negative within the interval; at most 1e6 times the allowed rise, so that it is finite for the root finder.
         """
         over = cost_at(x) - least - rise
         if not np.isfinite(over):
@@ -387,10 +409,10 @@ def profile(
     from scipy.optimize import brentq
 
     def end(step: float) -> float:
-        """Find where the cost crosses the limit, on one side of the estimate.
+        """Find where the cost crosses the highest one allowed, on one side of the estimate ``value``.
 
         Args:
-            step: Standard deviation of the parameter, negative for the lower end.
+            step: Standard deviation of the parameter, in its unit; negative for the lower end.
 
         Returns:
             The value of the parameter there; infinite, with the sign of the step, where the cost stays below.
@@ -413,8 +435,8 @@ def _allowed_rise(level: float, freedom: float) -> float:
 
     Args:
         level: Probability of the interval, between 0 and 1.
-        freedom: Degrees of freedom of the noise, at least one of which is assumed; infinite where the noise is known:
-            then it is the quantile of chi^2(1).
+        freedom: Degrees of freedom of the noise, counted as 1 if fewer; infinite where the noise is known: then it is
+            the quantile of chi^2(1).
 
     Returns:
         The rise of the sum of squares over their variance [1].
@@ -428,7 +450,9 @@ def _least_cost(fitted: Fitted, k: int, value: float) -> float:
     """Return the least sum of squares over their variance, the priors' included, with one parameter held.
 
     Args:
-        fitted: A fit of p parameters: its problem, the estimate, and the covariance of that.
+        fitted: A fit of p parameters. Of its estimate are used ``problem``, residuals and priors; ``x``, shape (p,),
+            offsets from the registered start; and ``covariance``, shape (p, p), by which the others' start follows the
+            one that is held.
         k: Index of the parameter that is held, from 0.
         value: The offset from the registered start at which it is held, in its unit; the others are fitted.
 
@@ -448,10 +472,11 @@ def _least_cost(fitted: Fitted, k: int, value: float) -> float:
         """Return the weighted residual and its derivative by the p - 1 parameters that are not held.
 
         Args:
-            free: Offsets of these parameters, shape (p - 1,).
+            free: Offsets of these parameters from the registered start, shape (p - 1,), in their units.
 
         Returns:
-            Residual, shape (n,), in standard deviations, priors included; and its derivative, shape (n, p - 1).
+            Residual, shape (n,), measured minus predicted in standard deviations, priors included; and its derivative,
+            shape (n, p - 1).
         """
         x = start.copy()
         x[others] = free
@@ -463,10 +488,10 @@ def _least_cost(fitted: Fitted, k: int, value: float) -> float:
 
 
 def _check_solver(fitted: Fitted) -> None:
-    """Refuse a fit by the paper's solver: it is not the least cost of its own problem.
+    """Refuse a fit by the paper's solver: its solution is not the least cost of the problem.
 
     Args:
-        fitted: The fit, whose task names its solver.
+        fitted: The fit, of which ``task.solver`` is used, a name or a function.
 
     Raises:
         ModelError: It is the paper's.
@@ -479,7 +504,7 @@ def _evenly(samples: Samples) -> Samples:
     """Return at most `_POSES` of N samples, evenly spread over their order.
 
     Args:
-        samples: Joint values, with the frame, the target and the loads of each.
+        samples: N joint values, with the frame, the target and the loads of each.
 
     Returns:
         These samples, in their order; all where there are no more.
@@ -489,7 +514,7 @@ def _evenly(samples: Samples) -> Samples:
 
 
 def _in_first_frame(samples: Samples) -> Samples:
-    """Return samples as seen from the first measurement frame.
+    """Return samples as seen from the first measurement frame, so that one rigid motion can be fitted to all positions.
 
     Args:
         samples: N joint values, with the frame, the target and the loads of each.
