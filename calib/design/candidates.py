@@ -52,9 +52,11 @@ class Condition(NamedTuple):
 class Pool(NamedTuple):
     """Candidates of a plan."""
 
-    #: Shape (n, m), the poses that passed all conditions, all different, [rad] or [m].
+    #: Shape (n, m), the poses that passed all conditions, all different, [rad] or [m]; fewer than were wanted where
+    #: drawing ended before.
     q: Array
-    #: Shape (k, m), poses in the region, whatever else refused them, among the first drawn, [rad] or [m].
+    #: Shape (k, m), the first poses in the region, at most as many as candidates were wanted, whatever else refused
+    #: them, [rad] or [m].
     workspace: Array
     #: Number of poses that were drawn.
     drawn: int

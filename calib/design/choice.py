@@ -158,8 +158,8 @@ def choose_poses(
 def _not_taken(q: Array, taken: Array) -> Array:
     """Return the candidates that are none of the poses measured already.
 
-    A candidate within 1e-3 rad or m of a pose in every joint is that pose; differences of 2 pi do not count (nor, as it
-    is, of 6.28 m in a sliding joint).
+    A candidate within 1e-3 rad or m of a pose in every joint is that pose. Differences are taken modulo 2 pi, also
+    those of sliding joints.
 
     Args:
         q: Joint values of the candidates, shape (n, m), [rad] or for sliding joints [m].
@@ -256,8 +256,8 @@ class _Search:
         """Fewest poses, besides those taken, that measure as many scalars as parameters are identifiable; at least 1.
 
         Uses ``workspace.rank``, the number of parameters or combinations that all of the workspace determines;
-        ``blocks``, shape (n, d, r), of which d is the number of scalars measured at a pose; and ``taken``, shape (T,
-        m), poses measured already.
+        ``blocks``, shape (n, d, r), of which d is the number of scalars measured at a pose; and ``taken``, shape
+        (T, m), poses measured already.
         """
         scalars: int = self.blocks.shape[1]
         needed = -(-self.workspace.rank // scalars)
@@ -301,8 +301,8 @@ def _weight(criterion: str, sensitivity: Sensitivity, workspace: Workspace) -> A
     """Return the matrix T of a criterion tr(T C), with the covariance C of the p parameters.
 
     Args:
-        criterion: ``"A"``: tr(T C) is the sum of the variances of the parameters, each in the square of its unit's
-            step, such as 1 mm or 1 mrad; ``"V"``: the mean variance of a predicted position over the workspace;
+        criterion: ``"A"``: tr(T C) is the sum of the variances of the parameters, each in squares of the step of its
+            unit, such as 1 mm or 1 mrad; ``"V"``: the mean variance of a predicted position over the workspace;
             ``"D"``: the determinant, which has no such matrix.
         sensitivity: ``sensitivity.units``, the units of the parameters.
         workspace: ``workspace.located``, derivative J of the positions (x, y, z) of the k targets at n poses by the

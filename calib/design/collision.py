@@ -233,7 +233,7 @@ class CollisionModel:
             what is checked and what is not.
 
         Raises:
-            UrdfError: A mesh is missing or cannot be read, or no link has a shape.
+            UrdfError: Pinocchio cannot read the URDF, a mesh is missing or cannot be read, or no link has a shape.
         """
         check = check or CollisionCheck()
         links, unchecked = read_solids(robot.urdf, check.package_dirs)
@@ -335,8 +335,8 @@ class CollisionModel:
 
         Args:
             q: Joint values of N poses, shape (N, m), [rad] or for sliding joints [m], columns as ``robot.joint_names``.
-            T_base_beam: Pose of the middle of the beam at each pose in the robot's base, z along the beam, shape (N, 4,
-                4), [m].
+            T_base_beam: Pose of the middle of the beam at each pose in the robot's base, z along the beam, shape
+                (N, 4, 4), [m].
             half_length: Half the length of each beam without its round ends, shape (N,), [m].
             has_beam: At which poses there is a beam, shape (N,); the others are not tested.
 

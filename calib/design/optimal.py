@@ -140,7 +140,7 @@ def choose(
         rank: The `ranking` of the candidates, shape (n,), larger for those that matter more; None: it is computed.
 
     Returns:
-        Indices of the chosen candidates, from 0, all different, shape (count,), in no order.
+        Indices of the chosen candidates, from 0, all different, shape (count,), in no particular order.
     """
     rng = np.random.default_rng(seed)
     if rank is None:
@@ -337,8 +337,8 @@ def _cost(M: Array, basis: Basis) -> float:
     """Compute the value of a criterion for a design; less is better.
 
     Args:
-        M: Information matrix of the design and of what is known before, along the r directions of the basis, shape (r,
-            r); its inverse C is their covariance.
+        M: Information matrix of the design and of what is known before, along the r directions of the basis, shape
+            (r, r); its inverse C is their covariance.
         basis: ``basis.target``, the matrix T of the criterion tr(T C), W of ``A`` or B of ``V`` along the directions,
             shape (r, r); None for ``D``.
 

@@ -248,8 +248,8 @@ def _conditions(
     """Yield what a candidate must pass, the cheap conditions first; the tracker must see every target.
 
     Args:
-        sensitivity: The nominal robot in its cell: ``setup.T_tip_target``, poses of the targets in the tip, shape (k,
-            4, 4), [m]; ``cell.tracker`` and ``cell.reflector``, each None where it is not known.
+        sensitivity: The nominal robot in its cell: ``setup.T_tip_target``, poses of the targets in the tip, shape
+            (k, 4, 4), [m]; ``cell.tracker`` and ``cell.reflector``, each None where it is not known.
         region: Voxels of the robot's base frame in which the first target must lie; None: anywhere.
         body: Tests collisions of the robot, and of the tracker's beam with links and boxes; None: neither is tested.
 
@@ -290,7 +290,7 @@ def _route(
 
     Args:
         sensitivity: The nominal robot in its cell; ``cell.ranges`` narrow the ranges of joints by name, [rad] or [m].
-            ``kinematics.model.joint_terms`` are the parameters that move a joint with its value or load; without any,
+            ``kinematics.model.joint_terms`` are the errors that move a joint with its value or load; without any,
             joints may be turned by whole turns.
         request: ``request.margin`` to the limits of joints that turn [rad], and ``request.start``, the robot's joint
             values before the first move, shape (m,), [rad] or [m], or None.

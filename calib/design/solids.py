@@ -244,8 +244,8 @@ def mounting_plane(
 
     Args:
         robot: The robot; where its base link moves, the URDF's root link stands for the base.
-        links: The solids of the robot's links: of each its ``link``, ``geometry``, and its pose in the link, shape (4,
-            4), [m].
+        links: The solids of the robot's links: of each its ``link``, ``geometry``, and its pose in the link, shape
+            (4, 4), [m].
         rigid: For the name of each link the name of the topmost link of those that never move against it.
         configuration: Pinocchio's configuration of the whole robot, shape (nq,), [rad] or [m]; only the values of held
             joints matter.
