@@ -52,9 +52,11 @@ class Condition(NamedTuple):
 class Pool(NamedTuple):
     """Candidates of a plan."""
 
-    #: Shape (n, m), the poses that passed all conditions, all different, [rad] or [m].
+    #: Shape (n, m), the poses that passed all conditions, all different, [rad] or [m]; fewer than were wanted where
+    #: drawing ended before.
     q: Array
-    #: Shape (k, m), poses in the region, whatever else refused them, among the first drawn, [rad] or [m].
+    #: Shape (k, m), the first poses in the region, at most as many as candidates were wanted, whatever else refused
+    #: them, [rad] or [m].
     workspace: Array
     #: Number of poses that were drawn.
     drawn: int
@@ -75,7 +77,11 @@ class _Sifted(NamedTuple):
     refused: dict[str, int]
 
     def joined(self, other: _Sifted) -> _Sifted:
-        """Return these poses with others behind them, and the sums of both numbers drawn and refused.
+        """Return these poses with others behind them, and the sums of the numbers drawn and refused.
+
+        Concatenates ``in_region``, joint values of the poses in the region, shape (k, m), and ``measurable``, of those
+        that passed all conditions, shape (n, m), [rad] or [m]; adds up ``drawn``, the number drawn, and ``refused``,
+        the number that each condition refused, by its reason.
 
         Args:
             other: Poses of the same robot, sifted by the same conditions.
@@ -101,22 +107,25 @@ def draw(
     """Draw joint values evenly over their ranges until enough have passed all conditions, or too many are drawn.
 
     Too many are 40 times as many as are wanted (but no fewer than 163,840), or 40,960 of which none has passed. Values
-    are rounded to what a table writes, see `rounded`.
+    are rounded to whole steps of 0.001 deg or 0.001 mm, as tables are written.
 
     Args:
         robot: The robot, with m measured joints.
         ranges: Lowest and highest value of each joint, shape (m, 2), [rad] or for sliding joints [m], in the order of
             ``robot.joint_names``, see `planning_ranges`.
-        conditions: Tests that a pose must pass: each has a ``reason``, and a function ``passes`` of joint values
-            (n, m) that returns a mask (n,). Applied in this order, that of the region first.
+        conditions: Tests that a pose must pass: each has a ``reason``, a word, and a function ``passes`` of joint
+            values, shape (n, m), that returns True for those that pass, shape (n,). Applied in this order, that with
+            the reason ``"region"``, if any, first.
         count: Number of candidates that is enough, 1 or more.
         seed: Seed of the Sobol sequence: the same one draws the same poses.
         progress: Called after each batch with the number of candidates so far and ``count``; None: nothing is called.
 
     Returns:
-        The candidates: ``q`` (at most ``count`` poses that passed, each once, in the order drawn), ``workspace`` (at
-        most ``count`` poses in the region, measurable or not), and the numbers of poses drawn and of those that each
-        reason refused.
+        ``q``, joint values of the candidates, shape (n, m), [rad] or [m]: poses that passed, each once, in the order
+        drawn; n is ``count``, or less where too many were drawn or poses were repeated. ``workspace``, shape (at most
+        ``count``, m): the first poses that passed the region's condition (without one, all that were drawn), whether or
+        not they passed the others. ``drawn``, the number of poses drawn, and ``refused``, the number that each reason
+        refused, of those that had passed the conditions before it.
 
     Raises:
         ModelError: No pose passed.
@@ -144,7 +153,7 @@ def _batches(robot: Robot, ranges: Array, seed: int) -> Iterator[Array]:
         seed: Seed of the scrambling.
 
     Yields:
-        Joint values, shape (4096, m), [rad] or [m], rounded to what a table writes, within the ranges.
+        Joint values, shape (4096, m), [rad] or [m], rounded to whole steps of 0.001 deg or 0.001 mm within the ranges.
     """
     # Not above: SciPy's distributions take as long to import as the rest of calib.
     from scipy.stats import qmc
@@ -157,11 +166,14 @@ def _batches(robot: Robot, ranges: Array, seed: int) -> Iterator[Array]:
 
 
 def _most_draws(sifted: _Sifted, count: int) -> int:
-    """Return the number of poses at which drawing ends, however few can be measured.
+    """Return the number of poses at which drawing ends, however few of them can be measured.
 
     Args:
-        sifted: The poses drawn so far; as long as none of them can be measured, drawing ends early.
+        sifted: The poses drawn so far; ``sifted.measurable``, shape (n, m), are those that can be measured.
         count: Number of candidates that are wanted.
+
+    Returns:
+        40,960 as long as no pose can be measured, else 40 times ``count``, but no less than 163,840.
     """
     if not len(sifted.measurable):
         return _NONE_YET
@@ -173,11 +185,13 @@ def _sift(q: Array, conditions: Sequence[Condition]) -> _Sifted:
 
     Args:
         q: Joint values of n poses, shape (n, m), [rad] or for sliding joints [m].
-        conditions: Tests, each with a ``reason`` and a function ``passes`` of joint values; in the order to apply.
+        conditions: Tests, each with a ``reason``, a word, and a function ``passes`` of joint values, shape (n, m), that
+            returns True for those that pass, shape (n,); in the order to apply.
 
     Returns:
-        The poses that pass all conditions, those that pass up to that of the region (without one all of them), and how
-        many each reason refused.
+        ``drawn``, the number n; ``measurable``, joint values of the poses that pass all conditions; ``in_region``, of
+        those that pass the conditions up to the one with the reason ``"region"`` (without it all n poses); and
+        ``refused``, how many poses each reason refused.
     """
     in_region = measurable = q
     refused: dict[str, int] = dict.fromkeys((condition.reason for condition in conditions), 0)
@@ -248,11 +262,12 @@ def planning_ranges(
 
     Args:
         robot: The robot, with m measured joints.
-        narrowed: Lowest and highest value by the joint's name [rad] or for sliding joints [m]; joints that are not
-            named go everywhere they can, those that turn through one whole turn at most.
+        narrowed: Lowest and highest value by the joint's name [rad] or for sliding joints [m], for the joints whose
+            range is to be narrowed. The others go everywhere they can: those that turn through one whole turn at most,
+            the one nearest to zero, and sliding ones without limits 1 m to both sides of zero.
         margin: Distance to the URDF's limits of joints that turn [rad]; sliding joints keep 5 mm, unless it is 0.
         turns: True: joints that turn, and are not narrowed, go from limit to limit, also where these are more than a
-            turn apart.
+            turn apart, or infinite.
 
     Returns:
         Shape (m, 2), lowest and highest value, [rad] or [m], in the order of ``robot.joint_names``, read-only.

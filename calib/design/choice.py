@@ -47,11 +47,11 @@ class PlanRequest:
     #: Poses to validate with, drawn at random from the same candidates.
     validation: int = 5
     #: ``"V"``: least mean variance of predicted positions; ``"D"``: largest determinant of the information; ``"A"``:
-    #: least mean variance of the parameters.
+    #: least mean variance of the parameters, in squares of their steps.
     criterion: str = "V"
     #: Poses to choose from.
     candidates: int = 20_000
-    #: Distance to the joint limits of the URDF [rad].
+    #: Distance to the URDF's limits of joints that turn [rad]; sliding ones keep 5 mm, unless it is 0.
     margin: float = math.radians(5.0)
     #: shape (m,), the robot's joint values before the first move [rad] or [m]; None: it begins at any pose.
     start: ArrayLike | None = None
@@ -63,8 +63,8 @@ class PlanRequest:
     def check(self, candidates: int) -> None:
         """Refuse an unknown criterion, and numbers of poses that cannot be had.
 
-        At least one pose must be wanted to fit, none or more to validate, and together no more than there are
-        candidates, or 300. Uses ``criterion``, ``count`` and ``validation``.
+        Uses ``criterion`` (``"V"``, ``"D"`` or ``"A"``); ``count``, the poses to fit, 1 or more; and ``validation``,
+        the poses to validate with, 0 or more. Together they must be no more than the candidates, or 300.
 
         Args:
             candidates: Number of poses that can be measured, to choose from.
@@ -117,15 +117,18 @@ def choose_poses(
             joint values by the parameters.
         pool: The candidates: ``q``, joint values that can be measured, shape (n, m), [rad] or for sliding joints [m];
             and ``workspace``, shape (k, m), those over which accuracy counts.
-        request: Numbers of poses to fit and to validate with, the criterion of the choice, and the seed.
+        request: ``count`` and ``validation``, the numbers of poses to fit and to validate with; ``criterion`` of the
+            choice, ``"V"``, ``"D"`` or ``"A"``; ``ladder``, whether other numbers of poses are forecast; ``seed``.
         taken: Poses that are measured already, shape (T, m), [rad] or [m]: they count in the information, and are not
             planned again; None: none are.
         restarts: Number of random starts of the exchange, for up to 100 poses; of more, there is one start.
         progress: Called with the number of forecasts of the ladder that are done, and of all; None: nothing is called.
 
     Returns:
-        The poses to fit and to validate with (candidates that were not chosen, at random), the forecast of the plan,
-        and for comparison those of the poses taken alone, of random poses and of other numbers of poses.
+        ``planned``, joint values of the poses to fit, shape (count, m), and of those to ``validation``, shape
+        (validation, m), drawn at random from the other candidates, [rad] or [m]. ``forecast`` of a fit of the poses
+        taken and planned; for comparison ``before``, of those taken alone (None without any), ``at_random``, with
+        random candidates in place of the planned poses, and ``ladder``, by the number of planned poses.
 
     Raises:
         ModelError: Too few poses for the model, or a request that cannot be met.
@@ -153,13 +156,14 @@ def choose_poses(
 
 
 def _not_taken(q: Array, taken: Array) -> Array:
-    """Return the candidates that are none of the poses measured already, whole turns of joints aside.
+    """Return the candidates that are none of the poses measured already.
 
-    A candidate within 1e-3 rad or m of a pose in every joint is that pose.
+    A candidate within 1e-3 rad or m of a pose in every joint is that pose. Differences are taken modulo 2 pi, also
+    those of sliding joints.
 
     Args:
         q: Joint values of the candidates, shape (n, m), [rad] or for sliding joints [m].
-        taken: Joint values of the poses measured already, shape (T, m), [rad] or [m].
+        taken: Joint values of the poses measured already, shape (T, m), [rad] or [m]; T may be 0.
 
     Returns:
         The other candidates, shape (n or fewer, m), in the same order.
@@ -172,12 +176,18 @@ def _not_taken(q: Array, taken: Array) -> Array:
 
 
 def _median_at_random(search: _Search, count: int, rng: np.random.Generator) -> Forecast:
-    """Forecast fits of the poses taken and random candidates, and return the one whose rms is the median of nine.
+    """Forecast fits of the poses taken and random candidates nine times, and return the forecast with the median rms.
+
+    It shows what the choice of the poses gains.
 
     Args:
-        search: The candidates and the poses taken.
-        count: Number of candidates of each draw.
+        search: ``q``, joint values of the n candidates, shape (n, m), [rad] or [m]; and the poses taken, which each
+            forecast includes.
+        count: Number of different candidates of each draw.
         rng: Draws the candidates; its state advances.
+
+    Returns:
+        The forecast whose ``rms``, expected error of a predicted position over the workspace [m], is the fifth of nine.
     """
     forecasts = []
     for _ in range(_RANDOM):
@@ -218,11 +228,17 @@ class _Search:
         """Differentiate what is measured at candidates, and find the basis of a criterion.
 
         Args:
-            sensitivity: The nominal robot in its cell under the error model of the fit.
-            pool: Gives the poses over which accuracy counts, ``pool.workspace``.
-            q: Joint values of the candidates, shape (n, m), [rad] or for sliding joints [m].
+            sensitivity: The nominal robot in its cell under the error model of the fit, with p parameters;
+                ``precision``, shape (p,), is 1 / tau^2 of their priors.
+            pool: ``pool.workspace``, joint values of the poses over which accuracy counts, shape (k, m), [rad] or [m].
+            q: Joint values of the n candidates, shape (n, m), [rad] or for sliding joints [m].
             taken: Joint values of poses measured already, shape (T, m), [rad] or [m]; T may be 0.
-            criterion: ``"V"``, ``"D"`` or ``"A"``, see `PlanRequest.criterion`.
+            criterion: ``"V"``, least mean variance of predicted positions; ``"D"``, largest determinant of the
+                information; ``"A"``, least variances of the parameters.
+
+        Returns:
+            The candidates with their derivatives along the basis, ``blocks``, shape (n, d, r), whitened by the noise,
+            and their `ranking`. The information of the priors and of the poses taken is that known before.
         """
         measured = sensitivity.measured(q)
         workspace = Workspace.of(sensitivity, pool.workspace)
@@ -237,9 +253,11 @@ class _Search:
 
     @property
     def fewest_poses(self) -> int:
-        """Number of poses needed besides those taken, so that there are as many scalars as identifiable parameters.
+        """Fewest poses, besides those taken, that measure as many scalars as parameters are identifiable; at least 1.
 
-        At least 1. By the rank of the workspace, and the scalars measured at one pose.
+        Uses ``workspace.rank``, the number of parameters or combinations that all of the workspace determines;
+        ``blocks``, shape (n, d, r), of which d is the number of scalars measured at a pose; and ``taken``, shape
+        (T, m), poses measured already.
         """
         scalars: int = self.blocks.shape[1]
         needed = -(-self.workspace.rank // scalars)
@@ -248,12 +266,15 @@ class _Search:
     def best(self, request: PlanRequest, restarts: int) -> Indices:
         """Choose the best candidates that are found, by the criterion of the basis.
 
+        Uses ``blocks``, whitened derivatives of the d scalars measured at each of n candidates along the r directions
+        of ``basis``, shape (n, d, r); and ``rank``, the `ranking` of the candidates, shape (n,).
+
         Args:
-            request: Gives the number of poses to fit, ``count``, and the ``seed`` of the random starts.
+            request: ``request.count``, the number of poses to fit, and ``request.seed`` of the random starts.
             restarts: Number of random starts, for up to 100 poses; of more, there is one start.
 
         Returns:
-            Shape (count,), indices of the candidates in ``q``, from 0.
+            Shape (count,), indices of the candidates in ``q``, from 0, all different.
         """
         if request.count > _MANY:
             restarts = 1
@@ -262,8 +283,15 @@ class _Search:
     def forecast(self, indices: Indices) -> Forecast:
         """Forecast a fit of measurements at the poses taken and at some candidates.
 
+        Uses ``taken``, poses measured already, shape (T, m), and the candidates ``q``, shape (n, m), [rad] or [m];
+        ``sensitivity``, the robot under the error model of the fit; and ``workspace``, the poses over which accuracy
+        counts.
+
         Args:
-            indices: Shape (K,), of candidates in ``q``, from 0; empty: the poses taken alone.
+            indices: Shape (K,), indices of candidates in ``q``, from 0; empty: the poses taken alone.
+
+        Returns:
+            Expected accuracy of a fit of all T + K poses.
         """
         q = np.concatenate([self.taken, self.q[indices]])
         return Forecast.of(self.sensitivity, self.workspace, q)
@@ -273,13 +301,17 @@ def _weight(criterion: str, sensitivity: Sensitivity, workspace: Workspace) -> A
     """Return the matrix T of a criterion tr(T C), with the covariance C of the p parameters.
 
     Args:
-        criterion: ``"A"``: the mean variance of the parameters, in their declared steps; ``"V"``: that of a predicted
-            position over the workspace; ``"D"``: the determinant, which has no such matrix.
-        sensitivity: Gives the units of the parameters.
-        workspace: Derivatives of positions by the parameters, over which ``"V"`` takes the mean of J^T J.
+        criterion: ``"A"``: tr(T C) is the sum of the variances of the parameters, each in squares of the step of its
+            unit, such as 1 mm or 1 mrad; ``"V"``: the mean variance of a predicted position over the workspace;
+            ``"D"``: the determinant, which has no such matrix.
+        sensitivity: ``sensitivity.units``, the units of the parameters.
+        workspace: ``workspace.located``, derivative J of the positions (x, y, z) of the k targets at n poses by the
+            parameters, shape (n, 3 k, p), [m per unit of the parameter].
 
     Returns:
-        Shape (p, p): W = 1 / step^2 on the diagonal for ``A``, B = mean J^T J for ``V``; None for ``D``.
+        Shape (p, p): 1 / step^2 on the diagonal for ``A``, [1/unit^2]; for ``V`` the mean of J^T J over the n k
+        positions, J of each of shape (3, p), [m^2 per product of units], so that all three coordinates add up; None for
+        ``D``.
     """
     if criterion == "D":
         return None
@@ -291,10 +323,12 @@ def _weight(criterion: str, sensitivity: Sensitivity, workspace: Workspace) -> A
 
 
 def _refuse_too_few(search: _Search, count: int) -> None:
-    """Raise the error that the model has more identifiable parameters than the poses give numbers.
+    """Raise the error that the model has more identifiable parameters than scalars are measured.
 
     Args:
-        search: The candidates, the model, and the poses taken.
+        search: ``taken``, the poses measured already, shape (T, m); ``blocks``, shape (n, d, r), of which d is the
+            number of scalars measured at a pose; and, for the message, the model's name, the number of identifiable
+            parameters and the fewest poses.
         count: Number of poses that were wanted besides those taken.
 
     Raises:
@@ -315,12 +349,14 @@ def _rungs(request: PlanRequest, fewest: int, candidates: int) -> list[int]:
     """Return the numbers of poses that are forecast, in rising order, that of the plan among them.
 
     Args:
-        request: Gives the number of poses of the plan, and whether others are forecast at all.
+        request: ``request.count``, the number of poses of the plan, and ``request.ladder``, whether others are
+            forecast.
         fewest: Least number that determines the parameters; smaller ones are left out.
         candidates: Number of poses to choose from; larger numbers are left out, and those above 300.
 
     Returns:
-        From half to three times the plan's number; nothing where ``request.ladder`` is False.
+        0.5, 0.67, 0.83, 1, 1.33, 1.67, 2 and 3 times the plan's number, rounded, each once; empty where
+        ``request.ladder`` is False.
     """
     if not request.ladder:
         return []
@@ -335,11 +371,16 @@ def _ladder(
     planned: Forecast,
     progress: Progress | None,
 ) -> tuple[tuple[int, Forecast], ...]:
-    """Forecast other numbers of poses than the plan's; each design starts from the one before it.
+    """Forecast other numbers of poses than the plan's, to show where more poses stop paying.
+
+    Each design is the one before it (the plan's aside) with more poses, exchanged again within the 2000 candidates that
+    `ranking` puts first.
 
     Args:
-        search: The candidates and the poses taken.
-        request: Gives the number of poses of the plan, and whether others are forecast at all.
+        search: The n candidates, with ``blocks``, their whitened derivatives along the r directions of ``basis``, shape
+            (n, d, r), and ``rank``, their `ranking`, shape (n,); and the poses taken.
+        request: ``request.count``, the number of poses of the plan, and ``request.ladder``, whether others are
+            forecast.
         planned: Forecast of the plan itself.
         progress: Called with the number of forecasts done and of all; None: nothing is called.
 

@@ -88,11 +88,16 @@ class _Scene(NamedTuple):
 
     @classmethod
     def of(cls, urdf: Urdf, solids: Iterable[Solid]) -> _Scene:
-        """Return the scene of a robot's solids, without pairs.
+        """Build the scene of a robot and solids fixed to its links, without pairs to compare.
 
         Args:
-            urdf: The URDF of the whole robot.
-            solids: Shapes, each with the link that it is fixed to and its pose there; the scene numbers them from 0.
+            urdf: The URDF of the whole robot, from which Pinocchio's model is made.
+            solids: The shapes: of each ``link``, the name of the URDF link that it is fixed to, ``T_link_shape``, its
+                pose in that link, shape (4, 4), [m], and ``geometry``, the shape of coal.
+
+        Returns:
+            Pinocchio's ``model`` of the whole robot, and its geometry model ``shapes``, numbered from 0 in the order of
+            ``solids``; no pairs and no ``margins``.
         """
         model = full_model(urdf)
         shapes = pin.GeometryModel()
@@ -109,9 +114,14 @@ class _Scene(NamedTuple):
     def comparing(self, pairs: Iterable[tuple[int, int]], margins: Sequence[float]) -> _Scene:
         """Return the scene with other pairs of shapes to compare; this one stays as it is.
 
+        The ``model`` of the robot is shared; ``shapes``, Pinocchio's geometry model with its list of pairs, is copied.
+
         Args:
-            pairs: Numbers of two shapes each, from 0.
-            margins: Least distance of each pair [m]: one that is closer counts as touching.
+            pairs: Numbers of the two shapes of each pair, from 0, in the order of ``shapes``.
+            margins: Least distance of each pair [m], as many as pairs: one that is closer counts as touching.
+
+        Returns:
+            The scene with these pairs in place of its own, in the order given.
         """
         shapes = self.shapes.copy()
         shapes.removeAllCollisionPairs()
@@ -120,7 +130,14 @@ class _Scene(NamedTuple):
         return _Scene(self.model, shapes, margins)
 
     def workspace(self) -> tuple[pin.Data, pin.GeometryData]:
-        """Return memory for Pinocchio's results of one caller: the robot's, and that of shapes with the margins set."""
+        """Return memory for Pinocchio's results, with the margin of each pair of shapes set in it.
+
+        Each caller needs its own. Uses ``model``, the whole robot; ``shapes``, the geometry model with the pairs to
+        compare; and ``margins``, the least distance of each pair [m], in the order of the pairs.
+
+        Returns:
+            Pinocchio's data of the robot, and its data of the shapes, whose collision requests have the margins set.
+        """
         geometry_data = self.shapes.createData()
         for request, margin in zip(geometry_data.collisionRequests, self.margins, strict=True):
             request.security_margin = margin
@@ -131,13 +148,17 @@ class _Scene(NamedTuple):
         return self.model.createData(), geometry_data
 
     def touches(self, configurations: Array) -> Iterator[bool]:
-        """Test at each configuration whether any pair is closer than its margin, one configuration at a time.
+        """Test at each configuration whether any pair of shapes is closer than its margin, one configuration at a time.
+
+        Uses ``model``, the whole robot; ``shapes``, the geometry model with the pairs to compare; and ``margins``, the
+        least distance of each pair [m].
 
         Args:
-            configurations: Pinocchio's, of the whole robot, shape (N, nq).
+            configurations: Pinocchio's configurations of the whole robot, shape (N, nq): [rad], of sliding joints [m],
+                of continuous ones cosine and sine.
 
         Yields:
-            True where a pair is; N values.
+            True where at least one pair is closer than its margin; N values.
         """
         data, geometry_data = self.workspace()
         for configuration in configurations:
@@ -147,13 +168,17 @@ class _Scene(NamedTuple):
             yield bool(is_touching)
 
     def touched(self, configurations: Array) -> Mask:
-        """Test which pairs are closer than their margins.
+        """Test which pairs of shapes are closer than their margins.
+
+        Uses ``model``, the whole robot; ``shapes``, the geometry model with the P pairs to compare; and ``margins``,
+        the least distance of each pair [m].
 
         Args:
-            configurations: Pinocchio's, of the whole robot, shape (N, nq).
+            configurations: Pinocchio's configurations of the whole robot, shape (N, nq): [rad], of sliding joints [m],
+                of continuous ones cosine and sine.
 
         Returns:
-            True where a pair is, shape (N, pairs).
+            True where a pair is closer than its margin, shape (N, P), pairs in the order of the scene.
         """
         data, geometry_data = self.workspace()
         touched = []
@@ -190,16 +215,25 @@ class CollisionModel:
     ) -> CollisionModel:
         """Read the geometry of a robot and find the pairs of shapes that have to be checked.
 
+        Left out are pairs of links that a joint connects or that never move against each other, and pairs that touch at
+        95 % or more of 256 poses spread over the joints' ranges, except those with a box.
+
         Args:
             robot: The robot; all links of its URDF are checked, also those beside the chain from base to tip.
-            boxes: Obstacles, each with the lengths of its edges and the pose of its centre in the robot's base [m].
-            targets: Positions of targets in the tip by name, shape (3,), [m]: a rod from the tip to each stands for
-                the target and what holds it; None: none.
-            check: Clearance, radius of the rods, folders of meshes, and whether nothing may come below the mounting
-                plane; None: the defaults of `CollisionCheck`.
+            boxes: Obstacles: of each ``name``, ``size``, the lengths of its edges along its own axes, shape (3,), [m],
+                and ``T_base_box``, the pose of its centre in the robot's base, shape (4, 4), [m].
+            targets: Positions of targets in the tip by name, shape (3,), [m]: a rod from the tip's origin to each
+                stands for the target and what holds it; None: none.
+            check: ``clearance``, the least distance of all pairs [m]; ``floor``, whether nothing may come below the
+                mounting plane; ``holder_radius``, the radius of the rods [m]; ``package_dirs``, folders of
+                ``package://`` meshes. None: the defaults of `CollisionCheck`.
+
+        Returns:
+            The model, with the names of the pairs that are checked, those that touch most often first, and notes on
+            what is checked and what is not.
 
         Raises:
-            UrdfError: See `calib.design.solids.read_solids`.
+            UrdfError: Pinocchio cannot read the URDF, a mesh is missing or cannot be read, or no link has a shape.
         """
         check = check or CollisionCheck()
         links, unchecked = read_solids(robot.urdf, check.package_dirs)
@@ -227,6 +261,9 @@ class CollisionModel:
     def free(self, q: ArrayLike) -> Mask:
         """Test at which poses the robot keeps clear: no pair of shapes is closer than its least distance.
 
+        The pairs of ``_scene`` are compared: links, targets with their holders, boxes and the mounting plane, each with
+        its least distance [m].
+
         Args:
             q: Joint values of N poses, shape (N, m), or (m,) of one, [rad] or for sliding joints [m], columns as
                 ``robot.joint_names``.
@@ -238,10 +275,11 @@ class CollisionModel:
         return ~np.fromiter(touches, dtype=np.bool_)
 
     def path_free(self, q_from: ArrayLike, q_to: ArrayLike) -> bool:
-        """Test whether the straight way in joint space between two poses is free, both ends among it.
+        """Test whether the straight move in joint space between two poses is free, both ends included.
 
-        It is checked at equal steps, in which no joint turns more than 2 deg or slides more than 5 mm; the middle
-        first, then the quarters.
+        The pairs of shapes in ``_scene`` are tested, as by `free`, at equal steps in which no joint of ``robot`` turns
+        more than 2 deg or slides more than 5 mm. Coarse divisions of the move come before finer ones, so that a
+        collision is soon met.
 
         Args:
             q_from: Joint values of the pose to leave, shape (m,), [rad] or for sliding joints [m], in the order of
@@ -249,7 +287,7 @@ class CollisionModel:
             q_to: Joint values of the pose to reach, shape (m,), likewise.
 
         Returns:
-            True where the robot keeps clear at all steps.
+            True where no pair of shapes is closer than its least distance at any step.
         """
         ends = np.array([q_from, q_to], dtype=np.float64)
         sliding = {joint.name for joint in self.robot.urdf.joints if joint.type == "prismatic"}
@@ -265,20 +303,20 @@ class CollisionModel:
         return not any(self._scene.touches(way))
 
     def beam_free(self, T_tip_target: Array, tracker: Array, q: Array) -> Mask:
-        """Test whether no link and no box is in the beam from a tracker to the target.
+        """Test at which poses no link and no box is in the beam from a tracker to the target.
 
-        The beam is a rod, 10 mm thick, that ends 30 mm in front of the target. Targets and the mounting plane, which
-        are assumed and not known, do not count.
+        The beam is a rod from the tracker, 10 mm thick, that ends 30 mm in front of the target. Targets and the
+        mounting plane, which are assumed and not known, do not block it. Uses ``robot``, and by `_beams_free` the pairs
+        of shapes in ``_beams``.
 
         Args:
             T_tip_target: Pose of the target in the tip, shape (4, 4), [m]; its orientation does not matter.
             tracker: Position of the tracker in the robot's base, shape (3,), [m].
-            q: Joint values of N poses, shape (N, m), [rad] or for sliding joints [m], columns as
-                ``robot.joint_names``.
+            q: Joint values of N poses, shape (N, m), [rad] or for sliding joints [m], columns as ``robot.joint_names``.
 
         Returns:
-            True where the line of sight is free, shape (N,); also where the tracker is so near to the target that there
-            is no beam.
+            True where the line of sight is free, shape (N,); also where the tracker is 40 mm or less from the target,
+            so that there is no beam.
         """
         points = (self.robot.poses(q) @ T_tip_target)[:, :3, 3]
         distance = np.linalg.norm(tracker - points, axis=1)
@@ -290,17 +328,20 @@ class CollisionModel:
         return self._beams_free(q, T_base_beam, half_length, has_beam)
 
     def _beams_free(self, q: Array, T_base_beam: Array, half_length: Array, has_beam: Mask) -> Mask:
-        """Test at which poses no link and no box touches the beam.
+        """Test at which poses no link and no box touches the beam, a capsule 10 mm thick.
+
+        Uses ``_beams``: a scene in which the last shape is the beam, paired with each link and box at no clearance; its
+        length and pose are set anew for each pose. ``robot.base`` is the link in which the beam is placed.
 
         Args:
-            q: Joint values of N poses, shape (N, m), [rad] or for sliding joints [m].
+            q: Joint values of N poses, shape (N, m), [rad] or for sliding joints [m], columns as ``robot.joint_names``.
             T_base_beam: Pose of the middle of the beam at each pose in the robot's base, z along the beam, shape
                 (N, 4, 4), [m].
-            half_length: Half the length of each beam, shape (N,), [m].
-            has_beam: At which poses there is a beam, shape (N,); the others are free.
+            half_length: Half the length of each beam without its round ends, shape (N,), [m].
+            has_beam: At which poses there is a beam, shape (N,); the others are not tested.
 
         Returns:
-            True where nothing is in the beam, shape (N,).
+            True where nothing is in the beam, or there is no beam, shape (N,).
         """
         scene = self._beams
         data, geometry_data = scene.workspace()
@@ -320,34 +361,44 @@ class CollisionModel:
         return is_free
 
     def _configurations(self, q: ArrayLike) -> Array:
-        """Return Pinocchio's configurations of the whole robot, which all joints of the URDF are in.
+        """Return Pinocchio's configurations of the whole robot, with the joints beside the chain too.
+
+        Uses ``robot``, which gives the values of mimic and held joints (all others are at 0), and the Pinocchio model
+        in ``_scene``.
 
         Args:
             q: Joint values of N poses, shape (N, m), or (m,) of one, [rad] or for sliding joints [m], columns as
                 ``robot.joint_names``.
 
         Returns:
-            Shape (N, nq); a continuous joint has two entries, cosine and sine.
+            Shape (N, nq), [rad] or [m]; a continuous joint has two entries, cosine and sine.
         """
         return full_configurations(self._scene.model, self.robot.urdf_values(q))
 
 
 def _beam_solid(base: str) -> Solid:
-    """Return the shape of a tracker's beam, a rod of 1 m; its length and pose are set for each test.
+    """Return the shape of a tracker's beam, a capsule 10 mm thick; its length and pose are set for each test.
 
     Args:
-        base: Name of the robot's base link.
+        base: Name of the robot's base link, to which it is fixed.
+
+    Returns:
+        A solid of the kind ``"box"``, 1 m long, at the origin of the base.
     """
     rod = hppfcl.Capsule(0.5 * BEAM, 1.0)
     return Solid("the beam", "box", base, np.eye(4), rod)
 
 
 def _beam_scene(scene: _Scene, solids: Sequence[Solid]) -> _Scene:
-    """Return the scene with the pairs of the beam and each link or box, at no clearance.
+    """Return a scene that compares a tracker's beam with each link and box, at no clearance.
 
     Args:
-        scene: The shapes of the solids, and behind them that of the beam.
-        solids: The solids without the beam, in the order of the scene's shapes.
+        scene: The shapes of the solids in their order, and the shape of the beam as the last one.
+        solids: The solids without the beam: ``kind`` is ``"link"``, ``"target"``, ``"box"`` or ``"plane"``. Targets and
+            the plane do not block a beam.
+
+    Returns:
+        The scene with pairs of a link's or box's shape and the beam, each with a least distance of 0.
     """
     beam = len(solids)
     others = [k for k, solid in enumerate(solids) if solid.kind in ("link", "box")]
@@ -399,14 +450,17 @@ class _Samples(NamedTuple):
     configurations: Array
 
     def touched(self, pairs: Sequence[tuple[int, int]], margin: float) -> Mask:
-        """Test which pairs of shapes are closer than a margin.
+        """Test which pairs of shapes are closer than a margin at the sampled configurations.
+
+        Uses ``scene``, the shapes on the robot, and ``configurations``, N configurations of Pinocchio's spread over the
+        joints' ranges, shape (N, nq).
 
         Args:
-            pairs: Numbers of two shapes each, from 0.
-            margin: Least distance of all of them [m].
+            pairs: Numbers of the two shapes of each of the P pairs, from 0, in the order of the scene.
+            margin: Least distance of all of them [m]; 0: only shapes that touch.
 
         Returns:
-            True where a pair is closer, shape (N, pairs).
+            True where a pair is closer, shape (N, P).
         """
         margins = [margin] * len(pairs)
         return self.scene.comparing(pairs, margins).touched(self.configurations)
@@ -420,12 +474,21 @@ def _choose_pairs(
 ) -> _ChosenPairs:
     """Choose the pairs of shapes that can tell poses apart, those that touch most often first.
 
+    Each pair of owners is judged by `_check_of_owners` at the sampled configurations.
+
     Args:
-        candidates: Pairs of shapes, by the names of their two owners: links, targets, boxes or the mounting plane.
-            Numbers are indices of ``solids``.
-        solids: The shapes.
-        samples: The scene of the same shapes, and configurations spread over the joints' ranges.
+        candidates: Pairs of shapes to judge, by the names of their two owners: links, targets, boxes or the mounting
+            plane. Each shape is an index in ``solids``, from 0; a box or the plane comes second.
+        solids: The shapes: ``owner`` is the name of the link, target, box or plane that each belongs to, ``kind`` which
+            of these it is.
+        samples: The scene of the same shapes, and Pinocchio's configurations of the robot, spread over the joints'
+            ranges, at which they are tested.
         clearance: Least distance of all that is checked [m].
+
+    Returns:
+        The pairs that are checked, as indices in ``solids``, with their least distances ``margins`` [m] and the
+        ``names`` of their owners, each two names once; and, as texts ``"a and b"``, the owners that are
+        ``always_close`` (checked for touching only) or ``always_touching`` (not checked).
     """
     kept: list[_Pair] = []
     remarks: dict[str, list[str]] = {"always_close": [], "always_touching": []}
@@ -458,17 +521,21 @@ def _check_of_owners(
 ) -> _OwnersCheck:
     """Choose how the pairs of shapes of two owners are checked, by how often they touch over the joints' ranges.
 
-    Owners that touch at nearly all sampled configurations are not checked, unless the second is a box, which stands
-    where it must not be touched. Those that are only closer than the clearance at nearly all are checked for touching.
+    Owners that touch at 95 % or more of the sampled configurations are not checked, unless the second is a box, which
+    stands where it must not be touched. Those that do not, but are closer than the clearance at 95 % or more, are
+    checked for touching alone, with a least distance of 0.
 
     Args:
-        samples: The shapes, and configurations spread over the joints' ranges.
-        pairs: Numbers of two shapes each, from 0, of the same two owners.
+        samples: The scene of the shapes, and the configurations of the robot at which they are tested.
+        pairs: Numbers of the two shapes of each pair, from 0 in the scene; all pairs are of the same two owners (links,
+            targets, boxes or the mounting plane).
         clearance: Least distance [m].
         is_box: Whether the second owner is a box of the cell.
 
     Returns:
-        The pairs with their least distances, and how often each is closer than that.
+        ``kept``: the pairs to check, each with its least distance [m] and the number of sampled configurations at which
+        it is closer; empty where they are not checked. ``remark``: ``"always_touching"`` where they are not checked,
+        ``"always_close"`` where they are not checked for the clearance, else None.
     """
     touched = samples.touched(pairs, 0.0)
     always_touches = _is_always(touched)
@@ -481,7 +548,7 @@ def _check_of_owners(
 
 
 def _is_always(touched: Mask) -> bool:
-    """Test whether some pair touches at nearly all configurations, 95 % of them or more.
+    """Test whether at 95 % or more of the configurations at least one of the pairs touches, not always the same one.
 
     Args:
         touched: Which pairs touch at each configuration, shape (N, pairs).
@@ -493,24 +560,28 @@ def _counted(pairs: Sequence[tuple[int, int]], margin: float, touched: Mask) -> 
     """Return pairs of shapes with their least distance, and the number of configurations at which they are closer.
 
     Args:
-        pairs: Numbers of two shapes each, from 0.
+        pairs: Numbers of the two shapes of each pair, from 0.
         margin: Least distance of all of them [m].
-        touched: Which pairs are closer at each sampled configuration, shape (N, pairs).
+        touched: Which pairs are closer than the margin at each of N sampled configurations, shape (N, pairs).
+
+    Returns:
+        For each pair its two numbers, the margin [m], and the number of configurations, 0 to N; in the order given.
     """
     times = touched.sum(axis=0).tolist()
     return [_Pair(shapes, margin, count) for shapes, count in zip(pairs, times, strict=True)]
 
 
 def _rigid_links(urdf: Urdf, values: Mapping[str, Array]) -> dict[str, str]:
-    """Find the links that never move against each other: those behind fixed joints, and joints that are held.
+    """Find the links that never move against each other: those behind fixed joints, and behind joints that do not move.
 
     Args:
         urdf: The URDF of the whole robot.
         values: Joint values by name, shape (N,) each, [rad] or for sliding joints [m], at samples spread over the
-            ranges; a joint whose values are all the same, or that is not named, does not move.
+            ranges; a joint whose values are all the same, as of one that is held, or that is not named, does not move.
 
     Returns:
-        For the name of each link that of the topmost link of those that never move against it.
+        For the name of each link the name of the topmost link, nearest to the URDF's root, of those that never move
+        against it.
     """
     moving = {name for name, value in values.items() if np.ptp(value) > 0.0}
     still = [joint for joint in urdf.joints if joint.name not in moving]
@@ -520,15 +591,20 @@ def _rigid_links(urdf: Urdf, values: Mapping[str, Array]) -> dict[str, str]:
 def _pairs_by_owners(
     urdf: Urdf, solids: Sequence[Solid], rigid: Mapping[str, str]
 ) -> dict[tuple[str, str], list[tuple[int, int]]]:
-    """Return the pairs of shapes whose links move against each other and are not connected by a joint.
+    """Return the pairs of shapes whose links move against each other and are not connected by one moving joint.
+
+    Links that a moving joint connects are left out, with all that is welded to them by fixed joints: they always touch
+    near the joint. Boxes and the mounting plane are not compared with each other.
 
     Args:
         urdf: The URDF of the whole robot.
-        solids: The shapes; boxes and plane come behind links and targets.
-        rigid: For the name of each link that of the topmost link of those that never move against it.
+        solids: The shapes: ``owner`` is the name of the link, target, box or plane that each belongs to, ``kind`` which
+            of these it is, ``link`` the name of the link that it is fixed to. Boxes and plane come last.
+        rigid: For the name of each link the name of the topmost link of those that never move against it.
 
     Returns:
-        Indices in ``solids`` of the two shapes of each pair, by the names of their two owners.
+        Indices in ``solids`` of the two shapes of each pair, from 0, the first one smaller, by the names of their two
+        owners.
     """
     fixed = [joint for joint in urdf.joints if joint.type == "fixed"]
     welded = clusters(urdf, fixed)
@@ -556,13 +632,16 @@ def _notes(
     """Return remarks on what is checked for collisions, and what is not.
 
     Args:
-        solids: The shapes, of which boxes and the mounting plane are named.
-        check: Gives the radius of the rods that stand for targets and their holders.
-        unchecked: Names of the links that have no shape that can be used, or not all of theirs.
-        chosen: The pairs that are checked, and the owners that always touch or are always close.
+        solids: The shapes, of which boxes and the mounting plane (by ``kind``) are named by their ``owner``.
+        check: ``check.holder_radius``, radius of the rods that stand for targets and their holders [m].
+        unchecked: Names of the links that carry a mass and have no shape, or whose shapes cannot all be used.
+        chosen: ``chosen.always_close`` and ``chosen.always_touching``, texts ``"a and b"``: the owners of shapes that
+            are checked for touching only, and that are not checked.
 
     Returns:
-        ``collisions_checked`` first; others only where there is something to name.
+        Notes, each a code with values. First ``collisions_checked``: the radius [m], then the names of boxes and plane;
+        then, each only where it has something to name, ``no_geometry`` (links), ``always_close`` and
+        ``always_touching`` (texts of pairs).
     """
     around = [solid.owner for solid in solids if solid.kind in ("box", "plane")]
     notes = [Note("collisions_checked", (check.holder_radius, *around))]

@@ -54,9 +54,14 @@ class Workspace(NamedTuple):
         """Differentiate what is measured, and the positions of the targets, at the poses over which accuracy counts.
 
         Args:
-            sensitivity: The nominal robot in its cell under the error model of the fit.
-            q: Joint values of n poses, shape (n, m), [rad] or for sliding joints [m], columns as
-                ``robot.joint_names``.
+            sensitivity: The nominal robot in its cell, with k targets, under the error model of the fit with p
+                parameters.
+            q: Joint values of n poses, shape (n, m), [rad] or for sliding joints [m], columns as ``robot.joint_names``.
+
+        Returns:
+            Derivatives by the parameters: ``measured``, of the d scalars measured at a pose, shape (n, d, p), in
+            standard deviations of the noise per unit; ``located``, of the positions of the targets, shape (n, 3 k, p),
+            [m per unit]. And ``rank``, the number of parameters or combinations that all these poses determine.
         """
         measured = sensitivity.measured(q)
         located = sensitivity.located(q)
@@ -108,11 +113,20 @@ class Forecast:
     def of(cls, sensitivity: Sensitivity, workspace: Workspace, q: Array) -> Forecast:
         """Forecast the accuracy of a fit of measurements at poses.
 
+        The parameters' covariance after the fit, by measurements and priors, is propagated to the workspace.
+
         Args:
-            sensitivity: The nominal robot in its cell under the error model of the fit.
-            workspace: The poses over which accuracy counts, differentiated by the parameters.
+            sensitivity: The nominal robot in its cell under the error model of the fit with p parameters;
+                ``precision``, shape (p,), is 1 / tau^2 of their priors.
+            workspace: The poses over which accuracy counts, with the derivatives there, by the parameters, of what is
+                measured and of the targets' positions.
             q: Joint values of the N poses to measure, shape (N, m), [rad] or for sliding joints [m], columns as
                 ``robot.joint_names``.
+
+        Returns:
+            Expected standard deviations of the parameters, in their units, and which of them the N poses determine; rms
+            with its range of 90 %, and largest standard deviation, of predicted positions (x, y, z together) over the
+            workspace [m]; the noise [m]; ranks and observability indices.
         """
         measured = sensitivity.measured(q)
         root = covariance_root(measured, sensitivity.precision)
@@ -142,11 +156,13 @@ class Forecast:
 def _range_of_rms(squares: Array) -> tuple[float, float]:
     """Compute between which rms position errors over the workspace 90 % of calibrations lie.
 
-    The squared rms is x^T S x with x ~ N(0, I): a sum of chi-squares weighted by the eigenvalues of S.
+    The squared rms is x^T S x with x ~ N(0, I): a sum of chi-squares of one degree of freedom, weighted by the
+    eigenvalues of S. Its quantiles are those of 20,000 draws, always the same ones.
 
     Args:
-        squares: S = root^T B root, shape (p, p) [m^2], with a root of the parameters' covariance C = root root^T, and
-            the mean B of J^T J over the positions.
+        squares: S = root^T B root, shape (p, p) [m^2], with a root of the covariance of the p parameters, C = root
+            root^T, and the mean B of J^T J over the positions, with the derivative J, shape (3, p), of one of them by
+            the parameters.
 
     Returns:
         The quantiles 0.05 and 0.95 of the rms error [m].
@@ -169,8 +185,8 @@ def forecast(robot: Robot, cell: Cell, joints: ArrayLike) -> Forecast:
             ``robot.joint_names``.
 
     Returns:
-        The expected standard deviations of the parameters and errors of predicted positions, over 4096 poses that are
-        spread over the joint ranges.
+        The expected standard deviations of the parameters, in their units, and of predicted positions [m], over 4096
+        poses that are spread over the joint ranges.
 
     Raises:
         ModelError: A kind of measurement, or a parameter, that cannot be planned for.
@@ -184,7 +200,8 @@ def forecast(robot: Robot, cell: Cell, joints: ArrayLike) -> Forecast:
 def forecast_of_table(robot: Robot, cell: Cell, measurements: Measurements) -> Forecast | None:
     """Forecast a fit of a table's estimation rows, by their poses alone.
 
-    The measured values serve to register the target, and for distances the anchor: these are where they then are.
+    The measured values serve to register the target, and for distances the anchor: these are then taken to be where the
+    table puts them.
 
     Args:
         robot: The nominal robot.
@@ -192,7 +209,12 @@ def forecast_of_table(robot: Robot, cell: Cell, measurements: Measurements) -> F
         measurements: The table: joint values and what was measured there; rows of the set ``validate`` do not count.
 
     Returns:
-        The forecast; None where rows are of several kinds, targets or stations, or of a kind whose poses are not free.
+        The forecast, over 4096 poses that are spread over the joint ranges; None where rows are of several kinds,
+        targets or stations, or of a kind whose poses cannot be chosen freely, such as a ball in a socket.
+
+    Raises:
+        ModelError: A parameter that cannot be planned for.
+        MeasurementError: Too few rows for the registration.
     """
     fitted = measurements.select(measurements.estimation)
     sorts = set(zip(fitted.kinds, fitted.targets, fitted.groups, strict=True))
@@ -242,18 +264,21 @@ def _spreads(workspace: Workspace, root: Array) -> tuple[Array, Array, Array]:
     """Propagate the covariance C = root root^T of p parameters to a workspace of n poses with k targets.
 
     Args:
-        workspace: Derivatives by the parameters at the n poses: ``measured``, of what is measured, whitened; and
-            ``located``, of the positions of the targets, [m per unit].
+        workspace: Derivatives by the parameters at the n poses: ``measured``, of the d scalars measured at a pose,
+            shape (n, d, p), in standard deviations of the noise per unit; and ``located``, of the positions of the
+            targets, shape (n, 3 k, p), [m per unit].
         root: A root of the covariance, shape (p, p), rows in the parameters' units.
 
     Returns:
-        The variance of each target's position, shape (n k,) [m^2]; of what is measured at each pose, shape (n,), in
-        variances of the noise; and root^T B root, shape (p, p) [m^2], with the mean B of J^T J over the positions.
+        The variance of each target's position, x, y, z added up, shape (n k,) [m^2], the k targets at the first pose
+        first; the variance of what is predicted for the d scalars at each pose, added up, shape (n,), in variances of
+        the noise; and root^T B root, shape (p, p) [m^2], with the mean B of J^T J over the n k positions, J of each of
+        shape (3, p).
     """
     p = len(root)
 
     def work(block: slice) -> tuple[Array, Array, Array]:
-        """Return the same of a part of the poses, the last one as a sum."""
+        """Return these three for a slice of the poses, the last one as a sum over its positions, not a mean."""
         moves = workspace.located[block].reshape(-1, p) @ root
         by_target = moves.reshape(-1, 3 * p)
         measured = workspace.measured[block]
@@ -273,10 +298,12 @@ def information(A: Array) -> Array:
     """Compute the information matrix sum_i A_i^T A_i of measurements at n poses.
 
     Args:
-        A: Derivative of the d scalars at each pose by p parameters, whitened by the noise, shape (n, d, p); n may be 0.
+        A: Derivative of the d scalars at each pose by p parameters (or coordinates along p directions of these), in
+            standard deviations of the noise per unit, shape (n, d, p); n may be 0. A derivative in other units gives
+            the same sum.
 
     Returns:
-        Shape (p, p), symmetric.
+        Shape (p, p), symmetric, per product of two parameters' units.
     """
     flat = A.reshape(-1, A.shape[2])
     return np.asarray(flat.T @ flat)
@@ -284,7 +311,7 @@ def information(A: Array) -> Array:
 
 @lru_cache(maxsize=4)
 def _chi_squares(count: int) -> Array:
-    """Return draws of independent chi-squares of one degree of freedom, always the same ones.
+    """Return random draws of independent chi-squares of one degree of freedom, always the same ones.
 
     They are kept: drawing them takes longer than a forecast.
 
@@ -292,6 +319,6 @@ def _chi_squares(count: int) -> Array:
         count: Number of chi-squares of each draw.
 
     Returns:
-        Shape (20000, count).
+        Shape (20000, count), [-], one draw a row.
     """
     return np.random.default_rng(20170401).chisquare(1, size=(20_000, count))

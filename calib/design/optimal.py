@@ -6,7 +6,7 @@ give the information matrix, and its inverse is the covariance of the parameters
     M = K + sum_(i in S) A_i^T A_i,    C = M^-1
 
 - ``D``: largest log det M, the smallest confidence ellipsoid of all parameters together;
-- ``A``: smallest tr(W C), W = 1 / step^2 of each parameter: their mean variance;
+- ``A``: smallest tr(W C), W = 1 / step^2 of each parameter: the sum of their variances, in squares of their steps;
 - ``V``: smallest tr(B C), B the mean of J^T J over the poses that matter: the mean variance of a predicted position.
 
 With C of the design without one pose, G = A_x C A_x^T and E = A_x C W C A_x^T, adding x multiplies det M by det(I + G)
@@ -65,12 +65,21 @@ class Basis(NamedTuple):
     def of(cls, mean_information: Array, known: Array, weight: Array | None) -> Basis:
         """Find the directions of the p parameters that a pool of candidates can tell apart.
 
+        In these coordinates the information of a mean candidate is the identity, however different the parameters'
+        units.
+
         Args:
-            mean_information: Mean of A^T A over the candidates, shape (p, p), with the whitened derivative A of what is
-                measured at one pose by the parameters.
-            known: Information of priors and of poses measured already, shape (p, p).
-            weight: T of a criterion tr(T C) with the covariance C, shape (p, p): W of ``A`` or B of ``V``; None for
-                ``D``, which maximises the determinant of the information.
+            mean_information: Mean of A^T A over the candidates, shape (p, p), with the derivative A, shape (d, p), of
+                the d scalars measured at one pose by the parameters, in standard deviations of the noise per unit of
+                the parameter.
+            known: Information of priors and of poses measured already, shape (p, p), in the same units.
+            weight: T of a criterion tr(T C) with the covariance C of the parameters, shape (p, p): W of ``A`` or B of
+                ``V``; None for ``D``, which maximises the determinant of the information.
+
+        Returns:
+            ``directions``, shape (p, r): columns are changes of the parameters, in their units, in which those that no
+            candidate observes follow as ``known`` ties them. ``known`` along these, shape (r, r), plus 1e-6 I, so that
+            it can be inverted. ``target``, T along these, shape (r, r), or None for ``D``.
         """
         observable, unobservable = _directions(mean_information)
         # What is known ties directions that the pool does not see to those that it sees: they follow.
@@ -87,12 +96,14 @@ def _directions(mean_information: Array) -> tuple[Array, Array]:
     """Split the space of p parameters into directions that a mean candidate observes, and those that it does not.
 
     Args:
-        mean_information: Mean of A^T A over the candidates, shape (p, p), with the whitened derivative A of what is
-            measured at one pose by the parameters.
+        mean_information: Mean of A^T A over the candidates, shape (p, p), with the derivative A, shape (d, p), of the d
+            scalars measured at one pose by the parameters, in standard deviations of the noise per unit of the
+            parameter.
 
     Returns:
-        Columns in the parameters' units: r directions in which the information is the identity, shape (p, r); and those
-        with less than 1e-10 of the strongest one's information, shape (p, p - r).
+        Changes of the parameters, in their units, as columns: r directions in which the mean information is the
+        identity, shape (p, r); and those with 1e-10 or less of the strongest one's information, each parameter scaled
+        by its own, shape (p, p - r).
     """
     effect = np.sqrt(np.diag(mean_information))
     # What moves nothing but for rounding is not scaled up: a target on an axis does not tell that joint's angle.
@@ -115,19 +126,21 @@ def choose(
 ) -> Indices:
     """Choose the best design of different candidates that is found, by the criterion of a basis.
 
-    Exchanges on a short list from several random starts; the best of these is then exchanged with all candidates.
+    Poses are exchanged within a short list, the 5000 candidates that `ranking` puts first, from several random starts;
+    the best of these designs is then improved by exchanges with all candidates.
 
     Args:
         blocks: Whitened derivatives of the d scalars measured at each of n candidates, along the r directions of the
-            basis, shape (n, d, r).
-        basis: The directions, the information that is known before, and the criterion.
-        count: Number of poses of the design.
+            basis, shape (n, d, r), [-].
+        basis: The r directions, with ``known``, the information before the first pose, shape (r, r), and ``target``,
+            the matrix T of the criterion tr(T C) with the covariance C, shape (r, r), or None for the determinant.
+        count: Number of poses of the design, at most n.
         seed: Seed of the random starts.
-        restarts: Number of random starts.
+        restarts: Number of random starts, 1 or more.
         rank: The `ranking` of the candidates, shape (n,), larger for those that matter more; None: it is computed.
 
     Returns:
-        Indices of the chosen candidates, from 0, all different, shape (count,).
+        Indices of the chosen candidates, from 0, all different, shape (count,), in no particular order.
     """
     rng = np.random.default_rng(seed)
     if rank is None:
@@ -152,14 +165,16 @@ def exchange(blocks: Array, basis: Basis, start: Indices, count: int = 0) -> tup
 
     Args:
         blocks: Whitened derivatives of the d scalars measured at each of n candidates, along the r directions of the
-            basis, shape (n, d, r).
-        basis: The directions, the information that is known before, and the criterion.
-        start: The design to begin with: indices of candidates, from 0, shape (N,).
-        count: Number of poses of the design: the best ones are added before, one by one, where ``start`` has fewer; a
+            basis, shape (n, d, r), [-].
+        basis: The r directions, with ``known``, the information before the first pose, shape (r, r), and ``target``,
+            the matrix T of the criterion tr(T C) with the covariance C, shape (r, r), or None for the determinant.
+        start: The design to begin with: indices of candidates, from 0, all different, shape (N,); N may be 0.
+        count: Number of poses of the design: where ``start`` has fewer, the best ones are first added one by one; a
             longer start keeps its number.
 
     Returns:
-        The design, indices of candidates from 0; and its cost, less for a better one: -log det M, or tr(W C), tr(B C).
+        The design, indices of different candidates from 0, shape (max(N, count),); and its cost, less for a better one:
+        -log det M with the information matrix M = C^-1 along the directions, or tr(T C).
     """
     design = start.tolist()
     while len(design) < count:
@@ -186,12 +201,16 @@ def exchange(blocks: Array, basis: Basis, start: Indices, count: int = 0) -> tup
 def _best_addition(blocks: Array, basis: Basis, design: list[int], *likely: int) -> int:
     """Find the candidate that improves a design most, by the criterion of the basis.
 
+    `_gains` are computed only of candidates whose upper bound `_most` is not below the gain of a good one.
+
     Args:
         blocks: Whitened derivatives of the d scalars measured at each of n candidates, along the r directions of the
-            basis, shape (n, d, r).
-        basis: The directions, the information that is known before, and the criterion.
+            basis, shape (n, d, r), [-].
+        basis: The r directions, with ``known``, the information before the first pose, shape (r, r), and ``target``,
+            the matrix T of the criterion tr(T C) with the covariance C, shape (r, r), or None for the determinant.
         design: Indices of candidates, from 0, that are chosen already and not added again; it may be empty.
-        likely: Indices of candidates that may well be the best: a first guess, which saves time and changes nothing.
+        likely: Indices of candidates, not in ``design``, that may well be the best: a first guess, which saves time and
+            changes nothing.
 
     Returns:
         Index of the candidate, from 0.
@@ -210,17 +229,19 @@ def _best_addition(blocks: Array, basis: Basis, design: list[int], *likely: int)
 def ranking(blocks: Array, basis: Basis) -> Array:
     """Compute how much an optimal design with as many poses as it likes would rely on each candidate.
 
-    The multiplicative algorithm (S. Silvey, D. Titterington, B. Torsney, 1978) moves the weights of candidates
-    towards the optimal ones, w_i <- w_i s_i / mean(s); there, the sensitivity s is largest on the support. 25 steps.
+    The multiplicative algorithm (S. Silvey, D. Titterington, B. Torsney, 1978) moves the weights w of candidates, which
+    add up to 1, towards the optimal ones, 25 times: w_i <- w_i (s_i / sum_j w_j s_j)^a, a = 1 for the determinant, else
+    1/2. At the optimum the sensitivity s is largest on the support of w. What is known before does not count.
 
     Args:
-        blocks: Whitened derivatives of the d scalars measured at each of n candidates, along the r directions of the
-            basis, shape (n, d, r).
-        basis: The directions, and the criterion.
+        blocks: Whitened derivatives A of the d scalars measured at each of n candidates, along the r directions of the
+            basis, shape (n, d, r), [-].
+        basis: ``basis.target``, the matrix T of the criterion tr(T C) with the covariance C, shape (r, r), or None for
+            the determinant.
 
     Returns:
-        The sensitivity s of each candidate, shape (n,): tr(A C A^T), or tr(A C T C A^T) with the matrix T of the
-        criterion; the larger, the more the design relies on a candidate.
+        The sensitivity s of each candidate, shape (n,): tr(A C A^T), or tr(A C T C A^T), with C the inverse of the
+        weighted mean of A^T A; the larger, the more the design relies on a candidate.
     """
     n, rows, r = blocks.shape
     flat = blocks.reshape(-1, r)
@@ -255,16 +276,16 @@ def short_list(rank: Array, count: int) -> Indices:
 
 
 def _most(blocks: Array, C: NDArray[np.floating[Any]], target: Array | None) -> Array:
-    """Bound what adding each candidate gains, at a fifth of the price of `_gains`.
+    """Bound from above what adding each candidate gains, at a fifth of the price of `_gains`.
 
         det(I + G) <= (1 + tr G / d)^d,    tr((I + G)^-1 E) <= tr E
 
     with G = A C A^T and E = A C T C A^T of a candidate's derivative A.
 
     Args:
-        blocks: Derivatives A of the d scalars measured at each of n candidates, whitened, along the r directions of a
-            `Basis`, shape (n, d, r).
-        C: Covariance of the design without them, along the directions, shape (r, r).
+        blocks: Whitened derivatives A of the d scalars measured at each of n candidates, along the r directions of a
+            `Basis`, shape (n, d, r), [-].
+        C: Covariance of the r coordinates by the design without them, shape (r, r).
         target: T of the criterion tr(T C), W or B along the directions, shape (r, r); None for ``D``, the determinant.
 
     Returns:
@@ -274,7 +295,7 @@ def _most(blocks: Array, C: NDArray[np.floating[Any]], target: Array | None) -> 
     K = C if target is None else C @ target @ C
 
     def work(block: slice) -> Array:
-        """Return the trace of A K A^T of each candidate of a part of them, shape (part,)."""
+        """Return the trace of A K A^T of each candidate of a slice of them, shape (part,), with K = C or C T C."""
         A = blocks[block].reshape(-1, r)
         AK = (A @ K).reshape(-1, d * r)
         return np.asarray(np.einsum("nk,nk->n", AK, A.reshape(-1, d * r)))
@@ -288,13 +309,13 @@ def _most(blocks: Array, C: NDArray[np.floating[Any]], target: Array | None) -> 
 def _gains(blocks: Array, C: NDArray[np.floating[Any]], target: Array | None) -> Array:
     """Compute what adding each candidate to a design gains.
 
-    With G = A C A^T and E = A C T C A^T of a candidate's derivative A, det M is multiplied by det(I + G), and tr(T C)
-    falls by tr((I + G)^-1 E).
+    With G = A C A^T and E = A C T C A^T of a candidate's derivative A, the determinant of the information C^-1 is
+    multiplied by det(I + G), and tr(T C) falls by tr((I + G)^-1 E).
 
     Args:
-        blocks: Derivatives A of the d scalars measured at each of n candidates, whitened, along the r directions of a
-            `Basis`, shape (n, d, r).
-        C: Covariance of the design without them, along the directions, shape (r, r).
+        blocks: Whitened derivatives A of the d scalars measured at each of n candidates, along the r directions of a
+            `Basis`, shape (n, d, r), [-].
+        C: Covariance of the r coordinates by the design without them, shape (r, r).
         target: T of the criterion tr(T C), W or B along the directions, shape (r, r); None for ``D``, the determinant.
 
     Returns:
@@ -316,11 +337,13 @@ def _cost(M: Array, basis: Basis) -> float:
     """Compute the value of a criterion for a design; less is better.
 
     Args:
-        M: Information matrix of the design and what is known before, along the r directions of the basis, shape (r, r).
-        basis: Gives the matrix ``target`` of the criterion.
+        M: Information matrix of the design and of what is known before, along the r directions of the basis, shape
+            (r, r); its inverse C is their covariance.
+        basis: ``basis.target``, the matrix T of the criterion tr(T C), W of ``A`` or B of ``V`` along the directions,
+            shape (r, r); None for ``D``.
 
     Returns:
-        -log det M for ``D``; tr(W M^-1) or tr(B M^-1) for ``A`` or ``V``.
+        -log det M for ``D``, else tr(T M^-1).
     """
     if basis.target is None:
         return -float(np.linalg.slogdet(M)[1])

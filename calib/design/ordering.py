@@ -87,7 +87,8 @@ class _Move(NamedTuple):
 def order(q: Array, start: Array | None = None, free_path: FreePath | None = None) -> Route:
     """Find a short open path through all poses, the same for the same poses.
 
-    A joint that can turn without end does not take the short way round, for controllers do not.
+    The length of a move is the largest move of a joint, max_k |q_bk - q_ak|: a joint that can turn without end does not
+    take the short way round, for controllers do not.
 
     Args:
         q: Joint values of the poses, shape (N, m), [rad] or for sliding joints [m].
@@ -97,9 +98,9 @@ def order(q: Array, start: Array | None = None, free_path: FreePath | None = Non
             between them is free, the same there and back; None: all moves are free.
 
     Returns:
-        The poses in the order to drive, the index in ``q`` of each (from 0), the sum over all moves of the largest move
-        of a joint [rad or m], and the moves that are blocked, by their places in the order (from 1; 0: ``start``), each
-        with ``by`` None.
+        ``joints``, the poses in the order to drive, shape (N, m); ``indices``, the index in ``q`` of each, from 0,
+        shape (N,); ``length``, the sum of the lengths of all moves [rad or m]; and the moves that are ``blocked``, by
+        the places of their two poses in the order, from 1 (0: ``start``), each with ``by`` None.
     """
     count = len(q)
     if count == 0:
@@ -119,15 +120,18 @@ def order(q: Array, start: Array | None = None, free_path: FreePath | None = Non
 
 
 def _best_beginning(costs: Array) -> Indices:
-    """Return the shortest of several nearest neighbour paths that are improved.
+    """Return the shortest of several nearest neighbour paths, each improved by 2-opt and or-opt.
 
-    They begin at poses spread over all; where the move from the start costs something, at the one nearest to the start.
+    They begin at six poses spread over the list; where the move from the robot's start costs something, one path begins
+    at the pose nearest to it instead.
 
     Args:
-        costs: Costs of moves [rad or m], shape (count + 2, count + 2), those of begin and finish last, see `_costs`.
+        costs: Costs of moves between ``count`` poses [rad or m], shape (count + 2, count + 2), symmetric; index
+            ``count`` is the begin of a path, ``count + 1`` its finish, see `_costs`.
 
     Returns:
-        The path, shape (count + 2,): ``count`` (begin), the poses 0 to count - 1 in order, ``count + 1`` (finish).
+        The path, shape (count + 2,): ``count`` (begin), the indices of the poses, 0 to count - 1, in the order to
+        drive, ``count + 1`` (finish).
     """
     count = len(costs) - 2
     first_poses = {*np.linspace(0, count - 1, _BEGINNINGS).astype(int).tolist()}
@@ -165,19 +169,21 @@ def _around_blocked_moves(
     poses: Array,
     free_path: FreePath,
 ) -> tuple[Indices, dict[tuple[int, int], bool]]:
-    """Improve a path with a penalty on the moves of it that are blocked, until it has no untested ones.
+    """Improve a path with a penalty on its moves that are blocked, until it has no untested ones.
+
+    The penalty is more than any path costs, so that the number of blocked moves counts first. Some may remain.
 
     Args:
-        path: Path with both ends, shape (count + 2,): ``count`` (begin), the poses 0 to count - 1 in order,
-            ``count + 1`` (finish).
-        costs: Costs of moves [rad or m], shape (count + 2, count + 2), see `_costs`.
+        path: Path with both ends, shape (count + 2,): ``count`` (begin), the indices of the poses, 0 to count - 1, in
+            order, ``count + 1`` (finish).
+        costs: Costs of moves [rad or m], shape (count + 2, count + 2), with begin and finish last, see `_costs`.
         poses: Joint values, shape (count, m), or (count + 1, m) with the robot's start as the last row, [rad] or [m].
         free_path: Function of the joint values of two poses, shape (m,) each, that returns whether the straight move
             between them is free.
 
     Returns:
-        The improved path with both ends; and whether each move that was tested is free, by the indices of its two
-        poses, there and back.
+        The improved path with both ends; and, by the indices of its two poses in ``poses``, there and back, whether
+        each move that was tested is free. A move that is not in it was not tested.
     """
     tested: dict[tuple[int, int], bool] = {}
     # More than any path costs: one blocked move less is worth every detour.
@@ -208,8 +214,10 @@ def _nearest(costs: Array, first: int) -> Indices:
     """Return the path that always goes on to the nearest pose that is left.
 
     Args:
-        costs: Costs of moves [rad or m], shape (count + 2, count + 2), those of begin and finish last, see `_costs`.
-        first: Index of the first pose, from 0; ``count``: the pose nearest to the begin comes first.
+        costs: Costs of moves between ``count`` poses [rad or m], shape (count + 2, count + 2); index ``count`` is the
+            begin of a path, ``count + 1`` its finish, see `_costs`.
+        first: Index of the first pose, from 0; ``count``: the pose nearest to the begin, the robot's start, comes
+            first.
 
     Returns:
         The path with both ends, shape (count + 2,): ``count`` (begin), the poses in order, ``count + 1`` (finish).
@@ -229,8 +237,10 @@ def _length(path: Indices, costs: Array) -> float:
     """Return the length of a path, the sum of the costs of its moves [rad or m].
 
     Args:
-        path: Indices of poses and both ends in order, shape (count + 2,).
-        costs: Costs of moves [rad or m], shape (count + 2, count + 2), see `_costs`.
+        path: Path with both ends, shape (count + 2,): ``count`` (begin), the indices of the poses, 0 to count - 1, in
+            order, ``count + 1`` (finish).
+        costs: Costs of moves [rad or m], shape (count + 2, count + 2); those of the begin are of the move from the
+            robot's start or 0, those of the finish 0.
     """
     return float(costs[path[:-1], path[1:]].sum())
 
@@ -238,11 +248,13 @@ def _length(path: Indices, costs: Array) -> float:
 def _improved(path: Indices, costs: Array) -> Indices:
     """Improve a path by 2-opt and or-opt, the best change first, until none makes it shorter; its ends stay.
 
-    2-opt reverses a piece of the path, or-opt puts a piece of up to 3 poses elsewhere.
+    2-opt reverses a piece of the path, or-opt puts a piece of up to 3 poses elsewhere, as it is or reversed.
 
     Args:
-        path: Indices of poses and both ends in order, shape (count + 2,).
-        costs: Costs of moves [rad or m], shape (count + 2, count + 2), symmetric, see `_costs`.
+        path: Path with both ends, shape (count + 2,): ``count`` (begin), the indices of the poses, 0 to count - 1, in
+            order, ``count + 1`` (finish).
+        costs: Costs of moves [rad or m], shape (count + 2, count + 2), symmetric, by these indices; a penalty may be in
+            them.
 
     Returns:
         The improved path, of the same shape.
@@ -264,17 +276,17 @@ def _improved(path: Indices, costs: Array) -> Indices:
 
 @lru_cache(maxsize=64)
 def _barred(size: int) -> tuple[Array, ...]:
-    """Return the changes that a path cannot make, as infinite costs, to be added to those of all changes.
+    """Return the changes that a path cannot make, as infinite costs, to be added to the gains of all changes.
 
     Args:
         size: Number of places of the path, its ends included.
 
     Returns:
-        Arrays of 0 and infinity. First for the reversal of pieces, by first and last place, each from 1, shape
-        (size - 2, size - 2): infinite where a piece would end before it begins or have one place. Then for pieces of
-        one, two and three places that are put elsewhere, by the first place of the piece, from 1, and the place before
-        the gap where it is put, from 0, shape (size - length - 1, size - 1): infinite where the gap is inside of the
-        piece or beside it.
+        Arrays of 0 and infinity. The first is for reversals of a piece, by its first and last place, each from 1, shape
+        (size - 2, size - 2): infinite where the last place is not behind the first. Then for pieces of one, two and
+        three places (fewer in a path of less than six) that are put elsewhere, by the first place of the piece, from 1,
+        and the place before the gap where it is put, from 0, shape (size - length - 1, size - 1): infinite where the
+        gap is inside of the piece or beside it.
     """
     forbidden = [np.tri(size - 2, dtype=np.bool_)]
     for length in range(1, min(_PIECE, size - 3) + 1):
@@ -285,16 +297,18 @@ def _barred(size: int) -> tuple[Array, ...]:
 
 
 def _best_moves(costs: Array, barred: tuple[Array, ...]) -> Iterator[_Move]:
-    """Yield the best 2-opt move, and the best or-opt moves of each length of a piece.
+    """Yield the best 2-opt move of a path, and the best or-opt moves of each length of a piece.
 
     Args:
-        costs: Costs of moves between the places of the path [rad or m], shape (size, size), symmetric; the first place
-            and the last are its ends.
-        barred: Infinite for moves that the path cannot make, else 0, see `_barred`.
+        costs: Costs of moves between the places of the path, in its order [rad or m], shape (size, size), symmetric;
+            the first place and the last are its ends.
+        barred: Arrays of 0, or infinity for changes that the path cannot make: first of reversals, then of pieces of
+            one, two and three places that are put elsewhere, see `_barred`.
 
     Yields:
-        Changes of the path. The gain of each is what it adds to the length of the path [rad or m], so that of a change
-        which shortens it is negative. Places count from 0, the begin of the path.
+        Changes of the path: ``gain``, what each adds to the length of the path [rad or m], negative where it gets
+        shorter; ``first``, ``length`` and ``place``, the first place of the piece that is moved, from 0 (the begin of
+        the path), the number of its places and its first place afterwards; ``turned``, whether it is reversed.
     """
     yield _best_turn(costs, barred[0])
     for length, of_this_length in enumerate(barred[1:], start=1):
@@ -307,9 +321,14 @@ def _best_turn(costs: Array, barred: Array) -> _Move:
     Reversing the places i to j replaces the steps (i - 1, i) and (j, j + 1) by (i - 1, j) and (i, j + 1).
 
     Args:
-        costs: Costs of moves between the places of the path [rad or m], shape (size, size), symmetric.
-        barred: Infinite for pieces that end before they begin, else 0, shape (size - 2, size - 2), by first and last
-            place, each from 1.
+        costs: Costs of moves between the places of the path, in its order [rad or m], shape (size, size), symmetric;
+            the first place and the last are its ends, which stay.
+        barred: Infinite for pieces that do not end behind their first place, else 0, shape (size - 2, size - 2), by
+            first and last place, each from 1.
+
+    Returns:
+        The move: what it adds to the length of the path [rad or m], negative where it gets shorter; first place of the
+        piece, from 0 (the begin of the path), and number of its places; it stays at its place, reversed.
     """
     step = np.diagonal(costs, 1)  # from place i to i + 1
     gain = costs[:-2, 1:-1] + costs[1:-1, 2:] - step[:-1, None] - step[1:] + barred
@@ -321,10 +340,16 @@ def _best_shifts(costs: Array, barred: Array, length: int) -> Iterator[_Move]:
     """Yield the best or-opt moves of pieces of one length: put elsewhere as they are, then put elsewhere reversed.
 
     Args:
-        costs: Costs of moves between the places of the path [rad or m], shape (size, size), symmetric.
+        costs: Costs of moves between the places of the path, in its order [rad or m], shape (size, size), symmetric;
+            the first place and the last are its ends, which stay.
         barred: Infinite for gaps that touch the piece or are inside of it, else 0, shape (size - length - 1, size - 1),
             by the first place of the piece, from 1, and the place before the gap, from 0.
         length: Number of places of a piece.
+
+    Yields:
+        Two moves, each with what it adds to the length of the path [rad or m], negative where it gets shorter, the
+        first place of the piece, from 0 (the begin of the path), the number of its places, its first place afterwards,
+        and whether it is reversed.
     """
     size = len(costs)
     step = np.diagonal(costs, 1)  # from place i to i + 1
@@ -339,13 +364,18 @@ def _best_shifts(costs: Array, barred: Array, length: int) -> Iterator[_Move]:
 
 
 def _best_insertion(gain: Array, length: int, *, turned: bool) -> _Move:
-    """Return the or-opt move with the least gain.
+    """Return the or-opt move that shortens a path most, or lengthens it least.
 
     Args:
-        gain: What each move adds to the length of the path [rad or m], by the first place of the piece, from 1, and the
-            place before the gap where it is put, from 0.
+        gain: What each move adds to the length of the path [rad or m], shape (size - length - 1, size - 1), by the
+            first place of the piece, from 1, and the place before the gap where it is put, from 0; infinite for moves
+            that cannot be.
         length: Number of places of the piece.
         turned: Whether the piece is reversed.
+
+    Returns:
+        The move: its gain, the first place of the piece, from 0 (the begin of the path), the number of its places, its
+        first place afterwards, and whether it is reversed.
     """
     row, gap = divmod(int(np.argmin(gain)), gain.shape[1])
     # Places behind the piece move up when it is taken out.
@@ -357,11 +387,14 @@ def _kicked(path: Indices, costs: Array) -> Indices:
     """Improve a path by iterated local search: perturb it, improve that, and keep it unless it is longer.
 
     Args:
-        path: Indices of poses and both ends in order, shape (count + 2,).
-        costs: Costs of moves [rad or m], shape (count + 2, count + 2), see `_costs`.
+        path: Path with both ends, shape (count + 2,): ``count`` (begin), the indices of the poses, 0 to count - 1, in
+            order, ``count + 1`` (finish).
+        costs: Costs of moves [rad or m], shape (count + 2, count + 2), symmetric, by these indices; a penalty may be in
+            them.
 
     Returns:
-        The path, of the same shape; the same one for the same path and costs, for the seed is fixed.
+        The path, of the same shape, not longer than before; the same one for the same path and costs, for the seed is
+        fixed.
     """
     random = np.random.default_rng(0)
     length = _length(path, costs)
@@ -375,7 +408,10 @@ def _kicked(path: Indices, costs: Array) -> Indices:
 
 
 def _number_of_kicks(size: int) -> int:
-    """Return the number of perturbations that are tried on a path: 200 of a short one, at least 4, none below 5 places.
+    """Return the number of perturbations that are tried on a path.
+
+    It is 200 for 5 to 70 places, then falls with the inverse square of their number, but not below 4; for fewer than 5
+    places it is 0.
 
     Args:
         size: Number of places of the path, its ends included.
@@ -391,8 +427,11 @@ def _perturbed(path: Indices, random: np.random.Generator, *, swap: bool) -> Ind
     Args:
         path: Indices of poses and both ends in order, shape (count + 2,); the ends stay.
         random: Draws the places; its state advances.
-        swap: Whether two neighbouring stretches change places, which neither 2-opt nor or-opt can undo; of few poses a
-            stretch is shuffled always.
+        swap: True: two neighbouring stretches within 30 poses change places, which neither 2-opt nor or-opt can undo.
+            False, or with 8 poses or fewer: up to 8 poses in a row are shuffled.
+
+    Returns:
+        The perturbed path, of the same shape; ``path`` is not changed.
     """
     count = len(path) - 2
     swap = swap and count > _SHUFFLED

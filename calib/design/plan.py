@@ -89,11 +89,10 @@ class Plan:
     def places(self, q: Array) -> Array:
         """Predict the position of each target in the robot's base, by the nominal robot.
 
-        Uses ``robot`` and the poses ``T_tip_target`` of its k targets.
+        Uses ``robot`` and ``T_tip_target``, the poses of its k targets in the tip, shape (k, 4, 4), [m].
 
         Args:
-            q: Joint values of N poses, shape (N, m), [rad] or for sliding joints [m], columns as
-                ``robot.joint_names``.
+            q: Joint values of N poses, shape (N, m), [rad] or for sliding joints [m], columns as ``robot.joint_names``.
 
         Returns:
             Shape (N, k, 3), [m], in the order of ``targets``.
@@ -120,17 +119,18 @@ def plan(
     collisions: CollisionCheck | None = _USUAL_CHECK,
     progress: Progress | None = None,
 ) -> Plan:
-    """Plan the poses of a calibration.
+    """Plan the poses of a calibration: which to measure, and in which order to drive.
 
     Args:
         robot: The nominal robot.
         cell: What the fit will use, model and priors with it, and what stands around the robot: boxes, tracker,
             reflector, joint ranges; None: the default cell. The model ``"auto"`` is planned for as ``"placement"``, the
             largest geometry.
-        request: Number of poses, criterion, number of candidates.
+        request: Numbers of poses to fit and to validate with, criterion, number of candidates, margin to the limits of
+            joints that turn [rad], the robot's joint values before the first move, and the seed.
         region: Voxels of the robot's base frame in which the first target is to lie; None: anywhere.
-        taken: Joint values of poses that are measured already, shape (T, m) or (m,), [rad] or for sliding joints [m]:
-            the plan adds to them; None: none.
+        taken: Joint values of poses that are measured already, shape (T, m) or (m,), [rad] or for sliding joints [m],
+            columns as ``robot.joint_names``: the plan adds to them; None: none.
         collisions: How poses and moves are checked for collisions of the robot and its targets with the robot itself,
             the cell's boxes and the mounting plane; None: they are not.
         progress: Called with the stage of the work, ``"candidates"`` or ``"choice"``, how much of it is done, and all
@@ -183,10 +183,10 @@ def _stage(progress: Progress | None, stage: str) -> Callable[[int, int], None] 
 
     Args:
         progress: Called with the name of a stage, how much of its work is done, and all of it; None: nothing is called.
-        stage: Name of the stage, such as ``"candidates"``.
+        stage: Name of the stage, ``"candidates"`` or ``"choice"``.
 
     Returns:
-        Function of the work done and all of it; None where nothing is called.
+        Function of the work done and all of it, two counts; None where nothing is called.
     """
     if progress is None:
         return None
@@ -199,11 +199,12 @@ def _collision_model(
     """Return the robot with what it holds and what is around it, to be checked for collisions.
 
     Args:
-        sensitivity: The nominal robot in its cell, with the boxes around it and the targets that it holds.
+        sensitivity: The nominal robot in its cell: ``cell.boxes``, obstacles in the robot's base; ``setup``, the names
+            of the targets that it holds and their poses in the tip, shape (k, 4, 4), [m].
         collisions: Clearance, radius of what holds the targets, and folders of meshes; None: nothing is checked.
 
     Returns:
-        Tests poses and moves; None where nothing is checked.
+        The collision model, which tests poses, moves and the tracker's beam; None where nothing is checked.
     """
     if collisions is None:
         return None
@@ -223,14 +224,17 @@ def _draw(
     """Draw candidates that can be measured: in the region, in the tracker's sight and free of collision.
 
     Args:
-        sensitivity: The nominal robot in its cell.
-        request: Gives the number of candidates, the seed, and the margin to the joint limits.
+        sensitivity: The nominal robot in its cell; ``cell.ranges`` narrow the ranges of joints by name, [rad] or [m].
+        request: ``request.candidates``, the number that is wanted; ``request.seed``; and ``request.margin`` to the
+            limits of joints that turn [rad].
         region: Voxels of the robot's base frame in which the first target must lie; None: anywhere.
         body: Tests poses for collisions; None: they are not tested.
         progress: Called with the number of candidates so far and the number wanted; None: nothing is called.
 
     Returns:
-        Joint values of the candidates, and of poses in the region that need not be measurable, [rad] or [m].
+        The pool: ``q``, joint values of the candidates, shape (n, m), [rad] or for sliding joints [m]; fewer than are
+        wanted where drawing ended before. ``workspace``, joint values of poses in the region that need not be
+        measurable, shape (k, m); and how many poses were drawn, and refused for which reason.
     """
     robot = sensitivity.kinematics.robot
     ranges = planning_ranges(robot, sensitivity.cell.ranges, request.margin)
@@ -244,13 +248,15 @@ def _conditions(
     """Yield what a candidate must pass, the cheap conditions first; the tracker must see every target.
 
     Args:
-        sensitivity: The nominal robot in its cell, with its targets, and the tracker and reflector if they are known.
+        sensitivity: The nominal robot in its cell: ``setup.T_tip_target``, poses of the targets in the tip, shape
+            (k, 4, 4), [m]; ``cell.tracker`` and ``cell.reflector``, each None where it is not known.
         region: Voxels of the robot's base frame in which the first target must lie; None: anywhere.
-        body: Tests collisions of the links and of the tracker's beam with them; None: neither is tested.
+        body: Tests collisions of the robot, and of the tracker's beam with links and boxes; None: neither is tested.
 
     Yields:
-        A word for the reason of refusal, and a function of joint values, shape (n, m), [rad] or [m], that returns True
-        for poses that pass, shape (n,).
+        A word for the reason of refusal (``"region"``, ``"tracker_range"``, ``"reflector_cone"``, ``"beam"``,
+        ``"collision"``), and a function of joint values, shape (n, m), [rad] or [m], that returns True for poses that
+        pass, shape (n,).
     """
     robot, cell = sensitivity.kinematics.robot, sensitivity.cell
     T_tip_target = sensitivity.setup.T_tip_target
@@ -283,15 +289,21 @@ def _route(
     """Find the order to drive the chosen poses, those to fit and those to validate with mixed.
 
     Args:
-        sensitivity: The nominal robot in its cell.
-        request: Gives the margin to the joint limits, and the robot's pose before the first move.
-        pool: Gives poses in the region, of which a blocked move may be driven by one that is free of collision.
-        choice: The poses to fit, and those to validate with.
-        body: Tests moves for collisions; None: all are free.
+        sensitivity: The nominal robot in its cell; ``cell.ranges`` narrow the ranges of joints by name, [rad] or [m].
+            ``kinematics.model.joint_terms`` are the errors that move a joint with its value or load; without any,
+            joints may be turned by whole turns.
+        request: ``request.margin`` to the limits of joints that turn [rad], and ``request.start``, the robot's joint
+            values before the first move, shape (m,), [rad] or [m], or None.
+        pool: ``pool.workspace``, joint values of poses in the region, shape (k, m): where the straight way is blocked,
+            one of them that is free of collision may be driven by.
+        choice: ``choice.planned`` and ``choice.validation``, joint values of the poses to fit and to validate with,
+            shape (count, m) and (validation, m), [rad] or [m].
+        body: Tests poses and moves for collisions; None: all are free.
 
     Returns:
-        The poses in order; ``indices`` are their places, from 0, among ``choice.planned`` followed by
-        ``choice.validation``.
+        Joint values of the poses in the order to drive, shape (count + validation, m), some turned by 2 pi;
+        ``indices``, their places, from 0, among ``choice.planned`` followed by ``choice.validation``; the sum over all
+        moves of the largest move of a joint [rad or m]; and the moves that are blocked.
     """
     robot = sensitivity.kinematics.robot
     # With errors that change with a joint's value, a pose one turn on is another pose.
@@ -302,7 +314,11 @@ def _route(
         start = np.asarray(request.start, dtype=np.float64)
 
     def stops() -> Array:
-        """Return poses of the region that are free of collision; nothing need see the target there."""
+        """Return poses of the region that are free of collision, of the first 4000; nothing need see the target there.
+
+        Returns:
+            Joint values, shape (n, m), [rad] or [m].
+        """
         in_region = pool.workspace[:_STOPS]
         if body is None:
             return in_region
@@ -317,8 +333,11 @@ def _notes(cell: Cell, body: CollisionModel | None) -> list[Note]:
     """Return remarks on what was checked of poses and moves, and what was not.
 
     Args:
-        cell: The measurement setup, with a reflector and the tracker that it must face, where these are known.
-        body: The test for collisions, with remarks on what it checks; None: nothing was checked.
+        cell: ``cell.reflector``, and ``cell.tracker``, which the reflector must face; each None where it is not known.
+        body: The collision model, with ``notes`` on what it checks; None: nothing was checked.
+
+    Returns:
+        Notes, each a code with values: ``reflector_not_checked``, then ``collisions_not_checked`` or those of ``body``.
     """
     notes = []
     if cell.reflector is not None and cell.tracker is None:

@@ -57,8 +57,8 @@ def write_plan(
     The columns of what is measured are empty; ``expected`` columns are what the nominal robot would give.
 
     Args:
-        plan: The plan: joint values of the poses [rad] or [m], in the order to drive, and where each target is
-            expected in the measurement frame [m].
+        plan: The plan: joint values of the poses [rad] or [m], in the order to drive; ``"estimate"`` or ``"validate"``
+            for each; and where each target is expected in the measurement frame [m].
         path: The file.
         overwrite: Whether an existing file is replaced.
         first_row: Number of the first row: where rows are to be added to a table, one more than its last.
@@ -89,6 +89,9 @@ class _Column(NamedTuple):
         Args:
             name: Name of the column, without a unit.
             quantity: ``"length"`` or ``"angle"``.
+
+        Returns:
+            The column: its header, such as ``"x [mm]"``, and the number of its unit in one SI unit, 1000 or 180 / pi.
         """
         unit, scale = _WRITTEN[quantity]
         return cls(f"{name} [{unit}]", scale)
@@ -96,13 +99,18 @@ class _Column(NamedTuple):
     def cell(self, value: float) -> str:
         """Return the text of a number in the unit of the column, with three decimals and no minus before a zero.
 
+        Uses ``scale``, the number of the column's unit in one SI unit, such as 1000 for mm.
+
         Args:
             value: The number in SI units [m] or [rad].
         """
         return f"{self.scale * value + 0.0:.{_DIGITS}f}"
 
     def expected(self) -> _Column:
-        """Return the column, in the same unit, of what the nominal robot would give in place of what is measured."""
+        """Return the column, in the same unit, of what the nominal robot would give in place of what is measured.
+
+        Its header has ``"expected "`` before this one, such as ``"expected x [mm]"``.
+        """
         return _Column(EXPECTED + self.header, self.scale)
 
 
@@ -124,8 +132,14 @@ class _Columns:
         """Return the columns for a plan's robot and kind of measurement.
 
         Args:
-            plan: Gives the robot, whose joints have a column each, and the name of the kind, which says what is
-                measured: a position, an orientation, other readings.
+            plan: ``plan.robot``, whose measured joints have a column each, and ``plan.kind``, the name of the kind,
+                which says what is measured: a position, an orientation, other readings such as a distance.
+
+        Returns:
+            ``joints``, columns of the joint values; ``empty``, headers of what is to be measured: x, y, z, quaternion,
+            readings, as the kind has them; ``expected``, columns of what the nominal robot would give of these, but for
+            the orientation; ``measured``, the index of each of ``expected``, from 0, among the numbers that a row of
+            the kind measures (x, y, z, the 9 entries of a rotation matrix, readings).
         """
         kind = registry.get(plan.kind)
         lengths = [_Column.of(axis, "length") for axis in POINT] if kind.position else []
@@ -144,7 +158,7 @@ class _Columns:
 
 
 def _joint_columns(robot: Robot) -> list[_Column]:
-    """Return the columns of the joint values, degrees or for sliding joints millimetres, in the order of the joints."""
+    """Return the columns of the m joint values, degrees or for sliding joints millimetres, as ``robot.joint_names``."""
     columns = []
     for name, joint_type in robot.joint_types.items():
         quantity = "length" if joint_type == "prismatic" else "angle"
@@ -156,12 +170,15 @@ def _rows(plan: Plan, number: int) -> Iterator[dict[str, str]]:
     """Yield the rows of a plan's table: one for each target at each pose, in the order to drive.
 
     Args:
-        plan: The plan.
-        number: Number of the first row; a point is named after its row.
+        plan: The plan: ``joints``, joint values of the K poses, shape (K, m), [rad] or [m]; ``sets``, ``"estimate"`` or
+            ``"validate"`` for each; ``targets``, names of the k targets; ``expected``, their positions in the
+            measurement frame by the nominal robot, shape (K, k, 3), [m]; ``kind``, the name of the kind of measurement.
+        number: Number of the first row; a point is named after its row, ``"P1"``.
 
     Yields:
-        Texts of the cells by the headers of their columns, the same headers in the same order for all rows; empty for
-        what is to be measured.
+        Texts of the cells by the headers of their columns, the same headers in the same order for all rows: row, set,
+        point, target (only if there are several, or a name was given), joint values, what is to be measured (empty),
+        and what is expected; lengths in mm, angles in deg.
     """
     columns = _Columns.of(plan)
     for q, set_name, places in zip(plan.joints, plan.sets, plan.expected, strict=True):
@@ -180,7 +197,7 @@ def _cells(columns: list[_Column], values: Array) -> dict[str, str]:
     """Return the texts of numbers, by the headers of their columns.
 
     Args:
-        columns: One column for each number, with its unit.
+        columns: One column for each number, with its header and unit, mm or deg.
         values: The numbers in SI units [m] or [rad], as many as columns.
     """
     cells = {}
@@ -194,11 +211,13 @@ def _expected_cells(kind_name: str, columns: _Columns, place: Array) -> dict[str
 
     Args:
         kind_name: Name of the kind of measurement, such as ``"point"``.
-        columns: The columns of the plan's table for this kind.
+        columns: ``columns.expected``, the columns to fill, and ``columns.measured``, the index of each, from 0, among
+            the numbers that a row of the kind measures.
         place: Position of the target in the measurement frame, shape (3,), [m].
 
     Returns:
-        The cells of the ``expected`` columns; none of a kind that measures nothing, such as a ball in a socket.
+        The cells of the ``expected`` columns, in mm or deg; none of a kind that measures nothing, such as a ball in a
+        socket.
     """
     kind = registry.get(kind_name)
     if kind.measure is None:
@@ -225,16 +244,17 @@ def read_poses(path: str | Path, robot: Robot, *, taken: bool = False) -> Poses:
 
     Args:
         path: Path of the table.
-        robot: The robot, whose joints have a column each in the table.
-        taken: Whether only those are read that a fit would estimate from, measured and of the set ``estimate``; a table
-            in which nothing is measured, such as a plan that is still to be driven, counts whole.
+        robot: The robot, whose m measured joints have a column each in the table.
+        taken: Whether only those are read that a fit would estimate from, measured and of the set ``estimate``; in a
+            table in which nothing is measured, such as a plan that is still to be driven, all poses of that set.
 
     Returns:
-        The poses in the table's order: joint values, shape (N, m), [rad] or for sliding joints [m], columns as
-        ``robot.joint_names``; ``"estimate"`` or ``"validate"`` for each; and the largest row number of the table.
+        The poses in the table's order: ``joints``, joint values, shape (N, m), [rad] or for sliding joints [m], columns
+        as ``robot.joint_names``; ``sets``, ``"estimate"`` or ``"validate"`` for each; and ``last_row``, the largest row
+        number of the whole table.
 
     Raises:
-        MeasurementError: No row is left.
+        MeasurementError: The table cannot be read as one of this robot, or no row is left.
     """
     table = Table.read(path)
     # A row of the kind ``fixed`` has its joint values alone.
@@ -254,9 +274,11 @@ def read_poses(path: str | Path, robot: Robot, *, taken: bool = False) -> Poses:
 def _measured_rows(table: Table, robot: Robot) -> Mask:
     """Find the rows of a table that measure something: a cell of a measured column has text, or the kind needs none.
 
+    Measured columns are x, y, z, ``distance`` and ``pair``; rows of the kinds ``fixed`` and ``plane`` need none.
+
     Args:
-        table: The table, its cells as text.
-        robot: The robot, whose joints have a column each in the table.
+        table: The table of N rows, its cells as text.
+        robot: The robot, whose measured joints have a column each in the table.
 
     Returns:
         True for rows that measure something, shape (N,).
@@ -276,14 +298,16 @@ def _measured_rows(table: Table, robot: Robot) -> Mask:
 def _first_of_each_pose(rows: Measurements, chosen: Mask) -> list[int]:
     """Return the first row of each pose.
 
-    Rows with the same joint values are as many poses as there are rows of one target among them.
+    Rows with the same joint values are one pose where their targets differ; where a target comes again, another pose, a
+    repetition of the first, has begun.
 
     Args:
-        rows: N rows of a table: joint values and the name of the target of each.
+        rows: N rows of a table: ``joints``, their joint values, shape (N, m), [rad] or [m]; ``targets``, the name of
+            the target of each.
         chosen: Rows that count, shape (N,).
 
     Returns:
-        Indices of rows, from 0, in rising order.
+        Indices of rows, from 0, in rising order, one for each pose.
     """
     repeats: Counter[tuple[bytes, str]] = Counter()
     first: dict[tuple[bytes, int], int] = {}
@@ -304,7 +328,12 @@ def plan_table(plan: Plan) -> dict[str, Any]:
         plan: The plan.
 
     Returns:
-        Values by their keys, whose suffix names the unit; values are texts, numbers, arrays, lists or tables of these.
+        Texts, numbers, arrays, lists or tables of these by their keys: ``schema``, ``calib`` (the version), ``robot``,
+        ``asked`` (what was planned for), ``poses`` (in the order to drive: the set, the joint values [rad] or [m], and
+        the expected position of each target in the measurement frame [m]), ``candidates``
+        (numbers of poses drawn, kept and refused), the forecasts ``forecast``, ``before`` (None where no poses were
+        taken), ``at_random`` and ``ladder``, ``travel`` (sum over all moves of the largest joint move [rad or m], and
+        the blocked moves), and ``notes``.
     """
     request = plan.request
     poses = []
@@ -335,7 +364,13 @@ def plan_table(plan: Plan) -> dict[str, Any]:
 
 
 def _robot_table(robot: Robot) -> dict[str, Any]:
-    """Return the URDF, the chain and the joints of a robot, with the unit of each, as tables for a JSON file."""
+    """Return a robot's URDF, chain and measured joints as tables for a JSON file.
+
+    Returns:
+        ``name``; ``urdf``, the name of its file, and ``urdf_sha256`` of its bytes; ``base`` and ``tip``, the links that
+        the chain leads between; ``joints``, the ``name`` and ``unit``, ``"rad"`` or ``"m"``, of each column of the
+        joint values.
+    """
     joints = []
     for name, joint_type in robot.joint_types.items():
         unit = "m" if joint_type == "prismatic" else "rad"
@@ -357,8 +392,10 @@ def forecast_table(forecast: Forecast) -> dict[str, Any]:
         forecast: Expected accuracy of a fit, over the workspace and of each parameter.
 
     Returns:
-        Counts; lengths, whose keys end in ``_m``; the observability indices by name; and for each parameter its name,
-        unit, standard deviation and whether it is identifiable.
+        The counts ``poses``, ``rank``, ``workspace_rank`` and ``columns`` (parameters); ``rms_m``, ``rms_low_m``,
+        ``rms_high_m`` and ``max_m``, errors of a predicted position over the workspace, and ``sigma_m``, the noise of a
+        coordinate, all in [m]; ``indices``, the observability indices by name; and ``parameters``, for each its
+        ``name``, ``unit``, ``std`` (standard deviation in that unit) and whether it is ``identifiable``.
     """
     counts = ("poses", "rank", "workspace_rank", "columns")
     lengths = ("rms", "rms_low", "rms_high", "max", "sigma")

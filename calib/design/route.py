@@ -52,9 +52,10 @@ def route(
             remain blocked; None: there are none.
 
     Returns:
-        The poses in the order to drive, some turned by whole turns of joints; the index in ``joints`` of each, from 0;
-        the sum over all moves of the largest move of a joint [rad or m]; and the moves that remain blocked, each with a
-        pose to drive by if there is one.
+        ``joints``, the poses in the order to drive, shape (K, m), some turned by whole turns of joints; ``indices``,
+        the index in the argument ``joints`` of each, from 0, shape (K,); ``length``, the sum over all moves of the
+        largest move of a joint [rad or m], straight ways assumed; and the moves that remain ``blocked``, by the places
+        of their two poses in the order, from 1 (0: ``start``), each with a pose to drive by, shape (m,), or None.
     """
     tour = order(joints, start, free_path)
     if free_path is None or not tour.blocked:
@@ -90,10 +91,13 @@ def _with_turns(
         start: The robot's joint values before the first move, shape (m,); None: the route begins at any pose.
         free_path: Function of the joint values of two poses, shape (m,) each, that returns whether the straight move
             between them is free.
-        tour: The poses in order, with moves that are blocked.
+        tour: The route without turns: ``tour.indices``, the indices in ``joints`` of the poses in order, from 0, shape
+            (K,); ``tour.blocked``, the moves that are not free, with ``end`` the place of the pose that each leads to,
+            from 1.
 
     Returns:
-        The better of the two routes; its ``indices`` are those of ``joints``, from 0.
+        The better of the two routes, each with the poses in the order to drive, shape (K, m), their indices in
+        ``joints``, the length [rad or m], and the moves that are blocked.
     """
     cuts = [move.end - 1 for move in tour.blocked]
     stretches = [part for part in np.split(tour.indices, cuts) if len(part)]
@@ -129,10 +133,11 @@ def detour(start: Array, end: Array, poses: Array, free_path: FreePath) -> Array
 def turning(robot: Robot, ranges: Array) -> NDArray[np.bool_]:
     """Find the joints that can be turned by a whole turn, after which the tip is where it was.
 
-    They turn, their range is more than one turn, and no other joint follows them, which would end elsewhere.
+    They turn, their range is more than one turn, and no mimic joint follows them, which would end elsewhere.
 
     Args:
-        robot: The robot, with m measured joints.
+        robot: The robot, with m measured joints; ``robot.inputs`` are these joints, ``robot.coupling``, shape (n, m),
+            is the derivative of the n joints of the chain by them.
         ranges: Lowest and highest value of each joint, shape (m, 2), [rad] or for sliding joints [m].
 
     Returns:
@@ -152,9 +157,12 @@ def with_whole_turns(
 ) -> Array:
     """Add whole turns of joints to stretches of poses, so that a free way leads to them from the longest stretch.
 
+    Each of the others in turn is shifted as a whole by the fewest turns, 0 included, with which a straight way to it is
+    free from the poses reached so far.
+
     Args:
         q: Joint values of the poses, shape (N, m), [rad] or for sliding joints [m]; they are not changed.
-        stretches: Indices of poses, from 0, in the order driven; within each stretch all moves are free.
+        stretches: Indices of poses in ``q``, from 0, in the order driven; within each stretch all moves are free.
         ranges: Lowest and highest value of each joint, shape (m, 2), [rad] or [m], between which poses stay.
         turns: Which joints may be turned by whole turns, shape (m,), see `turning`.
         free_path: Function of the joint values of two poses, shape (m,) each, that returns whether the straight move
@@ -204,8 +212,10 @@ def _shifts(turns: NDArray[np.bool_]) -> list[Array]:
 def _is_reached(reached: Array, turned: Array, free_path: FreePath) -> bool:
     """Test whether one of the 60 shortest straight ways from poses that are reached to those of a stretch is free.
 
+    The length of a way is the largest move of a joint.
+
     Args:
-        reached: Joint values of poses between which free ways lead, shape (a, m), [rad] or for sliding joints [m].
+        reached: Joint values of the poses that are reached, shape (a, m), [rad] or for sliding joints [m].
         turned: Joint values of the poses of the stretch, shape (b, m), likewise.
         free_path: Function of the joint values of two poses, shape (m,) each, that returns whether the straight move
             between them is free.

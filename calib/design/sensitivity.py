@@ -67,8 +67,14 @@ class Sensitivity:
 
         Args:
             robot: The nominal robot.
-            cell: The measurement setup that the fit will use: frames, targets, noise, priors and the error model, of
-                which ``"auto"`` is taken as ``"placement"``. Known distances between groups do not count.
+            cell: The measurement setup that the fit will use: frames, targets, noise, priors, the kind of measurement
+                (None: ``"point"``) and the error model, of which ``"auto"`` is taken as ``"placement"``. Known
+                distances between groups do not count.
+
+        Returns:
+            The model, whose derivatives are taken at the nominal robot. A target that the cell does not give is put at
+            (50, 70, 30) mm in the tip, and the angular noise of poses, where it is not given, is 1 mrad; ``notes`` say
+            so.
 
         Raises:
             ModelError: A kind of measurement, or a parameter, that cannot be planned for.
@@ -96,20 +102,20 @@ class Sensitivity:
 
     @property
     def units(self) -> tuple[str, ...]:
-        """Unit of each of the p parameters, ``"m"``, ``"rad"`` or another symbol, in the order of the names."""
+        """SI unit of each of the p parameters, such as ``"m"`` or ``"rad/Nm"``, in the order of the names."""
         return self.kinematics.model.units
 
     def expected(self, q: Array) -> Array:
         """Predict where each of the k targets is in the measurement frame, by the nominal robot.
 
-        A measurement frame that is not known counts as the base.
+        Uses ``kinematics``: the nominal robot, the pose of its base in the measurement frame (the identity where that
+        frame is not known) and the poses of the targets in the tip.
 
         Args:
-            q: Joint values of N poses, shape (N, m), [rad] or for sliding joints [m], columns as
-                ``robot.joint_names``.
+            q: Joint values of N poses, shape (N, m), [rad] or for sliding joints [m], columns as ``robot.joint_names``.
 
         Returns:
-            Positions, shape (N, k, 3), [m].
+            Positions, shape (N, k, 3), [m], targets in the order of the setup.
         """
         T_frame_target = self.kinematics.poses(np.zeros(len(self.names)), self._samples(q))
         return np.asarray(T_frame_target[:, :3, 3].reshape(len(q), -1, 3))
@@ -117,13 +123,16 @@ class Sensitivity:
     def _samples(self, q: Array) -> Samples:
         """Return every target at every pose, seen from the only measurement frame.
 
-        Gravity's loads on the joints are computed only where a parameter needs them.
+        Uses ``setup.targets``, the names of the k targets; and, where a parameter of ``kinematics.model`` multiplies
+        the load on a joint, the payload and the acceleration of gravity of ``cell``. Loads are not computed otherwise.
 
         Args:
-            q: Joint values of N poses, shape (N, m), [rad] or for sliding joints [m].
+            q: Joint values of N poses, shape (N, m), [rad] or for sliding joints [m], columns as ``robot.joint_names``.
 
         Returns:
-            N k samples: the k targets at the first pose, then those at the second, ...
+            N k samples, the k targets at the first pose, then those at the second, ...: joint values, shape (N k, m);
+            index of the frame, 0, and of the target, from 0, shape (N k,) each; and the loads by gravity on the joints,
+            [Nm] or [N], with lever arms, see `calib.robot.gravity.gravity_loads`, or None.
         """
         targets = len(self.setup.targets)
         load = None
@@ -138,17 +147,22 @@ class Sensitivity:
     def measured(self, q: Array) -> Array:
         """Differentiate what is measured by the parameters, whitened by the noise.
 
-        Where k targets of one stop share the robot's repeatability r and have the noise s each, the mean has the
-        variance s^2 / k (1 + (k - 1) rho), rho = r^2 / s^2. What they say of each other is more exact than s; a fit, to
-        which rows are independent, makes no use of that.
+        With the noise s of a coordinate, see `noise`, the repeatability r of the robot is a part of s that all k
+        targets of one stop share. The mean of their coordinates then has the variance s^2 / k (1 + (k - 1) rho), rho =
+        r^2 / s^2: the mean over targets of the derivative is scaled accordingly, unless the cell gives the noise.
+        Differences between targets are more exact than s; a fit, to which rows are independent, makes no use of that,
+        and nor does this.
+
+        Uses ``kind``, the name of the kind of measurement, ``setup.targets``, and of ``cell`` the noise of a
+        coordinate, ``sigma`` [m] or None, and the tracker, whose noise has the repeatability [m].
 
         Args:
-            q: Joint values of n poses, shape (n, m), [rad] or for sliding joints [m], columns as
-                ``robot.joint_names``.
+            q: Joint values of n poses, shape (n, m), [rad] or for sliding joints [m], columns as ``robot.joint_names``.
 
         Returns:
-            Derivative of the prediction, shape (n, d, p), of the d scalars that are measured of all targets at a pose
-            by the p parameters, in standard deviations of the noise per unit of a parameter.
+            Derivative of the prediction, shape (n, d, p), of the d scalars that are measured of all k targets at a pose
+            by the p parameters, in standard deviations of the noise per unit of the parameter. Target by target: x, y,
+            z in the measurement frame for points; for poses also a rotation vector; for distances one length.
         """
         noise = self.noise(q)
         slopes = self._whitened_slopes(q, noise)
@@ -164,15 +178,19 @@ class Sensitivity:
         return np.asarray(by_target.reshape(len(q), -1, p))
 
     def _whitened_slopes(self, q: Array, noise: Array) -> Array:
-        """Differentiate the rows of every target at every pose, as if all of them were independent.
+        """Differentiate what is measured of every target at every pose, as if the noise of all were independent.
+
+        Uses ``kinematics`` at zero errors, ``kind``, the name of the kind of measurement, ``setup.targets``, names of
+        the k targets, and the angular noise ``cell.sigma_angle`` [rad], 1 mrad where that is None.
 
         Args:
-            q: Joint values of n poses, shape (n, m), [rad] or for sliding joints [m].
+            q: Joint values of n poses, shape (n, m), [rad] or for sliding joints [m], columns as ``robot.joint_names``.
             noise: Standard deviation of a measured coordinate or length at each pose, shape (n,), [m].
 
         Returns:
-            Derivative of the prediction, whitened by the noise, shape (n k, D, p): D scalars of the k targets at the
-            first pose, then of those at the second, ..., by the p parameters.
+            Derivative of the prediction by the p parameters, shape (n k, D, p), in standard deviations of the noise per
+            unit of the parameter: D scalars of each of the k targets at the first pose, then at the second, ... D is 3
+            for points, 6 for poses (a position, then a rotation vector), 1 for distances.
         """
         samples = self._samples(q)
         T_frame_target, twists = self.kinematics.twists(np.zeros(len(self.names)), samples)
@@ -193,15 +211,15 @@ class Sensitivity:
     def located(self, q: Array) -> Array:
         """Differentiate the predicted positions of the k targets, in the measurement frame, by the p parameters.
 
-        Where no position is measured, as with distances, the pose of the base cannot be known: what one rigid motion of
-        all these positions explains is left out.
+        Where no position is measured, as with distances, the pose of the base cannot be known: of each column the
+        displacements that a rigid motion of all n k positions explains best are subtracted. Uses ``kinematics`` at zero
+        errors, and ``kind``, the name of the kind of measurement.
 
         Args:
-            q: Joint values of n poses, shape (n, m), [rad] or for sliding joints [m], columns as
-                ``robot.joint_names``.
+            q: Joint values of n poses, shape (n, m), [rad] or for sliding joints [m], columns as ``robot.joint_names``.
 
         Returns:
-            Shape (n, 3 k, p), x, y, z of each target, [m per unit of the parameter].
+            Shape (n, 3 k, p), x, y, z of the first target, then of the second, ..., [m per unit of the parameter].
         """
         zero = np.zeros(len(self.names))
         poses, slopes = self.kinematics.twists(zero, self._samples(q), rotation=False)
@@ -210,14 +228,14 @@ class Sensitivity:
         return np.asarray(slopes.reshape(len(q), -1, len(self.names)))
 
     def noise(self, q: Array) -> Array:
-        """Return the standard deviation of one measured coordinate, or of the length from the anchor.
+        """Return the standard deviation of a measured coordinate, or of a measured distance, at each pose.
 
-        It is the cell's ``sigma``, or else that of its tracker, or of a usual one, at the distance of the first target.
-        Without a tracker this is 3 m for positions; of a length it is the distance to the anchor.
+        It is ``cell.sigma`` [m] where that is given. Else it is the noise of ``cell.tracker``, or of a usual tracker,
+        with the robot's repeatability, at some distance to the first target: from the tracker, if it is known, else 3
+        m; where distances are measured (by ``kind``), from the origin of the measurement frame, the anchor.
 
         Args:
-            q: Joint values of n poses, shape (n, m), [rad] or for sliding joints [m], columns as
-                ``robot.joint_names``.
+            q: Joint values of n poses, shape (n, m), [rad] or for sliding joints [m], columns as ``robot.joint_names``.
 
         Returns:
             Shape (n,), [m].
@@ -235,16 +253,19 @@ class Sensitivity:
         return np.asarray((tracker or _USUAL).noise.std(distance))
 
     def analysed(self, q: Array, measured: Array) -> Observability:
-        """Analyse which of the p parameters poses determine, in metres, as a fit does.
+        """Analyse which of the p parameters some poses determine.
+
+        The derivative is scaled back from standard deviations to metres, as a fit does. Uses ``names`` and ``units`` of
+        the parameters, and `noise`.
 
         Args:
-            q: Joint values of n poses, shape (n, m), [rad] or for sliding joints [m], columns as
-                ``robot.joint_names``.
-            measured: What the method `measured` returns of these poses, shape (n, d, p): the derivative of what is
-                measured by the parameters, whitened by the noise.
+            q: Joint values of n poses, shape (n, m), [rad] or for sliding joints [m], columns as ``robot.joint_names``.
+            measured: What the method `measured` returns for these poses, shape (n, d, p): the derivative of the d
+                scalars measured at each pose by the parameters, in standard deviations of the noise per unit.
 
         Returns:
-            Rank, unobservable combinations of parameters, and observability indices.
+            ``rank``, the number of parameters or combinations that the poses determine; ``identifiable``, shape (p,),
+            whether a parameter is determined by itself; the unobservable combinations; and the observability indices.
         """
         sigma = np.repeat(self.noise(q), measured.shape[1])[:, None]
         jacobian = measured.reshape(len(sigma), -1) * sigma
@@ -252,18 +273,25 @@ class Sensitivity:
 
 
 def _needs_loads(model: ErrorModel) -> bool:
-    """Test whether a parameter of an error model multiplies a load on a joint, as a compliance does."""
+    """Test whether a parameter of an error model multiplies a load on a joint, as a compliance does.
+
+    Args:
+        model: The error model: ``factor`` of each of its ``parameters`` is the function of the joints' state that
+            multiplies it, ``factor.loaded`` whether that takes the load on a joint or the lever arm of a mass; None: a
+            constant error.
+    """
     factors = [parameter.factor for parameter in model.parameters]
     return any(factor is not None and factor.loaded for factor in factors)
 
 
 def _checked_kind(cell: Cell) -> str:
-    """Return the name of the kind of measurement that is planned for.
+    """Return the name of the kind of measurement that is planned for, if its poses can be chosen freely at one station.
 
-    Its poses can be chosen freely, at one station; a frame of its own, as that of distances, is given.
+    A frame of its own, as the anchor's of distances, must be given.
 
     Args:
-        cell: Gives the kind (None: ``"point"``) and the frames that are known.
+        cell: ``cell.kind``, the name of the kind (None: ``"point"``); ``cell.T_frame_base``, the pose of the base in
+            the measurement frame, shape (4, 4), [m], or None; ``cell.frames``, such poses by the names of stations.
 
     Raises:
         ModelError: Poses cannot be planned for this kind or these frames.
@@ -284,9 +312,12 @@ def _checked_kind(cell: Cell) -> str:
 def _one_pose(robot: Robot, cell: Cell, kind: str) -> Measurements:
     """Return a table of one pose, all joints at 0, with a row for each target of the cell.
 
+    Only its words matter, to set up frames and targets; the values measured are arbitrary.
+
     Args:
         robot: The nominal robot.
-        cell: Gives the names of the targets, and that of the station.
+        cell: ``cell.targets``, positions by the names of the targets (empty: one target of the usual name);
+            ``cell.frames``, poses by the names of stations, of which the first is taken.
         kind: Name of the kind of measurement, such as ``"point"``.
     """
     targets = tuple(cell.targets) or (DEFAULT_TARGET,)
@@ -296,10 +327,11 @@ def _one_pose(robot: Robot, cell: Cell, kind: str) -> Measurements:
 
 
 def _with_generic_targets(setup: Setup) -> Setup:
-    """Return the setup with the targets that were not given at a general place, off all axes of the tip.
+    """Return the setup with the targets that were not given at (50, 70, 30) mm in the tip, off all its axes.
 
     Args:
-        setup: Frames and targets, and which of these were given.
+        setup: Frames and targets: ``T_tip_target``, poses of the k targets in the tip, shape (k, 4, 4), [m];
+            ``target_given``, which of these were given, shape (k,); ``T_frame_base``, kept as it is.
     """
     T_tip_target = setup.T_tip_target.copy()
     T_tip_target[~setup.target_given, :3, 3] = GENERIC_TARGET
@@ -311,8 +343,13 @@ def _error_model(robot: Robot, cell: Cell, setup: Setup) -> ErrorModel:
 
     Args:
         robot: The nominal robot.
-        cell: The name of its model, ``"auto"`` for the largest geometry, and the parameters with priors or bounds.
+        cell: ``cell.model``, the name of the robot's parameter set, ``"auto"`` for ``"placement"``; and, by the names
+            of parameters, ``cell.parameter_priors`` and ``cell.bounds``.
         setup: Frames and targets, and which of these are estimated.
+
+    Returns:
+        The error model with its p parameters; with ``"auto"``, names in the cell of parameters that it does not have
+        are ignored.
 
     Raises:
         ModelError: A prior or a bound is given for a parameter that the model does not have, or there is no such model.
@@ -329,11 +366,14 @@ def _error_model(robot: Robot, cell: Cell, setup: Setup) -> ErrorModel:
 def _prior_precision(cell: Cell, model: ErrorModel) -> Array:
     """Return the precision 1 / tau^2 of each parameter's prior.
 
-    The standard deviation tau is the parameter's own, or else its family's, or else 1 in the parameter's unit.
+    The standard deviation tau is the parameter's own, or else its family's, or else 1 in the parameter's unit, which
+    only holds what no pose determines.
 
     Args:
-        cell: Gives the priors, of single parameters and of families.
-        model: The p parameters.
+        cell: ``cell.parameter_priors``, tau of single parameters by name; ``cell.priors``, tau of families of errors,
+            which do not count where its ``source`` is ``"off"``. Both in the parameters' units.
+        model: The error model with p parameters, each with a ``name`` and the name of its ``family``; those of frames
+            and targets have no family of errors.
 
     Returns:
         Shape (p,), in the inverse squares of the parameters' units.

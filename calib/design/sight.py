@@ -13,7 +13,7 @@ def target_positions(robot: Robot, T_tip_target: Array, q: Array) -> Array:
     """Predict where a target is in the base, by the nominal robot.
 
     Args:
-        robot: The nominal robot.
+        robot: The nominal robot; ``robot.poses(q)`` is the pose of its tip in its base, shape (N, 4, 4), [m].
         T_tip_target: Pose of the target in the tip, shape (4, 4), [m]; its orientation does not matter.
         q: Joint values of N poses, shape (N, m), [rad] or for sliding joints [m], columns as ``robot.joint_names``.
 
@@ -24,17 +24,17 @@ def target_positions(robot: Robot, T_tip_target: Array, q: Array) -> Array:
 
 
 def in_range(robot: Robot, T_tip_target: Array, tracker: Tracker, q: Array) -> Mask:
-    """Test whether the target's distance to the tracker is one that it measures.
+    """Test whether a tracker can measure a target at its distance.
 
     Args:
         robot: The nominal robot.
         T_tip_target: Pose of the target in the tip, shape (4, 4), [m]; its orientation does not matter.
-        tracker: A laser tracker: its position in the robot's base, and the least and largest distance that it measures
-            [m].
+        tracker: A laser tracker: ``position`` in the robot's base, shape (3,), and ``nearest`` and ``farthest``, the
+            least and the largest distance that it measures [m].
         q: Joint values of N poses, shape (N, m), [rad] or for sliding joints [m], columns as ``robot.joint_names``.
 
     Returns:
-        True where the distance is within the tracker's range, both ends among it, shape (N,).
+        True where the distance is within the tracker's range, both ends included, shape (N,).
     """
     towards = tracker.position - target_positions(robot, T_tip_target, q)
     distance = np.linalg.norm(towards, axis=1)
@@ -48,14 +48,18 @@ def in_cone(
     reflector: Reflector,
     q: Array,
 ) -> Mask:
-    """Test whether the angle from the reflector's normal to the tracker is at most its acceptance.
+    """Test whether the tracker is in the cone from which a reflector is seen.
+
+    The angle from the reflector's normal to the direction from the target to the tracker must be at most its
+    acceptance.
 
     Args:
         robot: The nominal robot.
         T_tip_target: Pose of the target, the reflector's centre, in the tip, shape (4, 4), [m]; its orientation does
             not matter.
-        tracker: A laser tracker, with its position in the robot's base [m].
-        reflector: The unit vector in the tip along which its opening faces, and the half angle of its cone [rad].
+        tracker: A laser tracker; ``position`` is in the robot's base, shape (3,), [m].
+        reflector: ``normal``, the unit vector in the tip along which its opening faces, shape (3,), and ``acceptance``,
+            the half angle of its cone [rad].
         q: Joint values of N poses, shape (N, m), [rad] or for sliding joints [m], columns as ``robot.joint_names``.
 
     Returns:

@@ -51,15 +51,16 @@ def read_solids(
 ) -> tuple[list[Solid], list[str]]:
     """Read the shapes of all links of a robot, to check them for collisions; each mesh file is read once.
 
-    A link has the shapes of its ``<collision>`` elements, or without any of its ``<visual>``.
+    A link has the shapes of its ``<collision>`` elements, or without any those of its ``<visual>`` elements.
 
     Args:
         urdf: The URDF of the whole robot.
         package_dirs: Folders in which ``package://`` meshes are looked for before all others.
 
     Returns:
-        The solids, each with its link and its pose there; and the names of the links of which not all shapes can be
-        used, or that carry a mass and have no shape.
+        The solids, in the order of the URDF's links: of each the name of its link, its pose there, shape (4, 4), [m],
+        and the shape of coal. And the names of the links of which not all shapes can be used, or that carry a mass and
+        have no shape.
 
     Raises:
         UrdfError: A mesh is missing or cannot be read, or no link has a shape.
@@ -90,7 +91,7 @@ def read_solids(
 
 
 def _links_with_mass(urdf: Urdf) -> set[str]:
-    """Return the names of the links that carry a mass.
+    """Return the names of the links whose ``<inertial>`` states a mass other than 0.
 
     By the URDF's text, for Pinocchio keeps the inertias of joints, not of links.
     """
@@ -108,9 +109,12 @@ def target_solids(
     """Return a capsule from the origin of the tip to each target, which stands for the target and what holds it.
 
     Args:
-        robot: The robot, to whose tip link the capsules are fixed.
+        robot: The robot; its link ``robot.tip`` is that to which the capsules are fixed.
         targets: Positions of the targets in the tip by name, shape (3,), [m].
-        holder_radius: Radius of the capsules [m].
+        holder_radius: Radius of the capsules [m]; their round ends reach as far beyond tip and target.
+
+    Returns:
+        A solid for each target, of the kind ``"target"``, in the order given.
     """
     solids = []
     for name, place in targets.items():
@@ -126,9 +130,12 @@ def box_solids(robot: Robot, boxes: Iterable[Box]) -> list[Solid]:
     """Return the boxes of a cell as solids that are fixed to the robot's base.
 
     Args:
-        robot: The robot.
-        boxes: Obstacles, each with its name, the lengths of its edges [m] and the pose of its centre in the robot's
-            base [m].
+        robot: The robot; its link ``robot.base`` is that to which the boxes are fixed.
+        boxes: Obstacles: of each ``name``, ``size``, the lengths of its edges along its own axes, shape (3,), [m], and
+            ``T_base_box``, the pose of its centre in the robot's base, shape (4, 4), [m].
+
+    Returns:
+        A solid for each box, of the kind ``"box"``, in the order given.
     """
     solids = []
     for box in boxes:
@@ -138,16 +145,16 @@ def box_solids(robot: Robot, boxes: Iterable[Box]) -> list[Solid]:
 
 
 def rods(starts: Array, ends: Array) -> tuple[Array, Array]:
-    """Place rods between pairs of points.
+    """Place straight rods between pairs of points.
 
     Args:
-        starts: First end of each rod in some frame, shape (n, 3), [m].
+        starts: First end of each rod, shape (n, 3), [m], all in one frame.
         ends: Second end of each in the same frame, shape (n, 3), [m]; where both are the same point, the rod has no
             length and points along z.
 
     Returns:
-        Pose of the middle of each rod in that frame, z from its first end to its second, shape (n, 4, 4), [m]; and half
-        its length, shape (n,), [m].
+        Pose of the middle of each rod in that frame, z from its first end to its second, shape (n, 4, 4), [m]; the turn
+        about z is arbitrary. And half the distance between its ends, shape (n,), [m].
     """
     along = ends - starts
     lengths = np.linalg.norm(along, axis=1)
@@ -168,14 +175,17 @@ def _geometry(
     """Return the geometry of a link's shape as coal has it.
 
     Args:
-        urdf: The URDF, which messages name.
-        shape: One ``<visual>`` or ``<collision>`` of a link: a box, cylinder, capsule or sphere with its sizes [m], or
-            the file name and scale of a mesh.
-        folders: Folders in which meshes are looked for.
-        meshes: The meshes that were read already, by name and scale; a mesh that is read here is added.
+        urdf: The URDF, whose name messages state.
+        shape: One ``<visual>`` or ``<collision>`` of a link: ``shape.sizes``, the sizes of a box, cylinder, capsule or
+            sphere as the URDF states them [m]; or ``shape.mesh``, the file name of a mesh and its scale along x, y, z;
+            None: no mesh.
+        folders: Folders in which mesh files are looked for, in this order.
+        meshes: Geometries of the meshes that were read already, by file name and scale; a mesh that is read here is
+            added.
 
     Returns:
-        The geometry; None for a kind of shape that coal does not have, or sizes that are missing or not positive.
+        The geometry, lengths in [m]; None for a kind of shape that coal does not have, or sizes that are missing or not
+        positive.
 
     Raises:
         UrdfError: The mesh is missing or cannot be read.
@@ -200,19 +210,20 @@ def _geometry(
 
 
 def clusters(urdf: Urdf, joints: Iterable[UrdfJoint]) -> dict[str, str]:
-    """Group the links that joints hold together.
+    """Group the links that some joints hold together.
 
     Args:
         urdf: The URDF of the whole robot.
-        joints: Joints that do not move.
+        joints: Joints that do not move, such as the fixed ones.
 
     Returns:
-        For the name of each link that of the topmost link of its group, nearest to the URDF's root.
+        For the name of each link the name of the topmost link of its group, nearest to the URDF's root; its own where
+        none of the joints holds it to a parent.
     """
     parents = {joint.child: joint.parent for joint in joints}
 
     def top(link: str) -> str:
-        """Return the topmost link that is held to a link."""
+        """Return the name of the topmost link that a link is held to, by its name."""
         topmost = link
         while topmost in parents:
             topmost = parents[topmost]
@@ -232,13 +243,16 @@ def mounting_plane(
     The plane is z = 0 of the base, or touches the lowest link that is fixed to the base where that is lower.
 
     Args:
-        robot: The robot; where its base link moves, the URDF's root counts as the base.
-        links: The solids of the robot's links.
-        rigid: For the name of each link that of the topmost link of those that never move against it.
-        configuration: Any configuration of Pinocchio's, of the whole robot, shape (nq,).
+        robot: The robot; where its base link moves, the URDF's root link stands for the base.
+        links: The solids of the robot's links: of each its ``link``, ``geometry``, and its pose in the link, shape
+            (4, 4), [m].
+        rigid: For the name of each link the name of the topmost link of those that never move against it.
+        configuration: Pinocchio's configuration of the whole robot, shape (nq,), [rad] or [m]; only the values of held
+            joints matter.
 
     Returns:
-        The box, fixed to the base, with its top in the plane.
+        The box, 40 m x 40 m x 20 m, fixed to the base link, with its top in the plane; it is named after the height of
+        the plane.
     """
     base = robot.urdf.root if robot.base_moves else robot.base
     model = full_model(robot.urdf)
@@ -259,10 +273,10 @@ def mounting_plane(
 
 
 def _lowest(geometry: Any, T_base_shape: pin.SE3) -> float:  # noqa: ANN401  coal has no types
-    """Return the least z of a shape in the base [m].
+    """Return the least z of a shape in the base [m], negative below its origin.
 
     Args:
-        geometry: The shape, a mesh or one of coal's simple shapes.
+        geometry: The shape: a mesh, or a simple shape of coal.
         T_base_shape: Pose of the shape in the base [m].
     """
     rotation, translation = T_base_shape.rotation, T_base_shape.translation
