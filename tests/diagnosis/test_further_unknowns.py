@@ -149,3 +149,9 @@ def test_what_predicts_held_out_blocks_and_what_does_not(clean):
     assert gain_on_blocks(fitted(scene, table), columns, weights) < 0.05
     noise = np.random.default_rng(1).normal(size=(len(table), 3, 2))
     assert gain_on_blocks(drifting, noise, weights) < 0.05
+
+
+def test_zeros_of_joints_cannot_take_a_scale(clean):
+    """Where no length of the arm is estimated, what all lengths grow by has nothing to hide in."""
+    scene, table = clean
+    assert instrument_scale(fitted(scene, table, Cell(model="zeros"))) is None

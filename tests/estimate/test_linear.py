@@ -10,6 +10,7 @@ from calib.data.measurements import Measurements
 from calib.estimate import problem
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics, Samples
+from calib.numerics.likelihood import GaussianPriors
 from calib.registration.rows import NONE, Rows
 from calib.result.calibrate import calibrate
 from calib.robot import kernel
@@ -128,3 +129,21 @@ def test_the_linearised_problem_in_parts(ur3, kind, monkeypatch):
     np.testing.assert_allclose(again.H, data.H, rtol=1e-9, atol=1e-9 * np.abs(data.H).max())
     np.testing.assert_allclose(again.count, data.count)
     np.testing.assert_allclose(parts.scores(both, covariance, weights, noise), scores, rtol=1e-6)
+
+
+@pytest.mark.parametrize("factor", [1.0, 3.0])
+def test_a_fit_without_priors_spends_a_scalar_for_each_parameter(ur3, factor):
+    """Whatever the noise, which its covariance grows with."""
+    kinematics, rows = rows_of_kinds(ur3, KINDS["pose"])
+    p = len(kinematics.model)
+    linear = problem.Problem.initial(kinematics, rows).linear(np.zeros(p))
+    instruments = len(linear.smallest_noise)
+    rho, noise = np.zeros((instruments, 2)), np.full((1, instruments), factor)
+    # Loads and gains are far from one unit each: a prior of a millionth of what the rows tell.
+    equations = linear.normal_equations(np.ones((1, len(rows))), rho)
+    precision = 1e-6 * np.diag(equations.H.sum(axis=(0, 1))) / factor**2
+    priors = GaussianPriors(precision, np.zeros(p))
+    _, covariance, freedom = linear.fit(np.ones((1, len(rows))), rho, noise, priors)
+    spent_on_priors = float(np.sum(precision * np.diag(covariance[0])))
+    assert freedom[0] == pytest.approx(6.0 * len(rows) - p + spent_on_priors)
+    assert spent_on_priors < 0.2 * p

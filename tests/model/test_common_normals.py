@@ -111,3 +111,18 @@ def test_frame_0_is_nearest_to_the_base():
 def test_the_product_of_two_vectors():
     a, b = np.array([1.0, 2.0, 3.0]), np.array([-0.5, 0.2, 4.0])
     np.testing.assert_allclose(cross(a, b), np.cross(a, b), atol=1e-15)
+
+
+@pytest.mark.parametrize("displaced", [False, True])
+def test_frame_n_stays_on_the_last_axis_beside_a_tip_that_is_tilted_or_on_it(displaced):
+    """Of a standard row; a parallel axis beside it is led to by its common normal."""
+    T = frame(9)
+    tip = T @ screw(2, 0.7, 0.25)
+    if displaced:
+        tip = tip @ screw(0, 0.0, 0.1)
+    numbers = last_row(T, tip, None, PURE)
+    assert numbers.d == pytest.approx(0.25)
+    assert abs(numbers.a) == pytest.approx(0.1 if displaced else 0.0, abs=1e-12)
+    tilted = tip @ screw(0, 1e-3, 0.0)
+    numbers = last_row(T, tilted, None, PURE)
+    assert (numbers.a, numbers.alpha) == pytest.approx((0.0, 0.0), abs=1e-15)

@@ -44,3 +44,10 @@ def test_lengths_and_angles_of_several_kinds():
     assert np.all(np.isnan(errors.mean_axis))  # not all have axes
     whole = Errors.of(residual[:2], used[:2])
     np.testing.assert_allclose(whole.mean_axis, [1.5, 1.0, 2.0])
+
+
+def test_a_length_alone_has_no_mean_along_an_axis():
+    errors = Errors.of(np.array([[3e-3], [-1e-3]]))
+    assert (errors.n, errors.mean, errors.max) == (2, pytest.approx(2e-3), 3e-3)
+    assert np.all(np.isnan(errors.mean_axis))
+    assert np.all(np.isnan(errors.rms_axis))

@@ -7,6 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from calib.errors import SolverError
 from calib.numerics.solvers import (
     levenberg_marquardt,
     paper_levenberg_marquardt,
@@ -157,3 +158,28 @@ def test_a_trial_that_is_not_finite_is_not_taken():
     solution = levenberg_marquardt(log_system, np.array([10.0]), step_size=np.ones(1))
     assert solution.x[0] == pytest.approx(1.0, abs=1e-8)
     assert any(not entry.accepted for entry in solution.history)
+
+
+@pytest.mark.parametrize("name", ["lm", "scipy"])
+def test_a_start_without_finite_residual_and_derivative_is_refused(name):
+    def without_derivative(x):
+        return x - 1.0, np.full((1, 1), np.nan)
+
+    def without_residual(_):
+        return np.full(1, np.inf), np.ones((1, 1))
+
+    for system in (without_derivative, without_residual):
+        with pytest.raises(SolverError):
+            SOLVERS[name](system, np.array([2.0]))
+
+
+def test_scipy_stops_where_its_evaluations_are_used_up():
+    """An exponential falls by the same share with each step, and has no minimum."""
+
+    def exponential(x):
+        r = 1e40 * np.exp(-x)
+        return r, -r[:, None]
+
+    solution = SOLVERS["scipy"](exponential, np.zeros(1))
+    assert solution.status == "stopped"
+    assert solution.evaluations == 100

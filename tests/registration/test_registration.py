@@ -388,3 +388,31 @@ def test_with_too_many_outliers_every_row_counts(make_scene):
     rows = replace(rows, measured=measured)
     found = nominal_setup(scene.robot.poses(rows.joints), setup, rows)
     np.testing.assert_allclose(found.T_frame_base[0], frame, atol=1e-9)
+
+
+def test_poses_are_registered_by_least_squares(make_scene, join):
+    """No small change of frame or targets lowers the sum of squares."""
+    scene = make_scene(11, targets=2, reach=1.0)
+    rows, setup = rows_and_setup(scene.robot, join(scene.poses(12), scene.poses(12, 0, 1)), FREE)
+    T_base_tip = scene.robot.poses(rows.joints)
+    found = register(T_base_tip, setup, rows)
+    model = frame_and_target_model(
+        found.frame_unknowns, found.unknown_targets, found.targets, rotation=True
+    )
+    r, J = _system(model, T_base_tip, rows, found, np.zeros(len(model)))
+    gradient = J.T @ r / (np.linalg.norm(J, axis=0) * np.linalg.norm(r))
+    assert np.abs(gradient).max() < 1e-5
+
+
+def test_a_row_is_far_from_the_others_in_units_of_its_own_noise(make_scene):
+    """Two rows are 3 cm off; the instrument is that coarse in one of them."""
+    scene = make_scene(4, **RIGHT, noise=1e-4)
+    rows, setup = rows_and_setup(scene.robot, scene.points(20), FREE)
+    setup = setup.placed(scene.kinematics.T_frame_base, scene.kinematics.T_tip_target)
+    measured, sigma = rows.measured.copy(), rows.sigma.copy()
+    measured[[5, 6], 0] += 0.03
+    sigma[6] *= 1e3
+    altered = replace(rows, measured=measured, sigma=sigma)
+    near = _near_rows(setup, scene.robot.poses(rows.joints), altered)
+    assert near is not None
+    assert np.flatnonzero(~near).tolist() == [5]

@@ -51,3 +51,10 @@ def test_each_group_has_the_unknowns_of_its_kinds(scene, join):
     assert setup.groups == ("0", "1", "2")
     assert setup.frame_unknowns == {"0": ("x", "rz"), "1": ("z", "rx", "ry"), "2": ("x", "y", "z")}
     assert setup.count == 3 + 2 + 3 + 3
+
+
+def test_targets_are_oriented_where_that_is_given_or_measured(scene):
+    given = Cell(target=np.zeros(3), target_rotation=np.eye(3))
+    assert not setup_of(scene.points(4), Cell()).oriented
+    assert setup_of(scene.points(4), given).oriented
+    assert setup_of(scene.poses(4), Cell()).oriented

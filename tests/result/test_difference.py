@@ -12,9 +12,11 @@ from calib.result.difference import (
     _ROOM,
     _WIDEST,
     Displacement,
+    _common_ranges,
     _estimate,
     _own_steps,
     _OwnEffects,
+    _same_parameters,
     _shared_precision,
     _unknown_places,
     differences_of,
@@ -138,3 +140,19 @@ def test_effects_along_a_basis_are_those_of_parameters_that_no_motion_compensate
     np.testing.assert_allclose(own.along(np.array([[0.0], [1.0]])), [[2.0, 0.0]])
     np.testing.assert_allclose(own.in_steps, remaining * [1e-3, 2e-3])
     assert own.compensated == ["b"]
+
+
+def test_ranges_that_only_touch_count_as_apart():
+    a = np.array([[0.0, 1.0], [0.0, 2.0], [0.0, 1.0]])
+    b = np.array([[1.0, 2.0], [1.0, 3.0], [2.0, 3.0]])
+    np.testing.assert_array_equal(_common_ranges(a, b), [[0.0, 2.0], [1.0, 2.0], [0.0, 3.0]])
+
+
+def test_parameters_are_the_same_by_name_ties_and_set(calibrated):
+    _, c = calibrated("points")
+    assert _same_parameters(c, c)
+    fewer = c.model.without([own_names(c)[0]])
+    assert not _same_parameters(c, replace(c, kinematics=replace(c.kinematics, model=fewer)))
+    tied = replace(c, ties={"alpha2": ("alpha3", 1.0)})
+    assert not _same_parameters(c, tied)
+    assert _same_parameters(tied, tied)

@@ -7,7 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.result.evidence import _full_model_parameters, _mean_variance, validation_errors
+from calib.result.evidence import (
+    _full_model_parameters,
+    _mean_variance,
+    _over_joint_limits,
+    validation_errors,
+)
+from calib.robot.ranges import spread_poses
 
 ALL = np.ones((10, 3), dtype=bool)
 
@@ -45,3 +51,17 @@ def test_a_full_geometry_has_four_parameters_a_joint_besides_frames_and_targets(
     assert _full_model_parameters(c, c.fitted) == 6 * 4 + places
     # None is asked for where the model was named.
     assert _full_model_parameters(replace(c, candidates=()), c.fitted) == 0
+
+
+def test_the_nominal_robot_is_off_over_the_joint_limits_by_what_was_corrected(calibrated):
+    """Without uncertainty of the parameters: the distance of both predictions, rms."""
+    _, c = calibrated("known set-ups")
+    certain = replace(c, covariance=np.zeros_like(c.covariance), expected_measured=0.0)
+    of_part, of_nominal = _over_joint_limits(certain, certain)
+    q = spread_poses(c.nominal)
+    points = c.predict(q, target=c.setup.targets[0], group=c.setup.groups[0])
+    setup = c.nominal_setup
+    T = setup.T_frame_base[0] @ c.nominal.poses(q) @ setup.T_tip_target[0]
+    away = np.linalg.norm(points - T[:, :3, 3], axis=1)
+    assert of_part == 0.0
+    assert of_nominal == pytest.approx(np.sqrt(np.mean(away**2)))

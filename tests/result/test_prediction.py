@@ -111,3 +111,15 @@ def test_a_turned_target_has_its_interval_and_prior_along_the_tips_axes(make_sce
 
 def test_without_a_prior_it_has_no_standard_deviation():
     np.testing.assert_array_equal(_prior_std(np.array([4.0, 0.0])), [0.5, np.nan])
+
+
+def test_the_error_at_a_new_point_has_what_the_model_lacks(calibrated):
+    """Elsewhere the variance of the prediction takes the place of that at the measured poses."""
+    _, c = calibrated("points")
+    here, elsewhere = c.new_point
+    held_out = c.cross_validation.errors_without_outliers.rms
+    assert here == held_out
+    added = c.expected_elsewhere**2 - c.expected_measured**2
+    assert elsewhere**2 == pytest.approx(held_out**2 + added)
+    alone = replace(c, cross_validation=None)
+    assert alone.new_point == (c.expected_measured, c.expected_elsewhere)

@@ -10,6 +10,7 @@ from calib.data.cell import Cell, Priors
 from calib.errors import ModelError
 from calib.estimate.task import Task
 from calib.registration.table_rows import rows_and_setup
+from calib.selection import selection
 from calib.selection.ladder import LADDER
 from calib.selection.selection import Selection, select
 from tests.selection.models import scene_of
@@ -85,3 +86,11 @@ def test_names_that_no_model_has_are_refused(make_scene):
     scene = scene_of(make_scene, 115, "dh")
     with pytest.raises(ModelError, match="No model has the parameters 'a99'"):
         chosen(scene, cell=Cell(frozen=("a99",)))
+
+
+def test_a_part_of_many_rows_chooses_and_all_are_fitted(make_scene, monkeypatch):
+    monkeypatch.setattr(selection, "_CHOSEN_BY", 40)
+    found = chosen(scene_of(make_scene, 101, "zeros"), 80)
+    assert found.geometry == "zeros"
+    assert len(found.reference.estimate.weights) == 80
+    assert {len(c.cross_validation.residual) for c in found.candidates} == {40}
