@@ -62,8 +62,8 @@ class Stops:
     cells: Integers
     #: (n,), rows of one number are of one stop
     stops: Integers
-    #: (n, D, 6), Jacobian of each scalar by the body's displacement: translations, then rotations. Of each instrument the
-    #: sum of squares over the translations, and over the rotations, has mean 1
+    #: (n, D, 6), Jacobian of each scalar by the body's displacement: translations, then rotations. Of each instrument
+    #: the sum of squares over the translations, and over the rotations, has mean 1
     J: Array
     #: (n, D), index of the instrument, and so of the noise, of each scalar, from 0; -1 where there is no scalar
     instruments: NDArray[np.int8]
