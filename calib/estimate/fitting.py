@@ -103,8 +103,8 @@ class Fitted:
             rows: Any N rows of measurements, fitted or not, that refer to frames and targets of this fit.
 
         Returns:
-            shape (N, D): lengths in the first three columns [m], angles behind [rad], along the axes of each row's
-            measurement frame; 0 where nothing was measured.
+            shape (N, D): lengths in the first three columns [m], angles behind [rad], coordinates and rotation vectors
+            along the axes of each row's measurement frame; 0 where nothing was measured.
         """
         T_frame_target = self.kinematics.poses(self.estimate.x, rows.samples)
         return rows.residual(T_frame_target)

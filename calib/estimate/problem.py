@@ -141,9 +141,9 @@ class Problem:
             x: shape (p,), offsets from the nominal robot and the registered frames and targets [m, rad, ...].
 
         Returns:
-            shape (N, D), of the D scalars of N rows, lengths [m] in the first three columns, angles [rad] behind, along
-            the axes of each row's measurement frame; not divided by their standard deviations; 0 where nothing was
-            measured.
+            shape (N, D), of the D scalars of N rows, lengths [m] in the first three columns, angles [rad] behind,
+            coordinates and rotation vectors along the axes of each row's measurement frame; not divided by their
+            standard deviations; 0 where nothing was measured.
         """
         T_frame_target = self.kinematics.poses(x, self.rows.samples)
         return self.rows.residual(T_frame_target)
