@@ -61,10 +61,12 @@ def estimate_within_bounds(problem: Problem, task: Task, prior: PriorTerms) -> E
 def _pulled_inwards(estimate: Estimate, prior: PriorTerms, fixed: Mapping[int, float]) -> set[int]:
     """Parameters at a bound whose release would lower the sum of squares, within the bounds.
 
-    A Gauss-Newton step of one parameter alone lowers the sum of squares by slope^2 / curvature.
+    A Gauss-Newton step of one parameter alone lowers the sum of squares by slope^2 / curvature; it must exceed 1e-6
+    (`_WORTH_RELEASING`).
 
     Args:
-        estimate: The estimate of the p parameters with these ones held at their bounds.
+        estimate: The estimate of the p parameters with these held at their bounds: ``estimate.x``, shape (p,), and its
+            problem with weights and noise as estimated.
         prior: Priors and bounds of the p parameters, none of them held; ``prior.limits``, shape (p, 2), has the lowest
             and highest value of each.
         fixed: Index, from 0, of each parameter that is held, and the value that it is held at [m, rad, ...].
@@ -88,12 +90,15 @@ def _without_holds(estimate: Estimate, prior: PriorTerms) -> Problem:
     """The problem in which parameters that an estimate holds at a bound have their usual priors again.
 
     Args:
-        estimate: The estimate of the p parameters with some held; its problem has the weights and noise as estimated.
-        prior: Priors of the p parameters, none of them held.
+        estimate: The estimate of the p parameters with some held; ``estimate.problem`` has the weights and noise as
+            estimated, ``estimate.prior_std`` the estimated prior standard deviation by the name of its family, SI
+            units.
+        prior: Priors of the p parameters, none of them held: names, members and given standard deviations of K
+            families, and 1 / variance (``precision``) and mean (``centre``), shape (p,), of parameters besides these.
 
     Returns:
-        The estimate's problem. Families of parameters have the prior standard deviation that was estimated, or the one
-        as given where all parameters of a family were held.
+        The estimate's problem with other precisions and means. Families of parameters have the prior standard deviation
+        that was estimated; the one as given where all parameters of a family were held, or priors are off.
     """
     estimated_std = {} if prior.source == "off" else estimate.prior_std
     prior_std = []

@@ -58,7 +58,9 @@ class Estimate:
 
     @property
     def outliers(self) -> Mask:
-        """Rows that are flagged as outliers: those whose score is above `flag_limit`.
+        """Rows that are flagged as outliers: those whose score is above the limit.
+
+        Uses `scores`, shape (N,), the norm of each row's deleted residual in standard deviations, and `flag_limit`.
 
         Returns:
             Mask of the N fitted rows, shape (N,), in the order of ``problem.rows``.
@@ -70,13 +72,17 @@ def problem_at_stage(problem: Problem, stage: Stage) -> Problem:
     """Return a problem with the weights, noise and priors of a stage.
 
     Args:
-        problem: The least-squares problem of N rows of measurements and p parameters.
-        stage: Row weights, noise and prior standard deviations of one fit to these rows (B = 1).
+        problem: The least-squares problem of N rows of D scalars and p parameters; ``problem.rows.scales``, shape (N,
+            D), are the given sigmas [m] and [rad], and ``problem.rows.instruments``, shape (N, D), the index of each
+            scalar's instrument.
+        stage: State of one fit to these rows: ``stage.effective``, shape (1, N), row weights with the factors for
+            repeats; ``stage.noise``, shape (1, C), of each of C instruments, as a multiple of the given sigma;
+            ``stage.priors``, 1 / variance, (1, p), and mean, (p,), of each parameter; ``stage.rho``, shape (1, C, 2),
+            shares of each instrument's variance that the targets of a stop (standstill of the robot) have in common.
 
     Returns:
-        The problem with the stage's row weights, factors for repeats included; with the standard deviation of each
-        scalar, which is the given one times the noise of its instrument; with the prior precision and mean of each
-        parameter, and the shares of variance that the targets of a stop have in common.
+        The same problem with these weights, precisions, means and shares, and with the standard deviation of each
+        scalar, shape (N, D), [m] and [rad], which is the given one times the noise of its instrument.
     """
     # An entry without a scalar has the instrument -1, the last one here.
     noise_of_instrument = np.append(stage.noise[0], 1.0)
@@ -102,13 +108,19 @@ def estimate_at_stage(
 
     Args:
         problem: The least-squares problem of N rows of measurements and p parameters.
-        stage: Row weights, noise and prior standard deviations of the fit (B = 1), as they settled.
-        solution: The solver's result at this stage: ``solution.x``, shape (p,), [m, rad, ...].
+        stage: State of the fit as it settled: ``stage.weights``, shape (1, N), robust weights of the rows, and
+            ``stage.effective``, with the factors for repeats; ``stage.noise``, shape (1, C), of each of C instruments,
+            as a multiple of the given sigma; ``stage.prior_std``, shape (1, K), of each family of parameters, in SI
+            units; and ``stage.prior``, the priors as given: names of the families, whether there are any (``source``),
+            and which parameters are held at a bound (``fixed``), and where (``centre``, shape (p,)).
+        solution: The solver's result at this stage: ``solution.x``, shape (p,), offsets from the nominal robot and the
+            registered frames and targets [m, rad, ...].
         covariance_factor: Covariance of the solver's estimator over that of least squares; 1 for least squares.
 
     Returns:
-        The parameters with their covariance, and scores, weights, noise and priors. Its x differs from the solution's
-        where a parameter is a mere trace of its prior, which becomes 0, or is held at a bound, which it then meets.
+        The parameters with their covariance, and scores, weights, noise, priors and restricted log-likelihood. Its x
+        differs from the solution's where a parameter is a mere trace of its prior, which becomes 0 (frames and targets
+        make up for that), or is held at a bound, which it then meets.
     """
     linear, prior = problem.linear(solution.x), stage.prior
     has_priors = prior.source != "off"
@@ -143,14 +155,18 @@ def _covariance(
     linear: LinearProblem,
     covariance_factor: float,
 ) -> Array:
-    """Covariance of the parameters, with the uncertainty of the arm's size where that is held.
+    """Covariance of the parameters of one fit, with the uncertainty of the arm's size where that is held.
 
     Args:
-        problem: The least-squares problem; its `gauge` holds the arm's size where nothing measures a length, else it is
-            None.
-        stage: Row weights, noise and prior standard deviations of one fit (B = 1).
-        linear: The problem linearised at the solution.
-        covariance_factor: Covariance of the solver's estimator over that of least squares; 1 for least squares.
+        problem: The least-squares problem. Where nothing measures a length its ``gauge`` holds the arm's size, with
+            ``growth``, shape (p,), the change of the parameters when all lengths double; else it is None.
+        stage: State of the fit: ``stage.effective``, shape (1, N), row weights; ``stage.noise``, shape (1, C), of each
+            of C instruments, as a multiple of the given sigma; ``stage.rho``, shape (1, C, 2), what the targets of a
+            stop share; ``stage.priors``, with the 1 / variance of each parameter, shape (1, p).
+        linear: The problem linearised at the solution: N rows of D scalars by p parameters, in units of the given
+            sigma.
+        covariance_factor: Covariance of the solver's estimator over that of least squares, which multiplies the
+            variance of the noise, not that of the priors; 1 for least squares.
 
     Returns:
         shape (p, p), in the products of the parameters' units [m, rad, ...].
@@ -170,11 +186,19 @@ def _log_likelihood(stage: Stage, linear: LinearProblem) -> float:
     """Restricted log-likelihood of the noise and prior standard deviations of one fit.
 
     Args:
-        stage: Row weights, noise and prior standard deviations of the fit (B = 1).
-        linear: The least-squares problem linearised at the solution.
+        stage: State of the fit: ``stage.effective``, shape (1, N), row weights, robust ones times factors for repeats;
+            ``stage.rho``, shape (1, C, 2), shares of the variance of each of C instruments that translations and
+            rotations common to the targets of a stop have; ``stage.noise``, shape (1, C), standard deviation of each
+            instrument, as a multiple of the given sigma; ``stage.priors``, the normal priors of all p parameters at
+            this stage, 1 / variance, shape (1, p), in the inverse squares of their units, and means;
+            ``stage.prior.flat``, shape (p,), True for parameters of frames and targets, of which only a weak prior is
+            assumed.
+        linear: The least-squares problem linearised at the solution: N rows of D scalars by p parameters, in units of
+            the given sigma.
 
     Returns:
-        The natural logarithm, but for a constant of frames and targets, whose weak priors do not count.
+        The natural logarithm, but for a constant: the normalisation of the weak priors of flat parameters is left out.
+        Scalars count in units of the given sigma.
     """
     equations = linear.normal_equations(stage.effective, stage.rho)
     priors = stage.priors
@@ -185,12 +209,13 @@ def _log_likelihood(stage: Stage, linear: LinearProblem) -> float:
 def _without_traces(problem: Problem, linear: LinearProblem, covariance: Array) -> Array:
     """The solution with changes of the robot that are mere traces of the priors set to zero.
 
-    A trace is an offset below 1e-8 m or rad (`_NOTHING`), or below 3e-4 (`_TRACE`) of its standard deviation. Frames
-    and targets change so that the predictions stay.
+    A trace is an offset of a length or angle of the robot below 1e-8 m or rad (`_NOTHING`), or below 3e-4 (`_TRACE`) of
+    its standard deviation. Frames and targets change by least squares so that the predictions stay.
 
     Args:
-        problem: The least-squares problem of p parameters.
-        linear: The same problem linearised at the solution ``linear.x``, shape (p,): N rows of D scalars.
+        problem: The least-squares problem; its error model gives unit and family of each of the p parameters.
+        linear: The same problem linearised at the solution ``linear.x``, shape (p,), [m, rad, ...]; ``linear.A``, shape
+            (N, D, p), is the Jacobian of the predicted scalars, of which ``linear.used``, shape (N, D), are measured.
         covariance: shape (p, p), of the solution.
 
     Returns:

@@ -44,10 +44,12 @@ class Fitted:
     def placed(self) -> Setup:
         """Frames and targets at the solution.
 
+        Uses the registered poses (`setup`), and the estimated parameters (``estimate.x``, shape (p,), [m, rad, ...]),
+        of which those of frames and targets displace them.
+
         Returns:
-            The setup whose `T_frame_base`, shape (F, 4, 4), pose of the base in each measurement frame, and
-            `T_tip_target`, shape (T, 4, 4), pose of each target in the tip [m], are the registered ones (`setup`)
-            displaced by the estimated parameters.
+            The setup with ``T_frame_base``, shape (F, 4, 4), pose of the base in each measurement frame, and
+            ``T_tip_target``, shape (T, 4, 4), pose of each target in the tip [m]; all else as registered.
         """
         displacement, _ = self.kinematics.model.displacements(self.estimate.x)
         return self.setup.displaced(displacement)
@@ -101,13 +103,16 @@ class Fitted:
             rows: Any N rows of measurements, fitted or not, that refer to frames and targets of this fit.
 
         Returns:
-            shape (N, D): lengths in the first three columns [m], angles behind [rad]; 0 where nothing was measured.
+            shape (N, D): lengths in the first three columns [m], angles behind [rad], coordinates and rotation vectors
+            along the axes of each row's measurement frame; 0 where nothing was measured.
         """
         T_frame_target = self.kinematics.poses(self.estimate.x, rows.samples)
         return rows.residual(T_frame_target)
 
     def held_out_scores(self, rows: Rows) -> Array:
         """Score rows that the fit did not use by their distance from what it predicts; see `calib.numerics.scores`.
+
+        Uses the estimate: parameters, shape (p,), their covariance, shape (p, p), and the noise of each instrument.
 
         Args:
             rows: N rows of measurements that refer to frames and targets of this fit.

@@ -57,12 +57,14 @@ class SizeGauge:
     def variance(self, precision: Array) -> float:
         """The prior variance of the combination g(x) = held @ x that is held at zero.
 
+        `held`, shape (p,), is the gradient of g, which is to first order the relative change of the arm's size.
+
         Args:
-            precision: shape (p,), 1 / variance of the independent prior of each parameter; 0 for one without prior,
-                which does not count.
+            precision: shape (p,), 1 / variance of the independent prior of each parameter, in the inverse square of its
+                unit; 0 for a parameter without prior, which does not count.
 
         Returns:
-            The variance of g, which is a relative change of the arm's size, without unit.
+            The variance of g, without unit.
         """
         used = (self.held != 0.0) & (precision > 0.0)
         return float(np.sum(self.held[used] ** 2 / precision[used]))
@@ -143,12 +145,13 @@ def _growth_of_chain(kinematics: Kinematics, lengths: Mask) -> tuple[Array | Non
     Translations of the base, and of the tip from the last joint, are left to frame and target.
 
     Args:
-        kinematics: The nominal robot under its error model of p parameters.
+        kinematics: The nominal robot under its error model of p parameters; its frames and targets have no part in it.
         lengths: shape (p,), which parameters are lengths of the robot, in metres: K of them.
 
     Returns:
-        The change of each of the K parameters in metres, shape (K,), None where they cannot represent this; and how
-        far the tip is from its mean over poses spread over the joint ranges, rms [m].
+        The change of each of the K parameters in metres, shape (K,), None where they cannot reproduce this growth to 1
+        per cent (`_CAN_GROW`); and the distance of the tip from its mean position, rms over 60 poses spread over the
+        joint ranges [m].
     """
     q = spread_poses(kinematics.robot, _POSES)
     tips = kinematics.robot.poses(q)

@@ -104,11 +104,11 @@ class LinearProblem:
     def residual(self, x: Array) -> Array:
         """Return measured minus predicted by the linear model, r - A (x - x0).
 
-        With the residual r and the Jacobian A of the prediction at x0.
+        `columns`, shape (p + 1, D, N), has the Jacobian A of the prediction and, behind it, the residual r at x0, which
+        is the field `x`, shape (p,), where the problem is linearised.
 
         Args:
-            x: shape (p,), or (B, p) for B fits: the parameters themselves [m, rad, ...], not their change from x0, the
-                `x` where the problem is linearised.
+            x: shape (p,), or (B, p) for B fits: the parameters themselves [m, rad, ...], not their change from x0.
 
         Returns:
             shape (N, D) or (B, N, D), of the D scalars of N rows, in units of each scalar's given sigma.
@@ -136,15 +136,17 @@ class LinearProblem:
         )
 
     def normal_equations(self, weights: Array, rho: Array) -> NormalEquations:
-        """Return the normal equations of B fits, the latest of which are kept.
+        """Return the normal equations of B fits, the latest three of which are kept, as callers need the same again.
 
         Args:
-            weights: shape (B, N), of the N rows in each fit.
+            weights: shape (B, N), of the N rows in each fit; the variance of a row is divided by its weight.
             rho: shape (C, 2) or (B, C, 2), shares of each instrument's variance that the targets of a stop have in
                 common, by translation and by rotation; see `calib.estimate.stop_errors`.
 
         Returns:
-            A^T W A, A^T W y and y^T W y of each fit and instrument, in units of the given sigma.
+            A^T W A, shape (B, C, p, p), A^T W y, (B, C, p), and y^T W y, (B, C), of each fit and instrument, with the
+            Jacobian A of the prediction and y = r + A x0, in units of the given sigma; the number of scalars by weight,
+            (B, C); and the constraints.
         """
         for kept in self._cache:
             if kept.is_for(weights, rho):
@@ -157,13 +159,18 @@ class LinearProblem:
     def _sum_normal_equations(self, weights: Array, rho: Array) -> NormalEquations:
         """The normal equations of B fits, summed over the rows.
 
+        Uses `columns`, shape (p + 1, D, N), the Jacobian A and the residual r in units of the given sigma, and `stops`,
+        the standstills at which several targets are measured; None where there are none.
+
         Args:
-            weights: shape (B, N), of the N rows in each fit.
+            weights: shape (B, N), of the N rows in each fit; the variance of a row is divided by its weight.
             rho: shape (C, 2) or (B, C, 2), shares of each of C instruments' variance that the targets of a stop have in
                 common, by translation and by rotation.
 
         Returns:
-            A^T W A, A^T W y and y^T W y of each fit and instrument, in units of the given sigma.
+            A^T W A, shape (B, C, p, p), A^T W y, (B, C, p), and y^T W y, (B, C), of each fit and instrument, with y = r
+            + A x0, in units of the given sigma; the number of scalars by weight, (B, C); log determinants, (B,), of the
+            scalars' covariance over the noise; and the constraints.
         """
         products, count = self._sums_of_independent_rows(weights)
         log_det: Array | float = 0.0
@@ -203,15 +210,19 @@ class LinearProblem:
     ) -> NormalEquations:
         """The normal equations of A x = y, with y = r + A x0, from the products of [A r].
 
+        Uses the fields `x`, shape (p,), which is x0, and the whitened constraints C x = z: `C`, shape (K, p), and `z`,
+        shape (K,); `held`, shape (p,), is the row of C that keeps the arm's size, zeros where it is measured.
+
         Args:
             products: shape (B, C, p + 1, p + 1), [A r]^T W [A r] of each of C instruments in B fits, with the residual
-                r at `x`, which is x0.
+                r at x0, in units of the given sigma.
             count: shape (B, C), number of scalars, by weight.
             log_det: shape (B,), log determinant of the weighted scalars' covariance over the noise; 0.0 where they are
                 independent.
 
         Returns:
-            A^T W A, A^T W y and y^T W y of each fit and instrument, in units of the given sigma, and the constraints.
+            A^T W A, shape (B, C, p, p), A^T W y, (B, C, p), and y^T W y, (B, C), of each fit and instrument, with
+            ``count`` and ``log_det``; and of the constraints C^T C, C^T z and z^T z.
         """
         p = len(self.x)
         H = products[..., :p, :p]
@@ -307,8 +318,9 @@ class LinearProblem:
         """Compute the norms of the rows' deleted residuals: measured minus predicted by a fit without the row.
 
         Args:
-            x: shape (B, p), parameters of each of B fits [m, rad, ...].
-            covariance: shape (B, p, p), of x.
+            x: shape (B, p), parameters of each of B fits [m, rad, ...], not their change from where the problem is
+                linearised.
+            covariance: shape (B, p, p), of x, in the products of the parameters' units.
             weights: shape (B, N), of the N rows in each fit; 0 for rows that it did not use.
             factors: shape (B or 1, N, D), by which residuals in units of the given sigma are multiplied: 1 over the
                 noise of each scalar, or 0 for scalars that do not count.
@@ -321,15 +333,19 @@ class LinearProblem:
     def stop_shares(self, x: Array, covariance: Array, weights: Array, rho: Array) -> Array:
         """Estimate, from the residuals of B fits, the shares of variance that the targets of a stop have in common.
 
+        A stop is a standstill of the robot at which several targets are measured (`stops`; None where there is none).
+        Uses `columns`, shape (p + 1, D, N), Jacobian and residual in units of the given sigma, taken at the parameters
+        `x`.
+
         Args:
-            x: shape (B, p), parameters of each fit [m, rad, ...].
-            covariance: shape (B, p, p), of x.
+            x: shape (B, p), parameters of each fit [m, rad, ...], not their change.
+            covariance: shape (B, p, p), of x, in the products of the parameters' units.
             weights: shape (B, N), of the N rows in each fit.
             rho: shape (B, C, 2), shares of each of C instruments to begin with, those of the fits.
 
         Returns:
-            shape (B, C, 2), shares by translations and by rotations of the body that the targets are on; 0 where no
-            stop has several targets.
+            shape (B, C, 2), shares by translations and by rotations of the body that the targets are on, from 0 to 1; 0
+            where no stop has several targets.
         """
         result = np.zeros(rho.shape)
         if self.stops is None:

@@ -96,7 +96,8 @@ def _stage_without_priors(problem: Problem, task: Task, registered: Setup) -> St
         registered: Measurement frames and targets at the start of the fit.
 
     Returns:
-        Weights, noise and priors of one fit (B = 1), as later steps that know nothing of the paper expect them.
+        One fit (B = 1): row weights 1, shape (1, N); noise 1 (the given sigma) of each of C instruments, shape (1, C);
+        and priors of standard deviation 1 in each parameter's unit.
     """
     cell = replace(task.cell, priors=Priors("off"), bounds={}, parameter_priors={})
     without_priors = replace(task, cell=cell, allow_absent=True)
@@ -109,9 +110,10 @@ def _nominal_values(model: ErrorModel, registered: Setup) -> Array:
     """Absolute values from which the parameters are offsets.
 
     Args:
-        model: The p parameters: of the robot, each with its nominal value (of the DH table), and of the target.
-        registered: Frames and targets at the start of the fit; the first target's position in the tip is the nominal
-            value of ``target_x``, ``target_y`` and ``target_z``.
+        model: The p parameters: of the robot, each with its nominal value (``nominal``: the DH table's, or 0), and of
+            the target and frames, whose nominal value is 0 but for the target's position.
+        registered: Frames and targets at the start of the fit; the first target's position in the tip [m], is the
+            nominal value of ``target_x``, ``target_y`` and ``target_z``.
 
     Returns:
         shape (p,), [m] and [rad].

@@ -57,17 +57,19 @@ class PriorTerms:
         """Return the priors and bounds that a cell states.
 
         Args:
-            task: Robot, cell and options of a fit: its cell has priors and bounds by the parameters' names, its setup
-                the frames and targets as given.
+            task: Robot, cell and options of a fit: its cell has priors by families of parameters, and priors and bounds
+                of single ones by their names; its setup has the frames and targets as given.
             model: The p parameters that are estimated: of the robot, frames and targets.
             registered: Frames and targets at the start of the fit, from where their parameters count.
 
         Returns:
-            Prior standard deviations of families of parameters, and precision, mean, lowest and highest value of each
-            of the p parameters; none is held at a bound.
+            Prior standard deviations of K families, and precision, mean, lowest and highest value of each of the p
+            parameters, in their units. Frames and targets without a prior of their own have one of 1 m or rad about the
+            registered start. None is held at a bound.
 
         Raises:
-            ModelError: A bound or prior on the change of a frame or target that was not given.
+            ModelError: An unknown parameter has a bound or prior, or the change of a frame or target that was not
+                given.
         """
         cell = task.cell
         origin = _origins(task.setup, registered, model, _constrained(task, model))
@@ -91,13 +93,15 @@ class PriorTerms:
     def at_bounds(self, fixed: Mapping[int, float]) -> PriorTerms:
         """Return the priors with some parameters held; families without other parameters are dropped.
 
-        A parameter is held by a narrow prior about its value, in place of the one that it has.
+        A parameter is held by a prior about its value of standard deviation 1e-10 (`_FIXED`) in its unit, in place of
+        the one that it has.
 
         Args:
             fixed: Index of each parameter that is held, from 0, and its value, in its unit [m, rad, ...].
 
         Returns:
-            The priors and bounds of all p parameters, with these in `fixed`.
+            The priors and bounds of all p parameters, with the indices of these in ``fixed``; they are in no family any
+            more.
         """
         numbers = list(fixed)
         held = np.zeros(len(self.precision), dtype=bool)
@@ -160,12 +164,12 @@ def _starts(priors: Priors, families: Iterable[str]) -> tuple[float, ...]:
     """Prior standard deviations before the fit, in the order of the families, in SI units.
 
     Args:
-        priors: Prior standard deviation of each family as given, or by default; where its source is "off", a weak one
-            stands for all.
+        priors: Prior standard deviation of each family as given, or by default; where its source is "off", a weak prior
+            of standard deviation 1 stands for each.
         families: Names of the K families.
 
     Returns:
-        K values.
+        K values, in each family's unit, such as [m], [rad] or [rad/Nm].
     """
     if priors.source == "off":
         return tuple(_WEAK for _ in families)
@@ -178,13 +182,16 @@ def _origins(given: Setup, registered: Setup, model: ErrorModel, numbers: list[i
     A parameter of a frame or target counts from the registered pose, its bound and prior from the given one.
 
     Args:
-        given: Frames and targets as the user gave them.
+        given: Frames and targets as the user gave them, or not (``frame_given`` and ``target_given``):
+            ``T_frame_base``, shape (F, 4, 4), pose of the base in each frame, ``T_tip_target``, (T, 4, 4), pose of each
+            target in the tip.
         registered: The same frames and targets, as registered at the start of the fit.
-        model: The p parameters that are estimated.
+        model: The p parameters that are estimated, each with its place and direction there (a twist, shape (6,)).
         numbers: Indices, from 0, of those with a bound or prior of their own.
 
     Returns:
-        shape (p,), [m] and [rad]: the given pose in the registered one, along the direction of each parameter.
+        shape (p,), [m] and [rad]: for these parameters the given pose in the registered one (translation and XYZ Euler
+        angles) along the parameter's direction; 0 for those of the robot, and all others.
 
     Raises:
         ModelError: One of them belongs to a frame or target that was not given.

@@ -118,7 +118,9 @@ class Problem:
         """Return the problem with the arm's size held at the nominal one, where nothing measures a length.
 
         Returns:
-            The problem with a `gauge`; itself where rows or known distances measure a length.
+            The problem with a ``gauge``, the combination of the parameters that is held at zero, which is the relative
+            change of the arm's size; None in it where the parameters cannot represent growth, or the rows determine the
+            size all the same. Itself where rows or known distances measure a length.
         """
         if measures_length(self.rows, self.distances):
             return self
@@ -139,8 +141,9 @@ class Problem:
             x: shape (p,), offsets from the nominal robot and the registered frames and targets [m, rad, ...].
 
         Returns:
-            shape (N, D), of the D scalars of N rows, [m] and [rad], not divided by their standard deviations; 0 where
-            nothing was measured.
+            shape (N, D), of the D scalars of N rows, lengths [m] in the first three columns, angles [rad] behind,
+            coordinates and rotation vectors along the axes of each row's measurement frame; not divided by their
+            standard deviations; 0 where nothing was measured.
         """
         T_frame_target = self.kinematics.poses(x, self.rows.samples)
         return self.rows.residual(T_frame_target)
@@ -153,12 +156,12 @@ class Problem:
 
         Returns:
             shape (N, D, p), of the D scalars of N rows, [m] and [rad] per unit of each parameter; not divided by their
-            standard deviations.
+            standard deviations; 0 where nothing was measured.
         """
         return np.asarray(self.linear(x).A * self.rows.scales[:, :, None])
 
     def linear(self, x: Array) -> LinearProblem:
-        """Linearise the problem.
+        """Linearise the problem at given parameters.
 
         Weights, noise and priors have no part in it: copies of the problem that differ in these share the last one.
 
@@ -166,8 +169,9 @@ class Problem:
             x: shape (p,), offsets from the nominal robot and the registered frames and targets [m, rad, ...].
 
         Returns:
-            Residual at x and Jacobian of the prediction, of N rows of D scalars, in units of each scalar's given sigma;
-            and the constraints: known distances, and the arm's size if that is held.
+            Residual at x, measured minus predicted, and Jacobian of the prediction, together of shape (p + 1, D, N), of
+            N rows of D scalars, in units of each scalar's given sigma; and whitened constraints C x = z, shapes (K, p)
+            and (K,): known distances, and last the arm's size if that is held.
         """
         if self._last and np.array_equal(x, self._last[0].x):
             return self._last[0]
@@ -217,7 +221,8 @@ class Problem:
     def observability(self, x: Array) -> Observability:
         """Analyse which combinations of parameters the rows and known distances determine.
 
-        Rows without weight do not count. Angles count as lengths, by the ratio of their sigmas.
+        Rows without weight do not count, but for those of sole postures (which no other row can check). Angles count as
+        lengths, by the ratio of their given sigmas. Where the arm's size is held, its growth counts as not determined.
 
         Args:
             x: shape (p,), offsets from the nominal robot and the registered frames and targets [m, rad, ...].
@@ -244,7 +249,8 @@ class Problem:
     def constraints(self, x: Array) -> tuple[Array, Array]:
         """Residuals of what is known besides the measured rows: of the known distances between frames (`distances`).
 
-        Last, where nothing measures a length, comes the combination of parameters that keeps the arm's size (`gauge`).
+        Last, where nothing measures a length, comes the combination g of parameters that keeps the arm's size (`gauge`,
+        else None), a relative change, whose known value is 0 and whose sigma is 1e-6 (`TOLERANCE`).
 
         Args:
             x: shape (p,), offsets from the nominal robot and the registered frames and targets [m, rad, ...].
@@ -262,12 +268,14 @@ class Problem:
     def _distance_residuals(self, x: Array) -> tuple[Array, Array]:
         """Known minus predicted distances between the origins of measurement frames.
 
+        `distances` has K of them, each with the indices of its two frames, length and sigma [m].
+
         Args:
             x: shape (p,), offsets from the nominal robot and the registered frames and targets [m, rad, ...].
 
         Returns:
-            Known minus predicted of K distances (`distances`), over its sigma, shape (K,), and the Jacobian of the
-            prediction, shape (K, p), over sigma too.
+            Known minus predicted of each distance, over its sigma, shape (K,), and the Jacobian of the prediction,
+            shape (K, p), over sigma too.
         """
         residual = np.empty(len(self.distances))
         jacobian = np.empty((len(self.distances), self.size))
@@ -303,15 +311,17 @@ class Problem:
     def system(self, x: Array) -> tuple[Array, Array]:
         """The whitened residual and its derivative, as a solver takes them.
 
-        Whitened is divided by sigma times noise, and times the root of the row's weight.
+        Whitened is divided by sigma times noise, and times the root of the row's weight; errors that the targets of a
+        standstill share are made independent. The priors have the 1 / variance `precision` and the mean `centre`, both
+        of shape (p,).
 
         Args:
             x: shape (p,), offsets from the nominal robot and the registered frames and targets [m, rad, ...].
 
         Returns:
-            Residual r, shape (m,), and dr/dx, shape (m, p): of the measured scalars, measured minus predicted (or a
-            triangle with the same squares), then of each parameter with a prior, its mean minus the parameter, then of
-            each constraint, known minus predicted.
+            Residual r, shape (m,), and dr/dx, shape (m, p): of the measured scalars, measured minus predicted (of many
+            rows a triangle with the same squares and products), then of each parameter with a prior, its mean minus the
+            parameter over the prior standard deviation, then of each constraint, known minus predicted over its sigma.
         """
         with_prior = np.flatnonzero(self.precision)
         root = np.sqrt(self.precision[with_prior])
@@ -332,14 +342,16 @@ class Problem:
     def _whitened(self, columns: Array) -> Array:
         """The whitened Jacobian A and residual r of the M measured scalars, by columns.
 
-        Of many rows it is the triangle R of [A r] = Q R, which has the same products.
+        Of more than 1024 rows (`_TALL`) it is the triangle R of [A r] = Q R, transposed, which has the same products.
+        Uses `weights`, shape (N,), of the rows; `scales`, shape (N, D), standard deviations as estimated, [m] and
+        [rad]; and `rho`, shape (C, 2), shares of each instrument's variance that the targets of a stop have in common.
 
         Args:
             columns: shape (p + 1, D, N), Jacobian of the prediction and behind it the residual of the D scalars of N
                 rows, in units of each scalar's given sigma.
 
         Returns:
-            shape (p + 1, M), or (p + 1, p + 1) of a triangle.
+            shape (p + 1, M); or (p + 1, p + 1), or fewer columns, of a triangle.
         """
         whiten = (np.sqrt(self.weights)[:, None] * (self.rows.scales / self.scales)).T
         if self.stops is not None and np.any(self.rho):
@@ -369,11 +381,13 @@ class Problem:
     def independent(self, values: Array, weights: Array) -> Array:
         """Transform whitened values so that the errors which targets of a stop share are independent.
 
-        The values of a stop are multiplied by K^-1/2, the root of its covariance; see `calib.estimate.stop_errors`.
+        The values of a stop (a standstill at which several targets are measured) are multiplied by K^-1/2, where K is
+        their covariance over the noise squared; see `calib.estimate.stop_errors`. Uses ``rho``, shape (C, 2), shares of
+        the variance of each of C instruments by translation and rotation of the targets' body.
 
         Args:
-            values: shape (N, D, q), residuals or columns of Jacobians in units of the noise, multiplied by the roots
-                of the rows' weights.
+            values: shape (N, D, q), residuals or columns of Jacobians in units of the noise, multiplied by the roots of
+                the rows' weights.
             weights: shape (N,), these weights.
 
         Returns:
@@ -386,13 +400,15 @@ class Problem:
 
 
 def _smallest_noise(rows: Rows) -> tuple[float, ...]:
-    """The lowest noise of each instrument that is not rounding.
+    """The lowest noise of each instrument that is not rounding: 1e-8 m or rad.
 
     Args:
-        rows: Rows of measurements. Their instruments are lengths of each kind of rows, and angles of each kind.
+        rows: Rows of measurements: given sigma (``rows.scales``, [m] and [rad]) and instrument (``rows.instruments``,
+            from 0; -1 for no scalar) of each scalar, both of shape (N, D). Instruments are lengths of each kind of
+            rows, then angles of each kind.
 
     Returns:
-        As a multiple of the instrument's given sigma (the median over its scalars), in the order of the instruments.
+        As a multiple of the instrument's given sigma (the median over its scalars), in the order of the C instruments.
     """
     scales = rows.scales
     result = []

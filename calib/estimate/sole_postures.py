@@ -152,10 +152,11 @@ def with_wide_priors(stage: Stage) -> Stage:
     """Return a stage with priors three times (`_WIDE`) as wide as given, but where the estimated ones are wider still.
 
     Args:
-        stage: Row weights, noise and prior standard deviations of B fits.
+        stage: State of B fits: ``stage.prior_std``, shape (B, K), estimated prior standard deviations of K families of
+            parameters, in their unit; ``stage.prior.start``, shape (K,), those as given or assumed before the fit.
 
     Returns:
-        The same weights and noise with the wider prior standard deviations.
+        The same row weights and noise with the wider prior standard deviations.
     """
     start = np.array(stage.prior.start, dtype=np.float64)
     return replace(stage, prior_std=np.maximum(stage.prior_std, _WIDE * start))
@@ -249,13 +250,17 @@ class _Update:
 
         Args:
             start: The problem linearised at x_o: N rows of D scalars by p parameters, in units of the given sigma.
-            stage: Row weights, noise and prior standard deviations of the fit to the other rows (B = 1).
-            weights: shape (N,), > 0 for rows of sole postures; 0 for all others, which have the stage's weights.
+            stage: State of the fit to the other rows (B = 1): ``stage.effective``, shape (1, N), row weights;
+                ``stage.noise``, shape (1, C), of each instrument as a multiple of the given sigma; and prior standard
+                deviations, which are widened.
+            weights: shape (N,), > 0 for rows of sole postures (poses that alone determine a direction of the
+                parameters); rows with 0 have the stage's weights, and residuals that are to stay.
             projections: shape (N, D, D), of each row's scalars, in units of the noise, on the directions in which the
                 other rows do not predict it; see `open_directions`.
 
         Returns:
-            The least-squares problem whose minimum is the updated estimate.
+            The least-squares problem whose minimum is the updated estimate; the noise of the other rows is multiplied
+            by 0.05 in it.
         """
         is_sole = weights > 0.0
         factor = np.where(is_sole, 1.0, _NOISE_OF_OTHERS)
@@ -306,15 +311,15 @@ class _Update:
         return np.vstack([rows, linear.C / _NOISE_OF_OTHERS, np.diag(self.prior)])
 
     def solved(self, linear_at: Callable[[Array], LinearProblem]) -> LinearProblem:
-        """The problem linearised at the minimum: Gauss-Newton steps, halved until the sum of squares falls.
+        """The problem linearised at the minimum: Gauss-Newton steps, halved until the sum of squares does not rise.
 
         Begins at `start`, the problem linearised at the estimate by all other rows.
 
         Args:
-            linear_at: Maps parameters x, shape (p,), to the problem linearised there.
+            linear_at: Maps parameters x, shape (p,), [m, rad, ...], to the problem linearised there.
 
         Returns:
-            The problem linearised where a step is negligible, or after the most steps (`_UPDATES`).
+            The problem linearised where a step is shorter than 1e-9 (`_SETTLED`), or after the most steps (`_UPDATES`).
         """
         linear = self.start
         for _ in range(_UPDATES):
@@ -367,12 +372,12 @@ def _joseph_update(covariance: Array, gain: Array, A: Array) -> Array:
     """Covariance of an estimate that M further scalars move: (I - G A) C (I - G A)^T + G G^T, the Joseph form.
 
     Args:
-        covariance: shape (p, p), C, before.
+        covariance: shape (p, p), C, before, in the products of the parameters' units.
         gain: shape (p, M), G, the derivative of the estimate by the scalars.
         A: shape (M, p), Jacobian of the scalars' prediction. The scalars are whitened: their variance is 1.
 
     Returns:
-        shape (p, p).
+        shape (p, p), in the same units.
     """
     kept = np.eye(len(covariance)) - gain @ A
     return np.asarray(kept @ covariance @ kept.T + gain @ gain.T)

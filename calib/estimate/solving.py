@@ -60,12 +60,15 @@ class StageSolver:
     def solve(self, stage: Stage, tolerance: float) -> Solution:
         """Solve the problem with the weights, noise and priors of a stage, from where the last solve stopped.
 
+        Begins at `_x`, shape (p,), the offsets where the last solve stopped, and moves it to the solution; `_solution`
+        is what all solves so far came to, None before the first.
+
         Args:
             stage: Row weights, noise and prior standard deviations of one fit (B = 1).
             tolerance: A step shorter than this has converged, in steps of 1 mm and 1 mrad.
 
         Returns:
-            The solution, with the history and evaluations of all solves so far.
+            The solution x, shape (p,), [m, rad, ...], with the history and number of evaluations of all solves so far.
 
         Raises:
             SolverError: The residual is not finite at the start.

@@ -140,8 +140,11 @@ class Stage:
     def effective(self) -> Array:
         """Weights with which the rows count in the fits: the robust ones, times the factor for repeats.
 
+        Uses `weights`, shape (B, N), robust weights of N rows in B fits, and `share`, shape (B, N), the factor by which
+        each of several repeats of a pose counts less.
+
         Returns:
-            shape (B, N), of the N rows in each of B fits, >= 0; 0 for rows that a fit does not have.
+            shape (B, N), from 0 to 1; 0 for rows that a fit does not have. A row's variance is divided by its weight.
         """
         return self.weights * self.share
 
@@ -149,8 +152,13 @@ class Stage:
     def priors(self) -> GaussianPriors:
         """Priors of all p parameters, with the prior standard deviations of this stage.
 
+        Uses `prior_std`, shape (B, K), standard deviation of each of K families in B fits, and of `prior`, the priors
+        as given, the members of each family (``families``, shape (K, p)), and 1 / variance and mean (``precision`` and
+        ``centre``, shape (p,)) of parameters with a prior of their own, at a bound, or of frames and targets.
+
         Returns:
-            1 / variance of each parameter in each of B fits, shape (B, p), and the means, shape (p,).
+            1 / variance of each parameter in each of B fits, shape (B, p), and the means, shape (p,), in the
+            parameters' units.
         """
         of_families = (1.0 / self.prior_std**2) @ self.prior.families
         return GaussianPriors(of_families + self.prior.precision, self.prior.centre)
@@ -158,24 +166,33 @@ class Stage:
     def fit(self, linear: LinearProblem) -> tuple[Array, Array, Array]:
         """Fit the linearised problem at this stage's weights, noise and priors, for each of B fits.
 
+        Uses `effective`, shape (B, N), row weights; `rho`, shape (B, C, 2), shares of variance that the targets of a
+        stop have in common; `noise`, shape (B, C), of each instrument as a multiple of the given sigma; and `priors`, 1
+        / variance, (B, p), and mean of each parameter.
+
         Args:
-            linear: The least-squares problem linearised: N rows of D scalars by p parameters.
+            linear: The least-squares problem linearised: N rows of D scalars by p parameters, in units of the given
+                sigma.
 
         Returns:
             x, shape (B, p), the parameters themselves [m, rad, ...]; its covariance, shape (B, p, p); and the degrees
-            of freedom left for the noise, shape (B,).
+            of freedom left for the noise, shape (B,): scalars by weight, less those that the fit spent.
         """
         return linear.fit(self.effective, self.rho, self.noise, self.priors)
 
     def scoring_fit(self, linear: LinearProblem) -> tuple[Array, Array, Array]:
         """Fit for the scores of single rows: `fit`, with covariance and freedom as if all rows were independent.
 
+        Uses `rho`, shape (B, C, 2), shares of variance that the targets of a stop have in common, and what `fit` uses:
+        row weights, noise and priors of B fits.
+
         Args:
-            linear: The least-squares problem linearised: N rows of D scalars by p parameters.
+            linear: The least-squares problem linearised: N rows of D scalars by p parameters, in units of the given
+                sigma.
 
         Returns:
-            x, shape (B, p), which takes into account what the targets of a stop have in common (`rho`); and, without
-            it, the covariance, shape (B, p, p), and the degrees of freedom, shape (B,).
+            x, shape (B, p), [m, rad, ...], which takes into account what the targets of a stop have in common; and,
+            without it, the covariance, shape (B, p, p), and the degrees of freedom left for the noise, shape (B,).
         """
         x, covariance, freedom = self.fit(linear)
         if np.any(self.rho):
@@ -186,13 +203,16 @@ class Stage:
     def by_median(self, linear: LinearProblem) -> Stage:
         """Return the stage with the noise of medians, which outliers hardly move, and Cauchy's robust weights.
 
-        Weights and noise are computed in turn, some rounds, from where this stage is.
+        Noise and weights are computed in turn, three times, from where this stage is. A row's weight is 1 / (1 + (score
+        / 3.4)^2), with the norm of its deleted residual in standard deviations as the score.
 
         Args:
-            linear: The least-squares problem linearised: N rows of D scalars by p parameters.
+            linear: The least-squares problem linearised: N rows of D scalars by p parameters, in units of the given
+                sigma.
 
         Returns:
-            The stage with new `weights` and `noise`; prior standard deviations stay.
+            The stage with new `weights`, shape (B, N), 0 for rows that a fit does not have, and a new `noise`, shape
+            (B, C), as a multiple of the given sigma; prior standard deviations stay.
         """
         stage = self
         for _ in range(_MEDIAN_ROUNDS):
@@ -208,12 +228,16 @@ class Stage:
     def _median_noise(self, linear: LinearProblem) -> Array:
         """Noise of each instrument by the median of its rows' deleted residuals, which outliers hardly move.
 
+        Fits with this stage's weights, noise and priors. `kept`, shape (B, N), are the rows that each of B fits has.
+
         Args:
-            linear: The least-squares problem linearised: N rows of D scalars by p parameters, C instruments.
+            linear: The least-squares problem linearised: N rows of D scalars by p parameters, in units of the given
+                sigma; ``linear.instruments``, shape (N, D), is the index of each scalar's instrument,
+                ``linear.smallest_noise`` the lowest noise of each of C instruments that is no rounding, as a multiple
+                of the given sigma.
 
         Returns:
-            shape (B, C), standard deviation as a multiple of the given sigma; at least the smallest that is no
-            rounding.
+            shape (B, C), standard deviation of a scalar as a multiple of the given sigma; at least the lowest.
         """
         x, covariance, _ = self.fit(linear)
         noise = np.empty_like(self.noise)
@@ -230,14 +254,18 @@ class Stage:
     def by_likelihood(self, linear: LinearProblem, robust: bool) -> Stage:
         """Return the stage with noise and prior standard deviations by restricted likelihood.
 
-        Prior standard deviations are estimated where the priors' source is "data"; else they stay.
+        Prior standard deviations are estimated where the source of the priors (``prior.source``) is "data"; else they
+        stay.
 
         Args:
-            linear: The least-squares problem linearised: N rows of D scalars by p parameters.
-            robust: Whether to give the rows the weights that follow from their scores first.
+            linear: The least-squares problem linearised: N rows of D scalars by p parameters, in units of the given
+                sigma.
+            robust: Whether to give the rows the weights that follow from their scores first; then weights and
+                likelihood are computed in turn, twice.
 
         Returns:
-            The stage with new `noise`, and new `prior_std` and `weights` where these are estimated.
+            The stage of B fits with a new `noise`, shape (B, C), as a multiple of the given sigma, and, where these are
+            estimated, a new `prior_std`, shape (B, K), of each family, and new robust `weights`, shape (B, N).
         """
         stage = self
         for _ in range(_LIKELIHOOD_ROUNDS if robust else 1):
@@ -252,12 +280,18 @@ class Stage:
     def _with_noise_and_priors_by_likelihood(self, linear: LinearProblem) -> Stage:
         """The stage with the noise and the prior standard deviations of the highest restricted likelihood.
 
+        Uses the stage's row weights and `rho`, what the targets of a stop have in common, as they are, and begins at
+        its `noise` and `prior_std`. Of `prior` it uses the families' names and members (K, p), and 1 / variance and
+        mean, (p,), of the parameters that have a prior besides these.
+
         Args:
-            linear: The least-squares problem linearised: N rows of D scalars by p parameters.
+            linear: The least-squares problem linearised: N rows of D scalars by p parameters, in units of the given
+                sigma.
 
         Returns:
             The stage with a new `noise`, shape (B, C), of C instruments in B fits, as a multiple of the given sigma,
-            and a new `prior_std`, shape (B, K), of K families, in their parameters' unit.
+            and a new `prior_std`, shape (B, K), of K families, in their parameters' unit. Log noise has a normal prior
+            about 0.
         """
         prior = self.prior
         limits = VarianceLimits(
@@ -276,11 +310,16 @@ class Stage:
     def _with_noise_by_likelihood(self, linear: LinearProblem) -> Stage:
         """The stage with the noise of the highest restricted likelihood, at the priors of this stage.
 
+        Uses the stage's row weights, `rho`, what the targets of a stop have in common, and `priors`, 1 / variance, (B,
+        p), and mean of each of p parameters, as they are, and begins at its `noise`.
+
         Args:
-            linear: The least-squares problem linearised: N rows of D scalars by p parameters.
+            linear: The least-squares problem linearised: N rows of D scalars by p parameters, in units of the given
+                sigma.
 
         Returns:
             The stage with a new `noise`, shape (B, C), of C instruments in B fits, as a multiple of the given sigma.
+            Log noise has a normal prior about 0.
         """
         limits = VarianceLimits(
             smallest_noise=linear.smallest_noise, prior_std=(), noise_spread=_NOISE_SPREAD
@@ -294,14 +333,17 @@ class Stage:
     def _row_weights(self, linear: LinearProblem) -> Array:
         """Weight the rows of each of B fits by their scores under the linear fit.
 
-        Where few degrees of freedom are left, or the weights would reject more than `_MOST_OUTLIERS` of a fit's rows,
-        every row that the fit has keeps the weight 1.
+        A weight is 1 up to the score that a good row keeps within with probability 0.99, and falls linearly to 0 at the
+        score from which on a row is an outlier. Where at most 6 degrees of freedom are left, or the weights add up to
+        no more than half the number of a fit's rows (`_MOST_OUTLIERS`), every row that the fit has keeps the weight 1.
 
         Args:
-            linear: The least-squares problem linearised: N rows of D scalars by p parameters.
+            linear: The least-squares problem linearised: N rows of D scalars by p parameters, in units of the given
+                sigma.
 
         Returns:
-            shape (B, N), robust weights from 0 to 1; 0 for rows that a fit does not have.
+            shape (B, N), robust weights from 0 to 1; 0 for rows that a fit does not have (`kept`, shape (B, N), is
+            False).
         """
         x, covariance, freedom = self.scoring_fit(linear)
         count = np.sum(self.kept, axis=1)
@@ -315,13 +357,18 @@ class Stage:
     def sharing(self, linear: LinearProblem, poses: Integers, mode: str) -> Stage:
         """Return the stage with each of n repeats weighted by 1 / (1 + (n - 1) rho), with their correlation rho.
 
+        Of the n repeats only rows count whose robust weight (`weights`, shape (B, N)) is above 0 in the fit.
+
         Args:
-            linear: The least-squares problem linearised: N rows of D scalars by p parameters.
-            poses: shape (N,), rows of one number >= 0 are repeats.
-            mode: ``"independent"``: rho = 0; ``"average"``: 1; ``"weighted"``: estimated.
+            linear: The least-squares problem linearised: N rows of D scalars by p parameters, in units of the given
+                sigma.
+            poses: shape (N,), rows of one number >= 0 are repeats: of one pose, frame, target and kind of measurement.
+            mode: ``"independent"``: rho = 0; ``"average"``: 1; ``"weighted"``: estimated from the residuals of each
+                fit.
 
         Returns:
-            The stage with a new `share`, of rows with a weight above 0; itself where no pose has repeats.
+            The stage with a new `share`, shape (B, N), the factors on the weights; itself where no pose has repeats, or
+            they are independent.
         """
         number = int(poses.max()) + 1
         alive = self.weights > 0.0
@@ -337,12 +384,15 @@ class Stage:
     def _correlation_of_repeats(self, linear: LinearProblem, poses: Integers) -> Array:
         """Estimate the correlation of repeats in each of B fits, from their residuals.
 
+        Fits with this stage's row weights, noise and priors; `weights`, shape (B, N), are the robust ones of the rows.
+
         Args:
-            linear: The least-squares problem linearised: N rows of D scalars by p parameters.
+            linear: The least-squares problem linearised: N rows of D scalars by p parameters, in units of the given
+                sigma; ``linear.used``, shape (N, D), are the scalars that were measured.
             poses: shape (N,), rows of one number are repeats.
 
         Returns:
-            shape (B,), intraclass correlation from 0 to 1; 1 where there are too few repeats.
+            shape (B,), intraclass correlation from 0 to 1; 1 where repeats have fewer than 6 degrees of freedom.
         """
         x, _, freedom = self.fit(linear)
         residual = linear.residual(x) / linear.noise_by_scalar(self.noise)
@@ -361,12 +411,15 @@ class Stage:
         """Return the stage with the shares of variance that the targets of a stop have in common estimated.
 
         A stop is a standstill of the robot at which several targets are measured; see `calib.estimate.stop_errors`.
+        Uses the residuals of a fit with this stage's row weights, `noise`, priors and `rho`.
 
         Args:
-            linear: The least-squares problem linearised: N rows of D scalars by p parameters.
+            linear: The least-squares problem linearised: N rows of D scalars by p parameters, in units of the given
+                sigma; ``linear.stops`` are its stops, None where there are none.
 
         Returns:
-            The stage with a new `rho`, zero where the noise is rounding; itself where there are no stops.
+            The stage with a new `rho`, shape (B, C, 2), shares by translation and by rotation of each of C instruments,
+            0 where its noise is at most twice the lowest, which is rounding; itself where there are no stops.
         """
         if linear.stops is None:
             return self
@@ -395,11 +448,12 @@ class Stage:
         )
 
     def updated(self, fits: Integers, new: Stage) -> Stage:
-        """Return the stage with some of the B fits replaced.
+        """Return the stage with some of the B fits replaced; which rows each fit has, and the priors as given, stay.
 
         Args:
             fits: Indices of the fits to replace, from 0, shape (n,).
-            new: A stage of these n fits alone, in the order of ``fits``.
+            new: A stage of these n fits alone, in the order of ``fits``, of which robust weights, factors for repeats,
+                noise, prior standard deviations and what stops share are taken.
 
         Returns:
             The stage of all B fits.
@@ -438,14 +492,17 @@ def run_stages(
     """Estimate weights, noise and prior standard deviations of B fits, until they settle.
 
     Args:
-        stage: The first stage: row weights, noise and prior standard deviations to begin with.
+        stage: The first stage: row weights, noise and prior standard deviations to begin with; ``stage.kept``, shape
+            (B, N), are the rows that each fit has.
         linear_at: Maps a stage to the least-squares problem linearised at its solution (N rows of D scalars by p
-            parameters); B fits share one linearisation.
+            parameters, in units of the given sigma); B fits share one linearisation.
         poses: shape (N,), rows of one number are repeats.
-        weighting: Treatment of the rows' weights: of repeats, and of outliers.
+        weighting: Treatment of the rows' weights: ``weighting.repeats``, "independent", "average" or "weighted", and
+            ``weighting.robust``, whether outliers lose their weight.
 
     Returns:
-        The last stage, and the degrees of freedom of the first fit, shape (B,): where they are few no row loses weight.
+        The last stage, and the degrees of freedom of the fits at the first one, shape (B,): where they are few no row
+        loses weight.
     """
     linear = linear_at(stage)
     stage = stage.sharing(linear, poses, weighting.repeats)
@@ -474,11 +531,13 @@ def run_stages(
 def _has_settled(before: Stage, after: Stage, *, weights_only: bool) -> Mask:
     """Mask of the fits that no longer change from one stage to the next.
 
+    A fit has settled if no row's weight changes by 0.02 or more, and noise, prior standard deviations, and the share of
+    each instrument's variance that the targets of a stop do not have in common change by no more than 1 per cent.
+
     Args:
-        before: Row weights, noise and prior standard deviations of B fits.
+        before: Stage of B fits: row weights, noise and prior standard deviations.
         after: The next stage of the same fits.
-        weights_only: True to compare the weights of the rows alone; False for noise, prior standard deviations and the
-            shares of stops too.
+        weights_only: True to compare the weights of the rows alone.
 
     Returns:
         shape (B,).

@@ -18,12 +18,16 @@ from calib.units import Array, Integers
 def stop_of_rows(rows: Rows) -> Integers | None:
     """Number the stop of each row: one standstill of the robot at which several targets are measured.
 
+    Rows of a stop have one pose, one measurement frame and one kind of measurement.
+
     Args:
-        rows: N rows of measurements: joint values, frame and target of each.
+        rows: N rows of measurements: joint values (``rows.joints``, shape (N, m), [rad or m]), and indices of frame and
+            target (``rows.samples``), and of kind (``rows.kinds``), of each; rows of one number in ``rows.blocks`` are
+            of one pose, or of the two poses of a pair.
 
     Returns:
-        shape (N,), number of each row's stop, >= 0, the same for all rows of a stop; -1 for rows of a stop with one
-        target, or of a kind that measures no position. None where all are such.
+        shape (N,), number of each row's stop, >= 0, the same for all rows of a stop, not all numbers being used; -1 for
+        rows of a stop with one target, or of a kind that measures no position. None where all are such.
     """
     target = rows.samples.target
     if not len(rows) or target.min() == target.max():
@@ -45,14 +49,15 @@ def twists_of_bodies(points: Array, stops: Integers, counts: Array) -> Array:
     """Differentiate points by the displacements of their bodies, which turn about the centroids of their points.
 
     Args:
-        points: shape (K, 3), positions of K measured targets in their measurement frames [m].
-        stops: shape (K,), points of one number are of one body, which is the body at one stop.
-        counts: shape (K,), weight of each point in its body's centroid.
+        points: shape (K, 3), position of the measured target of each of K rows in its measurement frame [m].
+        stops: shape (K,), points of one number are of one body, which is the body at one stop (standstill of the
+            robot).
+        counts: shape (K,), weight of each point in its body's centroid, > 0.
 
     Returns:
         shape (K, 6, 6), twist of the target at each point along the frame's axes, linear then angular along the rows,
-        by a unit of each direction of its body's displacement along the columns: three translations [m], three
-        rotations [rad].
+        by a unit of each direction of its body's displacement along the columns: three translations along these axes
+        [m], three rotations about them [rad].
     """
     body = np.unique(stops, return_inverse=True)[1].reshape(-1)
     sums = np.stack([np.bincount(body, counts * column) for column in points.T], axis=1)
@@ -66,9 +71,10 @@ def twists_of_bodies(points: Array, stops: Integers, counts: Array) -> Array:
 
 
 def of_unit_size(J: Array, instruments: NDArray[np.int8], counts: Array) -> Array:
-    """Scale Jacobians by displacements of bodies so that their effect has mean square 1.
+    """Scale Jacobians by displacements of bodies to unit mean square, separately for translations and rotations.
 
-    Each instrument's Jacobians by translations, and those by rotations, have a scale of their own.
+    After this a translation whose three components have the variance 1 each moves an instrument's scalars with a mean
+    variance of 1, and so does a rotation.
 
     Args:
         J: shape (K, D, 6), derivative of the D scalars of each of K rows by its body's displacement: three
@@ -77,7 +83,9 @@ def of_unit_size(J: Array, instruments: NDArray[np.int8], counts: Array) -> Arra
         counts: shape (K,), weight of each row in the mean.
 
     Returns:
-        shape (K, D, 6), scaled; 0 where there is no scalar.
+        shape (K, D, 6): of each instrument the sum of squares over the three translations has the mean 1 over its
+        scalars, and that over the three rotations too. 0 where there is no scalar, or the part moves none of an
+        instrument's.
     """
     result = np.zeros(J.shape)
     for c in range(int(instruments.max()) + 1):

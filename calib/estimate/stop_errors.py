@@ -40,7 +40,8 @@ _PART = 16_384
 class _CellMeans:
     """Means of one instrument's scalars over M cells: a cell is one target at one stop, with its repeats.
 
-    Each is scaled so that it has the variance of one row of weight 1; zero for scalars of other instruments.
+    Each is the weighted sum over the repeats over the square root of the sum of their weights, so that it has the
+    variance of one row of weight 1; zero for scalars of other instruments.
     """
 
     #: (M, D, q), of given columns of the scalars
@@ -53,29 +54,34 @@ class _CellMeans:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stops:
-    """The rows of stops at which several targets were measured: K rows, in M cells of one target at one of S stops."""
+    """The rows of stops at which several targets were measured: n rows, in M cells of one target at one of S stops."""
 
-    #: (K,), their indices in the table of N rows, from 0, cell by cell and stop by stop
+    #: (n,), their indices in the table of N rows, from 0, cell by cell and stop by stop
     rows: Integers
-    #: (K,), rows of one number are of one cell
+    #: (n,), rows of one number are of one cell
     cells: Integers
-    #: (K,), rows of one number are of one stop
+    #: (n,), rows of one number are of one stop
     stops: Integers
-    #: (K, D, 6), Jacobian of each scalar by the body's displacement, of mean square 1
+    #: (n, D, 6), Jacobian of each scalar by the body's displacement: translations, then rotations. Of each instrument
+    #: the sum of squares over the translations, and over the rotations, has mean 1
     J: Array
-    #: (K, D), index of the instrument, and so of the noise, of each scalar, from 0; -1 where there is no scalar
+    #: (n, D), index of the instrument, and so of the noise, of each scalar, from 0; -1 where there is no scalar
     instruments: NDArray[np.int8]
-    #: (M,), index of the first row of each cell, among these K rows
+    #: (M,), index of the first row of each cell, among these n rows
     _first_row: Integers = field(init=False, repr=False)
     #: (S,), index of the first cell of each stop, among the M cells
     _first_cell: Integers = field(init=False, repr=False)
-    #: (K,), index of each row's cell, from 0
+    #: (n,), index of each row's cell, from 0
     _cell_of_row: Integers = field(init=False, repr=False)
     #: (M,), index of each cell's stop, from 0
     _stop_of_cell: Integers = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        """Find where cells and stops begin, among rows in their order."""
+        """Find where cells and stops begin among the n rows, which are sorted by stop and, within it, by cell.
+
+        From `cells` and `stops`, shape (n,), the numbers of each row's cell and stop, sets the indices, from 0, of the
+        first row of each of M cells, of the first cell of each of S stops, of each row's cell, and of each cell's stop.
+        """
         new_stop = np.diff(self.stops) != 0
         begins_cell = np.append(True, (np.diff(self.cells) != 0) | new_stop)
         begins_stop = np.append(True, np.diff(self.stops[begins_cell]) != 0)
@@ -88,16 +94,22 @@ class Stops:
     def of(cls, kinematics: Kinematics, rows: Rows) -> Stops | None:
         """Find the stops of a table at which several targets were measured.
 
-        A stop is one standstill of the robot. Its rows are of one pose, one frame and one kind, which measures a
-        position; its targets are parts of one rigid body.
+        A stop is one standstill of the robot. Its rows are of one pose, one measurement frame and one kind, which
+        measures a position; its targets are parts of one rigid body. A cell is one target at one stop, with its
+        repeats.
 
         Args:
-            kinematics: The nominal robot under its error model, frames and targets as registered: where the bodies are.
-            rows: N rows of measurements: joint values, frame and target of each, and the measured scalars.
+            kinematics: The nominal robot under its error model, frames and targets as registered; it gives the pose of
+                each row's target at zero parameters, of which the centroid of each body and the lever arms are taken.
+            rows: N rows of measurements of up to D scalars: joint values, frame and target of each (``rows.samples``),
+                numbers that repeats share (``rows.poses``), given sigmas (``rows.scales``, shape (N, D), [m] and
+                [rad]), and the instrument of each scalar (``rows.instruments``, shape (N, D)).
 
         Returns:
-            The rows of these stops with the derivatives of their scalars by the body's displacement; None where no stop
-            has several targets.
+            The n rows of these stops, by cell and stop, with the derivatives of their scalars by the displacement of
+            the stop's body, shape (n, D, 6): three translations, three rotations about the centroid of its targets,
+            along the measurement frame's axes. Each instrument's derivatives by translations, and those by rotations,
+            are scaled so that their sum of squares has mean 1 over its scalars. None where no stop has several targets.
         """
         stop = stop_of_rows(rows)
         if stop is None:
@@ -131,8 +143,8 @@ class Stops:
             mask: shape (N,), which rows of the table are kept.
 
         Returns:
-            The stops; their rows have the indices, from 0, that they have in the table of the kept rows. None where no
-            row of a stop is kept.
+            The stops of the kept rows, even those with one target left; their ``rows`` are the indices, from 0, in the
+            table of the kept rows. Derivatives keep their scale. None where no row of a stop is kept.
         """
         kept = mask[self.rows]
         numbers = (np.cumsum(mask) - 1)[self.rows]
@@ -141,17 +153,17 @@ class Stops:
         return replace(self._some(kept), rows=numbers[kept])
 
     def drawn(self, count: Array) -> Stops:
-        """Return the stops (standstills at which several targets are measured) of a bootstrap sample.
+        """Return the stops (standstills at which several targets are measured) of a bootstrap sample of the stops.
 
         The caller multiplies the rows' weights by ``count``. A row of twice the weight has half the variance, and so
-        must the displacement that it shares.
+        must the displacement that it shares. Of the fields it changes `J`, shape (n, D, 6), the derivatives of the
+        scalars of n rows by the displacement of their stop's body.
 
         Args:
             count: shape (N,), how often the stop of each of the table's rows was drawn; 0: not at all.
 
         Returns:
-            The same stops, with the derivatives of their scalars by the body's displacement divided by sqrt(count); 0
-            for stops that were not drawn.
+            The same stops, with these derivatives divided by sqrt(count); 0 for stops that were not drawn.
         """
         often = count[self.rows, None, None]
         shrunk = self.J / np.sqrt(np.maximum(often, 1))
@@ -162,16 +174,21 @@ class Stops:
 
         The targets that are measured at one standstill of the robot (a stop) share the displacement of their body. With
         the derivatives J_t and J_r of their scalars by its translation and rotation, the scalars have the covariance
-        noise^2 K, where K = kappa I + rho_t J_t J_t^T + rho_r J_r J_r^T and kappa = 1 - rho_t - rho_r.
+        noise^2 K, where K = kappa I + rho_t J_t J_t^T + rho_r J_r J_r^T and kappa = 1 - rho_t - rho_r. Only the means
+        over the repeats of a target at a stop share it: weighted sums over the square root of the sum of weights, X.
 
         Args:
             columns: shape (q, D, N), q columns of the table's scalars, D of each of N rows, such as Jacobian and
-                residual, in units of their sigma.
-            weights: shape (B, N), of its rows in B fits: the variance of a row's scalars is divided by its weight.
-            rho: shape (B, C, 2), the shares of each of C instruments, of translations and of rotations.
+                residual, in units of each scalar's given sigma.
+            weights: shape (B, N), of its rows in B fits, >= 0: the variance of a row's scalars is divided by its
+                weight.
+            rho: shape (B, C, 2), shares rho_t and rho_r of the variance of each of C instruments; where both are 0
+                there is nothing to correct.
 
         Returns:
-            X^T (K^-1 - I) X with the weighted columns X of each instrument, shape (B, C, q, q); log det K, shape (B,).
+            What is to be added to the products of each fit and instrument: X^T (K^-1 - I) X over all stops, with the
+            means X of its scalars, shape (B, C, q, q), in units of the columns squared; and log det K over all stops
+            and instruments, shape (B,).
         """
         q = len(columns)
         changes = np.zeros((*rho.shape[:2], q, q))
@@ -196,23 +213,30 @@ class Stops:
         """Correct the normal equations of one instrument in one fit for what the targets of a stop share.
 
         K = kappa I + G G^T is the covariance of the scalars of a stop (a standstill at which several targets are
-        measured) over the noise squared, with G = [sqrt(rho_t) J_t, sqrt(rho_r) J_r].
+        measured) over the noise squared, with G = [sqrt(rho_t) J_t, sqrt(rho_r) J_r] and kappa = 1 - rho_t - rho_r. J_t
+        and J_r are the derivatives of the scalars by translation and rotation of the body that the targets are on.
 
         Args:
-            X: shape (K, D, q), columns of the scalars of these K rows, in units of their sigma.
-            weights: shape (N,), of the table's N rows: the variance of a row's scalars is divided by its weight.
+            X: shape (n, D, q), q columns (of the Jacobian, and the residual) of the D scalars of the n rows of these S
+                stops, in the order of the field `rows`, in units of the given sigma.
+            weights: shape (N,), of the table's N rows, >= 0: the variance of a row's scalars is divided by its weight.
+                Rows of weight 0 have no part.
             c: The instrument's index, from 0.
-            rho: shape (2,), its shares of translations and of rotations.
+            rho: shape (2,), the shares rho_t of translations and rho_r of rotations in the variance of its scalars.
 
         Returns:
-            X^T (K^-1 - I) X with the weighted columns, shape (q, q); two terms whose sum is log det K.
+            X^T (K^-1 - I) X, shape (q, q), in units of X squared, summed over the stops, where X are the means of the
+            instrument's scalars over the repeats of a target at a stop; two terms whose sum is log det K, over all
+            stops.
         """
-        means = self._means(X, weights, c)
+        means = self._means(
+            X, weights, c
+        )  # of M cells: columns (M, D, q), J (M, D, 6), count (M, D)
         kappa = unshared(rho)
         G = means.J * root_shares(rho)
-        GG = self._sums(transposed(G) @ G)
+        GG = self._sums(transposed(G) @ G)  # over the cells of each stop, (S, 6, 6)
         root = np.linalg.cholesky(np.eye(6) + GG / kappa)
-        G_X = self._sums(transposed(G) @ means.columns)
+        G_X = self._sums(transposed(G) @ means.columns)  # likewise, (S, 6, q)
         shared = np.linalg.solve(root, G_X / kappa)
         change = _change_of_products(means.columns, shared, kappa)
         of_unshared = np.sum(means.count) * np.log(kappa)
@@ -223,17 +247,20 @@ class Stops:
         """Multiply the columns of whitened scalars by the root of K^-1, so that these are independent of each other.
 
         The targets that are measured at one standstill of the robot (a stop) share the displacement of their body, so
-        that their scalars have the covariance noise^2 K, K = kappa I + G G^T, with the shares kappa of independent
-        errors and G = [sqrt(rho_t) J_t, sqrt(rho_r) J_r] of translation and rotation. With
-        G^T G / kappa = Q diag(s^2 - 1) Q^T,
+        that their scalars have the covariance noise^2 K, K = kappa I + G G^T, with the share kappa = 1 - rho_t - rho_r
+        of independent errors and G = [sqrt(rho_t) J_t, sqrt(rho_r) J_r] of translation and rotation. With G^T G / kappa
+        = Q diag(s^2 - 1) Q^T,
 
             K^-1/2 = [I - G Q diag(1 / (s + s^2)) Q^T G^T / kappa] / sqrt(kappa)
 
+        This changes the weighted means over the repeats of a target at a stop; differences between repeats stay.
+
         Args:
-            columns: shape (q, D, N), q columns of the scalars of the table's N rows, such as Jacobian and residual, in
-                units of the noise, and times the roots of the weights.
-            weights: shape (N,), of the table's rows.
-            rho: shape (C, 2), the shares of each of C instruments, of translations and of rotations.
+            columns: shape (q, D, N), q columns (such as Jacobian and residual) of the D scalars of the table's N rows,
+                in units of the estimated noise, and times the square roots of the weights.
+            weights: shape (N,), of the table's rows, >= 0.
+            rho: shape (C, 2), the shares rho_t of translations and rho_r of rotations in the variance of each of C
+                instruments.
 
         Returns:
             shape (q, D, N), in the same units; rows that are of no stop as they are.
@@ -256,40 +283,51 @@ class Stops:
         """Return what must be added to the cells' means so that those of a stop are independent: (K^-1/2 - I) means.
 
         A cell is one target at one standstill of the robot (a stop), with its repeats; K is the covariance of a stop's
-        scalars over the noise squared, kappa I + G G^T.
+        scalars over the noise squared, kappa I + G G^T, with kappa = 1 - rho_t - rho_r and G = [sqrt(rho_t) J_t,
+        sqrt(rho_r) J_r], where J_t and J_r are the derivatives of the scalars by translation and rotation of the stop's
+        body.
 
         Args:
-            X: shape (K, D, q), columns of the scalars of these K rows, in units of their noise.
-            weights: shape (N,), of the table's N rows: the variance of a row's scalars is divided by its weight.
+            X: shape (n, D, q), q columns of the D scalars of the n rows of these stops, in the order of the field
+                `rows`, in units of their noise, not multiplied by the roots of the weights.
+            weights: shape (N,), of the table's N rows, >= 0: the variance of a row's scalars is divided by its weight.
             c: The instrument's index, from 0.
-            rho: shape (2,), its shares of translations and rotations; what they leave of 1 is independent.
+            rho: shape (2,), the shares rho_t of translations and rho_r of rotations in the variance of its scalars.
 
         Returns:
-            shape (M, D, q), of M cells, in units of the noise; zero for scalars of other instruments.
+            shape (M, D, q), of M cells, in units of the noise; zero for scalars of other instruments. The means have
+            the variance of one row of weight 1: weighted sums over the square root of the sum of weights.
         """
-        means = self._means(X, weights, c)
+        means = self._means(X, weights, c)  # of M cells: columns (M, D, q), J (M, D, 6)
         kappa = unshared(rho)
         G = means.J * root_shares(rho) / np.sqrt(kappa)
         squares, Q = np.linalg.eigh(self._sums(transposed(G) @ G))
         s = np.sqrt(1.0 + np.maximum(squares, 0.0))[:, None]
-        G_means = self._sums(transposed(G) @ means.columns)
+        G_means = self._sums(
+            transposed(G) @ means.columns
+        )  # over the cells of each stop, (S, 6, q)
         shared = (Q / (s + s**2)) @ (transposed(Q) @ G_means)
         independent = (means.columns - G @ shared[self._stop_of_cell]) / np.sqrt(kappa)
         return np.asarray(independent - means.columns)
 
     def moments(self, columns: Array, weights: Array, c: int, x: Array, C: Array) -> Moments:
-        """Compute the moments of a fit's residual for one instrument.
+        """Compute the moments of a fit's residual, from which the shares of an instrument's variance are estimated.
+
+        The residual r is averaged over the repeats of each target at each stop (a standstill at which several targets
+        are measured), and J are the derivatives of the scalars by the displacement of the stop's body.
 
         Args:
-            columns: shape (p + 1, D, N), of the scalars of the table's N rows: the derivative A of the prediction by p
-                parameters, and behind it the residual, measured minus predicted, in units of sigma.
-            weights: shape (N,), of the rows.
+            columns: shape (p + 1, D, N), of the D scalars of the table's N rows: the derivative A of the prediction by
+                p parameters, and behind it the residual, measured minus predicted, in units of the given sigma.
+            weights: shape (N,), of the rows, >= 0: the variance of a row's scalars is divided by its weight.
             c: The instrument's index, from 0.
-            x: shape (p,), the solution, relative to where the residual of ``columns`` was taken.
-            C: shape (p, p), its covariance.
+            x: shape (p,), the solution, relative to the parameters where the residual of ``columns`` was taken [m, rad,
+                ...].
+            C: shape (p, p), its covariance, in the products of the parameters' units.
 
         Returns:
-            Moments of all stops, in units of sigma.
+            J^T J and J^T [r r^T + A C A^T] J of each of S stops, both of shape (S, 6, 6); the trace of r r^T + A C A^T
+            over all stops; and the number of scalars. Residuals are in units of the given sigma.
         """
         parts = []
         for stops in self._parts():
@@ -298,19 +336,25 @@ class Stops:
         return Moments.joined(parts)
 
     def _moments_of(self, means: _CellMeans, x: Array, C: Array) -> Moments:
-        """Compute the moments of a fit's residual from the means of these stops' cells.
+        """Compute the moments of a fit's residual from the means of these stops' cells (one target at one stop each).
 
         Args:
-            means: Means of one instrument's scalars over the cells; their columns are the derivative A of the
-                prediction by p parameters, and behind it the residual, in units of sigma.
-            x: shape (p,), the solution, relative to where the residual was taken.
-            C: shape (p, p), its covariance.
+            means: Means of one instrument's scalars over M cells, each with the variance of one row of weight 1:
+                ``means.columns``, shape (M, D, p + 1), the derivative A of the prediction by p parameters, and behind
+                it the residual at some parameters, measured minus predicted, in units of the given sigma; ``means.J``,
+                shape (M, D, 6), the derivative by the displacement of the stop's body; ``means.count``, shape (M, D),
+                the number of scalars.
+            x: shape (p,), the solution, relative to the parameters where the residual was taken [m, rad, ...].
+            C: shape (p, p), its covariance, in the products of the parameters' units.
 
         Returns:
-            Moments of these stops, in units of sigma.
+            With the residual r at the solution: J^T J and J^T [r r^T + A C A^T] J of each of these S stops, both of
+            shape (S, 6, 6); the trace of r r^T + A C A^T over all of them; and the number of scalars. In units of sigma
+            squared.
         """
         A = means.columns[..., :-1]
         r = means.columns[..., -1:] - A @ x[:, None]
+        # Over the cells of each stop, (S, 6, 6 + p + 1).
         sums = self._sums(transposed(means.J) @ np.concatenate([means.J, A, r], axis=2))
         J_J = sums[..., :6]
         J_A = sums[..., 6:-1]
@@ -320,18 +364,21 @@ class Stops:
         return Moments(J_J, R, total, float(np.sum(means.count)))
 
     def _means(self, X: Array, weights: Array, c: int) -> _CellMeans:
-        """Average an instrument's scalars over each cell, which is one target at one stop, with its repeats.
+        """Average an instrument's scalars over each of M cells, which is one target at one stop, with its repeats.
 
-        Repeats are summed with their weights, and scaled so that the sum has the variance of one row of weight 1.
+        A mean is sum w X / sqrt(sum w) over the repeats, with their weights w, so that it has the variance of one row
+        of weight 1; it is 0 where all these weights are 0.
 
         Args:
-            X: shape (K, D, q), columns of the scalars of these K rows.
-            weights: shape (N,), of the table's N rows.
+            X: shape (n, D, q), q columns of the D scalars of the n rows of these stops, in the order of the field
+                `rows`.
+            weights: shape (N,), of the table's N rows, >= 0.
             c: The instrument's index, from 0.
 
         Returns:
-            Means, in the unit of X, of the columns and of the derivative by the body's displacement, and numbers of
-            scalars; all zero for scalars of other instruments.
+            Means of X, ``columns``, shape (M, D, q), in the unit of X; of the derivative by the displacement of the
+            stop's body, ``J``, shape (M, D, 6), without unit; and ``count``, shape (M, D), which is sum w, but at most
+            1. All are zero for scalars of other instruments.
         """
         w = weights[self.rows, None]
         of_instrument = self.instruments == c
@@ -346,6 +393,8 @@ class Stops:
     def _sums(self, values: Array) -> Array:
         """Sum values over the cells of each stop: over the targets that are measured at one standstill.
 
+        Uses `_first_cell`, shape (S,), the index of the first cell of each stop, from 0.
+
         Args:
             values: shape (M, ...), of each of M cells (one target at one stop, with its repeats), in their order.
 
@@ -355,21 +404,22 @@ class Stops:
         return np.asarray(np.add.reduceat(values, self._first_cell))
 
     def _rows_of(self, columns: Array) -> Array:
-        """Return the columns of the K rows of stops, which are some of the table's N rows.
+        """Return the columns of the n rows of stops, which are some of the table's N rows.
 
         Args:
             columns: shape (q, D, N), q columns of the D scalars of each of the table's N rows.
 
         Returns:
-            shape (K, D, q), contiguous, in the order of `rows`.
+            shape (n, D, q), contiguous, in the order of `rows`, which are the indices of these rows in the table, from
+            0.
         """
         return np.ascontiguousarray(columns[:, :, self.rows].transpose(2, 1, 0))
 
     def _parts(self) -> list[Stops]:
-        """Divide the K rows into parts of about `_PART` rows, for memory; the rows of a stop stay together.
+        """Divide the n rows into parts of about 16384 rows (`_PART`), for memory; the rows of a stop stay together.
 
         Returns:
-            The parts, in the order of the K rows; this object alone where it has few rows.
+            The parts, in the order of the n rows; this object alone where it has few rows.
         """
         if len(self.rows) <= _PART:
             return [self]
@@ -378,10 +428,10 @@ class Stops:
         return [self._some(part == k) for k in np.unique(part)]
 
     def _some(self, kept: Mask) -> Stops:
-        """Return some of the K rows of stops; their indices in the table stay.
+        """Return some of the n rows of stops; their indices in the table, and the numbers of cells and stops, stay.
 
         Args:
-            kept: shape (K,), which of these K rows to keep.
+            kept: shape (n,), which of these n rows to keep.
 
         Returns:
             The kept rows, in their order, with their cells and stops.
@@ -396,12 +446,15 @@ class Stops:
 
 
 def _change_of_products(means: Array, shared: Array, kappa: float) -> Array:
-    """The change of normal equations by what stops share: X^T (K^-1 - I) X.
+    """The change of normal equations by what the targets of a stop share: X^T (K^-1 - I) X, summed over S stops.
 
-    With the Cholesky factor L of I + G^T G / kappa, K^-1 = I / kappa - Z^T Z where Z = L^-1 G^T / kappa.
+    K = kappa I + G G^T is the covariance of a stop's scalars over the noise squared, where G has the scaled derivatives
+    of the scalars by the displacement of the stop's body. With the Cholesky factor L of I + G^T G / kappa, K^-1 = I /
+    kappa - Z^T Z where Z = L^-1 G^T / kappa.
 
     Args:
-        means: shape (M, D, q), columns X of the scalars, averaged over cells.
+        means: shape (M, D, q), q columns X of the D scalars, averaged over each of M cells: one target at one stop,
+            with its repeats.
         shared: shape (S, 6, q), Z X of each of S stops.
         kappa: The share of a scalar's variance that is independent of the other targets of its stop.
 

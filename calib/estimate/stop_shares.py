@@ -59,14 +59,18 @@ class _InverseCovariance:
 
     @classmethod
     def of(cls, M: Array, rho: Array) -> _InverseCovariance:
-        """Invert the covariance of each stop.
+        """Invert the covariance K = kappa I + J D J^T of the scalars of each stop, over the noise squared.
+
+        J has the derivatives of a stop's scalars by the displacement of its body, three translations and three
+        rotations; D = diag(rho_t, rho_t, rho_t, rho_r, rho_r, rho_r), and kappa = 1 - rho_t - rho_r, at least 1e-6.
 
         Args:
             M: shape (S, 6, 6), J^T J of each of S stops.
             rho: shape (2,), the shares rho_t and rho_r of translations and rotations in the variance of a scalar.
 
         Returns:
-            K^-1 of each stop, where K is the covariance of its scalars over the noise squared.
+            kappa; T = (kappa I + D M)^-1 and H = T D, both of shape (S, 6, 6), with K^-1 = (I - J H J^T) / kappa and
+            K^-1 J = J T.
         """
         kappa = unshared(rho)
         shares = root_shares(rho) ** 2
@@ -89,13 +93,18 @@ class Moments:
 
     @classmethod
     def joined(cls, parts: Sequence[Moments]) -> Moments:
-        """Join the moments of several parts of the stops.
+        """Join the moments of a fit's residual over several parts of the stops.
+
+        With the residual r of the scalars of a stop, the covariance A C A^T of their prediction, and their derivatives
+        J by the displacement of the stop's body, moments are ``M`` = J^T J and ``R`` = J^T [r r^T + A C A^T] J of each
+        of S stops, both of shape (S, 6, 6); ``total``, the trace of r r^T + A C A^T over all stops; and ``count``, the
+        number of scalars.
 
         Args:
             parts: Moments of the parts, in the order of the stops, of the same fit and instrument; at least one.
 
         Returns:
-            The moments of all stops: matrices of each stop in this order, and the sums over all.
+            The moments of all stops: ``M`` and ``R`` stacked in this order, the sums of ``total`` and of ``count``.
         """
         total = 0.0
         count = 0.0
@@ -109,14 +118,17 @@ class Moments:
     def shares(self, rho: Array) -> Array:
         """Estimate which shares of a scalar's variance translations and rotations of a stop's body have, by iteration.
 
-        All targets that are measured at one standstill of the robot (a stop) move with this body. Uses the moments of
-        the fit's residual over all stops: `M`, `R`, `total` and `count`.
+        All targets that are measured at one standstill of the robot (a stop) move with this body. With the derivatives
+        J of a stop's scalars by its displacement, and the moments of the fit's residual r: ``M`` = J^T J and ``R`` =
+        J^T [r r^T + A C A^T] J, both of shape (S, 6, 6); ``total``, the trace of r r^T + A C A^T over all S stops,
+        where A C A^T is the covariance of the prediction; and ``count``, the number of scalars.
 
         Args:
             rho: shape (2,), the shares rho_t of translations and rho_r of rotations to begin with.
 
         Returns:
-            shape (2,), each from 0 to 1; zero where the degrees of freedom are few.
+            shape (2,), rho_t and rho_r, each from 0 to 1; both 0 where the degrees of freedom of the bodies (the ranks
+            of ``M``), or the others, are fewer than 12. After 20 iterations as they are.
         """
         bodies = int(np.sum(np.linalg.matrix_rank(self.M, hermitian=True)))
         if min(bodies, self.count - bodies) < _FEWEST_FREEDOM:
@@ -131,11 +143,16 @@ class Moments:
     def _components(self, rho: Array) -> Array:
         """Estimate the variances theta of independent errors, translations and rotations, the last two >= 0.
 
+        Solves the three linear equations for theta once; a variance that comes out negative is 0, and the others are
+        solved for again.
+
         Args:
-            rho: shape (2,), the shares of translations and rotations at which the equations for theta are set up.
+            rho: shape (2,), the shares of translations and rotations in the variance of a scalar, at which the
+                equations are set up.
 
         Returns:
-            theta, shape (3,), in the square of the residual's unit.
+            theta, shape (3,), in the square of the residual's unit; that of rotations or translations is 0 too where
+            these move no scalar.
         """
         inverse = _InverseCovariance.of(self.M, rho)
         left = self._left_side(inverse)
@@ -151,15 +168,17 @@ class Moments:
     def _left_side(self, inverse: _InverseCovariance) -> Array:
         """The matrix of the equations for theta, the variances of independent errors, translations and rotations.
 
-        The scalars of a stop have the covariance V = theta_0 I + theta_1 J_t J_t^T + theta_2 J_r J_r^T, where
-        J = [J_t, J_r] are their derivatives by translation and rotation of the body that all its targets are on. Uses
-        `M`, J^T J of each of S stops, and the `count` of scalars.
+        The scalars of a stop have the covariance V = theta_0 I + theta_1 J_t J_t^T + theta_2 J_r J_r^T, where J = [J_t,
+        J_r] are their derivatives by translation and rotation of the body that all its targets are on. Uses ``M``,
+        shape (S, 6, 6), J^T J of each of S stops, and the ``count`` of scalars of all.
 
         Args:
-            inverse: K^-1 of each of S stops, where K is V over the noise squared, at the shares as they are so far.
+            inverse: K^-1 of each stop, where K is V over the noise squared, at the shares as they are so far, as
+                ``kappa``, and ``T`` and ``H``, shape (S, 6, 6): K^-1 = (I - J H J^T) / kappa and K^-1 J = J T.
 
         Returns:
-            tr(K^-1 K_i K^-1 K_j), shape (3, 3), where K_i is the derivative of the covariance V by theta_i.
+            tr(K^-1 K_i K^-1 K_j), shape (3, 3), summed over the stops, where K_i is the derivative of the covariance V
+            by theta_i.
         """
         HM = inverse.H @ self.M
         MT = self.M @ inverse.T
@@ -178,19 +197,20 @@ class Moments:
     def _right_side(self, inverse: _InverseCovariance) -> Array:
         """The right side of the equations for theta, the variances of independent errors, translations and rotations.
 
-        The scalars of a stop have the covariance V = theta_0 I + theta_1 J_t J_t^T + theta_2 J_r J_r^T, where
-        J = [J_t, J_r] are their derivatives by translation and rotation of the body that all its targets are on. Uses
-        the moments of the fit's residual r, whose prediction has the covariance A C A^T: of each of S stops M and R,
-        and the total of all stops,
+        The scalars of a stop have the covariance V = theta_0 I + theta_1 J_t J_t^T + theta_2 J_r J_r^T, where J = [J_t,
+        J_r] are their derivatives by translation and rotation of the body that all its targets are on. Uses the moments
+        of the fit's residual r, whose prediction has the covariance A C A^T: ``M`` and ``R``, shape (S, 6, 6), of each
+        of S stops, and ``total``, over all stops,
 
             M = J^T J,    R = J^T [r r^T + A C A^T] J,    total = tr(r r^T + A C A^T)
 
         Args:
-            inverse: K^-1 of each of S stops, where K is V over the noise squared, at the shares as they are so far.
+            inverse: K^-1 of each stop, where K is V over the noise squared, at the shares as they are so far, as
+                ``kappa``, and ``T`` and ``H``, shape (S, 6, 6): K^-1 = (I - J H J^T) / kappa and K^-1 J = J T.
 
         Returns:
-            tr(K^-1 K_i K^-1 [r r^T + A C A^T]), shape (3,), in the square of the residual's unit, where K_i is the
-            derivative of the covariance V by theta_i.
+            tr(K^-1 K_i K^-1 [r r^T + A C A^T]), shape (3,), summed over the stops, in the square of the residual's
+            unit, where K_i is the derivative of the covariance V by theta_i.
         """
         HM = inverse.H @ self.M
         HR = inverse.H @ self.R
