@@ -32,10 +32,10 @@ from calib.numerics.solvers import Solver
 from calib.registration.registration import nominal_setup, register_held_out
 from calib.registration.rows import Rows
 from calib.registration.setup import Setup
-from calib.result.calibration import CalibrationValues, Fit, RowNames, Source
+from calib.result.calibration import CalibrationValues, FitInMemory, RowNames, Source
 from calib.result.doubts import doubts_of
 from calib.result.evidence import evidence_of
-from calib.result.fits import Fits, fit_table
+from calib.result.fits import TableFits, fit_table
 from calib.result.prediction import (
     NonGeometric,
     Outlier,
@@ -117,7 +117,7 @@ class _Validations:
 
 
 def _validated(
-    measurements: Measurements, fits: Fits, progress: Progress | None
+    measurements: Measurements, fits: TableFits, progress: Progress | None
 ) -> CalibrationValues:
     """Cross-validate the fits of a table, and assemble the result with its verdict.
 
@@ -169,10 +169,10 @@ def _part_of(progress: Progress | None, part: int, parts: int) -> Progress | Non
 
 def _confirmed(
     measurements: Measurements,
-    fits: Fits,
+    fits: TableFits,
     of_geometry: CrossValidation,
     progress: Progress | None,
-) -> tuple[Fits, CrossValidation | None]:
+) -> tuple[TableFits, CrossValidation | None]:
     """Confirm the non-geometric model by refits without each fold, or replace it.
 
     The chosen model passed the cross-validation of the linearised problem. Refitted without each fold it has to leave
@@ -206,7 +206,7 @@ def _confirmed(
     return _with_non_geometric(fits, None), None
 
 
-def _squares(fits: Fits, validation: CrossValidation) -> float:
+def _squares(fits: TableFits, validation: CrossValidation) -> float:
     """Return the sum of squared held-out residuals in standard deviations of the geometry's noise, outliers aside.
 
     Args:
@@ -224,7 +224,7 @@ def _squares(fits: Fits, validation: CrossValidation) -> float:
     return float(np.sum(whitened[~estimate.outliers] ** 2))
 
 
-def _contenders(measurements: Measurements, fits: Fits, chosen: Fitted) -> Iterator[Fitted]:
+def _contenders(measurements: Measurements, fits: TableFits, chosen: Fitted) -> Iterator[Fitted]:
     """Yield fits of non-geometric models: the one that was chosen, then the alternatives by falling evidence.
 
     Args:
@@ -245,7 +245,7 @@ def _contenders(measurements: Measurements, fits: Fits, chosen: Fitted) -> Itera
         yield fitted.with_held_out(fits.unseen, validation_rows)
 
 
-def _with_non_geometric(fits: Fits, non_geometric: Fitted | None) -> Fits:
+def _with_non_geometric(fits: TableFits, non_geometric: Fitted | None) -> TableFits:
     """Return the fits of a table with another non-geometric model, and the candidates marked accordingly.
 
     Args:
@@ -302,7 +302,7 @@ class _Scored:
 
 def _assembled(
     measurements: Measurements,
-    fits: Fits,
+    fits: TableFits,
     validations: _Validations | None = None,
     verdict: Verdict | None = None,
 ) -> CalibrationValues:
@@ -310,7 +310,7 @@ def _assembled(
 
     Args:
         measurements: All N rows of the table.
-        fits: Fits of its estimation rows: of the geometry, and of the non-geometric model if there is one; the N rows
+        fits: TableFits of its estimation rows: of the geometry, and of the non-geometric model if there is one; the N rows
             as arrays; and the time that the fits took [s].
         validations: Cross-validations of the nominal robot and of these fits; None: there are none.
         verdict: The verdict on the geometry, where it is known already, as with a usual mistake in the table; None: it
@@ -363,7 +363,7 @@ def _assembled(
         candidates=_without_rows(fits.candidates),
         non_geometric=_non_geometric(fits, validations.non_geometric),
         verdict=verdict,
-        fit=Fit(m, cell, geometry, fits.non_geometric),
+        fit=FitInMemory(m, cell, geometry, fits.non_geometric),
     )
 
 
@@ -383,7 +383,7 @@ def _robustness(geometry: Fitted) -> Robustness | None:
     return compare_weights(geometry)
 
 
-def _outside(measurements: Measurements, fits: Fits) -> tuple[OutsideRow, ...]:
+def _outside(measurements: Measurements, fits: TableFits) -> tuple[OutsideRow, ...]:
     """List the validation rows with joint values outside of those of the estimation rows.
 
     Args:
@@ -463,7 +463,7 @@ def _spread_samples(fitted: Fitted) -> Samples:
     return Samples.at(q)
 
 
-def _non_geometric(fits: Fits, validation: CrossValidation | None) -> NonGeometric | None:
+def _non_geometric(fits: TableFits, validation: CrossValidation | None) -> NonGeometric | None:
     """Return the non-geometric model of the result; None if none was fitted.
 
     Args:
@@ -487,7 +487,7 @@ def _non_geometric(fits: Fits, validation: CrossValidation | None) -> NonGeometr
     )
 
 
-def _nominal_places(measurements: Measurements, fits: Fits) -> Setup:
+def _nominal_places(measurements: Measurements, fits: TableFits) -> Setup:
     """Place frames and targets for the nominal robot: as given, or registered to the estimation rows.
 
     Those that only validation rows see are registered to these.
@@ -509,7 +509,7 @@ def _nominal_places(measurements: Measurements, fits: Fits) -> Setup:
     return register_held_out(T_base_tip[validation], placed, unseen, rows.select(validation))
 
 
-def _scored(measurements: Measurements, fits: Fits) -> _Scored:
+def _scored(measurements: Measurements, fits: TableFits) -> _Scored:
     """Return residuals, scores and weights of all rows by the fit of the geometry.
 
     Args:
@@ -541,7 +541,7 @@ def _scored(measurements: Measurements, fits: Fits) -> _Scored:
 
 def _flagged(
     measurements: Measurements,
-    fits: Fits,
+    fits: TableFits,
     scored: _Scored,
     chosen: Mask,
     limit: float,

@@ -83,7 +83,7 @@ class Source:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Fit:
+class FitInMemory:
     """Measurements and solved problem of a calibration that was made in this process."""
 
     #: All rows
@@ -171,7 +171,7 @@ class CalibrationValues(FittedModel):
     #: None without cross-validation, unless a usual mistake explains the rows far better
     verdict: Verdict | None
     #: Measurements and solved problem; None where the result was read from a file
-    fit: Fit | None = field(default=None, repr=False)
+    fit: FitInMemory | None = field(default=None, repr=False)
 
     def __repr__(self) -> str:
         """One line with the nominal robot, the number of rows, and the verdict's use, if there is a verdict."""
@@ -197,7 +197,7 @@ class CalibrationValues(FittedModel):
         return self.fit_in_memory.geometry
 
     @property
-    def fit_in_memory(self) -> Fit:
+    def fit_in_memory(self) -> FitInMemory:
         """Measurements, cell, and the fits of the geometry and of the non-geometric model, if there is one.
 
         They are held by ``fit``. Raises `ModelError` where it is None, because the result was read from a file.

@@ -44,7 +44,7 @@ _MANY_ROWS = 300
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Fits:
+class TableFits:
     """The fits of one table, from which `calibrate` assembles its result."""
 
     #: Of the geometry
@@ -57,7 +57,7 @@ class Fits:
     all_rows: Rows
     #: Those that were fitted, those of sole postures marked
     fitted_rows: Rows
-    #: The measurement setup; unknown are the frames and targets that only the other rows see
+    #: The measurement setup; unknown are the frames and targets that only validation rows see
     unseen: Setup
     #: A usual mistake that would explain the measurements far better
     mistake: Reason | None
@@ -133,7 +133,7 @@ def fit_table(
     model: str | Sequence[Parameter] | None = None,
     solver: str | Solver = "lm",
     robust: bool = True,
-) -> Fits:
+) -> TableFits:
     """Fit the models of a calibration to the estimation rows of a table.
 
     Args:
@@ -175,7 +175,7 @@ def fit_table(
     geometry = table.with_unseen_placed(geometry)
     if non_geometric is not None:
         non_geometric = table.with_unseen_placed(non_geometric)
-    return Fits(
+    return TableFits(
         geometry=geometry,
         non_geometric=non_geometric,
         candidates=candidates,
@@ -205,7 +205,7 @@ def _fit_models(task: Task, rows: Rows) -> tuple[Fitted, Fitted | None, tuple[Ca
     candidates: tuple[Candidate, ...] = ()
     if task.model == AUTO:
         selection = select(task, rows)
-        name, reference = selection.geometry, selection.reference
+        name, reference = selection.geometry, selection.chosen
         candidates = selection.candidates
     else:
         name = split_name(task.model)[0] if isinstance(task.model, str) else OWN

@@ -43,7 +43,7 @@ class Selection:
     candidates: tuple[Candidate, ...]
     #: Fit of the non-geometric model, or of the geometry where there is none; with its own weights, or with those of
     #: the search's reference fit if that explains more rows
-    reference: Fitted
+    chosen: Fitted
 
 
 def select(task: Task, rows: Rows) -> Selection:
@@ -82,9 +82,9 @@ def select(task: Task, rows: Rows) -> Selection:
     selection = _searched(search, start)
     if len(some_rows) == len(rows):
         return selection
-    chosen = selection.reference
+    chosen = selection.chosen
     of_all_rows = fit(chosen.task, rows, registered=chosen.setup)
-    return replace(selection, reference=of_all_rows)
+    return replace(selection, chosen=of_all_rows)
 
 
 def _largest_geometry(geometries: dict[str, int], count: int) -> str:

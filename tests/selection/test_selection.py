@@ -44,7 +44,7 @@ def test_the_model_that_made_the_data_is_chosen(
         assert found.non_geometric.split("+")[1:] == non_geometric.split("+")[1:]
     else:
         assert (found.geometry, found.non_geometric) == (geometry, non_geometric)
-    assert found.reference.task.model == (found.non_geometric or found.geometry)
+    assert found.chosen.task.model == (found.non_geometric or found.geometry)
     assert {c.name: c.chosen for c in found.candidates if c.chosen} == {
         found.geometry: "geometry",
         **({found.non_geometric: "non_geometric"} if found.non_geometric else {}),
@@ -92,5 +92,5 @@ def test_a_part_of_many_rows_chooses_and_all_are_fitted(make_scene, monkeypatch)
     monkeypatch.setattr(selection, "_CHOSEN_BY", 40)
     found = chosen(scene_of(make_scene, 101, "zeros"), 80)
     assert found.geometry == "zeros"
-    assert len(found.reference.estimate.weights) == 80
+    assert len(found.chosen.estimate.weights) == 80
     assert {len(c.cross_validation.residual) for c in found.candidates} == {40}
