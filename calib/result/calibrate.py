@@ -310,7 +310,7 @@ def _assembled(
 
     Args:
         measurements: All N rows of the table.
-        fits: TableFits of its estimation rows: of the geometry, and of the non-geometric model if there is one; the N rows
+        fits: Fits of its estimation rows: of the geometry, and of the non-geometric model if there is one; the N rows
             as arrays; and the time that the fits took [s].
         validations: Cross-validations of the nominal robot and of these fits; None: there are none.
         verdict: The verdict on the geometry, where it is known already, as with a usual mistake in the table; None: it
