@@ -7,9 +7,9 @@ their sigma, have the covariance
 
     V = noise^2 K,        K = kappa I + rho_t J_t J_t^T + rho_r J_r J_r^T,        kappa = 1 - rho_t - rho_r
 
-with the derivatives J_t and J_r of the predicted scalars by that displacement, each scaled to mean square 1 over the
-table: noise is the standard deviation of a scalar, rho_t and rho_r are the shares of its variance that the targets of a
-stop have in common, and kappa is the share that is independent. With
+with the Jacobians J_t and J_r of the predicted scalars by that displacement, each scaled so that the mean diagonal
+entry of J J^T over the table is 1: noise is the standard deviation of a scalar, rho_t and rho_r are the shares of its
+variance that the targets of a stop have in common, and kappa is the share that is independent. With
 G = [sqrt(rho_t) J_t, sqrt(rho_r) J_r], as in any mixed model (C. R. Henderson, 1953),
 
     K^-1 = [I - G (kappa I + G^T G)^-1 G^T] / kappa
@@ -40,42 +40,49 @@ _PART = 16_384
 class _CellMeans:
     """Means of one instrument's scalars over M cells: a cell is one target at one stop, with its repeats.
 
-    Each is scaled so that it has the variance of one row of weight 1; zero for scalars of other instruments.
+    The mean of values v of rows of weight w is sum(w v) / sqrt(sum(w)): it has the variance of one row of weight 1.
+    Means are zero for scalars of other instruments, and for cells without weight.
     """
 
-    #: (M, D, q), of given columns of the scalars
+    #: (M, D, q), of given columns of the scalars, in their unit
     columns: Array
-    #: (M, D, 6), of the derivative of each scalar by the body's displacement
+    #: (M, D, 6), of the Jacobian of each scalar by translation (3) and rotation (3) of the stop's body
     J: Array
-    #: (M, D), number of scalars: 1, less where the rows have little weight, or 0
+    #: (M, D), number of scalars: 1, or the sum of the rows' weights where that is less; 0 for other instruments
     count: Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stops:
-    """The rows of stops at which several targets were measured: K rows, in M cells of one target at one of S stops."""
+    """The rows of stops at which several targets were measured: n rows, in M cells of one target at one of S stops."""
 
-    #: (K,), their indices in the table of N rows, from 0, cell by cell and stop by stop
+    #: (n,), their indices in the table of N rows, from 0, cell by cell and stop by stop
     rows: Integers
-    #: (K,), rows of one number are of one cell
+    #: (n,), rows of one number are of one cell
     cells: Integers
-    #: (K,), rows of one number are of one stop
+    #: (n,), rows of one number are of one stop
     stops: Integers
-    #: (K, D, 6), Jacobian of each scalar by the body's displacement, of mean square 1
+    #: (n, D, 6), Jacobian of each scalar by translation (3) and rotation (3) of the stop's body. The three squares of
+    #: each part sum to 1 on average over an instrument's scalars, of which repeats of a target count as one
     J: Array
-    #: (K, D), index of the instrument, and so of the noise, of each scalar, from 0; -1 where there is no scalar
+    #: (n, D), index of the instrument, and so of the noise, of each scalar, from 0; -1 where there is no scalar
     instruments: NDArray[np.int8]
-    #: (M,), index of the first row of each cell, among these K rows
+    #: (M,), index of the first row of each cell, among these n rows
     _first_row: Integers = field(init=False, repr=False)
     #: (S,), index of the first cell of each stop, among the M cells
     _first_cell: Integers = field(init=False, repr=False)
-    #: (K,), index of each row's cell, from 0
+    #: (n,), index of each row's cell, from 0
     _cell_of_row: Integers = field(init=False, repr=False)
     #: (M,), index of each cell's stop, from 0
     _stop_of_cell: Integers = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        """Find where cells and stops begin, among rows in their order."""
+        """Find where cells and stops begin among the n rows, which are sorted by stop, and by cell within a stop.
+
+        From ``cells`` and ``stops``, shape (n,), labels of each row's cell (one target at one stop) and stop, it
+        derives the indices of the first row of each cell, of the first cell of each stop, of each row's cell and each
+        cell's stop.
+        """
         new_stop = np.diff(self.stops) != 0
         begins_cell = np.append(True, (np.diff(self.cells) != 0) | new_stop)
         begins_stop = np.append(True, np.diff(self.stops[begins_cell]) != 0)
@@ -89,15 +96,17 @@ class Stops:
         """Find the stops of a table at which several targets were measured.
 
         A stop is one standstill of the robot. Its rows are of one pose, one frame and one kind, which measures a
-        position; its targets are parts of one rigid body.
+        position; its targets are parts of one rigid body, which turns about the centroid of its targets.
 
         Args:
-            kinematics: The nominal robot under its error model, frames and targets as registered: where the bodies are.
+            kinematics: The nominal robot under its error model, with measurement frames and targets as registered; it
+                predicts where the targets are, with all parameters zero.
             rows: N rows of measurements: joint values, frame and target of each, and the measured scalars.
 
         Returns:
-            The rows of these stops with the derivatives of their scalars by the body's displacement; None where no stop
-            has several targets.
+            The rows of these stops, sorted by stop and target, with the Jacobian ``J``, shape (n, D, 6), of their D
+            scalars by the translation (3) and the rotation (3) of the stop's body along the axes of the measurement
+            frame, scaled to unit size for each instrument. None where no stop has several targets.
         """
         stop = stop_of_rows(rows)
         if stop is None:
@@ -127,8 +136,10 @@ class Stops:
     def select(self, mask: Mask) -> Stops | None:
         """Return the stops (standstills at which several targets are measured) of some of the table's rows.
 
+        Uses ``rows``, shape (n,), indices of the stops' rows in the table, from 0.
+
         Args:
-            mask: shape (N,), which rows of the table are kept.
+            mask: shape (N,), True for rows of the table that are kept.
 
         Returns:
             The stops; their rows have the indices, from 0, that they have in the table of the kept rows. None where no
@@ -144,14 +155,15 @@ class Stops:
         """Return the stops (standstills at which several targets are measured) of a bootstrap sample.
 
         The caller multiplies the rows' weights by ``count``. A row of twice the weight has half the variance, and so
-        must the displacement that it shares.
+        must the displacement that it shares with the other targets of its stop. Uses ``rows``, shape (n,), indices of
+        the stops' rows in the table, and ``J``, shape (n, D, 6), Jacobian of their scalars by the displacement of the
+        body.
 
         Args:
-            count: shape (N,), how often the stop of each of the table's rows was drawn; 0: not at all.
+            count: shape (N,), how many times the stop of each of the table's rows was drawn; 0: not at all.
 
         Returns:
-            The same stops, with the derivatives of their scalars by the body's displacement divided by sqrt(count); 0
-            for stops that were not drawn.
+            The same stops, with J divided by sqrt(count); J is 0 for stops that were not drawn.
         """
         often = count[self.rows, None, None]
         shrunk = self.J / np.sqrt(np.maximum(often, 1))
@@ -161,24 +173,27 @@ class Stops:
         """Correct the normal equations of independent rows for what the targets of a stop share.
 
         The targets that are measured at one standstill of the robot (a stop) share the displacement of their body. With
-        the derivatives J_t and J_r of their scalars by its translation and rotation, the scalars have the covariance
-        noise^2 K, where K = kappa I + rho_t J_t J_t^T + rho_r J_r J_r^T and kappa = 1 - rho_t - rho_r.
+        the Jacobians J_t and J_r (``J``) of their scalars by its translation and rotation, the scalars of a stop have
+        the covariance noise^2 K, where K = kappa I + rho_t J_t J_t^T + rho_r J_r J_r^T and kappa = 1 - rho_t - rho_r.
 
         Args:
             columns: shape (q, D, N), q columns of the table's scalars, D of each of N rows, such as Jacobian and
-                residual, in units of their sigma.
-            weights: shape (B, N), of its rows in B fits: the variance of a row's scalars is divided by its weight.
-            rho: shape (B, C, 2), the shares of each of C instruments, of translations and of rotations.
+                residual, in units of each scalar's given sigma; without weights.
+            weights: shape (B, N), >= 0, of the rows in B fits: the variance of a row's scalars is divided by its
+                weight, and rows of weight 0 do not count.
+            rho: shape (B, C, 2), shares (rho_t, rho_r) of the variance of each of C instruments' scalars.
 
         Returns:
-            X^T (K^-1 - I) X with the weighted columns X of each instrument, shape (B, C, q, q); log det K, shape (B,).
+            What is added to X^T W X, of columns X with weights W and independent rows, for each instrument, summed over
+            all stops, shape (B, C, q, q), in squared units of ``columns``; and log det K, summed over all stops and
+            instruments, shape (B,).
         """
         q = len(columns)
         changes = np.zeros((*rho.shape[:2], q, q))
         log_det = np.zeros(len(rho))
         shares_any = np.argwhere(np.any(rho > 0.0, axis=2)).tolist()
         for stops in self._parts():
-            X = stops._rows_of(columns)
+            X = stops._rows_of(columns)  # (n, D, q)
             for b, c in shares_any:
                 change, log_terms = stops._correction(X, weights[b], c, rho[b, c])
                 changes[b, c] += change
@@ -195,19 +210,24 @@ class Stops:
     ) -> tuple[Array, tuple[float, float]]:
         """Correct the normal equations of one instrument in one fit for what the targets of a stop share.
 
-        K = kappa I + G G^T is the covariance of the scalars of a stop (a standstill at which several targets are
-        measured) over the noise squared, with G = [sqrt(rho_t) J_t, sqrt(rho_r) J_r].
+        The scalars of a stop (a standstill at which several targets are measured) have the covariance K times the noise
+        squared, K = kappa I + G G^T, with G = [sqrt(rho_t) J_t, sqrt(rho_r) J_r] and kappa = 1 - rho_t - rho_r. J_t and
+        J_r are the Jacobians of the scalars by translation and rotation of the body that carries the targets.
 
         Args:
-            X: shape (K, D, q), columns of the scalars of these K rows, in units of their sigma.
-            weights: shape (N,), of the table's N rows: the variance of a row's scalars is divided by its weight.
+            X: shape (n, D, q), columns (Jacobian, residual) of D scalars of the n rows of all stops, in the order of
+                ``rows``, in units of each scalar's given sigma; without weights.
+            weights: shape (N,), >= 0, of all N rows of the table: the variance of a row's scalars is divided by its
+                weight, and rows of weight 0 do not count.
             c: The instrument's index, from 0.
-            rho: shape (2,), its shares of translations and of rotations.
+            rho: shape (2,), its shares (rho_t, rho_r) of variance, each from 0 to 1.
 
         Returns:
-            X^T (K^-1 - I) X with the weighted columns, shape (q, q); two terms whose sum is log det K.
+            X^T (K^-1 - I) X, summed over the stops, shape (q, q), where X are the means over the repeats of each
+            target, scaled to the variance of a row of weight 1; and two terms, those of kappa and of G, whose sum is
+            log det K, summed over the stops.
         """
-        means = self._means(X, weights, c)
+        means = self._means(X, weights, c)  # sum(w X) / sqrt(sum(w)) over repeats of each target
         kappa = unshared(rho)
         G = means.J * root_shares(rho)
         GG = self._sums(transposed(G) @ G)
@@ -223,17 +243,19 @@ class Stops:
         """Multiply the columns of whitened scalars by the root of K^-1, so that these are independent of each other.
 
         The targets that are measured at one standstill of the robot (a stop) share the displacement of their body, so
-        that their scalars have the covariance noise^2 K, K = kappa I + G G^T, with the shares kappa of independent
-        errors and G = [sqrt(rho_t) J_t, sqrt(rho_r) J_r] of translation and rotation. With
-        G^T G / kappa = Q diag(s^2 - 1) Q^T,
+        that their scalars have the covariance noise^2 K, K = kappa I + G G^T, with the share kappa = 1 - rho_t - rho_r
+        of independent errors and G = [sqrt(rho_t) J_t, sqrt(rho_r) J_r], where J_t and J_r (``J``) are the Jacobians of
+        the scalars by the body's translation and rotation. With G^T G / kappa = Q diag(s^2 - 1) Q^T,
 
             K^-1/2 = [I - G Q diag(1 / (s + s^2)) Q^T G^T / kappa] / sqrt(kappa)
 
+        Of repeats of a target at a stop only the weighted mean is transformed; their deviations from it stay.
+
         Args:
-            columns: shape (q, D, N), q columns of the scalars of the table's N rows, such as Jacobian and residual, in
-                units of the noise, and times the roots of the weights.
-            weights: shape (N,), of the table's rows.
-            rho: shape (C, 2), the shares of each of C instruments, of translations and of rotations.
+            columns: shape (q, D, N), q columns of the D scalars of the table's N rows, such as Jacobian and residual,
+                in units of the noise, and times the roots of the weights.
+            weights: shape (N,), >= 0, of the table's rows.
+            rho: shape (C, 2), shares (rho_t, rho_r) of the variance of each of C instruments' scalars.
 
         Returns:
             shape (q, D, N), in the same units; rows that are of no stop as they are.
@@ -255,19 +277,23 @@ class Stops:
     def _change_of_means(self, X: Array, weights: Array, c: int, rho: Array) -> Array:
         """Return what must be added to the cells' means so that those of a stop are independent: (K^-1/2 - I) means.
 
-        A cell is one target at one standstill of the robot (a stop), with its repeats; K is the covariance of a stop's
-        scalars over the noise squared, kappa I + G G^T.
+        A cell is one target at one standstill of the robot (a stop), with its repeats. K is the covariance of a stop's
+        scalars over the noise squared, K = kappa I + G G^T with G = [sqrt(rho_t) J_t, sqrt(rho_r) J_r], the Jacobians
+        of the scalars by translation and rotation of the body that carries the targets, and kappa = 1 - rho_t - rho_r.
 
         Args:
-            X: shape (K, D, q), columns of the scalars of these K rows, in units of their noise.
-            weights: shape (N,), of the table's N rows: the variance of a row's scalars is divided by its weight.
+            X: shape (n, D, q), columns (Jacobian, residual) of D scalars of the n rows of all stops, in the order of
+                ``rows``, in units of the noise; without weights.
+            weights: shape (N,), >= 0, of all N rows of the table: the variance of a row's scalars is divided by its
+                weight, and rows of weight 0 do not count.
             c: The instrument's index, from 0.
-            rho: shape (2,), its shares of translations and rotations; what they leave of 1 is independent.
+            rho: shape (2,), its shares (rho_t, rho_r) of variance, each from 0 to 1.
 
         Returns:
-            shape (M, D, q), of M cells, in units of the noise; zero for scalars of other instruments.
+            shape (M, D, q), of M cells, in units of the noise, on means that are scaled to the variance of a row of
+            weight 1: sum(w X) / sqrt(sum(w)) over the cell's rows. Zero for scalars of other instruments.
         """
-        means = self._means(X, weights, c)
+        means = self._means(X, weights, c)  # sum(w X) / sqrt(sum(w)) over repeats of each target
         kappa = unshared(rho)
         G = means.J * root_shares(rho) / np.sqrt(kappa)
         squares, Q = np.linalg.eigh(self._sums(transposed(G) @ G))
@@ -278,18 +304,26 @@ class Stops:
         return np.asarray(independent - means.columns)
 
     def moments(self, columns: Array, weights: Array, c: int, x: Array, C: Array) -> Moments:
-        """Compute the moments of a fit's residual for one instrument.
+        """Compute the moments of a fit's residual from which the shares that stops have in its variance are estimated.
+
+        A stop is a standstill of the robot at which several targets are measured, which share the displacement of their
+        body; J is the Jacobian of its scalars by this displacement: translation (3), rotation (3). With the residual r
+        of the fit, which has the covariance V - A C A^T where V is that of the scalars, the moments are
+
+            M = J^T J,    R = J^T [r r^T + A C A^T] J,    total = tr(r r^T + A C A^T),    count = number of scalars
 
         Args:
-            columns: shape (p + 1, D, N), of the scalars of the table's N rows: the derivative A of the prediction by p
-                parameters, and behind it the residual, measured minus predicted, in units of sigma.
-            weights: shape (N,), of the rows.
-            c: The instrument's index, from 0.
-            x: shape (p,), the solution, relative to where the residual of ``columns`` was taken.
-            C: shape (p, p), its covariance.
+            columns: shape (p + 1, D, N), of the D scalars of the table's N rows: the Jacobian A of the prediction by p
+                parameters, and behind it the residual, measured minus predicted, in units of each scalar's given sigma.
+            weights: shape (N,), >= 0, of the rows: the variance of a row's scalars is divided by its weight.
+            c: The instrument's index, from 0; scalars of other instruments do not count.
+            x: shape (p,), the solution minus the parameters at which the residual of ``columns`` was taken [m, rad,
+                ...].
+            C: shape (p, p), covariance of the solution.
 
         Returns:
-            Moments of all stops, in units of sigma.
+            ``M`` and ``R`` of each of S stops, shape (S, 6, 6), ``total`` and ``count`` over all stops, in units of the
+            given sigma. Repeats of a target count by their mean, scaled to the variance of a row of weight 1.
         """
         parts = []
         for stops in self._parts():
@@ -300,14 +334,22 @@ class Stops:
     def _moments_of(self, means: _CellMeans, x: Array, C: Array) -> Moments:
         """Compute the moments of a fit's residual from the means of these stops' cells.
 
+        A cell is one target at one standstill of the robot (a stop), with its repeats. Sums over the cells of each stop
+        are taken by ``_sums``, which maps (M, ...) of M cells to (S, ...) of S stops.
+
         Args:
-            means: Means of one instrument's scalars over the cells; their columns are the derivative A of the
-                prediction by p parameters, and behind it the residual, in units of sigma.
-            x: shape (p,), the solution, relative to where the residual was taken.
-            C: shape (p, p), its covariance.
+            means: Means of one instrument's D scalars over M cells, scaled to the variance of a row of weight 1:
+                ``means.columns``, shape (M, D, p + 1), the Jacobian A of the prediction by p parameters, and behind it
+                the residual, measured minus predicted, in units of each scalar's given sigma; ``means.J``, shape (M, D,
+                6), Jacobian by translation and rotation of the stop's body; ``means.count``, shape (M, D), number of
+                scalars, 0 for those of other instruments.
+            x: shape (p,), the solution minus the parameters at which the residual was taken [m, rad, ...].
+            C: shape (p, p), covariance of the solution.
 
         Returns:
-            Moments of these stops, in units of sigma.
+            With the residual r at the solution: M = J^T J and R = J^T [r r^T + A C A^T] J of each stop, shape (S, 6,
+            6); ``total``, the trace of r r^T + A C A^T, and ``count``, the number of scalars, over all stops. In units
+            of sigma.
         """
         A = means.columns[..., :-1]
         r = means.columns[..., -1:] - A @ x[:, None]
@@ -322,16 +364,20 @@ class Stops:
     def _means(self, X: Array, weights: Array, c: int) -> _CellMeans:
         """Average an instrument's scalars over each cell, which is one target at one stop, with its repeats.
 
-        Repeats are summed with their weights, and scaled so that the sum has the variance of one row of weight 1.
+        The mean of values v of rows of weight w is sum(w v) / sqrt(sum(w)), which has the variance of one row of weight
+        1. Uses ``rows``, shape (n,), indices of the stops' rows in the table; ``instruments``, shape (n, D), index of
+        each scalar's instrument; ``J``, shape (n, D, 6), Jacobian of the scalars by the displacement of the stop's
+        body; and ``_first_row``, shape (M,), index of the first of each cell's rows.
 
         Args:
-            X: shape (K, D, q), columns of the scalars of these K rows.
-            weights: shape (N,), of the table's N rows.
+            X: shape (n, D, q), q columns of the D scalars of these n rows, without weights.
+            weights: shape (N,), >= 0, of the table's N rows: the variance of a row's scalars is divided by its weight.
             c: The instrument's index, from 0.
 
         Returns:
-            Means, in the unit of X, of the columns and of the derivative by the body's displacement, and numbers of
-            scalars; all zero for scalars of other instruments.
+            Of M cells, ``columns``, shape (M, D, q), the means of X in its unit; ``J``, shape (M, D, 6), those of J;
+            and ``count``, shape (M, D), number of scalars: 1, or the sum of the rows' weights where that is less. All
+            zero for scalars of other instruments.
         """
         w = weights[self.rows, None]
         of_instrument = self.instruments == c
@@ -346,8 +392,10 @@ class Stops:
     def _sums(self, values: Array) -> Array:
         """Sum values over the cells of each stop: over the targets that are measured at one standstill.
 
+        Uses ``_first_cell``, shape (S,), index of the first of each stop's cells.
+
         Args:
-            values: shape (M, ...), of each of M cells (one target at one stop, with its repeats), in their order.
+            values: shape (M, ...), of each of M cells (one target at one stop, with its repeats), stop by stop.
 
         Returns:
             shape (S, ...), of each of S stops.
@@ -355,21 +403,21 @@ class Stops:
         return np.asarray(np.add.reduceat(values, self._first_cell))
 
     def _rows_of(self, columns: Array) -> Array:
-        """Return the columns of the K rows of stops, which are some of the table's N rows.
+        """Return the columns of the n rows of stops, which have the indices ``rows`` among the table's N rows.
 
         Args:
             columns: shape (q, D, N), q columns of the D scalars of each of the table's N rows.
 
         Returns:
-            shape (K, D, q), contiguous, in the order of `rows`.
+            shape (n, D, q), contiguous, in the order of ``rows``.
         """
         return np.ascontiguousarray(columns[:, :, self.rows].transpose(2, 1, 0))
 
     def _parts(self) -> list[Stops]:
-        """Divide the K rows into parts of about `_PART` rows, for memory; the rows of a stop stay together.
+        """Divide the n rows of stops into parts of about `_PART` rows, for memory; the rows of a stop stay together.
 
         Returns:
-            The parts, in the order of the K rows; this object alone where it has few rows.
+            The parts, in the order of the rows; this object alone where it has no more than `_PART` rows.
         """
         if len(self.rows) <= _PART:
             return [self]
@@ -378,10 +426,10 @@ class Stops:
         return [self._some(part == k) for k in np.unique(part)]
 
     def _some(self, kept: Mask) -> Stops:
-        """Return some of the K rows of stops; their indices in the table stay.
+        """Return some of the n rows of stops; their indices in the table stay.
 
         Args:
-            kept: shape (K,), which of these K rows to keep.
+            kept: shape (n,), True for rows to keep.
 
         Returns:
             The kept rows, in their order, with their cells and stops.
@@ -396,12 +444,15 @@ class Stops:
 
 
 def _change_of_products(means: Array, shared: Array, kappa: float) -> Array:
-    """The change of normal equations by what stops share: X^T (K^-1 - I) X.
+    """The change of normal equations by what the targets of a stop share: X^T (K^-1 - I) X, summed over the stops.
 
-    With the Cholesky factor L of I + G^T G / kappa, K^-1 = I / kappa - Z^T Z where Z = L^-1 G^T / kappa.
+    K = kappa I + G G^T is the covariance of a stop's scalars over the noise squared, where G, with six columns, is the
+    part by the displacement of the body that carries the targets. With the Cholesky factor L of I + G^T G / kappa,
+    K^-1 = I / kappa - Z^T Z where Z = L^-1 G^T / kappa.
 
     Args:
-        means: shape (M, D, q), columns X of the scalars, averaged over cells.
+        means: shape (M, D, q), q columns X (Jacobian, residual) of D scalars of each of M targets at stops, averaged
+            over repeats, in units of sigma, scaled to the variance of a row of weight 1.
         shared: shape (S, 6, q), Z X of each of S stops.
         kappa: The share of a scalar's variance that is independent of the other targets of its stop.
 
