@@ -184,8 +184,8 @@ class Stops:
             rho: shape (B, C, 2), shares (rho_t, rho_r) of the variance of each of C instruments' scalars.
 
         Returns:
-            What is added to X^T W X, of columns X with weights W and independent rows, for each instrument, summed over
-            all stops, shape (B, C, q, q), in squared units of ``columns``; and log det K, summed over all stops and
+            The change of the products X^T W X of the columns, which are those of independent rows with weights W, for
+            each instrument, summed over all stops, shape (B, C, q, q), in squared units of ``columns``; and log det K, summed over all stops and
             instruments, shape (B,).
         """
         q = len(columns)
@@ -304,7 +304,7 @@ class Stops:
         return np.asarray(independent - means.columns)
 
     def moments(self, columns: Array, weights: Array, c: int, x: Array, C: Array) -> Moments:
-        """Compute the moments of a fit's residual from which the shares that stops have in its variance are estimated.
+        """Compute the moments of one instrument's residual, from which the shares of stops in its variance are estimated.
 
         A stop is a standstill of the robot at which several targets are measured, which share the displacement of their
         body; J is the Jacobian of its scalars by this displacement: translation (3), rotation (3). With the residual r

@@ -78,13 +78,13 @@ class _InverseCovariance:
 class Moments:
     """The moments of an instrument's residual r at S stops, from which its shares are estimated, in any unit."""
 
-    #: (S, 6, 6), J^T J
+    #: (S, 6, 6), J^T J of each stop
     M: Array
-    #: (S, 6, 6), J^T [r r^T + A C A^T] J
+    #: (S, 6, 6), J^T [r r^T + A C A^T] J of each stop
     R: Array
     #: The trace of r r^T + A C A^T, of all stops
     total: float
-    #: The number of scalars
+    #: The number of scalars of all stops
     count: float
 
     @classmethod
