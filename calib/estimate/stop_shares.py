@@ -46,8 +46,8 @@ TINY = 1e-300
 class _InverseCovariance:
     """K^-1 of S stops by matrices of six rows: K^-1 = (I - J H J^T) / kappa, and K^-1 J = J T.
 
-    J has the derivatives of a stop's scalars by its body's displacement. With M = J^T J and the shares
-    D = diag(rho_t, rho_t, rho_t, rho_r, rho_r, rho_r), G G^T is J D J^T.
+    J has the Jacobian of a stop's scalars by its body's displacement: translation (3), rotation (3). With M = J^T J and
+    the shares D = diag(rho_t, rho_t, rho_t, rho_r, rho_r, rho_r), G G^T is J D J^T.
     """
 
     #: The share of a scalar's variance that is independent of the other targets of its stop
@@ -59,14 +59,19 @@ class _InverseCovariance:
 
     @classmethod
     def of(cls, M: Array, rho: Array) -> _InverseCovariance:
-        """Invert the covariance of each stop.
+        """Invert K = kappa I + J D J^T, the covariance of each stop's scalars over the noise squared.
+
+        A stop is a standstill of the robot at which several targets of one body are measured. J is the Jacobian of its
+        scalars by the body's translation (3) and rotation (3), D = diag(rho_t, rho_t, rho_t, rho_r, rho_r, rho_r), and
+        kappa = 1 - rho_t - rho_r.
 
         Args:
             M: shape (S, 6, 6), J^T J of each of S stops.
             rho: shape (2,), the shares rho_t and rho_r of translations and rotations in the variance of a scalar.
 
         Returns:
-            K^-1 of each stop, where K is the covariance of its scalars over the noise squared.
+            K^-1 = (I - J H J^T) / kappa of each stop, by ``kappa``; ``T`` = (kappa I + D M)^-1, shape (S, 6, 6); and
+            ``H`` = T D, shape (S, 6, 6).
         """
         kappa = unshared(rho)
         shares = root_shares(rho) ** 2
@@ -76,7 +81,11 @@ class _InverseCovariance:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Moments:
-    """The moments of an instrument's residual r at S stops, from which its shares are estimated, in any unit."""
+    """The moments of one instrument's residual r at S stops, from which its shares are estimated, in any unit.
+
+    J is the Jacobian of a stop's scalars by its body's translation (3) and rotation (3), A that by the parameters of
+    the fit, and C the covariance of these.
+    """
 
     #: (S, 6, 6), J^T J of each stop
     M: Array
@@ -89,13 +98,18 @@ class Moments:
 
     @classmethod
     def joined(cls, parts: Sequence[Moments]) -> Moments:
-        """Join the moments of several parts of the stops.
+        """Join the moments of several parts of the stops (standstills at which several targets are measured).
 
         Args:
-            parts: Moments of the parts, in the order of the stops, of the same fit and instrument; at least one.
+            parts: Moments of the parts, in the order of the stops, of the residual r of one instrument in one fit; at
+                least one. With J, the Jacobian of a stop's scalars by translation (3) and rotation (3) of the body that
+                carries its targets, and A C A^T, the covariance of the prediction: ``M``, J^T J, and ``R``, J^T [r r^T
+                + A C A^T] J, shape (S, 6, 6), of each of the part's S stops; ``total``, the trace of r r^T + A C A^T,
+                and ``count``, the number of scalars, summed over them.
 
         Returns:
-            The moments of all stops: matrices of each stop in this order, and the sums over all.
+            The moments of all stops: ``M`` and ``R`` of each stop, in this order, ``total`` and ``count`` summed over
+            all.
         """
         total = 0.0
         count = 0.0
@@ -109,14 +123,18 @@ class Moments:
     def shares(self, rho: Array) -> Array:
         """Estimate which shares of a scalar's variance translations and rotations of a stop's body have, by iteration.
 
-        All targets that are measured at one standstill of the robot (a stop) move with this body. Uses the moments of
-        the fit's residual over all stops: `M`, `R`, `total` and `count`.
+        All targets that are measured at one standstill of the robot (a stop) move with this body. Each iteration solves
+        the equations of restricted likelihood for the variances of independent errors, translations and rotations, set
+        up at the last shares. Uses the moments of one instrument's residual at S stops: ``M``, shape (S, 6, 6), J^T J,
+        where J is the Jacobian of a stop's scalars by its body's translation (3) and rotation (3), and ``count``, the
+        number of scalars of all stops.
 
         Args:
             rho: shape (2,), the shares rho_t of translations and rho_r of rotations to begin with.
 
         Returns:
-            shape (2,), each from 0 to 1; zero where the degrees of freedom are few.
+            shape (2,), rho_t and rho_r, each from 0 to 1. Zero where the rank of M, summed over the stops, or the
+            number of scalars beyond it is less than `_FEWEST_FREEDOM`.
         """
         bodies = int(np.sum(np.linalg.matrix_rank(self.M, hermitian=True)))
         if min(bodies, self.count - bodies) < _FEWEST_FREEDOM:
@@ -131,8 +149,13 @@ class Moments:
     def _components(self, rho: Array) -> Array:
         """Estimate the variances theta of independent errors, translations and rotations, the last two >= 0.
 
+        The scalars of a stop (a standstill at which several targets of one body are measured) have the covariance
+        theta_0 I + theta_1 J_t J_t^T + theta_2 J_r J_r^T, with their Jacobians by translation and rotation of the body.
+        Its unknowns are solved for from three linear equations; negative ones of translations or rotations are set to
+        zero.
+
         Args:
-            rho: shape (2,), the shares of translations and rotations at which the equations for theta are set up.
+            rho: shape (2,), the shares of translations and rotations in theta at which the equations are set up.
 
         Returns:
             theta, shape (3,), in the square of the residual's unit.
@@ -151,15 +174,17 @@ class Moments:
     def _left_side(self, inverse: _InverseCovariance) -> Array:
         """The matrix of the equations for theta, the variances of independent errors, translations and rotations.
 
-        The scalars of a stop have the covariance V = theta_0 I + theta_1 J_t J_t^T + theta_2 J_r J_r^T, where
-        J = [J_t, J_r] are their derivatives by translation and rotation of the body that all its targets are on. Uses
-        `M`, J^T J of each of S stops, and the `count` of scalars.
+        The scalars of a stop have the covariance V = theta_0 I + theta_1 J_t J_t^T + theta_2 J_r J_r^T, where J = [J_t,
+        J_r] are their Jacobians by translation and rotation of the body that all its targets are on. Uses ``M``, shape
+        (S, 6, 6), J^T J of each of S stops, and ``count``, the number of scalars of all stops.
 
         Args:
-            inverse: K^-1 of each of S stops, where K is V over the noise squared, at the shares as they are so far.
+            inverse: K^-1 of each of S stops, where K is V over the noise squared, at the shares as they are so far:
+                K^-1 = (I - J H J^T) / kappa and K^-1 J = J T, with ``inverse.kappa``, the share of independent errors,
+                and ``inverse.H`` and ``inverse.T``, shape (S, 6, 6).
 
         Returns:
-            tr(K^-1 K_i K^-1 K_j), shape (3, 3), where K_i is the derivative of the covariance V by theta_i.
+            tr(K^-1 K_i K^-1 K_j), shape (3, 3), summed over the stops, where K_i is the derivative of V by theta_i.
         """
         HM = inverse.H @ self.M
         MT = self.M @ inverse.T
@@ -179,18 +204,20 @@ class Moments:
         """The right side of the equations for theta, the variances of independent errors, translations and rotations.
 
         The scalars of a stop have the covariance V = theta_0 I + theta_1 J_t J_t^T + theta_2 J_r J_r^T, where
-        J = [J_t, J_r] are their derivatives by translation and rotation of the body that all its targets are on. Uses
-        the moments of the fit's residual r, whose prediction has the covariance A C A^T: of each of S stops M and R,
-        and the total of all stops,
+        J = [J_t, J_r] are their Jacobians by translation and rotation of the body that all its targets are on. Uses
+        the moments of the fit's residual r, whose prediction has the covariance A C A^T: ``M`` and ``R`` of each of S
+        stops, shape (S, 6, 6), and ``total``, summed over all stops,
 
             M = J^T J,    R = J^T [r r^T + A C A^T] J,    total = tr(r r^T + A C A^T)
 
         Args:
-            inverse: K^-1 of each of S stops, where K is V over the noise squared, at the shares as they are so far.
+            inverse: K^-1 of each of S stops, where K is V over the noise squared, at the shares as they are so far:
+                K^-1 = (I - J H J^T) / kappa and K^-1 J = J T, with ``inverse.kappa``, the share of independent errors,
+                and ``inverse.H`` and ``inverse.T``, shape (S, 6, 6).
 
         Returns:
-            tr(K^-1 K_i K^-1 [r r^T + A C A^T]), shape (3,), in the square of the residual's unit, where K_i is the
-            derivative of the covariance V by theta_i.
+            tr(K^-1 K_i K^-1 [r r^T + A C A^T]), shape (3,), summed over the stops, in the square of the residual's
+            unit, where K_i is the derivative of V by theta_i.
         """
         HM = inverse.H @ self.M
         HR = inverse.H @ self.R
@@ -207,10 +234,12 @@ def _shares_of(theta: Array) -> Array:
     """Return the shares of translations and rotations in the variance of a scalar, from the variances of its parts.
 
     Args:
-        theta: shape (3,), variances of independent errors, of translations and of rotations; the last two >= 0.
+        theta: shape (3,), variances of independent errors, and of translations and rotations of the body that carries
+            the targets of a stop; the last two >= 0.
 
     Returns:
-        rho, shape (2,), of translations and rotations; their sum is at most 1 - 1e-6 (`_LEAST_UNSHARED`).
+        rho, shape (2,), theta of translations and of rotations over the sum of all three; scaled down where their sum
+        would be above 1 - 1e-6 (`_LEAST_UNSHARED`).
     """
     shares = theta[1:] / max(float(np.sum(theta)), TINY)
     excess = float(np.sum(shares)) / (1.0 - _LEAST_UNSHARED)
@@ -220,8 +249,10 @@ def _shares_of(theta: Array) -> Array:
 def unshared(rho: Array) -> float:
     """Return the share kappa of a scalar's variance that is independent of the other targets of its stop.
 
+    A stop is a standstill of the robot at which several targets of one body are measured.
+
     Args:
-        rho: shape (2,), the shares of its variance that the stop's translation and rotation have.
+        rho: shape (2,), the shares of its variance that translation and rotation of the stop's body have.
 
     Returns:
         kappa = 1 - rho_t - rho_r, but never below 1e-6 (`_LEAST_UNSHARED`).
@@ -230,10 +261,10 @@ def unshared(rho: Array) -> float:
 
 
 def root_shares(rho: Array) -> Array:
-    """Return the square root of the share of each direction of a body's displacement.
+    """Return the square root of the share of each direction of a body's displacement in the variance of a scalar.
 
     Args:
-        rho: shape (2,), the shares of translations and of rotations in the variance of a scalar.
+        rho: shape (2,), the shares of translations and of rotations, >= 0; each direction of a kind has the same.
 
     Returns:
         shape (6,): of the three translations, then of the three rotations.
@@ -254,9 +285,5 @@ def transposed(M: NDArray[np.floating]) -> Array:
 
 
 def _trace(M: Array) -> float:
-    """Return the sum of the traces of a stack of matrices.
-
-    Args:
-        M: shape (S, n, n).
-    """
+    """Return the sum of the traces of a stack of matrices, shape (S, n, n)."""
     return float(np.einsum("sii->", M))
