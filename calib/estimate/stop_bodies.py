@@ -18,12 +18,16 @@ from calib.units import Array, Integers
 def stop_of_rows(rows: Rows) -> Integers | None:
     """Number the stop of each row: one standstill of the robot at which several targets are measured.
 
+    The rows of a stop are of one pose of the robot, one measurement frame and one kind of measurement.
+
     Args:
-        rows: N rows of measurements: joint values, frame and target of each.
+        rows: N rows of measurements: joint values, frame and target of each, its kind, and the number of its pose
+            (``rows.blocks``; where there are pairs, of which both rows have one number, poses are those of equal joint
+            values).
 
     Returns:
-        shape (N,), number of each row's stop, >= 0, the same for all rows of a stop; -1 for rows of a stop with one
-        target, or of a kind that measures no position. None where all are such.
+        shape (N,), number of each row's stop, >= 0, the same for all rows of a stop, not consecutive; -1 for rows at a
+        standstill with one target, or of a kind that measures no position. None where all are such.
     """
     target = rows.samples.target
     if not len(rows) or target.min() == target.max():
@@ -42,17 +46,18 @@ def stop_of_rows(rows: Rows) -> Integers | None:
 
 
 def twists_of_bodies(points: Array, stops: Integers, counts: Array) -> Array:
-    """Differentiate points by the displacements of their bodies, which turn about the centroids of their points.
+    """Differentiate the poses of targets by the displacements of their bodies, which turn about their centroids.
 
     Args:
         points: shape (K, 3), positions of K measured targets in their measurement frames [m].
-        stops: shape (K,), points of one number are of one body, which is the body at one stop.
-        counts: shape (K,), weight of each point in its body's centroid.
+        stops: shape (K,), points of one number are of one body, which is the body at one stop (a standstill of the
+            robot).
+        counts: shape (K,), > 0, weight of each point in its body's centroid, such as 1 / number of its repeats.
 
     Returns:
         shape (K, 6, 6), twist of the target at each point along the frame's axes, linear then angular along the rows,
         by a unit of each direction of its body's displacement along the columns: three translations [m], three
-        rotations [rad].
+        rotations [rad], about axes of the frame through the weighted centroid of the body's points.
     """
     body = np.unique(stops, return_inverse=True)[1].reshape(-1)
     sums = np.stack([np.bincount(body, counts * column) for column in points.T], axis=1)
@@ -68,16 +73,19 @@ def twists_of_bodies(points: Array, stops: Integers, counts: Array) -> Array:
 def of_unit_size(J: Array, instruments: NDArray[np.int8], counts: Array) -> Array:
     """Scale Jacobians by displacements of bodies so that their effect has mean square 1.
 
-    Each instrument's Jacobians by translations, and those by rotations, have a scale of their own.
+    Each instrument's Jacobians by translations, and those by rotations, have a scale of their own: the sum of the
+    squares of the three columns is 1 in the weighted mean over the instrument's scalars. Then a share of a scalar's
+    variance is the variance of the scaled displacement.
 
     Args:
-        J: shape (K, D, 6), derivative of the D scalars of each of K rows by its body's displacement: three
-            translations, three rotations.
+        J: shape (K, D, 6), Jacobian of the D scalars of each of K rows, in units of their sigma, by its body's
+            displacement: three translations [m], three rotations [rad].
         instruments: shape (K, D), index of each scalar's instrument, from 0; -1 for no scalar.
         counts: shape (K,), weight of each row in the mean.
 
     Returns:
-        shape (K, D, 6), scaled; 0 where there is no scalar.
+        shape (K, D, 6), scaled; 0 where there is no scalar. Those that are all zero for an instrument, such as those of
+        angles by translations, stay zero.
     """
     result = np.zeros(J.shape)
     for c in range(int(instruments.max()) + 1):
