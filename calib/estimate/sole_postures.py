@@ -238,9 +238,9 @@ class _Update:
     start: LinearProblem
     #: (N, D, D), maps residuals in units of sigma to whitened ones along the open directions
     whiten: Array
-    #: (N, D), residuals of the other rows at x_o, which they keep; 0 for rows of sole postures
+    #: (N, D), residuals of the other rows at x_o, which they keep, in units of sigma; 0 for rows of sole postures
     reference: Array
-    #: (p,), 1 / tau of wide priors
+    #: (p,), 1 / tau, where tau is the standard deviation of wide priors
     prior: Array
 
     @classmethod

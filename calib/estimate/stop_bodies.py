@@ -74,8 +74,7 @@ def of_unit_size(J: Array, instruments: NDArray[np.int8], counts: Array) -> Arra
     """Scale Jacobians by displacements of bodies so that their effect has mean square 1.
 
     Each instrument's Jacobians by translations, and those by rotations, have a scale of their own: the sum of the
-    squares of the three columns is 1 in the weighted mean over the instrument's scalars. Then a share of a scalar's
-    variance is the variance of the scaled displacement.
+    squares of the three columns is 1 in the weighted mean over the instrument's scalars.
 
     Args:
         J: shape (K, D, 6), Jacobian of the D scalars of each of K rows, in units of their sigma, by its body's

@@ -151,8 +151,8 @@ class Moments:
 
         The scalars of a stop (a standstill at which several targets of one body are measured) have the covariance
         theta_0 I + theta_1 J_t J_t^T + theta_2 J_r J_r^T, with their Jacobians by translation and rotation of the body.
-        Its unknowns are solved for from three linear equations; negative ones of translations or rotations are set to
-        zero.
+        Solves three linear equations for theta; where a variance of translations or rotations comes out negative, the
+        lower one is set to zero, and the rest is solved again.
 
         Args:
             rho: shape (2,), the shares of translations and rotations in theta at which the equations are set up.
