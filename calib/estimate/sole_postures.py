@@ -73,7 +73,7 @@ _SETTLED = 1e-9
 def sole_postures(linear: LinearProblem, rows: Rows, first: Stage) -> Mask:
     """Find the rows of sole postures: poses that alone determine a direction of the parameters.
 
-    A pose is one where, along some direction, the standard deviation of its prediction from the other rows is above 10
+    A pose is a sole posture where, along some direction, the standard deviation of its prediction from the other rows is above 10
     times the noise (`_UNPREDICTED`), and above 10 times that of the median pose (`_ABOVE_TYPICAL`). It follows from the
     pose's leverage k, the largest eigenvalue of A C A^T with the Jacobian A of its scalars and the covariance C of the
     parameters: the square of that ratio is k / (1 - k).
@@ -180,7 +180,7 @@ def _wide_covariance(linear: LinearProblem, stage: Stage) -> Array:
 
     Args:
         linear: The linearised problem of N rows by p parameters.
-        stage: Row weights, noise and prior standard deviations of the fit (B = 1); its priors are widened three times.
+        stage: Row weights, noise and prior standard deviations of the fit (B = 1); its priors are widened to three times the given ones.
 
     Returns:
         shape (p, p), in the products of the parameters' units [m, rad, ...].
@@ -277,7 +277,7 @@ class _Update:
                 given sigma.
             stage: Weights (``stage.effective``, shape (1, N)), noise (``stage.noise``, shape (1, C), of each instrument
                 as a multiple of the given sigma) and priors of the fit to the other rows (B = 1), in which sole
-                postures have the weight 0. The priors are widened three times.
+                postures have the weight 0. The priors are widened to three times the given ones.
             weights: shape (N,), > 0 for rows of sole postures, 0 for those of them that are outliers and do not count;
                 0 for all others, which have the stage's weights.
             projections: shape (N, D, D), orthogonal projections of each row's scalars, in units of the noise, on the
