@@ -24,18 +24,24 @@ def estimate_within_bounds(problem: Problem, task: Task, prior: PriorTerms) -> E
     """Estimate the parameters within their bounds, by an active set.
 
     A parameter that comes out beyond a bound is held at this bound, and all others are estimated again. When none is
-    beyond, those held parameters are released that the measurements pull inwards, each at most once.
+    beyond, those held parameters are released that the measurements pull inwards, each at most once. It ends where none
+    is beyond or released, or after 3 p (`_ROUNDS`) further estimates.
 
     Args:
         problem: The least-squares problem: N rows of measurements, and the robot as a function of p parameters, which
             are offsets from the nominal robot and the registered frames and targets [m, rad, ...]. Its rows of sole
-            postures, which no other row can check, are marked.
+            postures (poses that alone determine a direction of the parameters, which no other row can check) are
+            marked.
         task: Robot, cell and options of the fit; used are the solver, and the treatment of repeats and outliers.
-        prior: Priors of the p parameters, none of them held, and their lowest and highest values (``prior.limits``).
+        prior: Priors of the p parameters, none of them held, and ``prior.limits``, shape (p, 2), the lowest and highest
+            value of each [m, rad, ...]; infinite without a bound.
 
     Returns:
-        The estimated parameters with covariance, noise, scores and weights of the rows. Its `at_bound` has the indices,
-        from 0, of the parameters that are held at a bound.
+        The estimated parameters with covariance, noise, scores and weights of the rows. Its ``at_bound`` has the
+        indices, from 0, of the parameters that are held at a bound.
+
+    Raises:
+        SolverError: The residual is not finite at the start.
     """
     low, high = prior.limits.T
     fixed: dict[int, float] = {}
@@ -61,10 +67,13 @@ def estimate_within_bounds(problem: Problem, task: Task, prior: PriorTerms) -> E
 def _pulled_inwards(estimate: Estimate, prior: PriorTerms, fixed: Mapping[int, float]) -> set[int]:
     """Parameters at a bound whose release would lower the sum of squares, within the bounds.
 
-    A Gauss-Newton step of one parameter alone lowers the sum of squares by slope^2 / curvature.
+    A Gauss-Newton step of one parameter alone lowers the sum of squares by slope^2 / curvature, where slope is half the
+    gradient of the sum and curvature the squared norm of the parameter's column of the Jacobian. It counts where the
+    step points inwards and the decrease is above 1e-6 (`_WORTH_RELEASING`).
 
     Args:
-        estimate: The estimate of the p parameters with these ones held at their bounds.
+        estimate: The estimate of the p parameters with these ones held at their bounds: ``estimate.x``, shape (p,)
+            [m, rad, ...], and its problem.
         prior: Priors and bounds of the p parameters, none of them held; ``prior.limits``, shape (p, 2), has the lowest
             and highest value of each.
         fixed: Index, from 0, of each parameter that is held, and the value that it is held at [m, rad, ...].
@@ -88,12 +97,15 @@ def _without_holds(estimate: Estimate, prior: PriorTerms) -> Problem:
     """The problem in which parameters that an estimate holds at a bound have their usual priors again.
 
     Args:
-        estimate: The estimate of the p parameters with some held; its problem has the weights and noise as estimated.
-        prior: Priors of the p parameters, none of them held.
+        estimate: The estimate of the p parameters with some held: ``estimate.problem`` has row weights and noise as
+            estimated, ``estimate.prior_std`` the prior standard deviation by family of parameters, in their unit.
+        prior: Priors of the p parameters, none of them held: ``prior.start``, K values, standard deviation of each of K
+            families as given; ``prior.families``, shape (K, p), their members; ``prior.precision``, shape (p,), 1 /
+            variance of priors of single parameters; ``prior.centre``, shape (p,), means.
 
     Returns:
-        The estimate's problem. Families of parameters have the prior standard deviation that was estimated, or the one
-        as given where all parameters of a family were held.
+        The estimate's problem with these priors. Families of parameters have the prior standard deviation that was
+        estimated, or the one as given where all parameters of a family were held or priors are off.
     """
     estimated_std = {} if prior.source == "off" else estimate.prior_std
     prior_std = []
