@@ -102,8 +102,8 @@ def _stage_without_priors(problem: Problem, task: Task, registered: Setup) -> St
         registered: Measurement frames and targets at the start of the fit.
 
     Returns:
-        Weights (1), noise (1, in units of the given sigma) and priors (standard deviation 1 m or 1 rad) of one fit (B =
-        1), in the form that the steps after the solver take.
+        Weights (1), noise (1, in units of the given sigma) and weak priors (standard deviation 1 m or 1 rad) of one
+        fit (B = 1), in the form that the steps after the solver take.
     """
     cell = replace(task.cell, priors=Priors("off"), bounds={}, parameter_priors={})
     without_priors = replace(task, cell=cell, allow_absent=True)

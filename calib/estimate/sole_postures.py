@@ -73,10 +73,10 @@ _SETTLED = 1e-9
 def sole_postures(linear: LinearProblem, rows: Rows, first: Stage) -> Mask:
     """Find the rows of sole postures: poses that alone determine a direction of the parameters.
 
-    A pose is a sole posture where, along some direction, the standard deviation of its prediction from the other rows is above 10
-    times the noise (`_UNPREDICTED`), and above 10 times that of the median pose (`_ABOVE_TYPICAL`). It follows from the
-    pose's leverage k, the largest eigenvalue of A C A^T with the Jacobian A of its scalars and the covariance C of the
-    parameters: the square of that ratio is k / (1 - k).
+    A pose is a sole posture where, along some direction, the standard deviation of its prediction from the other rows
+    is above 10 times the noise (`_UNPREDICTED`), and above 10 times that of the median pose (`_ABOVE_TYPICAL`). Over
+    the noise it is sqrt(k / (1 - k)) with the pose's leverage k, the largest eigenvalue of A C A^T, where A is the
+    Jacobian of its scalars and C the covariance of the parameters by all rows.
 
     Args:
         linear: The least-squares problem linearised at the registered start: N rows of D scalars by p parameters, in
@@ -180,7 +180,8 @@ def _wide_covariance(linear: LinearProblem, stage: Stage) -> Array:
 
     Args:
         linear: The linearised problem of N rows by p parameters.
-        stage: Row weights, noise and prior standard deviations of the fit (B = 1); its priors are widened to three times the given ones.
+        stage: Row weights, noise and prior standard deviations of the fit (B = 1); its priors are widened to
+            three times the given ones.
 
     Returns:
         shape (p, p), in the products of the parameters' units [m, rad, ...].
@@ -193,9 +194,9 @@ def _wide_covariance(linear: LinearProblem, stage: Stage) -> Array:
 def open_directions(linear: LinearProblem, stage: Stage, sole: Mask) -> Array:
     """Find the directions of their scalars in which the other rows do not predict sole postures.
 
-    Such a row is predicted from the other rows and wide priors; its open directions are the eigenvectors of the
-    covariance of the prediction, in units of the noise, whose standard deviation is at least 1/3 (`_OPEN`) of the
-    largest.
+    Such a row is predicted from the other rows, and priors three times as wide as given. Its open directions are the
+    eigenvectors of the covariance of the prediction, in units of the noise, whose standard deviation is at least 1/3
+    (`_OPEN`) of the largest.
 
     Args:
         linear: The problem linearised at the estimate by all other rows: N rows of D scalars by p parameters, in units
@@ -223,8 +224,8 @@ def open_scores(linear: LinearProblem, x: Array, stage: Stage, projections: Arra
     """Score how far rows of sole postures lie from what wide priors predict, along the open directions.
 
     With the projection P of a row's scalars, the residual r (measured minus predicted) and the Jacobian A in units of
-    the noise, and the covariance C of the parameters by wide priors, the squared score is r^T P (I + P A C A^T P)^-1 P
-    r, converted from the rank of P to three degrees of freedom.
+    the noise, and the covariance C of the parameters by priors three times as wide as given, the squared score is
+    r^T P (I + P A C A^T P)^-1 P r, converted from the rank of P to three degrees of freedom.
 
     Args:
         linear: The problem linearised: N rows of D scalars by p parameters, in units of each scalar's given sigma.
@@ -379,7 +380,8 @@ def update_by_sole_postures(
 ) -> tuple[Array, Array]:
     """Update an estimate by the rows of sole postures: poses that alone determine a direction of the parameters.
 
-    These rows move the estimate along what the other rows leave open, by least squares with wide priors.
+    These rows move the estimate along what the other rows leave open, by least squares with priors three times as wide
+    as given. The other rows, with 0.05 of their noise, keep their residuals.
 
     Args:
         estimate: x, shape (p,), by all other rows [m, rad, ...], and its covariance, shape (p, p).

@@ -185,8 +185,8 @@ class Stops:
 
         Returns:
             The change of the products X^T W X of the columns, which are those of independent rows with weights W, for
-            each instrument, summed over all stops, shape (B, C, q, q), in squared units of ``columns``; and log det K, summed over all stops and
-            instruments, shape (B,).
+            each instrument, summed over all stops, shape (B, C, q, q), in squared units of ``columns``; and log det K,
+            summed over all stops and instruments, shape (B,).
         """
         q = len(columns)
         changes = np.zeros((*rho.shape[:2], q, q))
@@ -304,7 +304,7 @@ class Stops:
         return np.asarray(independent - means.columns)
 
     def moments(self, columns: Array, weights: Array, c: int, x: Array, C: Array) -> Moments:
-        """Compute the moments of one instrument's residual, from which the shares of stops in its variance are estimated.
+        """Compute moments of one instrument's residual, from which the shares of stops in its variance are estimated.
 
         A stop is a standstill of the robot at which several targets are measured, which share the displacement of their
         body; J is the Jacobian of its scalars by this displacement: translation (3), rotation (3). With the residual r

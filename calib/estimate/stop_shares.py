@@ -103,9 +103,9 @@ class Moments:
         Args:
             parts: Moments of the parts, in the order of the stops, of the residual r of one instrument in one fit; at
                 least one. With J, the Jacobian of a stop's scalars by translation (3) and rotation (3) of the body that
-                carries its targets, and A C A^T, the covariance of the prediction: ``M``, J^T J, and ``R``, J^T [r r^T
-                + A C A^T] J, shape (S, 6, 6), of each of the part's S stops; ``total``, the trace of r r^T + A C A^T,
-                and ``count``, the number of scalars, summed over them.
+                carries its targets, and A C A^T, the covariance of the prediction: ``M``, J^T J, and ``R``,
+                J^T [r r^T + A C A^T] J, shape (S, 6, 6), of each of the part's S stops; ``total``, the trace of
+                r r^T + A C A^T, and ``count``, the number of scalars, summed over them.
 
         Returns:
             The moments of all stops: ``M`` and ``R`` of each stop, in this order, ``total`` and ``count`` summed over

@@ -55,8 +55,8 @@ class Task:
         Uses the nominal ``robot``; ``model``, the name of a set of its errors or these parameters themselves;
         ``setup``, frames and targets as given, with what is estimated of them; of ``cell`` the acceleration of gravity
         [m/s^2], the names of ``frozen`` parameters, which stay nominal, and ``ties``, by name of a follower the name of
-        its leader and a factor: x_follower = factor x_leader; and ``allow_absent``, which skips names in these that the
-        model lacks.
+        its leader and a factor: x_follower = factor x_leader; and ``allow_absent``, True to skip
+        names in these that the model lacks.
 
         Returns:
             The p parameters, in the order of the parameter vector x: of the robot's model, then of the frames and
