@@ -24,18 +24,24 @@ def estimate_within_bounds(problem: Problem, task: Task, prior: PriorTerms) -> E
     """Estimate the parameters within their bounds, by an active set.
 
     A parameter that comes out beyond a bound is held at this bound, and all others are estimated again. When none is
-    beyond, those held parameters are released that the measurements pull inwards, each at most once.
+    beyond, those held parameters are released that the measurements pull inwards, each at most once. It ends where none
+    is beyond or released, or after 3 p (`_ROUNDS`) further estimates.
 
     Args:
         problem: The least-squares problem: N rows of measurements, and the robot as a function of p parameters, which
             are offsets from the nominal robot and the registered frames and targets [m, rad, ...]. Its rows of sole
-            postures, which no other row can check, are marked.
+            postures (poses that alone determine a direction of the parameters, which no other row can check) are
+            marked.
         task: Robot, cell and options of the fit; used are the solver, and the treatment of repeats and outliers.
-        prior: Priors of the p parameters, none of them held, and their lowest and highest values (``prior.limits``).
+        prior: Priors of the p parameters, none of them held, and ``prior.limits``, shape (p, 2), the lowest and highest
+            value of each [m, rad, ...]; infinite without a bound.
 
     Returns:
-        The estimated parameters with covariance, noise, scores and weights of the rows. Its `at_bound` has the indices,
-        from 0, of the parameters that are held at a bound.
+        The estimated parameters with covariance, noise, scores and weights of the rows. Its ``at_bound`` has the
+        indices, from 0, of the parameters that are held at a bound.
+
+    Raises:
+        SolverError: The residual is not finite at the start.
     """
     low, high = prior.limits.T
     fixed: dict[int, float] = {}

@@ -55,7 +55,10 @@ class SizeGauge:
     held: Array
 
     def variance(self, precision: Array) -> float:
-        """The prior variance of the combination g(x) = held @ x that is held at zero.
+        """The prior variance of the relative change of the arm's size, g(x) = held @ x, which the fit holds at 0.
+
+        Along growth of the arm it is added to the covariance of the parameters, as no row measures the size. Uses
+        ``held``, shape (p,), the gradient of g [1 / m], which is 0 for all but lengths of the robot.
 
         `held`, shape (p,), is the gradient of g, which is to first order the relative change of the arm's size.
 
@@ -91,17 +94,21 @@ def size_gauge(
 ) -> SizeGauge | None:
     """Find the growth of the arm that rows without a measured length do not observe.
 
+    Where all lengths grow together, such rows (targets in sockets, touched planes) fit as well as before, so that the
+    size must be held at the nominal one.
+
     Args:
         kinematics: The nominal robot under its error model of p parameters x, which are offsets [m, rad, ...], with
             measurement frames and targets as registered.
-        rows: N rows of measurements, none of which measures a length.
+        rows: N rows of measurements, none of which measures a length. Used are ``rows.used``, shape (N, D), which
+            scalars were measured, and their given standard deviations ``rows.scales``, shape (N, D), [m] and [rad].
         derivative: shape (N, D, p), Jacobian of the prediction at x = 0, in units of each scalar's sigma.
         residual: shape (N, D), measured minus predicted at x = 0, in the same units.
 
     Returns:
-        The change of all parameters when the lengths of arm, frames and targets double, and the combination of them
-        that must be held. None where the parameters cannot represent growth, or a known target or frame determines the
-        size.
+        ``growth``, shape (p,), the change of all parameters when the lengths of arm, frames and targets double; and
+        ``held``, shape (p,), the combination that must be held: held @ x is the relative change of size. None where the
+        parameters cannot represent growth, or where the rows do see it, as with a known target or frame.
     """
     model = kinematics.model
     lengths = ~model.family(FRAME, TARGET) & (np.array(model.units) == "m")
@@ -124,13 +131,14 @@ def _with_setup_growth(growth: Array, derivative: Array, used: Mask, of_setup: M
     """The growth of an arm, with frames and targets that grow so that predictions change as little as they can.
 
     Args:
-        growth: shape (p,), change of each parameter when the lengths of the arm double; 0 for frames and targets.
+        growth: shape (p,), change of each parameter when the lengths of the arm double, in its unit; 0 for frames and
+            targets.
         derivative: shape (N, D, p), Jacobian of the prediction, in units of each scalar's sigma.
         used: shape (N, D), which scalars are measured.
         of_setup: shape (p,), which parameters are of frames and targets.
 
     Returns:
-        shape (p,), the growth with the change of frames and targets by least squares.
+        shape (p,), the growth with the change of frames and targets [m, rad] by least squares; of the arm as it was.
     """
     change = (derivative @ growth)[used]
     of_setup_columns = derivative[used][:, of_setup]
@@ -142,7 +150,8 @@ def _with_setup_growth(growth: Array, derivative: Array, used: Mask, of_setup: M
 def _growth_of_chain(kinematics: Kinematics, lengths: Mask) -> tuple[Array | None, float]:
     """Solve for the change of the robot's parameters that doubles the chain: p_tip(q) grows by p_tip(q).
 
-    Translations of the base, and of the tip from the last joint, are left to frame and target.
+    Here p_tip is the tip's position in the base. Translations of the base, and of the tip from the last joint, are left
+    to frame and target.
 
     Args:
         kinematics: The nominal robot under its error model of p parameters; its frames and targets have no part in it.
@@ -181,7 +190,8 @@ def _tip_motion(kinematics: Kinematics, lengths: Mask, q: Array) -> Array:
         q: shape (N, m), values of the m measured joints at N poses [rad or m].
 
     Returns:
-        shape (N, 3, K), along the base's axes, metres per metre of each of these parameters, at the nominal ones.
+        shape (N, 3, K), along the base's axes, metres per metre of each of these parameters, in their order, at the
+        nominal ones.
     """
     model = kinematics.model
     others = [name for name, is_length in zip(model.names, lengths, strict=True) if not is_length]

@@ -32,19 +32,23 @@ _MM = 1e3
 
 
 def paper_estimate(problem: Problem, task: Task, registered: Setup) -> Estimate:
-    """Estimate the parameters by the paper's algorithm.
+    """Estimate the parameters by the paper's algorithm: the least sum of |r_i|^4 over the residuals r_i of points.
+
+    All points count alike, and there are no priors.
 
     Args:
         problem: The least-squares problem before any estimate: N rows of measurements, and the robot as a function of p
             parameters, which are offsets [m, rad] from the nominal robot and the registered target.
         task: Robot, cell and options of the fit; its priors, bounds and weights have no part in it.
-        registered: Measurement frames and targets at the start of the fit.
+        registered: Measurement frames and targets at the start of the fit, from where their parameters count.
 
     Returns:
-        The estimated parameters as offsets, with covariance, noise and scores; every row has the weight 1.
+        The estimated parameters as offsets [m, rad], with covariance, noise (a multiple of the given sigma) and scores;
+        every row has the weight 1.
 
     Raises:
-        ModelError: Rows other than points of one target.
+        ModelError: Rows other than points, or several targets.
+        SolverError: The residual is not finite at the start.
     """
     _check_rows(problem, registered)
     model = problem.kinematics.model
@@ -73,9 +77,11 @@ def _check_rows(problem: Problem, registered: Setup) -> None:
 def _solution(problem: Problem, nominal: Array) -> Solution:
     """Minimise the sum of |r_i|^4 over the residuals r_i of points, at absolute parameters in mm and rad.
 
+    The solver sees e_i = |r_i|^2 [mm^2] as its residual, so that its cost is 1/2 sum_i |r_i|^4.
+
     Args:
         problem: The least-squares problem of N points and p parameters, whose weights and priors do not count.
-        nominal: shape (p,), absolute values from which the parameters are offsets [m, rad].
+        nominal: shape (p,), absolute values from which the parameters are offsets [m, rad]; the solve begins there.
 
     Returns:
         The solver's result; its x, shape (p,), are offsets [m, rad] again, its cost is in mm^4.
@@ -88,7 +94,7 @@ def _solution(problem: Problem, nominal: Array) -> Solution:
 
 
 def _stage_without_priors(problem: Problem, task: Task, registered: Setup) -> Stage:
-    """The state of a fit in which each row has weight 1, the noise is as given, and no prior but a weak one counts.
+    """The state of a fit in which each row has weight 1, the noise is as given, and only weak priors count.
 
     Args:
         problem: The least-squares problem of N rows and p parameters.
@@ -130,12 +136,12 @@ def _noise(linear: LinearProblem, stage: Stage) -> float:
     The sum of squared residuals is expected to be sigma^2 (3 N - 3/5 rank), with the rank of the Jacobian.
 
     Args:
-        linear: The problem of N points linearised at the solution; its residuals are in units of the given sigma.
+        linear: The problem of N points linearised at the solution: ``linear.residual(linear.x)``, shape (N, 3), in
+            units of the given sigma; ``linear.smallest_noise``, noise that is mere rounding, likewise.
         stage: Weights of the points (B = 1), all 1.
 
     Returns:
-        Standard deviation of one coordinate as a multiple of the given sigma; at least the smallest noise that is no
-        rounding.
+        Standard deviation of one coordinate as a multiple of the given sigma; at least the smallest noise.
     """
     equations = linear.normal_equations(stage.effective, stage.rho)
     rank = np.linalg.matrix_rank(equations.H[0, 0], hermitian=True)
@@ -150,11 +156,11 @@ def paper_system(problem: Problem, nominal: Array, unit: Array, X: Array) -> tup
     """The paper's error e_i = |r_i|^2 of N points and its Jacobian, as a solver takes them.
 
     Args:
-        problem: The least-squares problem of N rows of points, measured minus predicted, and p parameters; its weights,
-            noise and priors do not count.
+        problem: The least-squares problem of N rows of points, with residuals r_i measured minus predicted, and p
+            parameters x, offsets from the nominal robot; its weights, noise and priors do not count.
         nominal: shape (p,), absolute values from which the parameters x are offsets [m, rad].
         unit: shape (p,), 1000 for lengths, 1 for angles.
-        X: shape (p,), absolute parameters (nominal + x) unit [mm, rad].
+        X: shape (p,), absolute parameters, (nominal + x) times ``unit`` [mm, rad].
 
     Returns:
         e, shape (N,), [mm^2], and de/dX, shape (N, p), [mm^2 per mm or rad].

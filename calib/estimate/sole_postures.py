@@ -73,15 +73,22 @@ _SETTLED = 1e-9
 def sole_postures(linear: LinearProblem, rows: Rows, first: Stage) -> Mask:
     """Find the rows of sole postures: poses that alone determine a direction of the parameters.
 
+    A pose is a sole posture where, along some direction, the standard deviation of its prediction from the other rows
+    is above 10 times the noise (`_UNPREDICTED`), and above 10 times that of the median pose (`_ABOVE_TYPICAL`). Over
+    the noise it is sqrt(k / (1 - k)) with the pose's leverage k, the largest eigenvalue of A C A^T, where A is the
+    Jacobian of its scalars and C the covariance of the parameters by all rows.
+
     Args:
         linear: The least-squares problem linearised at the registered start: N rows of D scalars by p parameters, in
             units of each scalar's given sigma.
-        rows: The same N rows of measurements; rows of one number in ``rows.blocks`` are of one pose of the robot.
+        rows: The same N rows of measurements; rows of one number in ``rows.blocks``, shape (N,), are of one pose of the
+            robot, and ``rows.used``, shape (N, D), are the scalars that were measured.
         first: Row weights, noise and priors of the first stage of one fit (B = 1): every row has weight one, noise and
             prior standard deviations are as given.
 
     Returns:
-        Mask of the rows of sole postures, shape (N,).
+        Mask of the rows of sole postures, shape (N,). Rows whose measurement frame or target few rows of other poses
+        observe are none.
     """
     _, covariances, _ = first.fit(linear)
     covariance = covariances[0]
@@ -102,11 +109,12 @@ def sole_postures(linear: LinearProblem, rows: Rows, first: Stage) -> Mask:
 def _traces(linear: LinearProblem, covariance: Array) -> Array:
     """The trace of A_i C A_i^T of each row i, where A_i is the Jacobian of its prediction.
 
-    It is the sum of the variances of a row's predicted scalars.
+    It is the sum of the variances of a row's predicted scalars, and bounds the largest eigenvalue of A_i C A_i^T.
 
     Args:
-        linear: The linearised problem: N rows of D scalars by p parameters, in units of each scalar's given sigma.
-        covariance: shape (p, p), C, of the parameters.
+        linear: The linearised problem: ``linear.A``, shape (N, D, p), is the Jacobian of D scalars of each of N rows by
+            p parameters, in units of each scalar's given sigma.
+        covariance: shape (p, p), C, of the parameters [m, rad, ...].
 
     Returns:
         shape (N,), in units of the given sigma squared.
@@ -131,12 +139,14 @@ def _seen_by_others(rows: Rows, block: Integers) -> Mask:
     """Rows whose measurement frame and target are determined by rows of other poses.
 
     Args:
-        rows: N rows of measurements, each of one target from one frame.
+        rows: N rows of measurements, each of one target from one frame: ``rows.samples.frame`` and
+            ``rows.samples.target``, shape (N,), their indices from 0; ``rows.used``, shape (N, D), which of its scalars
+            were measured.
         block: shape (N,), index of each row's pose of the robot, from 0.
 
     Returns:
-        Mask of these rows, shape (N,): rows of other poses have enough scalars of the same frame, and of the same
-        target.
+        Mask of these rows, shape (N,): rows of other poses have at least 18 scalars (`_FEWEST_SCALARS`) of the same
+        frame, and as many of the same target.
     """
     scalars = np.sum(rows.used, axis=1)
     result = np.ones(len(rows), dtype=bool)
@@ -151,6 +161,8 @@ def _seen_by_others(rows: Rows, block: Integers) -> Mask:
 def with_wide_priors(stage: Stage) -> Stage:
     """Return a stage with priors three times (`_WIDE`) as wide as given, but where the estimated ones are wider still.
 
+    Rows of sole postures, which alone determine a direction of the parameters, are judged and used with these priors.
+
     Args:
         stage: State of B fits: ``stage.prior_std``, shape (B, K), estimated prior standard deviations of K families of
             parameters, in their unit; ``stage.prior.start``, shape (K,), those as given or assumed before the fit.
@@ -163,14 +175,15 @@ def with_wide_priors(stage: Stage) -> Stage:
 
 
 def _wide_covariance(linear: LinearProblem, stage: Stage) -> Array:
-    """Covariance of the parameters by one fit with wide priors.
+    """Covariance of the parameters by one linear fit with wide priors.
 
     Args:
-        linear: The linearised problem of p parameters.
-        stage: Row weights, noise and prior standard deviations of the fit (B = 1); its priors are widened.
+        linear: The linearised problem of N rows by p parameters.
+        stage: Row weights, noise and prior standard deviations of the fit (B = 1); its priors are widened to
+            three times the given ones.
 
     Returns:
-        shape (p, p).
+        shape (p, p), in the products of the parameters' units [m, rad, ...].
     """
     _, covariances, _ = with_wide_priors(stage).fit(linear)
     covariance: Array = covariances[0]
@@ -180,11 +193,15 @@ def _wide_covariance(linear: LinearProblem, stage: Stage) -> Array:
 def open_directions(linear: LinearProblem, stage: Stage, sole: Mask) -> Array:
     """Find the directions of their scalars in which the other rows do not predict sole postures.
 
+    Such a row is predicted from the other rows, and priors three times as wide as given. Its open directions are the
+    eigenvectors of the covariance of the prediction, in units of the noise, whose standard deviation is at least 1/3
+    (`_OPEN`) of the largest.
+
     Args:
         linear: The problem linearised at the estimate by all other rows: N rows of D scalars by p parameters, in units
             of each scalar's given sigma.
-        stage: Row weights, noise and prior standard deviations of that fit (B = 1), in which sole postures have no
-            weight.
+        stage: Row weights, noise (a multiple of that sigma) and prior standard deviations of that fit (B = 1), in which
+            sole postures have no weight.
         sole: shape (N,), which rows are of sole postures: poses that alone determine a direction of the parameters.
 
     Returns:
@@ -205,13 +222,17 @@ def open_directions(linear: LinearProblem, stage: Stage, sole: Mask) -> Array:
 def open_scores(linear: LinearProblem, x: Array, stage: Stage, projections: Array) -> Array:
     """Score how far rows of sole postures lie from what wide priors predict, along the open directions.
 
+    With the projection P of a row's scalars, the residual r (measured minus predicted) and the Jacobian A in units of
+    the noise, and the covariance C of the parameters by priors three times as wide as given, the squared score is
+    r^T P (I + P A C A^T P)^-1 P r, converted from the rank of P to three degrees of freedom.
+
     Args:
-        linear: The problem linearised at x: N rows of D scalars by p parameters, in units of each scalar's given sigma.
+        linear: The problem linearised: N rows of D scalars by p parameters, in units of each scalar's given sigma.
         x: shape (p,), the estimate by all other rows [m, rad, ...].
-        stage: Row weights, noise and prior standard deviations of that fit (B = 1), in which sole postures have no
-            weight.
-        projections: shape (N, D, D), of each row's scalars, in units of the noise, on the directions in which the other
-            rows do not predict it; see `open_directions`.
+        stage: Row weights, noise (a multiple of that sigma) and prior standard deviations of that fit (B = 1), in which
+            sole postures have no weight: poses that alone determine a direction of the parameters.
+        projections: shape (N, D, D), orthogonal projections P of each row's scalars, in units of the noise, on the
+            directions in which the other rows do not predict it; see `open_directions`.
 
     Returns:
         shape (N,), >= 0, in standard deviations; comparable with scores of three scalars, see `calib.numerics.scores`.
@@ -232,21 +253,24 @@ def open_scores(linear: LinearProblem, x: Array, stage: Stage, projections: Arra
 class _Update:
     """Least squares by which rows of sole postures move an estimate x_o, see the module's text; B = 1.
 
-    Its residual stacks the whitened scalars of all rows, the constraints, and x_o - x over wide priors.
+    Its residual stacks the whitened scalars of all rows, the constraints, and x_o - x over wide priors. All but the
+    rows of sole postures keep what x_o makes of them, with 0.05 (`_NOISE_OF_OTHERS`) of their noise.
     """
 
     #: Linearised at x_o
     start: LinearProblem
     #: (N, D, D), maps residuals in units of sigma to whitened ones along the open directions
     whiten: Array
-    #: (N, D), residuals of the other rows at x_o, which they keep; 0 for rows of sole postures
+    #: (N, D), residuals of the other rows at x_o, which they keep, in units of sigma; 0 for rows of sole postures
     reference: Array
-    #: (p,), 1 / tau of wide priors
+    #: (p,), 1 / tau, where tau is the standard deviation of wide priors
     prior: Array
 
     @classmethod
     def of(cls, start: LinearProblem, stage: Stage, weights: Array, projections: Array) -> _Update:
-        """Set up the update of an estimate x_o by all other rows.
+        """Set up the update of an estimate x_o by the rows of sole postures, which had no part in it.
+
+        All other rows keep their residuals at x_o, with 0.05 (`_NOISE_OF_OTHERS`) of their noise.
 
         Args:
             start: The problem linearised at x_o: N rows of D scalars by p parameters, in units of the given sigma.
@@ -275,18 +299,21 @@ class _Update:
         )
 
     def residual(self, linear: LinearProblem) -> Array:
-        """The residual at the parameters x where a problem is linearised.
+        """The residual, at the parameters x where a problem is linearised, of the update by sole postures.
 
-        Uses `start`, the problem at the estimate x_o by all other rows; `whiten`, shape (N, D, D), a map from units of
-        the given sigma to whitened ones; `reference`, shape (N, D), residuals at x_o; and `prior`, shape (p,), 1 / tau
-        of wide priors.
+        Rows of sole postures (poses that alone determine a direction of the parameters) update the estimate x_o by all
+        other rows. Uses ``start``, the problem at x_o; ``whiten``, shape (N, D, D), a map from units of the given sigma
+        to whitened scalars; ``reference``, shape (N, D), residuals of the other rows at x_o in units of the given
+        sigma, 0 for sole postures; and ``prior``, shape (p,), 1 / tau, where tau is the standard deviation of wide
+        priors.
 
         Args:
-            linear: The problem linearised at x, shape (p,): N rows of D scalars, K constraints.
+            linear: The problem linearised at x, shape (p,): N rows of D scalars (measured minus predicted, in units of
+                the given sigma), K constraints with the Jacobian ``linear.C``, shape (K, p), whitened.
 
         Returns:
-            shape (N D + K + p,), whitened: the rows' residuals less `reference`, then the change of the constraints,
-            then x_o - x over wide priors.
+            shape (N D + K + p,), whitened: the rows' residuals less ``reference``, then C (x_o - x) / 0.05, the change
+            of the constraints, then (x_o - x) / tau.
         """
         change = self.start.x - linear.x
         rows = (linear.residual(linear.x) - self.reference)[:, :, None]
@@ -297,15 +324,18 @@ class _Update:
     def derivative(self, linear: LinearProblem) -> Array:
         """Minus the derivative of `residual` by the parameters.
 
-        Uses `whiten`, shape (N, D, D), a map from units of the given sigma to whitened ones, and `prior`, shape (p,),
-        1 / tau of wide priors.
+        Uses ``whiten``, shape (N, D, D), a map from units of the given sigma to whitened scalars, which are weighted
+        and in units of the noise, and ``prior``, shape (p,), 1 / tau, where tau is the standard deviation of wide
+        priors.
 
         Args:
-            linear: The problem linearised at the parameters x, shape (p,): N rows of D scalars, K constraints.
+            linear: The problem linearised at the parameters x, shape (p,): Jacobian ``linear.A``, shape (N, D, p), of
+                the prediction of N rows in units of the given sigma, and ``linear.C``, shape (K, p), of K whitened
+                constraints.
 
         Returns:
-            shape (N D + K + p, p), whitened: Jacobian of the rows' predictions, the constraints, and 1 / tau of wide
-            priors on the diagonal.
+            shape (N D + K + p, p), per unit of each parameter: of the rows' whitened predictions, of the constraints (C
+            / 0.05), and 1 / tau on the diagonal.
         """
         rows = (self.whiten @ linear.A).reshape(-1, len(linear.x))
         return np.vstack([rows, linear.C / _NOISE_OF_OTHERS, np.diag(self.prior)])
@@ -313,7 +343,9 @@ class _Update:
     def solved(self, linear_at: Callable[[Array], LinearProblem]) -> LinearProblem:
         """The problem linearised at the minimum: Gauss-Newton steps, halved until the sum of squares does not rise.
 
-        Begins at `start`, the problem linearised at the estimate by all other rows.
+        Begins at ``start``, the problem linearised at the estimate x_o by all other rows. ``residual`` and
+        ``derivative`` give the stacked residual of rows, constraints and x_o - x, and minus its derivative by the
+        parameters x.
 
         Args:
             linear_at: Maps parameters x, shape (p,), [m, rad, ...], to the problem linearised there.
@@ -346,17 +378,21 @@ def update_by_sole_postures(
 ) -> tuple[Array, Array]:
     """Update an estimate by the rows of sole postures: poses that alone determine a direction of the parameters.
 
+    These rows move the estimate along what the other rows leave open, by least squares with priors three times as wide
+    as given. The other rows, with 0.05 of their noise, keep their residuals.
+
     Args:
         estimate: x, shape (p,), by all other rows [m, rad, ...], and its covariance, shape (p, p).
-        stage: Row weights, noise and prior standard deviations of that fit (B = 1), in which sole postures have no
-            weight.
-        linear_at: Maps x to the problem linearised there: N rows of D scalars, in units of each scalar's given sigma.
-        weights: shape (N,), of the rows of sole postures; 0 for all others.
-        projections: shape (N, D, D), of each row's scalars, in units of the noise, on the directions in which the other
-            rows do not predict it; see `open_directions`.
+        stage: Row weights, noise (a multiple of each scalar's given sigma) and prior standard deviations of that fit
+            (B = 1), in which sole postures have no weight.
+        linear_at: Maps x, shape (p,), to the problem linearised there: N rows of D scalars, in units of each scalar's
+            given sigma.
+        weights: shape (N,), of the rows of sole postures, from 0 (outlier) to 1; 0 for all others.
+        projections: shape (N, D, D), orthogonal projections of each row's scalars, in units of the noise, on the
+            directions in which the other rows do not predict it; see `open_directions`.
 
     Returns:
-        x, shape (p,), and its covariance, shape (p, p), updated.
+        x, shape (p,), and its covariance, shape (p, p), updated, in the same units.
     """
     x, covariance = estimate
     update = _Update.of(linear_at(x), stage, weights, projections)
@@ -374,7 +410,8 @@ def _joseph_update(covariance: Array, gain: Array, A: Array) -> Array:
     Args:
         covariance: shape (p, p), C, before, in the products of the parameters' units.
         gain: shape (p, M), G, the derivative of the estimate by the scalars.
-        A: shape (M, p), Jacobian of the scalars' prediction. The scalars are whitened: their variance is 1.
+        A: shape (M, p), Jacobian of the scalars' prediction. The scalars are whitened: their errors have the variance
+            1, and are independent of each other and of the estimate before.
 
     Returns:
         shape (p, p), in the same units.

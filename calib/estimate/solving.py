@@ -47,8 +47,9 @@ class StageSolver:
         Args:
             problem: The least-squares problem of N rows and p parameters, whose weights, noise and priors each stage
                 sets.
-            task: Robot, cell and options of the fit; its solver is used.
-            start: shape (p,), parameters where the first solve begins [m, rad, ...].
+            task: Options of the fit; of them ``task.solver`` is used: a solver itself, or its name in `SOLVERS`.
+            start: shape (p,), parameters where the first solve begins: offsets from the nominal robot and the
+                registered frames and targets [m, rad, ...].
         """
         self._problem = problem
         self._solver = task.solver if callable(task.solver) else SOLVERS[str(task.solver)]
@@ -65,7 +66,7 @@ class StageSolver:
 
         Args:
             stage: Row weights, noise and prior standard deviations of one fit (B = 1).
-            tolerance: A step shorter than this has converged, in steps of 1 mm and 1 mrad.
+            tolerance: A step shorter than this has converged: the norm over all parameters, each in units of its step.
 
         Returns:
             The solution x, shape (p,), [m, rad, ...], with the history and number of evaluations of all solves so far.
@@ -88,11 +89,15 @@ class StageSolver:
     def linear_at(self, stage: Stage) -> LinearProblem:
         """Return the problem linearised at the solution of a stage, or where it hardly differs.
 
+        A solve, with the tolerance 0.1 (`_ROUGH`) in steps of 1 mm and 1 mrad, is saved where the last linearisation,
+        or one at a solution close to it, serves.
+
         Args:
             stage: Row weights, noise and prior standard deviations of one fit (B = 1).
 
         Returns:
-            N rows of D scalars by p parameters, in units of each scalar's given sigma.
+            The linearised problem: residual and Jacobian of N rows of D scalars by p parameters, in units of each
+            scalar's given sigma, at its ``x``, shape (p,).
         """
         near = self._near_last(stage)
         if near is None:
@@ -104,11 +109,12 @@ class StageSolver:
     def _near_last(self, stage: Stage) -> LinearProblem | None:
         """The linearised problem that gives a stage's solution without a solve; None where a solve is needed.
 
-        It is that of the last stage where the solution has hardly moved, or one at a solution that is close, if a
-        second linear fit confirms it.
+        It is that of the last stage where the solution has moved by no more than 0.1 (`_ROUGH`), or one at the new
+        solution where that moved by no more than 5 (`_CLOSE`) and a second linear fit moves it by no more than 0.1:
+        norms over all parameters, in steps of 1 mm and 1 mrad.
 
-        Uses the problem linearised for the last stage (`_linear`, None before the first one), and the parameters where
-        the last solve stopped (`_x`, shape (p,)), which it moves to a solution that is confirmed.
+        Uses the problem linearised for the last stage (``_linear``, None before the first one), and the parameters
+        where the last solve stopped (``_x``, shape (p,)), which it moves to a solution that is confirmed.
 
         Args:
             stage: Row weights, noise and prior standard deviations of one fit (B = 1).
@@ -132,7 +138,7 @@ class StageSolver:
         return None
 
     def _length(self, change: Array) -> float:
-        """Length of a change of parameters, in steps of 1 mm and 1 mrad (`_step_size`).
+        """Length of a change of parameters, in steps of 1 mm and 1 mrad (``_step_size``, shape (p,)).
 
         Args:
             change: shape (p,), in the parameters' units [m, rad, ...].
@@ -144,14 +150,14 @@ class StageSolver:
 
 
 def _solution_of(stage: Stage, linear: LinearProblem) -> Array:
-    """The parameters that fit a linearised problem best.
+    """The parameters that fit a linearised problem best, with given weights, noise and priors.
 
     Args:
         stage: Row weights, noise and prior standard deviations of one fit (B = 1).
-        linear: The problem linearised: N rows of D scalars by p parameters.
+        linear: The problem linearised: N rows of D scalars by p parameters, in units of each scalar's given sigma.
 
     Returns:
-        shape (p,), the parameters themselves, not their change [m, rad, ...].
+        shape (p,), the parameters themselves, not their change from where the problem is linearised [m, rad, ...].
     """
     x, _, _ = stage.fit(linear)
     of_fit: Array = x[0]
@@ -161,13 +167,16 @@ def _solution_of(stage: Stage, linear: LinearProblem) -> Array:
 def mark_sole_postures(problem: Problem, prior: PriorTerms) -> Problem:
     """Return the problem with the rows of sole postures marked, unless they are already.
 
+    Such poses alone determine a direction of the parameters, so that no other row can check them.
+
     Args:
         problem: The least-squares problem at the registered start: N rows of measurements, p parameters.
-        prior: Priors of its parameters: standard deviations as given, and means, where the problem is linearised.
+            ``problem.rows.sole`` is None where they are not marked yet.
+        prior: Priors of its parameters: standard deviations as given, and their means (``prior.centre``, shape (p,)
+            [m, rad, ...]), where the problem is linearised.
 
     Returns:
-        The problem whose ``rows.sole`` is the mask, shape (N,), of poses that alone determine a direction of the
-        parameters, so that no other row can check them.
+        The problem whose ``rows.sole`` is the mask of these rows, shape (N,).
     """
     rows = problem.rows
     if rows.sole is not None:
@@ -183,13 +192,17 @@ def estimate_with_priors(problem: Problem, task: Task, prior: PriorTerms) -> Est
     """Estimate the parameters, weights, noise and prior standard deviations, without bounds.
 
     Args:
-        problem: The least-squares problem of N rows and p parameters. Its rows of sole postures, which no other row can
-            check, are marked; they have no part in noise and prior standard deviations.
-        task: Robot, cell and options of the fit; used are the solver, and the treatment of repeats and outliers.
-        prior: Priors of the p parameters; those that are held at a bound have a narrow one.
+        problem: The least-squares problem of N rows and p parameters. Its rows of sole postures (poses that alone
+            determine a direction of the parameters, which no other row can check) are marked; they have no part in
+            noise and prior standard deviations.
+        task: Robot, cell and options of the fit; used are the solver, and the treatment of repeats (``cell.repeats``)
+            and outliers (``robust``).
+        prior: Priors of the p parameters, with the means (``prior.centre``, shape (p,) [m, rad, ...]) where the first
+            solve begins; those that are held at a bound have a narrow one.
 
     Returns:
-        The parameters by all rows, with covariance, scores, weights, noise and prior standard deviations.
+        The parameters, offsets from the nominal robot and the registered frames and targets, by all rows; with
+        covariance, scores, weights, noise and prior standard deviations.
 
     Raises:
         SolverError: The residual is not finite at the start.
@@ -208,15 +221,19 @@ def estimate_with_priors(problem: Problem, task: Task, prior: PriorTerms) -> Est
 def _updated_by_sole_postures(estimate: Estimate, problem: Problem, stage: Stage) -> Estimate:
     """Update an estimate by the rows of sole postures, which had no part in it; see `calib.estimate.sole_postures`.
 
+    Such a row is weighted by its score: how far it lies from what wide priors predict, along the directions in which
+    the other rows do not predict it.
+
     Args:
-        estimate: The estimate by all other rows.
-        problem: The least-squares problem of N rows and p parameters; ``problem.rows.checked`` is False for rows of
-            sole postures.
+        estimate: The estimate by all other rows: used are ``x``, shape (p,), ``covariance``, shape (p, p), ``scores``
+            and ``weights``, shape (N,), and the degrees of freedom of the noise, ``freedom``.
+        problem: The least-squares problem of N rows and p parameters; ``problem.rows.checked``, shape (N,), is False
+            for rows of sole postures.
         stage: Row weights, noise and prior standard deviations of the estimate's fit (B = 1).
 
     Returns:
-        The estimate with parameters, covariance, and the scores and weights of these rows by all rows; itself where
-        there are none.
+        The estimate with parameters and covariance by all rows, and the scores and weights of the rows of sole postures
+        set (weights from 0 to 1); itself where there are none. Noise and prior standard deviations stay.
     """
     sole = ~problem.rows.checked
     if not np.any(sole):

@@ -46,7 +46,7 @@ def stop_of_rows(rows: Rows) -> Integers | None:
 
 
 def twists_of_bodies(points: Array, stops: Integers, counts: Array) -> Array:
-    """Differentiate points by the displacements of their bodies, which turn about the centroids of their points.
+    """Differentiate the poses of targets by the displacements of their bodies, which turn about their centroids.
 
     Args:
         points: shape (K, 3), position of the measured target of each of K rows in its measurement frame [m].
@@ -77,8 +77,8 @@ def of_unit_size(J: Array, instruments: NDArray[np.int8], counts: Array) -> Arra
     variance of 1, and so does a rotation.
 
     Args:
-        J: shape (K, D, 6), derivative of the D scalars of each of K rows by its body's displacement: three
-            translations, three rotations.
+        J: shape (K, D, 6), Jacobian of the D scalars of each of K rows, in units of their sigma, by its body's
+            displacement: three translations [m], three rotations [rad].
         instruments: shape (K, D), index of each scalar's instrument, from 0; -1 for no scalar.
         counts: shape (K,), weight of each row in the mean.
 

@@ -7,9 +7,9 @@ their sigma, have the covariance
 
     V = noise^2 K,        K = kappa I + rho_t J_t J_t^T + rho_r J_r J_r^T,        kappa = 1 - rho_t - rho_r
 
-with the derivatives J_t and J_r of the predicted scalars by that displacement, each scaled to mean square 1 over the
-table: noise is the standard deviation of a scalar, rho_t and rho_r are the shares of its variance that the targets of a
-stop have in common, and kappa is the share that is independent. With
+with the Jacobians J_t and J_r of the predicted scalars by that displacement, each scaled so that the mean diagonal
+entry of J J^T over the table is 1: noise is the standard deviation of a scalar, rho_t and rho_r are the shares of its
+variance that the targets of a stop have in common, and kappa is the share that is independent. With
 G = [sqrt(rho_t) J_t, sqrt(rho_r) J_r], as in any mixed model (C. R. Henderson, 1953),
 
     K^-1 = [I - G (kappa I + G^T G)^-1 G^T] / kappa
@@ -44,11 +44,11 @@ class _CellMeans:
     variance of one row of weight 1; zero for scalars of other instruments.
     """
 
-    #: (M, D, q), of given columns of the scalars
+    #: (M, D, q), of given columns of the scalars, in their unit
     columns: Array
-    #: (M, D, 6), of the derivative of each scalar by the body's displacement
+    #: (M, D, 6), of the Jacobian of each scalar by translation (3) and rotation (3) of the stop's body
     J: Array
-    #: (M, D), number of scalars: 1, less where the rows have little weight, or 0
+    #: (M, D), number of scalars: 1, or the sum of the rows' weights where that is less; 0 for other instruments
     count: Array
 
 
@@ -139,8 +139,10 @@ class Stops:
     def select(self, mask: Mask) -> Stops | None:
         """Return the stops (standstills at which several targets are measured) of some of the table's rows.
 
+        Uses ``rows``, shape (n,), indices of the stops' rows in the table, from 0.
+
         Args:
-            mask: shape (N,), which rows of the table are kept.
+            mask: shape (N,), True for rows of the table that are kept.
 
         Returns:
             The stops of the kept rows, even those with one target left; their ``rows`` are the indices, from 0, in the
@@ -160,7 +162,7 @@ class Stops:
         scalars of n rows by the displacement of their stop's body.
 
         Args:
-            count: shape (N,), how often the stop of each of the table's rows was drawn; 0: not at all.
+            count: shape (N,), how many times the stop of each of the table's rows was drawn; 0: not at all.
 
         Returns:
             The same stops, with these derivatives divided by sqrt(count); 0 for stops that were not drawn.
@@ -195,7 +197,7 @@ class Stops:
         log_det = np.zeros(len(rho))
         shares_any = np.argwhere(np.any(rho > 0.0, axis=2)).tolist()
         for stops in self._parts():
-            X = stops._rows_of(columns)
+            X = stops._rows_of(columns)  # (n, D, q)
             for b, c in shares_any:
                 change, log_terms = stops._correction(X, weights[b], c, rho[b, c])
                 changes[b, c] += change
@@ -338,6 +340,9 @@ class Stops:
     def _moments_of(self, means: _CellMeans, x: Array, C: Array) -> Moments:
         """Compute the moments of a fit's residual from the means of these stops' cells (one target at one stop each).
 
+        A cell is one target at one standstill of the robot (a stop), with its repeats. Sums over the cells of each stop
+        are taken by ``_sums``, which maps (M, ...) of M cells to (S, ...) of S stops.
+
         Args:
             means: Means of one instrument's scalars over M cells, each with the variance of one row of weight 1:
                 ``means.columns``, shape (M, D, p + 1), the derivative A of the prediction by p parameters, and behind
@@ -396,7 +401,7 @@ class Stops:
         Uses `_first_cell`, shape (S,), the index of the first cell of each stop, from 0.
 
         Args:
-            values: shape (M, ...), of each of M cells (one target at one stop, with its repeats), in their order.
+            values: shape (M, ...), of each of M cells (one target at one stop, with its repeats), stop by stop.
 
         Returns:
             shape (S, ...), of each of S stops.

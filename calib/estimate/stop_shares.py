@@ -46,8 +46,8 @@ TINY = 1e-300
 class _InverseCovariance:
     """K^-1 of S stops by matrices of six rows: K^-1 = (I - J H J^T) / kappa, and K^-1 J = J T.
 
-    J has the derivatives of a stop's scalars by its body's displacement. With M = J^T J and the shares
-    D = diag(rho_t, rho_t, rho_t, rho_r, rho_r, rho_r), G G^T is J D J^T.
+    J has the Jacobian of a stop's scalars by its body's displacement: translation (3), rotation (3). With M = J^T J and
+    the shares D = diag(rho_t, rho_t, rho_t, rho_r, rho_r, rho_r), G G^T is J D J^T.
     """
 
     #: The share of a scalar's variance that is independent of the other targets of its stop
@@ -80,15 +80,19 @@ class _InverseCovariance:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Moments:
-    """The moments of an instrument's residual r at S stops, from which its shares are estimated, in any unit."""
+    """The moments of one instrument's residual r at S stops, from which its shares are estimated, in any unit.
 
-    #: (S, 6, 6), J^T J
+    J is the Jacobian of a stop's scalars by its body's translation (3) and rotation (3), A that by the parameters of
+    the fit, and C the covariance of these.
+    """
+
+    #: (S, 6, 6), J^T J of each stop
     M: Array
-    #: (S, 6, 6), J^T [r r^T + A C A^T] J
+    #: (S, 6, 6), J^T [r r^T + A C A^T] J of each stop
     R: Array
     #: The trace of r r^T + A C A^T, of all stops
     total: float
-    #: The number of scalars
+    #: The number of scalars of all stops
     count: float
 
     @classmethod
@@ -101,7 +105,11 @@ class Moments:
         number of scalars.
 
         Args:
-            parts: Moments of the parts, in the order of the stops, of the same fit and instrument; at least one.
+            parts: Moments of the parts, in the order of the stops, of the residual r of one instrument in one fit; at
+                least one. With J, the Jacobian of a stop's scalars by translation (3) and rotation (3) of the body that
+                carries its targets, and A C A^T, the covariance of the prediction: ``M``, J^T J, and ``R``,
+                J^T [r r^T + A C A^T] J, shape (S, 6, 6), of each of the part's S stops; ``total``, the trace of
+                r r^T + A C A^T, and ``count``, the number of scalars, summed over them.
 
         Returns:
             The moments of all stops: ``M`` and ``R`` stacked in this order, the sums of ``total`` and of ``count``.
@@ -227,10 +235,12 @@ def _shares_of(theta: Array) -> Array:
     """Return the shares of translations and rotations in the variance of a scalar, from the variances of its parts.
 
     Args:
-        theta: shape (3,), variances of independent errors, of translations and of rotations; the last two >= 0.
+        theta: shape (3,), variances of independent errors, and of translations and rotations of the body that carries
+            the targets of a stop; the last two >= 0.
 
     Returns:
-        rho, shape (2,), of translations and rotations; their sum is at most 1 - 1e-6 (`_LEAST_UNSHARED`).
+        rho, shape (2,), theta of translations and of rotations over the sum of all three; scaled down where their sum
+        would be above 1 - 1e-6 (`_LEAST_UNSHARED`).
     """
     shares = theta[1:] / max(float(np.sum(theta)), TINY)
     excess = float(np.sum(shares)) / (1.0 - _LEAST_UNSHARED)
@@ -240,8 +250,10 @@ def _shares_of(theta: Array) -> Array:
 def unshared(rho: Array) -> float:
     """Return the share kappa of a scalar's variance that is independent of the other targets of its stop.
 
+    A stop is a standstill of the robot at which several targets of one body are measured.
+
     Args:
-        rho: shape (2,), the shares of its variance that the stop's translation and rotation have.
+        rho: shape (2,), the shares of its variance that translation and rotation of the stop's body have.
 
     Returns:
         kappa = 1 - rho_t - rho_r, but never below 1e-6 (`_LEAST_UNSHARED`).
@@ -250,10 +262,10 @@ def unshared(rho: Array) -> float:
 
 
 def root_shares(rho: Array) -> Array:
-    """Return the square root of the share of each direction of a body's displacement.
+    """Return the square root of the share of each direction of a body's displacement in the variance of a scalar.
 
     Args:
-        rho: shape (2,), the shares of translations and of rotations in the variance of a scalar.
+        rho: shape (2,), the shares of translations and of rotations, >= 0; each direction of a kind has the same.
 
     Returns:
         shape (6,): of the three translations, then of the three rotations.
@@ -274,9 +286,5 @@ def transposed(M: NDArray[np.floating]) -> Array:
 
 
 def _trace(M: Array) -> float:
-    """Return the sum of the traces of a stack of matrices.
-
-    Args:
-        M: shape (S, n, n).
-    """
+    """Return the sum of the traces of a stack of matrices, shape (S, n, n)."""
     return float(np.einsum("sii->", M))

@@ -40,7 +40,7 @@ class Task:
     allow_absent: bool = False
 
     def check_solver(self) -> None:
-        """Raise `ModelError` where `solver` is a name that is unknown; a solver itself, a callable, is any.
+        """Raise `ModelError` where ``solver``, a name or a solver itself (a callable), is an unknown name.
 
         Raises:
             ModelError: No such solver.
@@ -52,7 +52,11 @@ class Task:
     def error_model(self) -> ErrorModel:
         """Return the parameters that are estimated: of the robot, frames and targets, without frozen and tied ones.
 
-        Uses the task's `robot`, `model`, `setup` and `cell` (gravity, frozen and tied parameters), and `allow_absent`.
+        Uses the nominal ``robot``; ``model``, the name of a set of its errors or these parameters themselves;
+        ``setup``, frames and targets as given, with what is estimated of them; of ``cell`` the acceleration of gravity
+        [m/s^2], the names of ``frozen`` parameters, which stay nominal, and ``ties``, by name of a follower the name of
+        its leader and a factor: x_follower = factor x_leader; and ``allow_absent``, True to skip
+        names in these that the model lacks.
 
         Returns:
             The p parameters, in the order of the parameter vector x: of the robot's model, then of the frames and
@@ -86,8 +90,8 @@ class Task:
     def _check_setup_is_whole(self, model: ErrorModel) -> None:
         """Raise `ModelError` where the cell freezes or ties a parameter of a frame or target.
 
-        Uses the names in ``cell.frozen``, and in ``cell.ties``, a mapping from a follower's name to its leader's name
-        and a factor.
+        A measurement frame or target is estimated as a whole, or not at all. Uses the names in ``cell.frozen``, and in
+        ``cell.ties``, a mapping from a follower's name to its leader's name and a factor, x_follower = factor x_leader.
 
         Args:
             model: The parameters of robot, frames and targets, none of them frozen or tied yet.
