@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from calib.data.cell import Cell
 from calib.diagnosis.further_unknowns import (
+    _residuals_without_blocks,
     estimate_jointly,
     gain_on_blocks,
     instrument_scale,
@@ -155,3 +156,25 @@ def test_zeros_of_joints_cannot_take_a_scale(clean):
     """Where no length of the arm is estimated, what all lengths grow by has nothing to hide in."""
     scene, table = clean
     assert instrument_scale(fitted(scene, table, Cell(model="zeros"))) is None
+
+
+def test_residuals_without_a_block_are_those_of_a_fit_to_the_others_with_the_same_priors(clean):
+    """Normal equations by hand; a prior of its own holds the target, 1 mm beside where the rows put it."""
+    scene, table = clean
+    given = scene.kinematics.T_tip_target[0, :3, 3] + [1e-3, 0.0, 0.0]
+    cell = Cell(model="zeros", target=given, parameter_priors={"target_x": 1e-5})
+    found = fitted(scene, table, cell)
+    problem = found.estimate.problem
+    linear = problem.linear(found.estimate.x)
+    masks = np.arange(len(table))[None] < 8
+    weights = np.linspace(0.2, 1.0, len(table))
+    residuals = _residuals_without_blocks(found, linear, weights, masks)[0]
+    noise = found.estimate.noise[0]
+    # In units of the noise, without the block.
+    root = np.sqrt(np.where(masks[0], 0.0, weights))[:, None] / noise
+    A = (root[:, :, None] * linear.A).reshape(-1, problem.size)
+    y = (root * linear.residual(np.zeros(problem.size))).ravel()
+    H = A.T @ A + np.diag(problem.precision)
+    x = np.linalg.solve(H, A.T @ y + problem.precision * problem.centre)
+    np.testing.assert_allclose(residuals, linear.residual(x) / noise, atol=1e-6)
+    assert np.any(problem.centre)

@@ -11,7 +11,9 @@ from calib.calibration import calibrate
 from calib.data.cell import Cell, Priors
 from calib.data.measurements import Measurements
 from calib.estimate.fitting import Fitted, fit
-from calib.estimate.sole_postures import _joseph_update, _Update
+from calib.estimate.prior_terms import PriorTerms
+from calib.estimate.sole_postures import _NOISE_OF_OTHERS, _joseph_update, _Update
+from calib.estimate.stages import Stage
 from calib.estimate.task import Task
 from calib.registration.table_rows import rows_and_setup
 from calib.robot.ranges import random_joint_values
@@ -223,3 +225,21 @@ def test_the_gain_of_least_variance_adds_up_information():
     worse = _joseph_update(covariance, 0.5 * gain, A) - expected
     assert np.min(np.linalg.eigvalsh(worse)) > -1e-9
     assert np.max(np.linalg.eigvalsh(worse)) > 1e-3
+
+
+def test_the_update_weighs_rows_by_their_noise(ur3, truth):
+    """A row of a sole posture by its weight, the others by the stage's and at a noise of their own factor."""
+    found = fitted(measured(truth, joint_values(ur3)), ur3)
+    problem = found.estimate.problem
+    start = problem.linear(np.zeros(problem.size))
+    N, D = start.used.shape
+    prior = PriorTerms.of(found.task, problem.kinematics.model, found.setup)
+    stage = Stage.initial(prior, np.ones((1, N), dtype=bool), 1, weights=0.25)
+    stage = replace(stage, noise=np.array([[2.0]]))
+    weights = np.where(np.arange(N) == ROW, 0.64, 0.0)
+    update = _Update.of(start, stage, weights, np.tile(np.eye(D), (N, 1, 1)))
+    of_others = 0.5 / (2.0 * _NOISE_OF_OTHERS)
+    expected = np.where(np.arange(N) == ROW, 0.8 / 2.0, of_others)
+    np.testing.assert_allclose(update.whiten[:, 0, 0], expected)
+    assert not np.any(update.reference[ROW])
+    np.testing.assert_array_equal(update.reference[0], start.residual(start.x)[0])

@@ -390,10 +390,11 @@ def test_with_too_many_outliers_every_row_counts(make_scene):
     np.testing.assert_allclose(found.T_frame_base[0], frame, atol=1e-9)
 
 
-def test_poses_are_registered_by_least_squares(make_scene, join):
+@pytest.mark.parametrize("cell", [FREE, Cell()])
+def test_poses_are_registered_by_least_squares(make_scene, join, cell):
     """No small change of frame or targets lowers the sum of squares."""
-    scene = make_scene(11, targets=2, reach=1.0)
-    rows, setup = rows_and_setup(scene.robot, join(scene.poses(12), scene.poses(12, 0, 1)), FREE)
+    scene = make_scene(11, frames=[np.eye(4)], targets=2)
+    rows, setup = rows_and_setup(scene.robot, join(scene.poses(12), scene.poses(12, 0, 1)), cell)
     T_base_tip = scene.robot.poses(rows.joints)
     found = register(T_base_tip, setup, rows)
     model = frame_and_target_model(

@@ -120,10 +120,11 @@ def test_a_joint_that_moves_against_its_load_where_gravity_is_turned(make_scene)
 
 
 @pytest.mark.parametrize(
-    ("stated", "codes"), [(None, []), (3e-3, []), (4e-4, [Why.NOISE_ABOVE_SIGMA])]
+    ("noise", "stated", "codes"),
+    [(3e-3, None, []), (3e-2, None, []), (3e-3, 3e-3, []), (3e-3, 4e-4, [Why.NOISE_ABOVE_SIGMA])],
 )
-def test_the_noise_of_angles_is_held_against_the_stated_one_alone(make_scene, stated, codes):
-    scene = arm(make_scene, 63, noise=3e-5, noise_angle=3e-3)
+def test_the_noise_of_angles_is_held_against_the_stated_one_alone(make_scene, noise, stated, codes):
+    scene = arm(make_scene, 63, noise=3e-5, noise_angle=noise)
     cell = Cell(model="dh", sigma_angle=stated)
     result = calibrate(scene.robot, scene.poses(40), cell=cell, validate=False)
     geometry = result.fit_in_memory.geometry
