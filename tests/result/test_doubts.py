@@ -137,6 +137,20 @@ def test_the_noise_of_angles_is_held_against_the_stated_one_alone(make_scene, no
         assert reason.values["ratio"] == pytest.approx(reason.values["after_rad"] / stated)
 
 
+def test_every_joint_that_moved_in_a_small_part_of_its_range_is_named(make_scene):
+    """The one that moved least comes first."""
+    scene = arm(make_scene, 61)
+    q = random_joint_values(scene.robot, 60, 1)
+    q[:, 1] *= 0.15
+    q[:, 2] *= 0.1
+    table = table_of(scene, q, np.random.default_rng(1))
+    found = reasons(calibrate(scene.robot, table, model="dh"))[Why.CORNER]
+    names = scene.robot.joint_names
+    assert found["joints"] == [names[2], names[1]]
+    assert found["lows"] == [q[:, 2].min(), q[:, 1].min()]
+    assert found["highs"] == [q[:, 2].max(), q[:, 1].max()]
+
+
 @pytest.mark.parametrize(
     ("noise", "stated", "why"),
     [
