@@ -431,6 +431,10 @@ class Stage:
     def select(self, fits: Integers) -> Stage:
         """Return the stage of some of the B fits.
 
+        Takes these from `kept`, the rows that each fit has, `weights`, robust, and `share`, the factor for repeats, all
+        of shape (B, N); `noise`, shape (B, C), of each instrument as a multiple of the given sigma; `prior_std`, shape
+        (B, K), of each family of parameters; and `rho`, shape (B, C, 2), shared by the targets of a stop.
+
         Args:
             fits: shape (n,), indices of the fits to keep, from 0.
 

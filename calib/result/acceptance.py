@@ -191,7 +191,10 @@ def acceptance(
     criterion: str = "max",
     seen: bool | Mask = False,
 ) -> Acceptance:
-    """Compare a robot's pose accuracy with a tolerance.
+    """Compare a robot's pose accuracy with a tolerance, which it keeps or not for certain, or neither (ISO 14253-1).
+
+    Judged are rows that no calibration was fitted to and nothing registered to where there are enough of them, else all
+    measured rows; see `calib.result.accuracy.judged_rows`.
 
     Args:
         evaluation: Residuals, measured minus predicted, of the robot that is judged at the N rows of a table, with

@@ -87,8 +87,8 @@ class Bootstrap:
     def everywhere_rms(self) -> float:
         """Standard deviation of the predicted position over the bootstrap's draws, rms over the joint limits [m].
 
-        Over `_POSES` joint values spread evenly between the limits of the robot of ``fitted``, for the first frame and
-        target.
+        That of one position is the root of its three variances' sum, in the measurement frame. Over `_POSES` joint
+        values spread evenly between the limits of the robot of ``fitted``, for the first measurement frame and target.
         """
         spread = spread_poses(self.fitted.task.robot, _POSES)
         return rms(self.position_std(Samples.at(spread)))
