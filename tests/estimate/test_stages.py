@@ -8,11 +8,18 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar
 
+from calib.data.cell import Cell
+from calib.estimate.fitting import fit
+from calib.estimate.prior_terms import PriorTerms
 from calib.estimate.problem import Problem
 from calib.estimate.stages import FEWEST_FREEDOM, Stage, Weighting, run_stages
+from calib.estimate.task import Task
 from calib.model.kinematics import Samples
 from calib.numerics.likelihood import GaussianPriors
+from calib.registration.table_rows import rows_and_setup
+from calib.robot.ranges import random_joint_values
 from tests.estimate.priors_of import prior_terms
+from tests.fits import joined
 
 
 def test_freedom_is_what_scalars_are_left_after_the_parameters(virtual):
@@ -130,3 +137,26 @@ def test_rows_keep_their_weight_where_most_of_them_would_lose_it(virtual):
     assert stage._row_weights(linear)[0, 0] == 0.0
     linear, stage = first_stage(virtual, 40, 1e-4, outliers=range(24))
     np.testing.assert_array_equal(stage._row_weights(linear), 1.0)
+
+
+def test_targets_of_a_stop_share_what_their_body_is_off_by(make_scene):
+    """Two targets, displaced alike by ten times their own noise; of rounding nothing is shared."""
+    scene = make_scene(4, frames=[np.eye(4)], targets=2, length=0.0, angle=0.0)
+    rng, q = np.random.default_rng(4), random_joint_values(scene.robot, 40, 4)
+    shift = 2e-4 * rng.normal(size=(40, 3))
+    tables = []
+    for target in range(2):
+        samples = scene.samples(40, 0, target, q)
+        points = scene.kinematics.points(scene.x, samples) + shift
+        points += 2e-5 * rng.normal(size=points.shape)
+        tables.append(scene._table(samples, "point", points=points))
+    rows, setup = rows_and_setup(scene.robot, joined(*tables), Cell())
+    found = fit(Task(scene.robot, Cell(), setup, "frames"), rows)
+    linear = Problem.initial(found.kinematics, rows).linear(found.estimate.x)
+    prior = PriorTerms.of(found.task, found.kinematics.model, found.setup)
+    stage = Stage.initial(prior, np.ones((1, len(rows)), dtype=bool), 1)
+    stage = replace(stage, noise=np.array([found.estimate.noise]))
+    shares = stage.by_stops(linear).rho[0, 0]
+    assert shares.sum() == pytest.approx(1.0 / 1.01, abs=0.05)
+    exact = replace(stage, noise=1.5 * np.array([linear.smallest_noise]))
+    assert not np.any(exact.by_stops(linear).rho)
