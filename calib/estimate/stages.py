@@ -411,7 +411,8 @@ class Stage:
         """Return the stage with the shares of variance that the targets of a stop have in common estimated.
 
         A stop is a standstill of the robot at which several targets are measured; see `calib.estimate.stop_errors`.
-        Uses the residuals of a fit with this stage's row weights, `noise`, priors and `rho`.
+        Uses the residuals of a fit with this stage's row weights `effective`, shape (B, N), priors, `rho`, and `noise`,
+        shape (B, C): standard deviation of each instrument as a multiple of the given sigma.
 
         Args:
             linear: The least-squares problem linearised: N rows of D scalars by p parameters, in units of the given

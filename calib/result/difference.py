@@ -661,8 +661,9 @@ class _OwnEffects:
     def in_steps(self) -> Array:
         """Displacements of the target by a typical error of each parameter, shape (N D, p), [m].
 
-        ``remaining``, shape (N D, p), the displacements by a unit of each of p parameters, without what a motion of
-        base and target explains, times ``steps``, shape (p,), typical errors of arms such as 1 mm or 1 mrad.
+        ``remaining``, shape (N D, p), the displacements by a unit of each of p parameters in the base frame, D = 3
+        coordinates at each of N joint values, or 6 with rotations at the end of a lever, without what a motion of base
+        and target explains, times ``steps``, shape (p,), typical errors of arms such as 1 mm or 1 mrad.
         """
         return self.remaining * self.steps
 
