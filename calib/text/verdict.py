@@ -180,7 +180,7 @@ SENTENCES = {
     Why.ROWS_COPIED: "{rows} rows (the first is row {row}) are exact copies of others, and were "
     "ignored.",
     Why.VALIDATION_GAIN: "On the {rows} validation rows{rows_aside} it falls {change}.",
-    Why.OUTSIDE: "{rows} validation rows lie outside the range of the fitted joint values, where "
+    Why.OUTSIDE: "{rows_lie} outside the range of the fitted joint values, where "
     "errors may be larger: '{joint}' in row {row} by {beyond}.",
     Why.FRAME_MOVED: _ANEW
     + "measurement frame is registered anew: did the tracker or the robot move? Then add --frame "
@@ -227,6 +227,7 @@ def _words(values: Mapping[str, Any]) -> dict[str, str]:
         "rows_aside": "",
         "named": "",
         "ranges": _ranges(values),
+        "rows_lie": _rows_lie(values.get("rows", 0)),
         "better": "",
     }
     if values.get("outliers"):
@@ -278,6 +279,11 @@ def _measured(values: Mapping[str, Any]) -> str:
     if values.get("pairs"):
         counts.append(f"{values['pairs']} pairs of poses")
     return " and ".join(counts)
+
+
+def _rows_lie(rows: object) -> str:
+    """Word how many validation rows lie somewhere; rows of other reasons may be a list."""
+    return "1 validation row lies" if rows == 1 else f"{rows} validation rows lie"
 
 
 def _p_value(p: float) -> str:

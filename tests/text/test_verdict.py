@@ -48,3 +48,11 @@ def test_only_do_not_use_speaks_against_a_result():
     said = against(Verdict(NO, reasons))
     assert said == f"do not use (parameter_far): {reason_text(reasons[0])}"
     assert said in refusal("'c.urdf'", said)
+
+
+@pytest.mark.parametrize(
+    ("rows", "words"), [(1, "1 validation row lies"), (2, "2 validation rows lie")]
+)
+def test_one_row_is_no_rows(rows, words):
+    reason = Reason.of(Why.OUTSIDE, rows=rows, row=47, joint="elbow", by_rad=0.1)
+    assert reason_text(reason).startswith(words)
