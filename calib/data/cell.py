@@ -9,9 +9,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -30,6 +29,7 @@ from calib.data.surroundings import (
     check_box_names,
 )
 from calib.errors import CalibError, FileError, choices
+from calib.mappings import ReadOnlyMapping
 from calib.model.error_model import DIRECTIONS
 from calib.numerics.geometry import FARTHEST, pose_of, pose_or_none, rotation_or_none, vector
 from calib.robot.gravity import GRAVITY
@@ -200,7 +200,7 @@ _MAPPINGS: Mapping[str, _Check] = {
 
 def _no_entries() -> Mapping[str, Any]:
     """Return a read-only mapping without entries."""
-    return MappingProxyType({})
+    return ReadOnlyMapping()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -292,7 +292,7 @@ class Cell:
         for name, check in _MAPPINGS.items():
             given = getattr(self, name)
             values = {key: check(v, f"'{key}' in a cell's {name}") for key, v in given.items()}
-            object.__setattr__(self, name, MappingProxyType(values))
+            object.__setattr__(self, name, ReadOnlyMapping(values))
         if self.kind is not None:
             registry.get(self.kind)
         check_box_names(self.boxes)
@@ -317,14 +317,6 @@ class Cell:
                     f"'{name}' is tied to '{other}': it must not be frozen, have bounds or a "
                     f"prior as well, nor '{other}' be tied itself."
                 )
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle with plain dicts for the read-only mappings; values are checked again on loading."""
-        arguments = []
-        for attribute in fields(self):
-            value = getattr(self, attribute.name)
-            arguments.append(dict(value) if isinstance(value, MappingProxyType) else value)
-        return Cell, tuple(arguments)
 
     @classmethod
     def read(cls, path: str | Path) -> Cell:

@@ -8,7 +8,6 @@ from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from itertools import compress
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -35,6 +34,7 @@ from calib.data.table import Table
 from calib.data.values import read_values
 from calib.errors import MeasurementError, choices
 from calib.files import csv_bytes, write_atomically
+from calib.mappings import ReadOnlyMapping
 from calib.numerics.geometry import FARTHEST, to_quaternions
 from calib.robot.robot import read_only
 from calib.units import UNITS, Array, Mask, Quantity
@@ -133,7 +133,7 @@ class Measurements:
             fill("torques", read_only(self.torques))
             check_torques(labels, self.torques)
         fill("distances", readings.pop("distance", None))
-        fill("readings", MappingProxyType(readings))
+        fill("readings", ReadOnlyMapping(readings))
 
     def _labels(self) -> RowLabels:
         """Return what messages call the rows."""

@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from types import MappingProxyType
 
 import numpy as np
 import pinocchio as pin
@@ -22,6 +21,7 @@ import calib.data.kinds as registry
 from calib.data.cell import Cell
 from calib.data.columns import DEFAULT_TARGET
 from calib.errors import CalibError, ModelError, choices
+from calib.mappings import ReadOnlyMapping
 from calib.model.error_model import error_model, split_name
 from calib.model.families import FAMILIES, unit_of
 from calib.model.kinematics import Kinematics, Samples
@@ -166,7 +166,7 @@ class Truth:
 def draw_truth(
     robot: Robot,
     model: str = "placement",
-    sizes: Mapping[str, float] | None = MappingProxyType({}),
+    sizes: Mapping[str, float] | None = ReadOnlyMapping(),
     seed: int = 0,
     *,
     cell: Cell | None = None,
