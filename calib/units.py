@@ -23,7 +23,7 @@ Mask: TypeAlias = NDArray[np.bool_]
 #: Array of whole numbers.
 Integers: TypeAlias = NDArray[np.int_]
 
-Quantity = Literal["length", "angle", "torque", "force", "mass"]
+Quantity = Literal["length", "angle", "torque", "force", "mass", "pixel"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +32,7 @@ class Unit:
 
     #: As written in a header, ``"mm"``.
     symbol: str
-    #: Of the SI units m, rad, Nm, N and kg.
+    #: Of the SI units m, rad, Nm, N and kg, and of px.
     quantity: Quantity
     #: One of this unit, in the SI unit.
     to_si: float
@@ -51,6 +51,7 @@ _ROWS: tuple[tuple[str, Quantity, float], ...] = (
     ("N", "force", 1.0),
     ("kg", "mass", 1.0),
     ("g", "mass", 1e-3),
+    ("px", "pixel", 1.0),
 )
 
 #: All units by symbol.
@@ -178,8 +179,12 @@ def parse_quantity(text: object) -> tuple[float, str]:
     if "/" in symbol:
         return number * _compliance_in_si(symbol), COMPLIANCE
     unit = find_unit(symbol)
-    quantity = ANGLE if unit.quantity == "angle" else f"a {unit.quantity}"
-    return number * unit.to_si, quantity
+    return number * unit.to_si, quantity_name(unit.quantity)
+
+
+def quantity_name(quantity: Quantity) -> str:
+    """Return the name of a quantity in messages, such as `ANGLE`."""
+    return ANGLE if quantity == "angle" else f"a {quantity}"
 
 
 def _compliance_in_si(symbol: str) -> float:

@@ -82,9 +82,9 @@ def ap_ratios(
     robot = kinematics.robot
     q = random_joint_values(robot, count, int(rng.integers(2**31)))
     points = draw(kinematics, q, rng)
-    true = accuracy_of(robot, q, points, GIVEN).of("ap").max()
+    true = accuracy_of(robot, q, points, GIVEN).of("ap", "m").max()
     registered = accuracy_of(robot, q, points, cell)
-    ap = registered.of("ap").max()
+    ap = registered.of("ap", "m").max()
     return ap / true, registered.factor * ap / true
 
 

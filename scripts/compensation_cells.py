@@ -112,7 +112,7 @@ def draw_cell(seed: int) -> VirtualCell:
     sigma = log_uniform(rng, *SIGMAS)
     table = measure(truth, poses, sigma, rng)
     given = robot if rng.integers(2) else without_masses(robot)
-    result = calibrate(given, table, cell=replace(cell, sigma=sigma))
+    result = calibrate(given, table, cell=replace(cell, sigma={"m": sigma}))
     direction = rng.normal(size=3)
     distance = rng.uniform(*TOOL_DISTANCES)
     away = distance * direction / np.linalg.norm(direction)
@@ -230,7 +230,7 @@ def command(cell: VirtualCell, program: Program, frame: str | None, title: str) 
         expected=commands.expected.mean,
         band=commands.expected.band,
         freedom=commands.expected.freedom,
-        held_out=validation.errors_without_outliers.mean,
+        held_out=validation.errors_without_outliers["m"].mean,
     )
 
 

@@ -61,7 +61,8 @@ def cases() -> Iterator[tuple[str, Cell, str]]:
 
 def errors_cells(errors: Errors) -> list[str]:
     """Return largest, mean and rms error [mm]."""
-    return [f"{1e3 * value:.3f}" for value in (errors.max, errors.mean, errors.rms)]
+    figures = errors["m"]
+    return [f"{1e3 * value:.3f}" for value in (figures.max, figures.mean, figures.rms)]
 
 
 def fit_row(title: str, result: Calibration) -> list[str]:
@@ -75,7 +76,7 @@ def fit_row(title: str, result: Calibration) -> list[str]:
     held_out = Errors.of(validation.residual[numbers != BAD_ROW])
     flagged = " ".join(str(outlier.row) for outlier in result.outliers)
     errors = result.errors[model]["validation"]
-    return [title, *errors_cells(errors), f"{1e3 * held_out.rms:.3f}", flagged or "-"]
+    return [title, *errors_cells(errors), f"{1e3 * held_out['m'].rms:.3f}", flagged or "-"]
 
 
 def fit_rows(robot: Robot, table: Measurements) -> Iterator[list[str]]:
@@ -114,7 +115,7 @@ def frame_rows(robot: Robot, table: Measurements) -> Iterator[list[str]]:
                 calibrate(robot, moved(table, length, angle, seed), cell=cell, validate=False)
                 for seed in seeds
             ]
-            rms = max(result.errors["calibrated"]["validation"].rms for result in results)
+            rms = max(result.errors["calibrated"]["validation"]["m"].rms for result in results)
             errors = [np.linalg.norm(result.residual_calibrated, axis=1) for result in results]
             text = "-"
             if unmoved is None:

@@ -69,7 +69,7 @@ def rows_twice(table: Measurements) -> Measurements:
 
 def with_sigma(table: Measurements) -> Measurements:
     """Return a table that states the tracker's noise."""
-    return replace(table, sigma=np.full(len(table), SIGMA))
+    return replace(table, sigma={"m": np.full(len(table), SIGMA)})
 
 
 FAULTS = {
@@ -130,7 +130,7 @@ def clean_codes(seed: int) -> list[str]:
     frame = bool(rng.integers(2))
     sort = bool(rng.integers(2))
     kind = ("point", "pose")[int(rng.integers(2))]
-    sigma = (None, SIGMA)[int(rng.integers(2))]
+    sigma = ({}, {"m": SIGMA})[int(rng.integers(2))]
     cell = Cell(estimate_frame=frame, sigma=sigma, kind=kind)
     clean = Fault(poses=int(rng.integers(20, 151)))
     verdict = verdict_of(calibrate_table(seed, clean, model, cell, true_model, sort=sort))

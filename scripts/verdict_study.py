@@ -202,7 +202,7 @@ def urdf_error(robot: Robot, truth: Truth, cell: Cell) -> float:
     """Return the error of a robot at fresh poses without noise, rms [m]."""
     q = random_joint_values(truth.nominal, FRESH, 99)
     table = Measurements(truth.nominal.joint_names, q, truth.points(q))
-    return evaluate(robot, table, cell).errors["all"].rms
+    return evaluate(robot, table, cell).errors["all"]["m"].rms
 
 
 def expected_ratios(result: Calibration, q: Array, points: Array) -> dict[str, float]:

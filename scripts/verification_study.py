@@ -156,7 +156,7 @@ def accuracy(case: str, rng: np.random.Generator) -> Figures:
     return {
         "error": rms_length(run.errors(result)),
         "bound": np.sqrt(run.bound),
-        "sigma": result.sigma / sigma,
+        "sigma": result.sigma["m"] / sigma,
         "model": chosen_model(result),
     }
 

@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from calib.calibration import Calibration, calibrate
 from calib.data.cell import Cell, GroupDistance
+from calib.data.kinds import get
 from calib.data.measurements import Measurements
 from calib.example import PAPER_TARGET, paper_measurements, paper_urdf
 from calib.model.error_model import error_model
@@ -24,7 +25,6 @@ from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot, read_only
 
 #: Numbers of kinds in the registry.
-POINT = 0
 
 
 @pytest.fixture(scope="session")
@@ -50,11 +50,11 @@ def point_rows(
     poses = np.arange(n) if poses is None else poses
     return Rows(
         samples=Samples.at(q),
-        kinds=np.full(n, POINT),
+        kinds=(get("point"),),
+        kind=np.zeros(n, dtype=int),
         measured=points,
         partner=np.full(n, -1),
-        sigma=sigma,
-        sigma_angle=np.full(n, 1e-3),
+        sigma={"m": sigma, "rad": np.full(n, 1e-3)},
         poses=poses,
         blocks=poses,
     )

@@ -99,7 +99,7 @@ def auto() -> CalibrationValues:
 def poses() -> CalibrationValues:
     """Positions and orientations in a tracker's own frame, at random poses."""
     scenario = Scenario(
-        ur3(), Cell(kind="pose", estimate_frame=True, model="dh"), model="dh", sigma_angle=2e-4
+        ur3(), Cell(kind="pose", estimate_frame=True, model="dh"), model="dh", sigma={"rad": 2e-4}
     )
     found = simulated(scenario, 40, 12)
     return calibrate(scenario.robot, found, cell=scenario.cell)
@@ -180,7 +180,7 @@ def distances() -> CalibrationValues:
 
 def mixed() -> CalibrationValues:
     """Points and poses in one table: some rows have no orientation."""
-    scenario = Scenario(ur3(), Cell(kind="pose", model="dh"), model="dh", sigma_angle=2e-4)
+    scenario = Scenario(ur3(), Cell(kind="pose", model="dh"), model="dh", sigma={"rad": 2e-4})
     found = simulated(scenario, 40)
     kinds = tuple("point" if k % 3 else "pose" for k in range(len(found)))
     return calibrate(

@@ -18,6 +18,7 @@ ORDER = (
     "errors",
     "mappings",
     "units",
+    "channels",
     "files",
     "json_files",
     "jobs",

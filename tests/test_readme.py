@@ -143,7 +143,7 @@ def test_what_five_more_poses_are_worth_is_so():
     table = calib.Measurements.read(ROOT / "calib" / "example" / "ur3_leica.csv", robot.joint_names)
     planned = calib.plan(
         robot,
-        calib.Cell(target=[-0.06997, 0.07020, 0.02252], sigma=1e-4),
+        calib.Cell(target=[-0.06997, 0.07020, 0.02252], sigma={"m": 1e-4}),
         calib.PlanRequest(5, 0, ladder=False),
         taken=table.joints_for(robot.joint_names)[table.estimation],
     )

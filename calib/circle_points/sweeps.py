@@ -246,7 +246,7 @@ def _from_table(
         points=values.points,
         numbers=values.rows,
         source=table.source,
-        sigma=values.sigma,
+        sigma=values.sigma.get("m"),
         joints=values.joints if has_joints else None,
     )
     return _split(rows, names)

@@ -109,6 +109,29 @@ def parse_pair(text: str, option: str, example: str) -> tuple[float | None, floa
     return length, angle
 
 
+def parse_by_unit(text: str, option: str, example: str) -> dict[str, float]:
+    """Parse a size in one or more units of residuals, such as ``0.5 mm 0.1 deg``.
+
+    Args:
+        text: As typed.
+        option: The option that it was given with, for messages.
+        example: A text that would be right, for messages.
+
+    Returns:
+        The sizes given, in SI units, by the symbols of `calib.channels.RESIDUAL_UNITS`.
+
+    Raises:
+        CalibError: It is no such text, or a size is negative.
+    """
+    from calib.channels import RESIDUAL_UNITS
+    from calib.units import parse_quantities, quantity_name
+
+    names = {symbol: quantity_name(unit.quantity) for symbol, unit in RESIDUAL_UNITS.items()}
+    counts = dict.fromkeys(names.values(), 1)
+    values = parse_quantities(text, option, counts, example, signed=False)
+    return {symbol: values[name][0] for symbol, name in names.items() if name in values}
+
+
 def parse_payload(text: str, payload: Payload | None) -> Payload:
     """Parse ``--payload``: a mass, such as ``5 kg``.
 

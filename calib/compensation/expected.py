@@ -218,7 +218,7 @@ def _freedom(
         lacking: Mean square of what the model lacks [m^2]; 0 without held-out rows.
         held_out: Errors of held-out rows.
     """
-    rows = 1 if held_out is None else max(held_out.errors_without_outliers.n, 1)
+    rows = 1 if held_out is None else max(held_out.errors_without_outliers["m"].n, 1)
     shared = float(np.sum(arrived.shared))
     by_priors = min(arrived.by_priors, shared)
     spread = lacking**2 / rows + float(np.sum(arrived.shared**2))
@@ -271,13 +271,16 @@ def _lacking(result: CalibrationValues, part: FittedModel, predicted_angle: floa
     errors = part.cross_validation.errors_without_outliers
     _, sigma, freedom = _instrument(result)
     scalars = _scalars_per_row(result)
-    lengths = _Residuals(errors.n, errors.rms, scalars[0], part.expected_measured**2)
-    angles = _Residuals(errors.n_angle, errors.rms_angle, scalars[1], predicted_angle)
-    excess = [
-        residuals.beyond(float(of_scalar), float(degrees))
-        for residuals, of_scalar, degrees in zip((lengths, angles), sigma, freedom, strict=True)
-    ]
+    predicted = {"m": part.expected_measured**2, "rad": predicted_angle}
+    excess = []
+    for unit in _POSE_UNITS:
+        residuals = _Residuals(errors[unit].n, errors[unit].rms, scalars[unit], predicted[unit])
+        excess.append(residuals.beyond(sigma[unit], freedom[unit]))
     return np.array(excess)
+
+
+#: Units of a pose: of its position and of its orientation.
+_POSE_UNITS = ("m", "rad")
 
 
 class _Residuals(NamedTuple):
@@ -318,24 +321,34 @@ class _Residuals(NamedTuple):
         return 3.0 * (variance - sigma**2) if variance > chance * sigma**2 else 0.0
 
 
-def _instrument(result: CalibrationValues) -> tuple[NoiseSource, Array, Array]:
-    """Return the source of the instrument's noise; it, of a length [m] and an angle [rad]; its degrees of freedom."""
-    stated = np.array([result.sigma_given, result.sigma_angle_given])
-    scatter, freedom = np.full(2, np.nan), np.zeros(2)
+def _instrument(
+    result: CalibrationValues,
+) -> tuple[NoiseSource, dict[str, float], dict[str, float]]:
+    """Return the source of the instrument's noise of lengths; its noise of one scalar; and its degrees of freedom.
+
+    Both by unit: ``"m"`` of lengths [m], ``"rad"`` of angles [rad]; noise of NaN is not known.
+    """
+    sigma = dict.fromkeys(_POSE_UNITS, np.nan)
+    freedom = dict.fromkeys(_POSE_UNITS, 0.0)
     if result.repeats is not None:
-        count = len(result.repeats.within)
-        scatter[:count], freedom[:count] = result.repeats.within, result.repeats.freedoms
-    scatter = np.where(freedom >= _TELLING_REPEATS, scatter, np.nan)
-    known = np.isfinite(stated)
-    sigma = np.where(known, stated, scatter)
-    source: NoiseSource = "stated" if known[0] else "repeats"
-    source = source if np.isfinite(sigma[0]) else "unknown"
-    return source, sigma, np.where(known, np.inf, freedom)
+        for unit in _POSE_UNITS:
+            freedom[unit] = result.repeats.freedoms.get(unit, 0.0)
+            if freedom[unit] >= _TELLING_REPEATS:
+                sigma[unit] = result.repeats.within[unit]
+    for unit in _POSE_UNITS:
+        if unit in result.sigma_given:
+            sigma[unit] = result.sigma_given[unit]
+            freedom[unit] = np.inf
+    source: NoiseSource = "stated" if "m" in result.sigma_given else "repeats"
+    source = source if np.isfinite(sigma["m"]) else "unknown"
+    return source, sigma, freedom
 
 
-def _scalars_per_row(result: CalibrationValues) -> tuple[float, float]:
-    """Return the mean number of lengths and of angles of the fitted rows that measure any."""
-    used = result.used[result.rows.estimation]
-    counts = [part.sum(axis=1) for part in (used[:, :3], used[:, 3:])]
-    lengths, angles = (float(c.sum()) / max(int(np.sum(c > 0)), 1) for c in counts)
-    return lengths, angles
+def _scalars_per_row(result: CalibrationValues) -> dict[str, float]:
+    """Return the mean number of lengths and of angles of the fitted rows that measure any, by unit."""
+    channels = result.channels.select(result.rows.estimation)
+    result_by_unit = {}
+    for unit in _POSE_UNITS:
+        counts = channels.where(unit).sum(axis=1)
+        result_by_unit[unit] = float(counts.sum()) / max(int(np.sum(counts > 0)), 1)
+    return result_by_unit

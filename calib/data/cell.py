@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 import calib.data.kinds as registry
+from calib.channels import RESIDUAL_UNITS
 from calib.data.cell_file import checked, read_cell_file
 from calib.data.kinds import SIGMAS
 from calib.data.priors import PRIOR_STD_RANGE, Priors
@@ -166,6 +167,15 @@ def _repeats(value: str) -> str | None:
     return value if value in REPEATS else None
 
 
+def _sigma(value: Mapping[str, float]) -> ReadOnlyMapping[str, float] | None:
+    """Return standard deviations by unit, else None."""
+    if not isinstance(value, Mapping) or not value.keys() <= RESIDUAL_UNITS.keys():
+        return None
+    if not all(is_number(std) and SIGMAS[0] <= std <= SIGMAS[1] for std in value.values()):
+        return None
+    return ReadOnlyMapping({unit: float(std) for unit, std in value.items()})
+
+
 def _target(value: ArrayLike) -> Array:
     """Return a target's position in the tip, shape (3,) [m]."""
     return vector(value, "target")
@@ -176,8 +186,11 @@ _POSE_CHECK = _Check(POSE, pose_or_none)
 #: Checks of attributes of a cell, by their names; None is always allowed.
 _ATTRIBUTES: Mapping[str, _Check] = {
     "T_frame_base": _POSE_CHECK,
-    "sigma": _within(*SIGMAS, "m"),
-    "sigma_angle": _within(*SIGMAS, "rad"),
+    "sigma": _Check(
+        f"standard deviations from {SIGMAS[0]:g} to {SIGMAS[1]:g} by unit, such as {{'m': 1e-05}}; units are "
+        f"{choices(RESIDUAL_UNITS)}",
+        _sigma,
+    ),
     "target_rotation": _Check("a 3 x 3 right-handed rotation", rotation_or_none),
     "frame_directions": _Check(f"some of {choices(DIRECTIONS)}, each once", _directions),
     "frozen": _Check("names", tuple),
@@ -225,8 +238,9 @@ class Cell:
     T_frame_base: Array | None = None
     #: Whether the measurement frames are estimated.
     estimate_frame: bool = False
-    #: Standard deviation of one measured coordinate or length [m]; None: estimated from the data.
-    sigma: float | None = None
+    #: Standard deviation of one measured scalar by its unit: ``"m"`` of a coordinate or length [m], ``"rad"`` of an
+    #: angle [rad], ``"px"`` of an image coordinate [px]; of a unit that is missing it is estimated from the data.
+    sigma: Mapping[str, float] = field(default_factory=_no_entries)
     #: Prior standard deviations of the robot's errors, by family.
     priors: Priors = field(default_factory=Priors)
     #: What is estimated of the robot: ``"auto"``, as much as the measurements support, or a parameter set such as
@@ -246,8 +260,6 @@ class Cell:
     frames: Mapping[str, Array] = field(default_factory=_no_entries)
     #: Which of `DIRECTIONS`, along the axes of the base, are estimated where frames are.
     frame_directions: tuple[str, ...] = DIRECTIONS
-    #: Standard deviation of one measured angle [rad]; None: estimated from the data.
-    sigma_angle: float | None = None
     #: Whether the instrument's scale was certified or checked against a known length; else lengths of the arm may
     #: hide an error of it.
     scale_certified: bool = False

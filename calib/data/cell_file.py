@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from calib.channels import RESIDUAL_UNITS
 from calib.errors import CalibError, FileError, choices, did_you_mean
 from calib.files import read_bytes
 from calib.model.error_model import DIRECTIONS
@@ -26,6 +27,7 @@ from calib.units import (
     COMPLIANCE,
     LENGTH,
     PLAIN,
+    UNITS,
     Array,
     is_number,
     parse_joint_range,
@@ -48,7 +50,7 @@ Read = Callable[[Any, str], Any]
 class Field:
     """A key of a TOML table: the attribute that it gives, and how its value is read."""
 
-    #: The attribute, such as ``"sigma"`` for the key ``sigma_mm``.
+    #: The attribute, such as ``"target"`` for the key ``target_mm``.
     name: str
     #: Reads the value.
     read: Read
@@ -358,8 +360,6 @@ FIELDS: dict[str, Field] = {
     "frame": Field("frame", FRAME),
     "frame_xyz_mm": Field("xyz", POINT),
     "frame_rpy_deg": Field("rotation", _RPY),
-    "sigma_mm": Field("sigma", MM),
-    "sigma_angle_deg": Field("sigma_angle", DEGREES),
     "scale_certified": Field("scale_certified", _TRUTH),
     "priors": Field("source", TEXT),
     "gravity_m_per_s2": Field("gravity", NUMBERS),
@@ -389,15 +389,20 @@ def _in_si(to_si: float, value: float) -> float:
 def fields() -> dict[str, Field]:
     """Return the fields of all keys of a cell file.
 
-    These are `FIELDS`, and one for the prior standard deviation of each registered family, such as
+    These are `FIELDS`; one for the standard deviation of scalars in each unit of residuals, such as ``sigma_mm`` with
+    the attribute ``sigma_m``; and one for the prior standard deviation of each registered family, such as
     ``prior_length_mm`` with the attribute ``prior_length``.
     """
+    sigma_fields = {}
+    for symbol, unit in RESIDUAL_UNITS.items():
+        read = numbers(1, partial(_in_si, UNITS[unit.shown].to_si))
+        sigma_fields[unit.sigma_key] = Field(f"sigma_{symbol}", read)
     prior_fields = {}
     for name, family in FAMILIES.items():
         suffix, to_si = family.unit.cell
         read = numbers(1, partial(_in_si, to_si))
         prior_fields[f"prior_{name}{suffix}"] = Field(f"prior_{name}", read)
-    return FIELDS | prior_fields
+    return FIELDS | sigma_fields | prior_fields
 
 
 # The file
@@ -445,6 +450,11 @@ def read_cell_file(path: str | Path) -> dict[str, Any]:
     frame_pose = {name: values.pop(name) for name in ("xyz", "rotation") if name in values}
     if frame_pose:
         values["T_frame_base"] = pose_of(**frame_pose)
+    sigma = {}
+    for symbol in RESIDUAL_UNITS:
+        if f"sigma_{symbol}" in values:
+            sigma[symbol] = values.pop(f"sigma_{symbol}")
+    values["sigma"] = sigma
     priors = {"source": values.pop("source", "data")}
     for family in FAMILIES:
         key = f"prior_{family}"

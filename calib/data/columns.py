@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import NoReturn
 
 import calib.data.kinds as registry
+from calib.channels import RESIDUAL_UNITS
 from calib.data.table import Column, Table
 from calib.errors import MeasurementError, choices, did_you_mean
 from calib.units import Quantity, split_header, symbols
@@ -48,7 +49,13 @@ IGNORE = "-"
 EXPECTED = "expected "
 
 #: The unit of each quantity that headers are proposed in, and tables written in.
-COMMON: Mapping[Quantity, str] = {"length": "mm", "angle": "deg", "torque": "Nm", "force": "N"}
+COMMON: Mapping[Quantity, str] = {
+    "length": "mm",
+    "angle": "deg",
+    "torque": "Nm",
+    "force": "N",
+    "pixel": "px",
+}
 
 #: Columns that are used, by calib's name of each.
 Named = Mapping[str, Column]
@@ -59,7 +66,8 @@ Columns = tuple[Column, ...]
 
 def reserved() -> tuple[str, ...]:
     """Return the names of columns that no joint can have: words, noise, readings, positions."""
-    return (*WORDS, "sigma", "sigma_angle", *registry.readings(), *POINT)
+    noise = [unit.sigma_name for unit in RESIDUAL_UNITS.values()]
+    return (*WORDS, *noise, *registry.readings(), *POINT)
 
 
 def list_columns(table: Table) -> str:

@@ -21,14 +21,18 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from calib.channels import RESIDUAL_UNITS
 from calib.errors import CalibError, MeasurementError, choices
 from calib.model.error_model import DIRECTIONS
 from calib.numerics.geometry import inverse_right_jacobian
 from calib.units import Array, Quantity
 
-#: Least and largest standard deviation accepted for a measurement [m or rad]: no instrument is
+#: Least and largest standard deviation accepted for a measurement [m, rad or px]: no instrument is
 #: better or worse, and the squares of numbers beyond leave the range of doubles.
 SIGMAS = (1e-15, 1e6)
+
+#: Units of the three coordinates of a point.
+_COORDINATES = ("m", "m", "m")
 
 #: A distance below this has no direction [m].
 _TINY = 1e-12
@@ -43,7 +47,7 @@ class Reading:
 
     #: Name of the column without its unit, ``"distance"``.
     name: str
-    #: ``"length"`` or ``"angle"``.
+    #: What it measures: ``"length"``, ``"angle"`` or ``"pixel"``.
     quantity: Quantity = "length"
     #: Whether it is always greater than zero, as a distance is.
     positive: bool = False
@@ -62,35 +66,39 @@ class Kind:
     * ``twists``, shape (n, 6, p): derivative of these poses by p parameters, along the axes of the
       measurement frame: velocity of the target's origin [m per parameter unit], then angular
       velocity [rad per parameter unit]. Only the first three rows, (n, 3, p), where no row of the
-      table measures an orientation.
+      table depends on the orientation of its target.
 
     Of a ``paired`` kind poses and twists are those of both rows: (n, 2, 4, 4), (n, 2, 6, p).
 
     Raises:
-        CalibError: Neither ``residual`` nor ``measure`` is given, or ``units`` are not lengths
-            followed by angles.
+        CalibError: Neither ``residual`` nor ``measure`` is given; ``units`` are none or unknown; or they do not begin
+            with the three lengths of a measured position.
     """
 
     #: Name of the kind, as in the table's column ``kind``.
     name: str
     #: What a row measures, for texts: ``"position of the target"``.
     words: str
-    #: Unit of each of the s residual scalars: ``"m"`` for lengths, which come first, or ``"rad"``.
+    #: Unit of each of the s residual scalars, of `calib.channels.RESIDUAL_UNITS`: ``"m"``, ``"rad"`` or ``"px"``. A
+    #: measured position has the first three.
     units: tuple[str, ...]
     #: Derivative of the prediction by the parameters, which is minus that of the residual:
-    #: (measured, T_frame_target, twists) to shape (n, s, p) [m or rad per parameter unit].
+    #: (measured, T_frame_target, twists) to shape (n, s, p) [its unit per parameter unit].
     derivative: Callable[[Array, Array, Array], Array]
     #: Reading of a perfect instrument, to predict and to simulate with: T_frame_target to shape
-    #: (n, k) [m or rad]. None for kinds whose target is held, such as a ball in a socket: their
+    #: (n, k), in SI units. None for kinds whose target is held, such as a ball in a socket: their
     #: poses cannot be chosen.
     measure: Callable[[Array], Array] | None = None
-    #: Residual, measured minus predicted: (measured, T_frame_target) to shape (n, s) [m or rad].
+    #: Residual, measured minus predicted: (measured, T_frame_target) to shape (n, s), in ``units``.
     #: None: the difference ``measured - measure(T_frame_target)``.
     residual: Callable[[Array, Array], Array] | None = None
     #: Whether the columns x, y, z are measured.
     position: bool = False
     #: Whether an orientation is measured.
     orientation: bool = False
+    #: Whether the residual depends on the target's orientation, not on its position alone. None: it does where an
+    #: orientation or another angle is measured.
+    turns: bool | None = None
     #: The other columns that are measured.
     readings: tuple[Reading, ...] = ()
     #: Whether one measurement takes two rows, which share a word in the column ``pair``.
@@ -115,30 +123,51 @@ class Kind:
     place: str = "Measurement frame"
 
     def __post_init__(self) -> None:
-        """Check that the residual is defined and its units are ordered."""
-        ordered = ("m",) * self.lengths + ("rad",) * self.angles
-        is_ordered = bool(self.units) and self.units == ordered
-        has_residual = self.residual is not None or self.measure is not None
-        if not (is_ordered and has_residual):
+        """Check that the residual is defined, and its units."""
+        if self.residual is None and self.measure is None:
+            raise CalibError(f"The kind '{self.name}' needs 'residual' or 'measure'.")
+        if not self.units:
             raise CalibError(
-                f"The kind '{self.name}' needs 'residual' or 'measure', and 'units' of 'm' and "
-                "'rad', lengths first."
+                f"The kind '{self.name}' needs 'units', one for each scalar of its residual."
+            )
+        for symbol in self.units:
+            if symbol not in RESIDUAL_UNITS:
+                raise CalibError(
+                    f"The kind '{self.name}' has '{symbol}' among its units; allowed are {choices(RESIDUAL_UNITS)}."
+                )
+        if self.position and self.units[:3] != _COORDINATES:
+            raise CalibError(
+                f"The kind '{self.name}' measures a position: its first three units are those of x, y and z, 'm'."
             )
 
     @property
-    def lengths(self) -> int:
-        """Number of residual scalars that are lengths; they come first."""
-        return self.units.count("m")
-
-    @property
-    def angles(self) -> int:
-        """Number of residual scalars that are angles; they follow the lengths."""
-        return self.units.count("rad")
+    def depends_on_orientation(self) -> bool:
+        """True if the residual depends on the target's orientation, and not on its position alone."""
+        if self.turns is None:
+            return self.orientation or "rad" in self.units
+        return self.turns
 
     @property
     def coordinates(self) -> bool:
-        """True if the lengths are the target's three coordinates: ``point``, ``pose``, ``fixed``."""
-        return self.position or (self.lengths == 3 and not self.readings)
+        """True if the first lengths are the target's three coordinates: ``point``, ``pose``, ``fixed``."""
+        held_at_point = self.units == _COORDINATES and not self.readings
+        return self.position or held_at_point
+
+    @property
+    def vector_units(self) -> tuple[str, ...]:
+        """Units in which the residual is a vector along, or about, the axes of the measurement frame.
+
+        ``"m"`` of a position, and ``"rad"`` of a whole orientation.
+        """
+        whole = {"m": self.coordinates, "rad": self.orientation}
+        return tuple(
+            unit for unit, is_vector in whole.items() if is_vector and self.units.count(unit) == 3
+        )
+
+    @property
+    def tells_place(self) -> bool:
+        """True if rows determine where the base stands in the instrument's frame: ``point``, ``pose``."""
+        return bool(self.directions) and not self.own_frame
 
     @property
     def measures_length(self) -> bool:
@@ -164,7 +193,7 @@ class Kind:
             T_frame_target: Poses, shape (n, 4, 4) [m]; of a paired kind (n, 2, 4, 4).
 
         Returns:
-            The residual, shape (n, s) [m or rad], not whitened.
+            The residual, shape (n, s), in ``units``, not whitened.
         """
         if self.residual is not None:
             return self.residual(measured, T_frame_target)
@@ -199,7 +228,7 @@ def register(kind: Kind) -> None:
 
 
 def names() -> tuple[str, ...]:
-    """Return the names of all kinds, in the order of their numbers."""
+    """Return the names of all kinds, in the order in which they were registered."""
     return tuple(_KINDS)
 
 
@@ -214,11 +243,6 @@ def get(name: str) -> Kind:
             f"'{name}' is not a kind of measurement; allowed are {choices(_KINDS)}"
         )
     return _KINDS[name]
-
-
-def at(number: int) -> Kind:
-    """Return the kind of this number, from 0: its position in `names`."""
-    return tuple(_KINDS.values())[number]
 
 
 def readings() -> dict[str, Reading]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import NoReturn
 
 import calib.data.kinds as registry
+from calib.channels import RESIDUAL_UNITS
 from calib.data.columns import (
     COMMON,
     EXPECTED,
@@ -44,7 +45,7 @@ class Layout:
     #: Columns whose words make the group's name, in the order of the table.
     groups: Columns
     #: Columns of numbers that are used: ``joints`` in the order of the joints, ``torques``, ``points``, ``orientation``
-    #: (three or four), ``sigma``, ``sigma_angle``, and each reading of a kind by its name.
+    #: (three or four), the noise of each unit (``sigma``, ``sigma_angle``), and each reading of a kind by its name.
     blocks: Mapping[str, Columns]
     #: Kinds of the rows; more than one only with a column ``kind``.
     kinds: tuple[str, ...]
@@ -88,7 +89,7 @@ class Layout:
         blocks = {
             "joints": joints,
             "torques": _torques(table, named, joints),
-            "sigma": _optional(table, named, "sigma", "length"),
+            **_noise(table, named, present),
             **_positions(table, named, present, points_elsewhere=points_elsewhere),
             **_readings(table, named, present),
         }
@@ -174,21 +175,25 @@ def _positions(
     *,
     points_elsewhere: bool,
 ) -> dict[str, Columns]:
-    """Return the columns of measured positions and orientations, and of the noise of angles."""
+    """Return the columns of measured positions and orientations."""
     blocks: dict[str, Columns] = {}
     if any(kind.position for kind in present) and not points_elsewhere:
         columns = [_needed(table, named, name, "length", "measured points") for name in POINT]
         blocks["points"] = tuple(columns)
     if any(kind.orientation for kind in present):
         blocks["orientation"] = _orientation(table, named)
-    if any(kind.angles for kind in present):
-        blocks["sigma_angle"] = _optional(table, named, "sigma_angle", "angle")
     return blocks
 
 
-def _optional(table: Table, named: Named, name: str, quantity: Quantity) -> Columns:
-    """Return the column of this name, in a unit of its quantity; an empty block if there is none."""
-    return (with_unit(table, named[name], quantity),) if name in named else ()
+def _noise(table: Table, named: Named, present: Sequence[Kind]) -> dict[str, Columns]:
+    """Return the column of the noise of scalars in each unit that some kind has, if it is there."""
+    blocks: dict[str, Columns] = {}
+    for symbol, unit in RESIDUAL_UNITS.items():
+        is_needed = any(symbol in kind.units for kind in present)
+        if is_needed and unit.sigma_name in named:
+            column = with_unit(table, named[unit.sigma_name], unit.quantity)
+            blocks[unit.sigma_name] = (column,)
+    return blocks
 
 
 def _readings(table: Table, named: Named, present: Sequence[Kind]) -> dict[str, Columns]:

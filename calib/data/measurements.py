@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import compress
 from pathlib import Path
@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 import calib.data.kinds as registry
+from calib.channels import RESIDUAL_UNITS, residual_unit
 from calib.data.checks import (
     RowLabels,
     by_word,
@@ -43,7 +44,10 @@ from calib.units import UNITS, Array, Mask, Quantity
 _WORDS = {"sets": SETS[0], "targets": DEFAULT_TARGET, "groups": "", "kinds": "point", "pairs": ""}
 
 #: Attributes that are arrays with an entry a row.
-_ARRAYS = ("joints", "points", "sigma", "rotations", "distances", "sigma_angle", "torques")
+_ARRAYS = ("joints", "points", "rotations", "distances", "torques")
+
+#: Attributes that map names to arrays with an entry a row.
+_MAPPINGS = ("sigma", "readings")
 
 #: Least and largest coordinate, joint value or reading [m or rad].
 _REACH = (-FARTHEST, FARTHEST)
@@ -72,8 +76,9 @@ class Measurements:
     points: Array
     #: ``"estimate"`` or ``"validate"``; all ``"estimate"`` when not given.
     sets: tuple[str, ...] = ()
-    #: Standard deviation of one coordinate or length, shape (N,), [m]; None: not given.
-    sigma: Array | None = None
+    #: Standard deviation of one scalar by its unit, shape (N,) each: ``"m"`` of a coordinate or length [m], ``"rad"``
+    #: of an orientation about one axis [rad], ``"px"`` of an image coordinate [px]; empty: not given.
+    sigma: Mapping[str, Array] = field(default_factory=dict)
     #: Names of the targets; ``"target"`` when not given.
     targets: tuple[str, ...] = ()
     #: Names of the stations, each with a measurement frame of its own; ``""`` when not given.
@@ -94,8 +99,6 @@ class Measurements:
     rotations: Array | None = None
     #: Measured distances, shape (N,), [m]; both rows of a pair have it. None: none is measured.
     distances: Array | None = None
-    #: Standard deviation of an orientation about one axis, shape (N,), [rad]; None: not given.
-    sigma_angle: Array | None = None
     #: The word that both rows of a pair share; ``""`` in other rows.
     pairs: tuple[str, ...] = ()
     #: Torques (forces) of the drives on the joints, positive along the joint's axis, shape (N, n), [Nm] ([N]); NaN for
@@ -134,6 +137,7 @@ class Measurements:
             check_torques(labels, self.torques)
         fill("distances", readings.pop("distance", None))
         fill("readings", ReadOnlyMapping(readings))
+        fill("sigma", ReadOnlyMapping(self._checked_sigma(labels)))
 
     def _labels(self) -> RowLabels:
         """Return what messages call the rows."""
@@ -144,13 +148,10 @@ class Measurements:
         count = len(labels.rows)
         every_row = np.ones(count, dtype=np.bool_)
         has_rotation = self.where(lambda kind: kind.orientation)
-        has_angles = self.where(lambda kind: kind.angles > 0)
         specifications = (
             ("joints", (len(self.joint_names),), every_row, _REACH),
             ("points", (3,), self.positions, _REACH),
             ("rotations", (3, 3), has_rotation, _REACH),
-            ("sigma", (), every_row, SIGMAS),
-            ("sigma_angle", (), has_angles, SIGMAS),
         )
         arrays: dict[str, Array | None] = {}
         for name, tail, rows, limits in specifications:
@@ -159,6 +160,17 @@ class Measurements:
                 array = read_only(np.full((count, *tail), np.nan))
             arrays[name] = array
         return arrays
+
+    def _checked_sigma(self, labels: RowLabels) -> dict[str, Array]:
+        """Return the checked standard deviations by unit, NaN in rows that measure nothing in it."""
+        result: dict[str, Array] = {}
+        for symbol, values in self.sigma.items():
+            unit = residual_unit(symbol)
+            has_unit = self.where(lambda kind, symbol=symbol: symbol in kind.units)  # type: ignore[misc]
+            array = checked_numbers(labels, unit.sigma_name, values, (), has_unit, SIGMAS)
+            if array is not None:
+                result[symbol] = array
+        return result
 
     def _checked_readings(self, labels: RowLabels) -> dict[str, Array]:
         """Return the checked readings of kinds by the column's name; both rows of a pair have it."""
@@ -279,12 +291,6 @@ class Measurements:
         origin = f" from {self.source}" if self.source else ""
         return f"Measurements({len(self)} rows of {len(self.joint_names)} joints{origin})"
 
-    def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle with a plain dict for the read-only mapping."""
-        values = {f.name: getattr(self, f.name) for f in fields(self)}
-        values["readings"] = dict(self.readings)
-        return partial(Measurements, **values), ()
-
     def __len__(self) -> int:
         """Return the number of rows, N."""
         return len(self.points)
@@ -388,7 +394,8 @@ class Measurements:
         for name in _ARRAYS:
             values = getattr(self, name)
             kept[name] = None if values is None else values[chosen]
-        kept["readings"] = {name: values[chosen] for name, values in self.readings.items()}
+        for name in _MAPPINGS:
+            kept[name] = {key: values[chosen] for key, values in getattr(self, name).items()}
         return replace(self, **kept)
 
     def without_copies(self) -> Measurements:
@@ -467,8 +474,9 @@ class Measurements:
                 yield name, None, quaternions[:, i]
         for reading in registry.readings().values() if len(self) else ():
             yield reading.name, reading.quantity, self.reading(reading.name)
-        yield "sigma", "length", self.sigma
-        yield "sigma_angle", "angle", self.sigma_angle
+        for symbol, values in self.sigma.items():
+            unit = RESIDUAL_UNITS[symbol]
+            yield unit.sigma_name, unit.quantity, values
 
 
 def _cells(values: Array, unit: str) -> list[object]:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import calib.data.kinds as registry
+from calib.channels import RESIDUAL_UNITS
 from calib.data.columns import SETS, STATUS, TORQUE
 from calib.data.kinds import Kind
 from calib.data.layout import Layout, slides
@@ -128,10 +129,8 @@ def _measured_blocks(kind: Kind, blocks: Blocks) -> list[str]:
 
 def _used_blocks(kind: Kind, blocks: Blocks) -> set[str]:
     """Return the names of the blocks that rows of a kind use: measured ones, joints and noise."""
-    used = {"joints", "torques", "sigma", *_measured_blocks(kind, blocks)}
-    if kind.angles > 0:
-        used.add("sigma_angle")
-    return used
+    noise = {RESIDUAL_UNITS[symbol].sigma_name for symbol in kind.units}
+    return {"joints", "torques", *noise, *_measured_blocks(kind, blocks)}
 
 
 # Numbers
@@ -338,6 +337,10 @@ def _arrays(layout: Layout, si: Blocks, count: int) -> dict[str, Any]:
     joints = layout.blocks["joints"]
     single = {name: block[:, 0] for name, block in si.items() if name not in _WIDE}
     readings = {name: single[name] for name in registry.readings() if name in single}
+    sigma = {}
+    for symbol, unit in RESIDUAL_UNITS.items():
+        if unit.sigma_name in single:
+            sigma[symbol] = single[unit.sigma_name]
     return {
         "joint_names": [column.name for column in joints],
         "prismatic": [column.name for column in joints if slides(column)],
@@ -347,8 +350,7 @@ def _arrays(layout: Layout, si: Blocks, count: int) -> dict[str, Any]:
         "torques": _torques(layout, si["torques"]) if "torques" in si else None,
         "distances": readings.pop("distance", None),
         "readings": readings,
-        "sigma": single.get("sigma"),
-        "sigma_angle": single.get("sigma_angle"),
+        "sigma": sigma,
     }
 
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 import calib.data.kinds as registry
+from calib.channels import RESIDUAL_UNITS, VECTOR
 from calib.data.cell import AUTO, Cell, Tracker
 from calib.data.columns import DEFAULT_TARGET
 from calib.data.measurements import Measurements
@@ -24,7 +25,6 @@ from calib.model.parameters import ErrorModel
 from calib.numerics.rigid_motion import without_rigid_motion
 from calib.registration.rows import Rows
 from calib.registration.setup import Setup
-from calib.registration.table_rows import FIRST_SIGMA_ANGLE
 from calib.registration.table_setup import measurement_setup
 from calib.robot.gravity import gravity_loads
 from calib.robot.robot import Robot, read_only
@@ -82,14 +82,15 @@ class Sensitivity:
         kind = _checked_kind(cell)
         cell = replace(cell, distances=())
         table = _one_pose(robot, cell, kind)
-        kinds = np.full(len(table), registry.names().index(kind))
-        setup = measurement_setup(cell, table, kinds)
+        setup = measurement_setup(
+            cell, table, (registry.get(kind),), np.zeros(len(table), dtype=np.int_)
+        )
         notes = []
         if not np.all(setup.target_given):
             setup = _with_generic_targets(setup)
             notes.append(Note("generic_target", tuple(GENERIC_TARGET)))
-        if kind == "pose" and cell.sigma_angle is None:
-            notes.append(Note("orientation_noise", (FIRST_SIGMA_ANGLE,)))
+        if "rad" in registry.get(kind).units and "rad" not in cell.sigma:
+            notes.append(Note("orientation_noise", (RESIDUAL_UNITS["rad"].assumed_sigma,)))
         model = _error_model(robot, cell, setup)
         precision = _prior_precision(cell, model)
         kinematics = Kinematics(robot, model, setup.T_frame_base, setup.T_tip_target)
@@ -154,7 +155,7 @@ class Sensitivity:
         and nor does this.
 
         Uses ``kind``, the name of the kind of measurement, ``setup.targets``, and of ``cell`` the noise of a
-        coordinate, ``sigma`` [m] or None, and the tracker, whose noise has the repeatability [m].
+        coordinate, ``sigma``, and the tracker, whose noise has the repeatability [m].
 
         Args:
             q: Joint values of n poses, shape (n, m), [rad] or for sliding joints [m], columns as ``robot.joint_names``.
@@ -169,19 +170,19 @@ class Sensitivity:
         p, targets = len(self.names), len(self.setup.targets)
         by_target = slopes.reshape(len(q), targets, -1, p)
         measures_position = registry.get(self.kind).position
-        if targets > 1 and measures_position and self.cell.sigma is None:
+        if targets > 1 and measures_position and "m" not in self.cell.sigma:
             repeatability = (self.cell.tracker or _USUAL).noise.repeatability
             rho = (repeatability / noise) ** 2
             loss = 1.0 - 1.0 / np.sqrt(1.0 + (targets - 1) * rho)
-            shared = by_target[:, :, :3].mean(axis=1, keepdims=True)
-            by_target[:, :, :3] -= loss[:, None, None, None] * shared
+            shared = by_target[:, :, :VECTOR].mean(axis=1, keepdims=True)
+            by_target[:, :, :VECTOR] -= loss[:, None, None, None] * shared
         return np.asarray(by_target.reshape(len(q), -1, p))
 
     def _whitened_slopes(self, q: Array, noise: Array) -> Array:
         """Differentiate what is measured of every target at every pose, as if the noise of all were independent.
 
         Uses ``kinematics`` at zero errors, ``kind``, the name of the kind of measurement, ``setup.targets``, names of
-        the k targets, and the angular noise ``cell.sigma_angle`` [rad], 1 mrad where that is None.
+        the k targets, and the noise of the other units, ``cell.sigma``, or that which is assumed, such as 1 mrad.
 
         Args:
             q: Joint values of n poses, shape (n, m), [rad] or for sliding joints [m], columns as ``robot.joint_names``.
@@ -195,13 +196,16 @@ class Sensitivity:
         samples = self._samples(q)
         T_frame_target, twists = self.kinematics.twists(np.zeros(len(self.names)), samples)
         n = len(samples)
+        sigma = {}
+        for symbol, unit in RESIDUAL_UNITS.items():
+            sigma[symbol] = np.full(n, self.cell.sigma.get(symbol, unit.assumed_sigma))
         rows = Rows(
             samples=samples,
-            kinds=np.full(n, registry.names().index(self.kind)),
+            kinds=(registry.get(self.kind),),
+            kind=np.zeros(n, dtype=np.int_),
             measured=np.zeros((n, registry.get(self.kind).size)),
             partner=np.full(n, -1),
-            sigma=np.repeat(noise, len(self.setup.targets)),
-            sigma_angle=np.full(n, self.cell.sigma_angle or FIRST_SIGMA_ANGLE),
+            sigma=sigma | {"m": np.repeat(noise, len(self.setup.targets))},
             poses=np.arange(n),
             blocks=np.arange(n),
         ).as_measured_at(T_frame_target)
@@ -230,7 +234,7 @@ class Sensitivity:
     def noise(self, q: Array) -> Array:
         """Return the standard deviation of a measured coordinate, or of a measured distance, at each pose.
 
-        It is ``cell.sigma`` [m] where that is given. Else it is the noise of ``cell.tracker``, or of a usual tracker,
+        It is ``cell.sigma["m"]`` where that is given. Else it is the noise of ``cell.tracker``, or of a usual tracker,
         with the robot's repeatability, at some distance to the first target: from the tracker, if it is known, else 3
         m; where distances are measured (by ``kind``), from the origin of the measurement frame, the anchor.
 
@@ -240,8 +244,8 @@ class Sensitivity:
         Returns:
             Shape (n,), [m].
         """
-        if self.cell.sigma is not None:
-            return np.full(len(q), self.cell.sigma)
+        if "m" in self.cell.sigma:
+            return np.full(len(q), self.cell.sigma["m"])
         tracker = self.cell.tracker
         if not registry.get(self.kind).position:
             distance = np.linalg.norm(self.expected(q)[:, 0], axis=1)

@@ -62,18 +62,16 @@ class Reason:
 
         Args:
             why: The code.
-            **values: Numbers, in SI units, and names. Of `Errors` the rms is stored, such as ``before_m`` [m] and
-                ``before_rad`` [rad], as far as lengths and angles were measured.
+            **values: Numbers, in SI units, and names. Of `Errors` the rms in each unit that was measured is stored,
+                such as ``before_m`` [m] and ``before_rad`` [rad].
         """
         stored: dict[str, Any] = {}
         for name, value in values.items():
             if not isinstance(value, Errors):
                 stored[name] = value
                 continue
-            if value.n:
-                stored[f"{name}_m"] = value.rms
-            if value.n_angle:
-                stored[f"{name}_rad"] = value.rms_angle
+            for unit in value.units:
+                stored[f"{name}_{unit}"] = value[unit].rms
         return cls(why, stored)
 
     @property

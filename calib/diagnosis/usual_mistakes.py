@@ -19,7 +19,7 @@ from calib.data.measurements import Measurements
 from calib.diagnosis.reasons import Reason, Why
 from calib.errors import MeasurementError
 from calib.model.error_model import DIRECTIONS
-from calib.numerics.errors import LENGTHS
+from calib.numerics.errors import Errors
 from calib.registration.registration import register
 from calib.registration.rows import Rows
 from calib.registration.setup import Setup
@@ -127,7 +127,7 @@ def check_positions(robot: Robot, rows: Rows, source: str) -> None:
     chosen = rows.where(lambda kind: kind.position)
     if np.sum(chosen) < 2:
         return
-    points = rows.measured[chosen, :LENGTHS]
+    points = rows.measured[chosen, :3]
     tips = robot.poses(rows.joints[chosen])[:, :3, 3]
     apart = float(np.max(np.ptp(tips, axis=0)))
     if np.max(np.ptp(points, axis=0)) > _ONE_PLACE or apart < _FAR_APART:
@@ -264,15 +264,13 @@ def _misfit(robot: Robot, setup: Setup, rows: Rows) -> tuple[float, float]:
         rows: Rows of points or poses.
 
     Returns:
-        The rms error of positions [m], and of orientations [rad]; the latter is 0 of points.
+        The rms error of positions [m], and of orientations [rad]; the latter is NaN of points.
     """
     T_base_tip = robot.poses(rows.joints)
     placed = register(T_base_tip, setup, rows, tolerance=_TOLERANCE)
     T_frame_target = placed.target_poses(T_base_tip, rows.samples)
-    squares = np.mean(rows.residual(T_frame_target) ** 2, axis=0)
-    error = np.sqrt(np.sum(squares[:LENGTHS]))
-    error_angle = np.sqrt(np.sum(squares[LENGTHS:]))
-    return float(error), float(error_angle)
+    errors = Errors.of(rows.residual(T_frame_target), rows.channels)
+    return errors["m"].rms, errors["rad"].rms
 
 
 def _other_orientations(robot: Robot, setup: Setup, rows: Rows) -> Reason | None:
@@ -294,7 +292,7 @@ def _other_orientations(robot: Robot, setup: Setup, rows: Rows) -> Reason | None
         return None
     best, reason = np.inf, None
     for scalar, orientations in _by_other_conventions(rows.measured).items():
-        columns = np.hstack([rows.measured[:, :LENGTHS], orientations])
+        columns = np.hstack([rows.measured[:, :3], orientations])
         _, error = _misfit(robot, setup, replace(rows, measured=columns))
         if error >= best:
             continue
@@ -315,7 +313,7 @@ def _by_other_conventions(poses: Array) -> dict[str, Array]:
         The nine entries of each rotation matrix, shape (N, 9): under ``"last"`` and ``"first"`` if the scalar of the
         quaternions stands last or first, and was read from the other end; under ``""`` of the inverse rotations.
     """
-    given = Rotation.from_matrix(poses[:, LENGTHS:12].reshape(-1, 3, 3))
+    given = Rotation.from_matrix(poses[:, 3:12].reshape(-1, 3, 3))
     wxyz = given.as_quat(scalar_first=True)
     rotations = {
         "last": Rotation.from_quat(wxyz),
@@ -457,9 +455,9 @@ def _with_unknown_targets(setup: Setup) -> Setup:
 
 def _as_points(rows: Rows) -> Rows:
     """Copy poses as the points of their positions."""
-    point = registry.names().index("point")
-    kinds = np.full_like(rows.kinds, point)
-    return replace(rows, kinds=kinds, measured=rows.measured[:, :LENGTHS])
+    kind = np.zeros(len(rows), dtype=np.int_)
+    points = rows.measured[:, :3]
+    return replace(rows, kinds=(registry.get("point"),), kind=kind, measured=points)
 
 
 def _inverted(robot: Robot, setup: Setup, rows: Rows) -> Iterator[Trial]:
@@ -472,8 +470,8 @@ def _inverted(robot: Robot, setup: Setup, rows: Rows) -> Iterator[Trial]:
     """
     if not np.all(rows.where(lambda kind: kind.orientation)):
         return
-    R = rows.measured[:, LENGTHS:12].reshape(-1, 3, 3)
-    points = -np.einsum("nji,nj->ni", R, rows.measured[:, :LENGTHS])
+    R = rows.measured[:, 3:12].reshape(-1, 3, 3)
+    points = -np.einsum("nji,nj->ni", R, rows.measured[:, :3])
     inverse = replace(_as_points(rows), measured=points)
     free = _with_unknown_targets(setup)
     yield Trial(_ONE_OF_MANY, robot, free, inverse, Why.POSES_INVERSE)

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from scipy.special import stdtr
 
+from calib.channels import RESIDUAL_UNITS
 from calib.diagnosis.further_unknowns import PREDICTS
 from calib.diagnosis.reasons import CARE, NO, USE, Reason, Verdict, Why
 from calib.numerics.errors import CrossValidation, Errors
 from calib.units import Array, Integers, Mask
+
+#: Units with rules of their own.
+_LENGTH, _ANGLE = RESIDUAL_UNITS["m"], RESIDUAL_UNITS["rad"]
 
 #: Scalar measurements per parameter below which a fit relies on its priors.
 _FEW = 2.0
@@ -24,12 +29,6 @@ _MANY_OUTLIERS = 0.15
 
 #: Validation rows whose error is more than so many times that of held-out rows were measured differently.
 _ANOTHER_MEASUREMENT = 10.0
-
-#: Errors and noise above this are beyond any uncalibrated arm and any instrument: an input is wrong [m].
-_ABSURD = 0.02
-
-#: Errors of orientations above this are beyond any uncalibrated arm: an input is wrong [rad].
-_ABSURD_ANGLE = 0.17
 
 #: A change of a parameter above this is no error of an arm [m or rad].
 _TOO_FAR = 0.1
@@ -68,7 +67,7 @@ _TINY = 1e-30
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Evidence:
-    """Figures that a verdict is based on; N rows of up to D scalars [m], [rad].
+    """Figures that a verdict is based on; N rows of up to D scalars.
 
     The nominal robot is cross-validated with frame and target fitted as for the calibrated one.
     """
@@ -77,7 +76,7 @@ class Evidence:
     nominal: CrossValidation
     #: Of the calibrated one
     calibrated: CrossValidation
-    #: (N, D), the noise of each scalar [m], [rad]
+    #: (N, D), the noise of each scalar, in its unit
     scales: Array
     #: (N, D), which scalars were measured
     used: Mask
@@ -97,8 +96,8 @@ class Evidence:
     changes: bool
     #: Largest change of a parameter of the robot [m or rad]
     largest: float
-    #: Standard deviation of the noise of one length [m]
-    noise: float
+    #: Standard deviation of the noise of one scalar, by the units that were measured
+    noise: Mapping[str, float]
     #: Expected error of predictions over the joint limits, rms [m]
     expected: float
     #: That of the nominal robot's predictions [m]
@@ -305,17 +304,19 @@ class _Figures:
     @property
     def validated(self) -> bool:
         """True if there are validation rows."""
-        return bool(self.validation_after.n)
+        return bool(self.validation_after.leading.n)
 
     @property
     def validation_falls(self) -> bool:
         """True if the error on validation rows falls at all."""
-        return self.validation_after.rms < (1.0 - _ROUNDING) * self.validation_before.rms
+        return _typical(self.validation_after) < (1.0 - _ROUNDING) * _typical(
+            self.validation_before
+        )
 
     @property
     def validation_falls_little(self) -> bool:
         """True if the error on validation rows falls, but by next to nothing."""
-        little = self.validation_after.rms > _FALLS * self.validation_before.rms
+        little = _typical(self.validation_after) > _FALLS * _typical(self.validation_before)
         return self.validation_falls and little
 
     @property
@@ -372,11 +373,11 @@ def _against(e: Evidence, f: _Figures) -> list[Reason]:
     worse = bool(f.flagged) and _typical(f.after_all) > _ALIKE * _typical(f.before_all)
     parameters = max(e.parameters, e.full_model_parameters)
     size = {**_size(e), "parameters": parameters, "gain": f.gain}
-    good_where_measured = f.proven_where_measured and e.expected < _ABSURD
+    good_where_measured = f.proven_where_measured and e.expected < _LENGTH.absurd
     elsewhere = f.unpredictable and f.everywhere > _REMAINS and not good_where_measured
     first = _applicable(
         (nothing, Reason.of(Why.NOTHING_TO_GAIN, before=f.before)),
-        (f.after.rms > _ABSURD, Reason.of(Why.STILL_FAR_OFF, **both)),
+        (_is_absurd(f.after), Reason.of(Why.STILL_FAR_OFF, **both)),
         (f.unproven and _has_better(e, f), _better(Why.NO_URDF_HOLDS, e, f)),
         (f.unproven and too_few, Reason.of(Why.TOO_FEW, **both | size)),
         (f.gain <= 0.0, Reason.of(Why.NO_BETTER, **both)),
@@ -409,7 +410,7 @@ def _careful_of_gain(e: Evidence, f: _Figures, against: list[Reason]) -> list[Re
     return _applicable(
         (usable and much, _better(Why.MUCH_REMAINS, e, f)),
         (usable and may_be_chance, Reason.of(Why.MAY_BE_CHANCE, gain=f.gain)),
-        (f.before.rms > _ABSURD, Reason.of(Why.FAR_OFF_BEFORE, before=f.before)),
+        (_is_absurd(f.before), Reason.of(Why.FAR_OFF_BEFORE, before=f.before)),
         (usable and f.unpredictable, unknown),
         (usable and f.validation_falls_little, small),
     )
@@ -418,8 +419,9 @@ def _careful_of_gain(e: Evidence, f: _Figures, against: list[Reason]) -> list[Re
 def _careful_of_rows(e: Evidence, f: _Figures, against: list[Reason]) -> list[Reason]:
     """Reasons for care about parameters, validation rows and outliers."""
     after, held_out = f.validation_after, f.after
-    unlike = f.validated and after.rms > _ANOTHER_MEASUREMENT * held_out.rms > 0.0
-    different = Reason.of(Why.VALIDATION_UNLIKE, rows=after.n, before=after, after=held_out)
+    far_more = _typical(after) > _ANOTHER_MEASUREMENT * _typical(held_out) > 0.0
+    unlike = f.validated and far_more
+    different = Reason.of(Why.VALIDATION_UNLIKE, rows=after.leading.n, before=after, after=held_out)
     outliers = _many_outliers(e, f)
     many = f.many and not f.accidents and outliers not in against
     return _applicable(
@@ -464,7 +466,7 @@ def _both(e: Evidence, f: _Figures) -> dict[str, Any]:
 def _on_validation(e: Evidence, f: _Figures) -> dict[str, Any]:
     """Errors of both robots on validation rows, and how many of these rows were set aside."""
     return {
-        "rows": f.validation_after.n,
+        "rows": f.validation_after.leading.n,
         "aside": e.validation[2],
         "before": f.validation_before,
         "after": f.validation_after,
@@ -510,18 +512,29 @@ def _absurd(e: Evidence) -> list[Reason]:
     """Reasons why the input must be wrong: errors that no arm has."""
     before = e.nominal.errors_without_outliers
     after = e.calibrated.errors_without_outliers
-    turned = bool(after.n_angle) and after.rms_angle > _ABSURD_ANGLE
-    far = before.rms > _ABSURD and e.largest > _TOO_FAR
+    far = _is_absurd(before) and e.largest > _TOO_FAR
+    noisy = {f"noise_{unit}": std for unit, std in e.noise.items() if _exceeds(std, unit)}
+    turned = after[_ANGLE.symbol].rms > _ANGLE.absurd
     return _applicable(
         (far, Reason.of(Why.PARAMETER_ABSURD, before=before, largest=e.largest)),
-        (e.noise > _ABSURD, Reason.of(Why.NOISE_ABSURD, noise_m=e.noise)),
+        (bool(noisy), Reason.of(Why.NOISE_ABSURD, **noisy)),
         (turned, Reason.of(Why.ORIENTATION_ABSURD, after=after)),
     )
 
 
+def _is_absurd(errors: Errors) -> bool:
+    """Tell whether errors are beyond any uncalibrated arm, in a unit other than of orientations."""
+    return any(_exceeds(errors[unit].rms, unit) for unit in errors.units)
+
+
+def _exceeds(value: float, unit: str) -> bool:
+    """Tell whether an error or noise is beyond any arm and instrument; orientations have a rule of their own."""
+    return unit != _ANGLE.symbol and value > RESIDUAL_UNITS[unit].absurd
+
+
 def _typical(errors: Errors) -> float:
-    """Root mean square of lengths [m], or of angles [rad] where no length was measured."""
-    return errors.rms if errors.n else errors.rms_angle
+    """Root mean square in the first unit that was measured: of lengths [m], if there are any."""
+    return errors.leading.rms
 
 
 def _applicable(*rules: tuple[bool, Reason]) -> list[Reason]:

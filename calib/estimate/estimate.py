@@ -73,7 +73,7 @@ def problem_at_stage(problem: Problem, stage: Stage) -> Problem:
 
     Args:
         problem: The least-squares problem of N rows of D scalars and p parameters; ``problem.rows.scales``, shape (N,
-            D), are the given sigmas [m] and [rad], and ``problem.rows.instruments``, shape (N, D), the index of each
+            D), are the given sigmas [m] and [rad], and ``problem.rows.channels.index``, shape (N, D), the index of each
             scalar's instrument.
         stage: State of one fit to these rows: ``stage.effective``, shape (1, N), row weights with the factors for
             repeats; ``stage.noise``, shape (1, C), of each of C instruments, as a multiple of the given sigma;
@@ -86,7 +86,7 @@ def problem_at_stage(problem: Problem, stage: Stage) -> Problem:
     """
     # An entry without a scalar has the instrument -1, the last one here.
     noise_of_instrument = np.append(stage.noise[0], 1.0)
-    noise = noise_of_instrument[problem.rows.instruments]
+    noise = noise_of_instrument[problem.rows.channels.index]
     priors = stage.priors
     return replace(
         problem,

@@ -103,8 +103,8 @@ class Fitted:
             rows: Any N rows of measurements, fitted or not, that refer to frames and targets of this fit.
 
         Returns:
-            shape (N, D): lengths in the first three columns [m], angles behind [rad], coordinates and rotation vectors
-            along the axes of each row's measurement frame; 0 where nothing was measured.
+            shape (N, D), in the units of ``rows.channels``, coordinates and rotation vectors along the axes of each
+            row's measurement frame; 0 where nothing was measured.
         """
         T_frame_target = self.kinematics.poses(self.estimate.x, rows.samples)
         return rows.residual(T_frame_target)
@@ -126,35 +126,28 @@ class Fitted:
         estimate = self.estimate
         linear = Problem.initial(self.kinematics, rows).linear(estimate.x)
         not_fitted = np.zeros((1, len(rows)))
-        noise = self._noise_of(rows, len(linear.smallest_noise))
+        noise = self._noise_of(rows)
         scores = linear.scores(estimate.x[None], estimate.covariance[None], not_fitted, noise[None])
         return read_only(scores[0])
 
-    def _noise_of(self, rows: Rows, instruments: int) -> Array:
-        """Noise of each instrument of other rows, as the fit estimated it.
-
-        Lengths of each kind of rows are one instrument, and angles of each kind another.
+    def _noise_of(self, rows: Rows) -> Array:
+        """Noise of each channel of other rows, as the fit estimated it.
 
         Args:
             rows: Rows of measurements that the fit did not use.
-            instruments: Number C of their instruments.
 
         Returns:
-            shape (C,), standard deviation as a multiple of the given sigma. Instruments of a kind of rows that was not
-            fitted have the noise of the fit's first instrument.
+            shape (C,), standard deviation of the C channels of these rows as a multiple of the given sigma. Channels
+            that were not fitted have the noise of the fit's first one.
         """
         fitted_rows = self.estimate.problem.rows
-        noise = np.full(instruments, self.estimate.noise[0])
-        for kind in np.unique(rows.kinds):
-            fitted = fitted_rows.instruments[fitted_rows.kinds == kind]
-            if not len(fitted):
-                continue
-            numbers = rows.instruments[rows.kinds == kind][0]
-            # Rows of one kind fill the same columns in both tables.
-            for number, fitted_number in zip(numbers.tolist(), fitted[0].tolist(), strict=False):
-                if number >= 0:
-                    noise[number] = self.estimate.noise[fitted_number]
-        return noise
+        names = [kind.name for kind in fitted_rows.channel_kinds]
+        fitted_channels = zip(names, fitted_rows.channels.units, strict=True)
+        fitted = dict(zip(fitted_channels, self.estimate.noise, strict=True))
+        noise = []
+        for kind, unit in zip(rows.channel_kinds, rows.channels.units, strict=True):
+            noise.append(fitted.get((kind.name, unit), self.estimate.noise[0]))
+        return np.array(noise)
 
 
 def _with_new_places(fitted: Setup, held_out: Setup, registered: Setup) -> Setup:

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.channels import Channels
 from calib.estimate.stop_errors import Stops
 from calib.numerics.likelihood import GaussianPriors, NormalEquations
 from calib.numerics.scores import deleted_norms, point_scores
@@ -57,10 +58,8 @@ class LinearProblem:
     x: Array
     #: (p + 1, D, N): the Jacobian A of the prediction, and behind it the residual r at x0
     columns: Array
-    #: (N, D), which scalars were measured
-    used: Mask
-    #: (N, D), index of the instrument, and so of the noise, of each scalar, from 0; -1 where there is no scalar
-    instruments: NDArray[np.int8]
+    #: (N, D), the kind and the unit of each scalar: its instrument, and so its noise
+    channels: Channels
     #: (C,), lowest noise of each instrument, in units of the given sigma
     smallest_noise: tuple[float, ...]
     #: (K, p), rows of constraints C x = z, whitened: known distances, last what is held
@@ -77,6 +76,16 @@ class LinearProblem:
     def __len__(self) -> int:
         """Number N of the rows of measurements."""
         return int(self.columns.shape[2])
+
+    @property
+    def used(self) -> Mask:
+        """True for the scalars that were measured, shape (N, D)."""
+        return self.channels.used
+
+    @property
+    def instruments(self) -> NDArray[np.int8]:
+        """Index of the instrument of each scalar, its channel, from 0; -1 where there is no scalar; shape (N, D)."""
+        return self.channels.index
 
     @property
     def A(self) -> Array:
@@ -130,8 +139,7 @@ class LinearProblem:
         return replace(
             self,
             columns=self.columns[:, :, mask],
-            used=self.used[mask],
-            instruments=self.instruments[mask],
+            channels=self.channels.select(mask),
             stops=None if self.stops is None else self.stops.select(mask),
         )
 

@@ -29,7 +29,6 @@ from calib.estimate.linear import LinearProblem
 from calib.estimate.stop_errors import Stops
 from calib.model.kinematics import Kinematics
 from calib.model.observability import Observability, analyse
-from calib.numerics.errors import LENGTHS
 from calib.numerics.solvers import triangle
 from calib.registration.known_distances import KnownDistance
 from calib.registration.rows import Rows
@@ -181,8 +180,7 @@ class Problem:
         linear = LinearProblem(
             x=x.copy(),
             columns=self._columns(x),
-            used=self.rows.used,
-            instruments=self.rows.instruments,
+            channels=self.rows.channels,
             smallest_noise=self.smallest_noise,
             C=C,
             z=residual + C @ x,
@@ -205,12 +203,12 @@ class Problem:
         rows = self.rows
         scales = rows.scales.T
         columns = np.empty((self.size + 1, rows.width, len(rows)))
-        with_angles = rows.width > LENGTHS
+        rotation = rows.depends_on_orientation
         for part in rows.parts(PART):
             part_rows = rows.select(part)
             width = part_rows.width
             scale = scales[:width, part]
-            poses, twists = self.kinematics.twists(x, part_rows.samples, rotation=with_angles)
+            poses, twists = self.kinematics.twists(x, part_rows.samples, rotation=rotation)
             if width < rows.width:  # these rows lack a kind that others have
                 columns[:, width:, part] = 0.0
             derivative = part_rows.derivative(poses, twists).transpose(2, 1, 0)
@@ -234,7 +232,7 @@ class Problem:
         model, rows = self.kinematics.model, self.rows
         has_weight = (self.weights > 0.0) | ~rows.checked
         counts = rows.used & has_weight[:, None]
-        sigma_of_lengths = rows.scales[:, :1, None]
+        sigma_of_lengths = rows.sigma["m"][:, None, None]
         jacobian = (self.linear(x).A * sigma_of_lengths)[counts]
         if self.gauge is not None:
             # Growth changes predictions only by shares of the residuals, which determine nothing.
@@ -403,16 +401,15 @@ def _smallest_noise(rows: Rows) -> tuple[float, ...]:
     """The lowest noise of each instrument that is not rounding: 1e-8 m or rad.
 
     Args:
-        rows: Rows of measurements: given sigma (``rows.scales``, [m] and [rad]) and instrument (``rows.instruments``,
-            from 0; -1 for no scalar) of each scalar, both of shape (N, D). Instruments are lengths of each kind of
-            rows, then angles of each kind.
+        rows: Rows of measurements: given sigma (``rows.scales``) of each scalar, shape (N, D), and its channel
+            (``rows.channels``): each has an instrument of its own.
 
     Returns:
         As a multiple of the instrument's given sigma (the median over its scalars), in the order of the C instruments.
     """
     scales = rows.scales
     result = []
-    for c in range(int(rows.instruments.max()) + 1):
-        typical = float(np.median(scales[rows.instruments == c]))
+    for c in range(len(rows.channels.units)):
+        typical = float(np.median(scales[rows.channels.index == c]))
         result.append(_SMALLEST_SIGMA / typical)
     return tuple(result)

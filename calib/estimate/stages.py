@@ -401,7 +401,7 @@ class Stage:
         rho = np.ones(len(x))
         for b, weights in enumerate(self.weights):
             repeats = scatter_of_repeats(
-                residual[b], linear.used, poses, weights, fitted=float(fitted[b])
+                residual[b], linear.channels, poses, weights, fitted=float(fitted[b])
             )
             if repeats.freedom >= _TELLING_REPEATS:
                 rho[b] = repeats.rho

@@ -22,7 +22,7 @@ def stop_of_rows(rows: Rows) -> Integers | None:
 
     Args:
         rows: N rows of measurements: joint values (``rows.joints``, shape (N, m), [rad or m]), and indices of frame and
-            target (``rows.samples``), and of kind (``rows.kinds``), of each; rows of one number in ``rows.blocks`` are
+            target (``rows.samples``), and of kind (``rows.kind``), of each; rows of one number in ``rows.blocks`` are
             of one pose, or of the two poses of a pair.
 
     Returns:
@@ -34,7 +34,7 @@ def stop_of_rows(rows: Rows) -> Integers | None:
         return None
     # The two poses of a pair are one block.
     pose = same_poses(rows.joints) if np.any(rows.partner >= 0) else rows.blocks
-    labels = np.column_stack([pose, rows.samples.frame, rows.kinds])
+    labels = np.column_stack([pose, rows.samples.frame, rows.kind])
     stop = np.unique(labels, axis=0, return_inverse=True)[1].reshape(-1)
     stop_and_target = np.unique(np.column_stack([stop, target]), axis=0)
     targets_of_stop = np.bincount(stop_and_target[:, 0])

@@ -103,7 +103,7 @@ class Stops:
                 each row's target at zero parameters, of which the centroid of each body and the lever arms are taken.
             rows: N rows of measurements of up to D scalars: joint values, frame and target of each (``rows.samples``),
                 numbers that repeats share (``rows.poses``), given sigmas (``rows.scales``, shape (N, D), [m] and
-                [rad]), and the instrument of each scalar (``rows.instruments``, shape (N, D)).
+                [rad]), and the instrument of each scalar (``rows.channels.index``, shape (N, D)).
 
         Returns:
             The n rows of these stops, by cell and stop, with the derivatives of their scalars by the displacement of
@@ -125,7 +125,7 @@ class Stops:
         derivative = of_stops.derivative(T_frame_target, twists)
         J = np.zeros((len(of_stops), rows.width, 6))
         J[:, : of_stops.width] = derivative / of_stops.scales[:, :, None]
-        instruments = rows.instruments[chosen]
+        instruments = rows.channels.index[chosen]
         J = of_unit_size(J, instruments, weight)
         order = np.lexsort((of_stops.poses, stop))
         return cls(

@@ -25,6 +25,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import stdtrit
 
+from calib.channels import RESIDUAL_UNITS
 from calib.fleets.record import DONE, FleetParameter, FleetRow
 from calib.text.fleet import data_text, few_text, figure_text
 from calib.units import Array, Mask
@@ -47,12 +48,11 @@ _LOG_FLOOR = 0.05
 #: Changes of a parameter that differ by less are alike, by unit; joint gains and compliances have their std only.
 _FLOORS = {"m": 20e-6, "rad": 20e-6, "1": 20e-6}
 
-#: Errors and noise that are compared: attribute of `FleetRow`, name of the figure, unit.
+#: Errors and noise that are compared in each unit: attribute of `FleetRow`, and name of the figure.
 _ERRORS = (
-    ("nominal_rms", "nominal error", "m"),
-    ("held_out_rms", "cross-validated error", "m"),
-    ("sigma", "noise", "m"),
-    ("sigma_angle", "noise of orientations", "rad"),
+    ("nominal_rms", "nominal error"),
+    ("held_out_rms", "cross-validated error"),
+    ("sigma", "noise"),
 )
 
 
@@ -230,14 +230,16 @@ def _flagged(
 
 
 def _error_figures(rows: Sequence[FleetRow]) -> list[_Figure]:
-    """Return the logarithms of errors and noise."""
+    """Return the logarithms of errors and noise in each unit."""
     no_std = np.zeros(len(rows))
     figures = []
-    for attribute, name, unit in _ERRORS:
-        errors = np.array([getattr(row, attribute) for row in rows])
-        logarithms = np.log(np.where(errors > 0.0, errors, math.nan))
-        figure = _Figure(name, unit, logarithms, no_std, _LOG_FLOOR, logarithmic=True)
-        figures.append(figure)
+    for symbol, unit in RESIDUAL_UNITS.items():
+        for attribute, name in _ERRORS:
+            errors = np.array([getattr(row, attribute).get(symbol, math.nan) for row in rows])
+            logarithms = np.log(np.where(errors > 0.0, errors, math.nan))
+            name_of_unit = name if symbol == "m" else f"{name} of {unit.measured}s"
+            figure = _Figure(name_of_unit, symbol, logarithms, no_std, _LOG_FLOOR, logarithmic=True)
+            figures.append(figure)
     return figures
 
 

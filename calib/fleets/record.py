@@ -7,14 +7,16 @@ import hashlib
 import io
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 
 import numpy as np
 
+from calib.channels import RESIDUAL_UNITS
 from calib.data.measurements import Measurements
 from calib.diagnosis.reasons import NO
 from calib.json_files import JsonLayout
 from calib.model.parameters import FRAME, TARGET
+from calib.numerics.errors import Errors
 from calib.result.calibration import CalibrationValues
 from calib.robot.robot import Robot
 
@@ -80,20 +82,18 @@ class FleetRow:
     rows: int = 0
     #: Number of flagged rows among them
     outliers: int = 0
-    #: Error of the nominal robot on the fitted rows [m]
-    nominal_rms: float = math.nan
-    #: Error of the calibrated robot on the fitted rows [m]
-    calibrated_rms: float = math.nan
+    #: Error of the nominal robot on the fitted rows, by unit: ``"m"`` of lengths [m], ``"rad"`` of angles [rad]
+    nominal_rms: Mapping[str, float] = field(default_factory=dict)
+    #: Error of the calibrated robot on the fitted rows, by unit
+    calibrated_rms: Mapping[str, float] = field(default_factory=dict)
     #: Rows of ``unseen_rms``: ``"validation"`` or ``"cross-validation"``
     unseen: str = ""
-    #: Error of the calibrated robot on rows that were not fitted [m]
-    unseen_rms: float = math.nan
-    #: Error on held-out rows that are not flagged, by cross-validation [m]
-    held_out_rms: float = math.nan
-    #: Estimated noise of one coordinate or length [m]
-    sigma: float = math.nan
-    #: Estimated noise of an angle [rad]
-    sigma_angle: float = math.nan
+    #: Error of the calibrated robot on rows that were not fitted, by unit
+    unseen_rms: Mapping[str, float] = field(default_factory=dict)
+    #: Error on held-out rows that are not flagged, by cross-validation, by unit
+    held_out_rms: Mapping[str, float] = field(default_factory=dict)
+    #: Estimated noise of one scalar, by unit
+    sigma: Mapping[str, float] = field(default_factory=dict)
     #: Text that robots must share to be compared: name in the URDF, base, tip, joints
     kind: str = ""
     #: Name of the table of measurements
@@ -129,13 +129,12 @@ class FleetRow:
             non_geometric="" if non_geometric is None else non_geometric.name,
             rows=int(calibration.measurements.estimation.sum()),
             outliers=len(calibration.outliers),
-            nominal_rms=nominal_errors["estimation"].rms,
-            calibrated_rms=calibrated_errors["estimation"].rms,
+            nominal_rms=_rms_by_unit(nominal_errors["estimation"]),
+            calibrated_rms=_rms_by_unit(calibrated_errors["estimation"]),
             unseen=unseen,
             unseen_rms=unseen_rms,
             held_out_rms=_held_out_rms(calibration),
             sigma=calibration.sigma,
-            sigma_angle=calibration.sigma_angle,
             kind=_kind(calibration.nominal),
             data=calibration.measurements.source,
             measured=measured_hash(calibration.measurements),
@@ -150,21 +149,26 @@ def _urdf_state(verdict: str, *, accept: bool) -> str:
     return ACCEPTED if accept else WITHHELD
 
 
-def _held_out_rms(calibration: CalibrationValues) -> float:
-    """Return the error of cross-validation without outliers [m]; NaN if there was none."""
+def _rms_by_unit(errors: Errors) -> dict[str, float]:
+    """Return the rms errors in each unit that was measured."""
+    return {unit: errors[unit].rms for unit in errors.units}
+
+
+def _held_out_rms(calibration: CalibrationValues) -> dict[str, float]:
+    """Return the errors of cross-validation without outliers, by unit; empty if there was none."""
     cross_validation = calibration.cross_validation
     if cross_validation is None:
-        return math.nan
-    return cross_validation.errors_without_outliers.rms
+        return {}
+    return _rms_by_unit(cross_validation.errors_without_outliers)
 
 
-def _unseen_error(calibration: CalibrationValues) -> tuple[str, float]:
-    """Return the kind of rows that were not fitted, and the error on them [m]: validation rows before held-out ones."""
+def _unseen_error(calibration: CalibrationValues) -> tuple[str, dict[str, float]]:
+    """Return the kind of rows that were not fitted, and the errors on them: validation rows before held-out ones."""
     validation = calibration.errors["calibrated"]["validation"]
-    if validation.n:
-        return "validation", validation.rms
+    if validation.units:
+        return "validation", _rms_by_unit(validation)
     if calibration.cross_validation is None:
-        return "", math.nan
+        return "", {}
     return "cross-validation", _held_out_rms(calibration)
 
 
@@ -189,22 +193,17 @@ def _parameters(calibration: CalibrationValues) -> tuple[FleetParameter, ...]:
     return tuple(compared)
 
 
-#: Units of the numbers of a row, by attribute.
-_UNITS = {
-    "nominal_rms": "m",
-    "calibrated_rms": "m",
-    "unseen_rms": "m",
-    "held_out_rms": "m",
-    "sigma": "m",
-    "sigma_angle": "rad",
-}
+#: Attributes with a number for each unit.
+_BY_UNIT = ("nominal_rms", "calibrated_rms", "unseen_rms", "held_out_rms", "sigma")
 
-#: Layout of a row in a JSON file, with the units in the keys.
-ROWS = JsonLayout({FleetRow: {name: f"{name}_{unit}" for name, unit in _UNITS.items()}}, {})
+#: Layout of a row in a JSON file.
+ROWS = JsonLayout({}, {})
 
 
 def csv_bytes(rows: Sequence[FleetRow], reasons: Mapping[str, Sequence[str]]) -> bytes:
     """Return the table for a spreadsheet: UTF-8, one line for each robot, lengths in mm, angles in mrad.
+
+    Figures of a unit that no robot measured have no column.
 
     Args:
         rows: The robots.
@@ -213,33 +212,54 @@ def csv_bytes(rows: Sequence[FleetRow], reasons: Mapping[str, Sequence[str]]) ->
     Returns:
         The file's content; cells of numbers that do not exist are empty.
     """
-    names = [f.name for f in fields(FleetRow) if f.name not in _NOT_IN_CSV]
+    columns = _csv_columns(rows)
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    heads = [_csv_head(name) for name in names]
+    heads = [_csv_head(name, unit) for name, unit in columns]
     writer.writerow((*heads, "outlier", "message"))
     for row in rows:
-        cells = [_csv_cell(getattr(row, name)) for name in names]
+        cells = [_csv_cell(row, name, unit) for name, unit in columns]
         outlier = "; ".join(reasons.get(row.name, ()))
         message = " ".join(row.message.split())
         writer.writerow((*cells, outlier, message))
     return text.getvalue().encode("utf-8", "backslashreplace")
 
 
-def _csv_head(name: str) -> str:
+def _csv_columns(rows: Sequence[FleetRow]) -> list[tuple[str, str]]:
+    """Return the columns of the table: the attribute, and the unit of its number; empty where it has none."""
+    measured = {unit for row in rows for unit in row.nominal_rms}
+    units = [unit for unit in RESIDUAL_UNITS if unit in measured]
+    columns = []
+    for name in (f.name for f in fields(FleetRow)):
+        if name in _BY_UNIT:
+            columns += [(name, unit) for unit in units]
+        elif name not in _NOT_IN_CSV:
+            columns.append((name, ""))
+    return columns
+
+
+#: Unit of a column, and factor to it, by the unit of its numbers: angles are small.
+_CSV_UNITS = {"m": ("mm", 1e3), "rad": ("mrad", 1e3)}
+
+
+def _csv_head(name: str, unit: str) -> str:
     """Return the head of the column of an attribute, with the unit: ``"sigma [mm]"``."""
-    if name not in _UNITS:
+    if not unit:
         return name
-    return f"{name} [m{_UNITS[name]}]"
+    shown, _ = _CSV_UNITS.get(unit, (unit, 1.0))
+    return f"{name} [{shown}]"
 
 
-def _csv_cell(value: object) -> object:
-    """Return the cell of a value: a number in mm or mrad, empty for NaN; texts and counts as they are."""
-    if not isinstance(value, float):
+def _csv_cell(row: FleetRow, name: str, unit: str) -> object:
+    """Return the cell of an attribute: a number in mm or mrad, empty for none; texts and counts as they are."""
+    value = getattr(row, name)
+    if not unit:
         return value
-    if math.isnan(value):
+    number = value.get(unit, math.nan)
+    if math.isnan(number):
         return ""
-    return f"{1e3 * value:.6g}"
+    _, factor = _CSV_UNITS.get(unit, (unit, 1.0))
+    return f"{factor * number:.6g}"
 
 
 def measured_hash(measurements: Measurements) -> str:
@@ -257,6 +277,7 @@ def measured_hash(measurements: Measurements) -> str:
         measurements.points,
         measurements.rotations,
         measurements.distances,
+        *measurements.readings.values(),
     )
     present = [column for column in columns if column is not None]
     flat = [np.asarray(a, dtype=np.float64).reshape(count, -1) for a in present]

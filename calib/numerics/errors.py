@@ -1,16 +1,16 @@
-"""Error figures of a set of rows, as in the paper's Tables 4 and 5, and those of cross-validation."""
+"""Error figures of a set of rows by unit, as in the paper's Tables 4 and 5, and those of cross-validation."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
+from calib.channels import RESIDUAL_UNITS, Channels, residual_unit
+from calib.mappings import ReadOnlyMapping
 from calib.robot.robot import read_only
-from calib.units import Array, Integers, Mask
-
-#: Columns of a residual that hold lengths; those of angles follow.
-LENGTHS = 3
+from calib.units import Array, Integers
 
 
 def rms(values: Array) -> float:
@@ -19,91 +19,119 @@ def rms(values: Array) -> float:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Errors:
-    """Error figures of a set of rows: of lengths, and of angles where there are any."""
+class UnitErrors:
+    """Error figures of a set of rows in one unit; the error of a row is the norm over its scalars of that unit."""
 
-    #: Number of rows with a measured length
+    #: Symbol of the unit, of `calib.channels.RESIDUAL_UNITS`: ``"m"``
+    unit: str
+    #: Number of rows with a scalar of this unit
     n: int
-    #: Largest error, the norm of a row's residual [m]; NaN where n = 0, as all that follow
+    #: Largest error, in the unit; NaN where n = 0, as all that follow
     max: float
-    #: Mean of the norms [m]
+    #: Mean of the errors
     mean: float
-    #: Root mean square of the norms [m]
+    #: Root mean square of the errors
     rms: float
-    #: (3,), mean residual along x, y, z [m]; NaN unless all rows have three coordinates
+    #: (3,), mean residual along, or about, x, y, z; NaN unless the residuals of all rows are such vectors
     mean_axis: Array
-    #: (3,), root mean square of the residual along x, y, z [m]; NaN likewise
+    #: (3,), root mean square of the residual along each; NaN likewise
     rms_axis: Array
-    #: (3,), largest minus smallest residual along x, y, z [m]; NaN likewise
+    #: (3,), largest minus smallest residual along each; NaN likewise
     span_axis: Array
-    #: Number of rows with a measured orientation
-    n_angle: int = 0
-    #: Largest angle between measured and predicted [rad]; NaN without any
-    max_angle: float = np.nan
-    #: Mean of these angles [rad]
-    mean_angle: float = np.nan
-    #: Their root mean square [rad]
-    rms_angle: float = np.nan
 
     @classmethod
-    def of(cls, residual: Array, used: Mask | None = None) -> Errors:
-        """Summarise the residuals of N rows.
+    def of(cls, residual: Array, channels: Channels, unit: str) -> UnitErrors:
+        """Summarise the residuals of N rows in one unit.
 
         Args:
-            residual: shape (N, D), measured minus predicted: lengths [m] in the first three
-                columns, rotation vectors [rad] in those behind; 0 where nothing was measured.
-            used: shape (N, D), which entries were measured; None for all.
-
-        Returns:
-            Figures over rows with a measured length, and over those with a measured angle.
-
-        Example:
-            >>> errors = Errors.of(np.array([[3e-3, 4e-3, 0.0], [0.0, 0.0, 0.0]]))
-            >>> round(errors.mean, 6), round(errors.rms, 6)
-            (0.0025, 0.003536)
+            residual: Measured minus predicted, shape (N, D).
+            channels: The channel of each of its entries.
+            unit: Symbol of the unit.
         """
-        if used is None:
-            used = np.ones(residual.shape, dtype=bool)
-        has_length = np.any(used[:, :LENGTHS], axis=1)
-        has_angle = np.any(used[:, LENGTHS:], axis=1)
-        lengths = residual[has_length, :LENGTHS]
-        angles = residual[has_angle, LENGTHS:]
-        # A mean along an axis needs that axis in every row.
-        three = residual.shape[1] >= LENGTHS and np.any(has_length)
-        if not (three and np.all(used[has_length, :LENGTHS])):
-            by_axis = np.full((LENGTHS, 3), np.nan)
-        else:
-            by_axis = _figures_by_axis(lengths)
-        largest, mean, root_mean_square = _figures_of_norms(lengths)
-        largest_angle, mean_angle, rms_angle = _figures_of_norms(angles)
+        of_unit = channels.where(unit)
+        measured = np.any(of_unit, axis=1)
+        norms = channels.norms(residual, unit)[measured]
+        largest = mean = root_mean_square = np.nan
+        if len(norms):
+            largest, mean, root_mean_square = norms.max(), norms.mean(), rms(norms)
+        columns, are_vectors = channels.vector_columns(unit)
+        by_axis = np.full((3, 3), np.nan)
+        if len(norms) and np.array_equal(are_vectors, measured):
+            by_axis = _figures_by_axis(residual[measured][:, columns])
         return cls(
-            n=len(lengths),
-            max=largest,
-            mean=mean,
-            rms=root_mean_square,
+            unit=unit,
+            n=len(norms),
+            max=float(largest),
+            mean=float(mean),
+            rms=float(root_mean_square),
             mean_axis=read_only(by_axis[0]),
             rms_axis=read_only(by_axis[1]),
             span_axis=read_only(by_axis[2]),
-            n_angle=len(angles),
-            max_angle=largest_angle,
-            mean_angle=mean_angle,
-            rms_angle=rms_angle,
         )
 
 
-def _figures_by_axis(lengths: Array) -> Array:
+def _figures_by_axis(vectors: Array) -> Array:
     """Mean, root mean square and span of vectors (n, 3) along each axis, shape (3, 3)."""
-    mean = lengths.mean(axis=0)
-    root_mean_square = np.sqrt(np.mean(lengths**2, axis=0))
-    return np.array([mean, root_mean_square, np.ptp(lengths, axis=0)])
+    mean = vectors.mean(axis=0)
+    root_mean_square = np.sqrt(np.mean(vectors**2, axis=0))
+    return np.array([mean, root_mean_square, np.ptp(vectors, axis=0)])
 
 
-def _figures_of_norms(vectors: Array) -> tuple[float, float, float]:
-    """Largest norm of vectors (n, d), mean and root mean square of the norms; NaN where n = 0."""
-    norms = np.linalg.norm(vectors, axis=1)
-    if not len(norms):
-        return np.nan, np.nan, np.nan
-    return float(norms.max()), float(norms.mean()), rms(norms)
+@dataclass(frozen=True, slots=True, eq=False)
+class Errors:
+    """Error figures of a set of rows in each unit that was measured; ``errors["m"].rms`` is one of them."""
+
+    #: By the unit's symbol, in the order of `calib.channels.RESIDUAL_UNITS`
+    by_unit: Mapping[str, UnitErrors]
+
+    def __post_init__(self) -> None:
+        """Keep a copy that cannot be changed."""
+        object.__setattr__(self, "by_unit", ReadOnlyMapping(self.by_unit))
+
+    @classmethod
+    def of(cls, residual: Array, channels: Channels | None = None) -> Errors:
+        """Summarise the residuals of N rows.
+
+        Args:
+            residual: Measured minus predicted, shape (N, D); 0 where nothing was measured.
+            channels: The channel of each entry; None: all are measured lengths [m].
+
+        Returns:
+            Figures in each unit that some row has.
+
+        Example:
+            >>> errors = Errors.of(np.array([[3e-3, 4e-3, 0.0], [0.0, 0.0, 0.0]]))["m"]
+            >>> round(errors.mean, 6), round(errors.rms, 6)
+            (0.0025, 0.003536)
+        """
+        if channels is None:
+            channels = Channels.of_unit(np.ones(residual.shape, dtype=bool))
+        return cls({unit: UnitErrors.of(residual, channels, unit) for unit in channels.present})
+
+    def __getitem__(self, unit: str) -> UnitErrors:
+        """Return the figures in a unit, by its symbol; with n = 0 and NaN where none was measured.
+
+        Raises:
+            CalibError: It is no unit of residuals.
+        """
+        symbol = residual_unit(unit).symbol
+        if symbol in self.by_unit:
+            return self.by_unit[symbol]
+        nothing = np.zeros((0, 1))
+        return UnitErrors.of(nothing, Channels.of_unit(nothing > 0.0, symbol), symbol)
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Symbols of the units in which something was measured."""
+        return tuple(self.by_unit)
+
+    @property
+    def leading(self) -> UnitErrors:
+        """The figures in the first unit that was measured: of lengths, else of angles, else of pixels.
+
+        Of no rows at all: those of lengths, with n = 0.
+        """
+        return self[next(iter(self.by_unit), next(iter(RESIDUAL_UNITS)))]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -116,7 +144,7 @@ class CrossValidation:
     folds: int
     #: (N,), from 0: rows of one number are of one pose or one pair, and held out together
     poses: Integers
-    #: (N, D), measured minus predicted by the fit without the row [m], [rad]
+    #: (N, D), measured minus predicted by the fit without the row, in the units of the rows' channels
     residual: Array
     #: Of all rows
     errors: Errors

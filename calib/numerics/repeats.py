@@ -11,14 +11,15 @@ variance with unequal groups, by moments).
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from calib.numerics.errors import LENGTHS
-from calib.robot.robot import read_only
-from calib.units import Array, Integers, Mask
+from calib.channels import Channels
+from calib.mappings import ReadOnlyMapping
+from calib.units import Array, Integers
 
 #: Degrees of freedom below this are rounding: no pose was repeated.
 _NO_FREEDOM = 1e-9
@@ -29,19 +30,24 @@ _MEANS_FITTED = 1e-6
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Repeats:
-    """Scatter within repeats, of lengths and of angles (G = 1 or 2 groups), and the correlation of repeats."""
+    """Scatter within repeats in each unit that was measured, and the correlation of repeats."""
 
-    #: (G,), standard deviation of a component of a repeat, in the residual's unit; NaN without repeats
-    within: Array
-    #: (G,), its degrees of freedom; 0 without repeats
-    freedoms: Array
-    #: Intraclass correlation of all groups together, 0 to 1; 0 without repeats
+    #: Standard deviation of a scalar of a repeat by its unit, in that unit; NaN without repeats
+    within: Mapping[str, float]
+    #: Its degrees of freedom by the same units; 0 without repeats
+    freedoms: Mapping[str, float]
+    #: Intraclass correlation in all units together, 0 to 1; 0 without repeats
     rho: float
+
+    def __post_init__(self) -> None:
+        """Keep copies that cannot be changed."""
+        object.__setattr__(self, "within", ReadOnlyMapping(self.within))
+        object.__setattr__(self, "freedoms", ReadOnlyMapping(self.freedoms))
 
     @property
     def freedom(self) -> float:
-        """Degrees of freedom of all groups together."""
-        return float(self.freedoms.sum())
+        """Degrees of freedom in all units together."""
+        return float(sum(self.freedoms.values()))
 
 
 class _Moments(NamedTuple):
@@ -91,7 +97,7 @@ class _Moments(NamedTuple):
 
 def scatter_of_repeats(
     residual: Array,
-    used: Mask,
+    channels: Channels,
     poses: Integers,
     weights: Array,
     *,
@@ -100,66 +106,42 @@ def scatter_of_repeats(
     """Estimate the scatter within repeats, which does not depend on the model, and the correlation of repeats.
 
     Args:
-        residual: shape (N, D), measured minus predicted of each row; lengths [m] in the first three columns, angles
-            [rad] behind.
-        used: shape (N, D), which entries were measured.
+        residual: shape (N, D), measured minus predicted of each row.
+        channels: Unit of each entry of the residual, and which were measured.
         poses: shape (N,), rows of one number are repeats.
         weights: shape (N,), robust weights, 0 for outliers.
         fitted: Number of parameters that the fit took from all scalars.
 
     Returns:
-        Scatter of lengths, and of angles where there are any, and the intraclass correlation rho.
+        Scatter in each unit that was measured, and the intraclass correlation rho.
     """
     _, pose = np.unique(poses, return_inverse=True)
-    w = np.where(used, weights[:, None], 0.0)
+    w = np.where(channels.used, weights[:, None], 0.0)
     e = np.where(w > 0.0, residual, 0.0)
-    groups = _groups(e.shape[1])
-    within, freedoms = _scatter_of_groups(_moments(e, w, pose), groups)
-    # rho is one number for lengths and angles: each group counts in units of its own rms.
-    relative = e / _rms_of_groups(e, w, groups)
+    within, freedoms = {}, {}
+    # rho is one number for all units: each counts in units of its own rms.
+    relative = np.zeros_like(e)
+    for unit in channels.present:
+        of_unit = channels.where(unit)
+        w_unit = np.where(of_unit, w, 0.0)
+        moments = _Moments(*_moments(np.where(of_unit, e, 0.0), w_unit, pose).sum(axis=1).tolist())
+        within[unit], freedoms[unit] = moments.scatter()
+        relative += np.where(of_unit, e, 0.0) / _weighted_rms(e, w_unit)
     together = _Moments(*_moments(relative, w, pose).sum(axis=1).tolist())
     return Repeats(within, freedoms, together.correlation(fitted))
 
 
-def _groups(width: int) -> list[slice]:
-    """The columns of lengths, and those of angles where a residual of ``width`` columns has any."""
-    if width > LENGTHS:
-        return [slice(0, LENGTHS), slice(LENGTHS, None)]
-    return [slice(0, LENGTHS)]
-
-
-def _scatter_of_groups(moments: Array, groups: list[slice]) -> tuple[Array, Array]:
-    """Estimate the scatter within repeats for each group of columns.
+def _weighted_rms(e: Array, w: Array) -> float:
+    """Weighted rms of residuals; 1 where all are zero.
 
     Args:
-        moments: shape (8, D), the fields of `_Moments` for each column of the residual.
-        groups: G groups of columns.
-
-    Returns:
-        The standard deviation of a component, NaN without repeats, and its degrees of freedom, both of shape (G,).
+        e: shape (N, D), residuals.
+        w: shape (N, D), weights; 0 where an entry does not count.
     """
-    scatter = []
-    for group in groups:
-        of_group = _Moments(*moments[:, group].sum(axis=1).tolist())
-        scatter.append(of_group.scatter())
-    std, freedoms = np.array(scatter).T
-    return read_only(std), read_only(freedoms)
-
-
-def _rms_of_groups(e: Array, w: Array, groups: list[slice]) -> Array:
-    """Weighted rms residual of its group for each column, shape (D,); 1 where all are zero.
-
-    Args:
-        e: shape (N, D), residuals, 0 where nothing was measured.
-        w: shape (N, D), weights; 0 where nothing was measured.
-        groups: Groups of columns, which cover all of them.
-    """
-    rms = np.ones(e.shape[1])
-    for group in groups:
-        square = float(np.sum(w[:, group] * e[:, group] ** 2))
-        if square > 0.0:
-            rms[group] = np.sqrt(square / float(np.sum(w[:, group])))
-    return rms
+    square = float(np.sum(w * e**2))
+    if square <= 0.0:
+        return 1.0
+    return float(np.sqrt(square / float(np.sum(w))))
 
 
 def pose_means(values: Array, weights: Array, poses: Integers) -> tuple[Array, Integers]:

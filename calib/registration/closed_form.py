@@ -62,7 +62,9 @@ def _is_linear(setup: Setup, rows: Rows) -> bool:
     """True if no rotation of a frame is estimated, and all rows measure three coordinates."""
     unknown = {direction for directions in setup.unknown for direction in directions}
     only_translations = unknown.issubset(_TRANSLATIONS)
-    return only_translations and all(kind.coordinates for kind in rows.present)
+    return only_translations and all(
+        kind.coordinates and not kind.readings for kind in rows.present
+    )
 
 
 def _linear_equations(setup: Setup, T_base_tip: Array, rows: Rows) -> tuple[Array, Array]:

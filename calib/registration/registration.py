@@ -14,7 +14,6 @@ from calib.errors import MeasurementError
 from calib.model.error_model import DIRECTIONS, frame_and_target_model
 from calib.model.observability import steps
 from calib.model.parameters import ErrorModel
-from calib.numerics.errors import LENGTHS
 from calib.numerics.solvers import levenberg_marquardt
 from calib.registration.closed_form import linear_setup, with_measured_target_rotations
 from calib.registration.rows import NONE, Rows
@@ -291,7 +290,7 @@ def _subsample(rows: Rows) -> Mask:
     """Mask of rows that are enough for a registration, evenly spaced for each frame and target; pairs stay whole."""
     if len(rows) <= _FEWEST_ROWS:
         return np.ones(len(rows), dtype=bool)
-    measuring = np.flatnonzero(rows.kinds != NONE)
+    measuring = np.flatnonzero(rows.kind != NONE)
     samples = rows.samples
     # Each pair of a frame and a target has a number.
     targets = int(samples.target.max()) + 1
@@ -362,7 +361,7 @@ def _twists(
     columns = np.zeros((len(model), 6, len(rows)))
     kernel.add_columns(columns[:, :3], by_frame, at_frames, rows.samples.frame)
     kernel.add_columns(columns[:, :3], by_target, at_targets, rows.samples.target)
-    if rows.width > LENGTHS:
+    if rows.depends_on_orientation:
         turns = columns[:, 3:]
         kernel.add_columns(turns, axes[0, :3], at_frames[:, 3:], rows.samples.frame)
         kernel.add_columns(turns, axes[1, :3], at_targets[:, 3:], rows.samples.target)

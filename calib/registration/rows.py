@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-import calib.data.kinds as registry
+from calib.channels import Channels, channels_of
 from calib.data.kinds import Kind
+from calib.mappings import ReadOnlyMapping
 from calib.model.kinematics import Samples
-from calib.numerics.errors import LENGTHS
 from calib.units import Array, Integers, Mask
 
-#: The kind's number of rows that hold no measurement themselves: the second rows of pairs.
+#: Index of the kind of rows that hold no measurement themselves: the second rows of pairs.
 NONE = -1
-
-#: Number in the column `Rows.instruments` of an entry without a scalar.
-_NO_INSTRUMENT = -1
 
 #: The fewest rows of each frame, target and kind in an even sample, if it has room for them.
 _FEWEST_OF_EACH = 100
@@ -40,21 +36,23 @@ class _KindRows:
 class Rows:
     """N rows of measurements; row i sees one target from one frame at one pose of the robot.
 
-    A residual has D = `width` columns: lengths in the first three, angles behind. Not every row fills all of them.
+    A residual has D = `width` columns; column j of a row holds the scalar j of its kind, in the unit that `channels`
+    says.
     """
 
     #: Joint values, frame and target of each row
     samples: Samples
-    #: (N,), numbers of `calib.data.kinds`; `NONE` for the second row of a pair
-    kinds: Integers
+    #: The kinds that rows may have
+    kinds: tuple[Kind, ...]
+    #: (N,), index of each row's kind in ``kinds``; `NONE` for the second row of a pair
+    kind: Integers
     #: (N, K), as `calib.data.kinds.Kind` says; zero in columns that a kind lacks
     measured: Array
     #: (N,), number of the second row of a pair, at its first row; -1 elsewhere
     partner: Integers
-    #: (N,), standard deviation of one length, as given or assumed before the fit [m]
-    sigma: Array
-    #: (N,), of one angle, as given or assumed before the fit [rad]
-    sigma_angle: Array
+    #: (N,), standard deviation of one scalar in each unit of `calib.channels.RESIDUAL_UNITS`, by its symbol, as given
+    #: or assumed before the fit
+    sigma: Mapping[str, Array]
     #: (N,), rows of one number are repeats: one pose, target, frame and kind
     poses: Integers
     #: (N,), rows of one number are held out together: one pose, and both rows of a pair
@@ -63,27 +61,18 @@ class Rows:
     weights: Array | None = None
     #: (N,), rows of sole postures, see `calib.estimate.sole_postures`; None: the fit finds them
     sole: Mask | None = None
-    #: D, columns of a residual: 6 with angles, 3 with positions, else 1
-    width: int = field(init=False)
-    #: (N, D), which entries of the residual are measured
-    used: Mask = field(init=False, repr=False)
-    #: (N, D), which instrument, and so which noise, each scalar has, from 0; -1 for no scalar. Lengths of each kind are
-    #: an instrument, in the order of the kinds' numbers, then angles of each kind
-    instruments: NDArray[np.int8] = field(init=False, repr=False)
+    #: (N, D), the kind and the unit of each entry of the residual: its instrument, and so its noise
+    channels: Channels = field(init=False)
     #: The rows of each kind that occurs, in the order of kinds' numbers
     _by_kind: tuple[_KindRows, ...] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         """Derive what every evaluation of a fit needs."""
-        by_kind = _rows_by_kind(self.kinds)
-        width = max((int(part.columns[-1]) + 1 for part in by_kind), default=1)
-        instruments = _instruments(by_kind, len(self.kinds), width)
-        used = instruments != _NO_INSTRUMENT
-        used.setflags(write=False)
-        object.__setattr__(self, "width", width)
-        object.__setattr__(self, "used", used)
-        object.__setattr__(self, "instruments", instruments)
-        object.__setattr__(self, "_by_kind", by_kind)
+        object.__setattr__(self, "sigma", ReadOnlyMapping(self.sigma))
+        units = [kind.units for kind in self.kinds]
+        vector_units = [kind.vector_units for kind in self.kinds]
+        object.__setattr__(self, "channels", channels_of(units, vector_units, self.kind))
+        object.__setattr__(self, "_by_kind", _rows_by_kind(self.kinds, self.kind))
 
     def __len__(self) -> int:
         """Number of rows N."""
@@ -95,20 +84,45 @@ class Rows:
         return self.samples.q
 
     @property
+    def width(self) -> int:
+        """Columns D of a residual: the largest number of scalars of a row."""
+        return self.channels.width
+
+    @property
+    def used(self) -> Mask:
+        """True for the entries of the residual that are measured, shape (N, D)."""
+        return self.channels.used
+
+    @property
+    def channel_kinds(self) -> tuple[Kind, ...]:
+        """Kind of each channel, in their order; the unit of each is in ``channels.units``."""
+        result = []
+        for c in range(len(self.channels.units)):
+            first_row = int(np.argmax(np.any(self.channels.index == c, axis=1)))
+            result.append(self.kinds[self.kind[first_row]])
+        return tuple(result)
+
+    @property
     def count(self) -> int:
         """Number of measured scalars of all rows."""
         return int(np.sum(self.used))
 
     @property
     def scales(self) -> Array:
-        """Standard deviation of each entry as given or assumed before the fit, shape (N, D), [m] and [rad]."""
-        result = np.repeat(self.sigma[:, None], self.width, axis=1)
-        result[:, LENGTHS:] = self.sigma_angle[:, None]
+        """Standard deviation of each entry as given or assumed before the fit, shape (N, D), in its unit."""
+        result = np.repeat(self.sigma["m"][:, None], self.width, axis=1)
+        for unit in self.channels.present:
+            result = np.where(self.channels.where(unit), self.sigma[unit][:, None], result)
         return result
 
     @property
+    def depends_on_orientation(self) -> bool:
+        """True if the residual of some row depends on the orientation of its target, not on its position alone."""
+        return any(kind.depends_on_orientation for kind in self.present)
+
+    @property
     def present(self) -> tuple[Kind, ...]:
-        """Kinds of these rows, in the order of their numbers."""
+        """Kinds that some row has, in the order of ``kinds``."""
         return tuple(part.kind for part in self._by_kind)
 
     @property
@@ -132,7 +146,7 @@ class Rows:
             which: shape (N,) or a slice; of a pair both rows or none.
 
         Returns:
-            These rows; partners and instruments are numbered anew.
+            These rows; partners and channels are numbered anew.
         """
         chosen = np.arange(len(self))[which]
         if len(chosen) == len(self):
@@ -145,11 +159,10 @@ class Rows:
         return replace(
             self,
             samples=self.samples.select(chosen),
-            kinds=self.kinds[chosen],
+            kind=self.kind[chosen],
             measured=self.measured[chosen],
             partner=partner,
-            sigma=self.sigma[chosen],
-            sigma_angle=self.sigma_angle[chosen],
+            sigma={unit: sigma[chosen] for unit, sigma in self.sigma.items()},
             poses=self.poses[chosen],
             blocks=self.blocks[chosen],
             weights=None if self.weights is None else self.weights[chosen],
@@ -163,7 +176,7 @@ class Rows:
             T_frame_target: shape (N, 4, 4), predicted pose of each row's target in its frame [m].
 
         Returns:
-            shape (N, D), [m] and [rad]; 0 where nothing was measured.
+            shape (N, D), in the units of ``channels``; 0 where nothing was measured.
         """
         result = np.zeros((len(self), self.width))
         numbers = np.arange(len(self))[:, None]
@@ -180,7 +193,7 @@ class Rows:
         Args:
             T_frame_target: shape (N, 4, 4), predicted pose of each row's target in its frame [m].
             twists: shape (N, 6, p), motion of the target by each parameter, along the frame's axes; see
-                `Kinematics.twists`. (N, 3, p), translations alone, where no kind measures an orientation.
+                `Kinematics.twists`. (N, 3, p), translations alone, where no row depends on its target's orientation.
 
         Returns:
             shape (N, D, p); 0 where nothing was measured.
@@ -253,8 +266,8 @@ class Rows:
         """
         if len(self) <= most:
             return np.ones(len(self), dtype=bool)
-        measuring = np.flatnonzero(self.kinds != NONE)
-        labels = np.stack([self.samples.frame, self.samples.target, self.kinds], axis=1)
+        measuring = np.flatnonzero(self.kind != NONE)
+        labels = np.stack([self.samples.frame, self.samples.target, self.kind], axis=1)
         _, group, count = np.unique(
             labels[measuring], axis=0, return_inverse=True, return_counts=True
         )
@@ -273,31 +286,20 @@ class Rows:
         return [slice(k, k + size) for k in range(0, len(self), size)]
 
 
-def _rows_by_kind(kinds: Integers) -> tuple[_KindRows, ...]:
-    """The rows of each kind that occurs in ``kinds``, (N,), in the order of their numbers."""
+def _rows_by_kind(kinds: tuple[Kind, ...], kind_of_row: Integers) -> tuple[_KindRows, ...]:
+    """The rows of each kind that occurs, in the order of ``kinds``.
+
+    Args:
+        kinds: The kinds that rows may have.
+        kind_of_row: shape (N,), index of each row's kind; `NONE` for a row without a measurement.
+    """
     result = []
-    counts = np.bincount(kinds - NONE)[1:]  # `NONE` comes first
-    for number in np.flatnonzero(counts).tolist():
-        kind = registry.at(number)
-        of_kind = kinds == number
-        rows = slice(None) if np.all(of_kind) else np.flatnonzero(of_kind)
-        columns = np.r_[: kind.lengths, LENGTHS : LENGTHS + kind.angles]
-        result.append(_KindRows(kind, rows, columns))
+    for k, kind in enumerate(kinds):
+        of_kind = kind_of_row == k
+        if np.any(of_kind):
+            rows = slice(None) if np.all(of_kind) else np.flatnonzero(of_kind)
+            result.append(_KindRows(kind, rows, np.arange(len(kind.units))))
     return tuple(result)
-
-
-def _instruments(by_kind: tuple[_KindRows, ...], count: int, width: int) -> NDArray[np.int8]:
-    """Number of the instrument of each scalar, shape (count, width): lengths of each kind, then angles of each."""
-    rows = np.arange(count)[:, None]
-    result = np.full((count, width), _NO_INSTRUMENT, dtype=np.int8)
-    number = 0
-    for angles in (False, True):
-        for part in by_kind:
-            columns = part.columns[(part.columns >= LENGTHS) == angles]
-            if len(columns):
-                result[rows[part.rows], columns] = number
-                number += 1
-    return result
 
 
 def _drawn_of_groups(group: Integers, count: Integers, quota: Integers) -> Integers:

@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 import calib.data.kinds as registry
+from calib.channels import RESIDUAL_UNITS
 from calib.data.cell import AUTO, Cell
+from calib.data.kinds import Kind
 from calib.data.measurements import Measurements
 from calib.errors import MeasurementError
 from calib.model.error_model import split_name
@@ -19,12 +21,6 @@ from calib.registration.setup import Setup
 from calib.registration.table_setup import measurement_setup
 from calib.robot.robot import Robot
 from calib.units import Array, Integers
-
-#: Standard deviation of a length that is assumed where none is given [m]: that of a laser tracker at work.
-FIRST_SIGMA = 1e-4
-
-#: Standard deviation of an angle that is assumed where none is given [rad].
-FIRST_SIGMA_ANGLE = 1e-3
 
 
 def rows_and_setup(robot: Robot, measurements: Measurements, cell: Cell) -> tuple[Rows, Setup]:
@@ -43,8 +39,9 @@ def rows_and_setup(robot: Robot, measurements: Measurements, cell: Cell) -> tupl
         ModelError: The cell names a group or target that the table lacks.
     """
     q = measurements.joints_for(robot.joint_names)
-    kinds, partner = _kinds_and_partners(measurements)
-    setup = measurement_setup(cell, measurements, kinds)
+    kinds = _kinds_of(measurements)
+    kind, partner = _kind_and_partner(measurements, kinds)
+    setup = measurement_setup(cell, measurements, kinds, kind)
     samples = Samples(
         q=q,
         frame=numbered(measurements.groups, setup.groups),
@@ -54,30 +51,37 @@ def rows_and_setup(robot: Robot, measurements: Measurements, cell: Cell) -> tupl
     pose = same_poses(q)
     first_rows = np.flatnonzero(partner >= 0)
     pairs = [(int(i), int(partner[i])) for i in first_rows]
-    sigma_angle = measurements.sigma_angle
     rows = Rows(
         samples=samples,
         kinds=kinds,
-        measured=_measured(measurements, kinds),
+        kind=kind,
+        measured=_measured(measurements, kinds, kind),
         partner=partner,
-        sigma=_sigma(len(q), measurements.sigma, cell.sigma, FIRST_SIGMA),
-        sigma_angle=_sigma(len(q), sigma_angle, cell.sigma_angle, FIRST_SIGMA_ANGLE),
-        poses=_repeats(pose, samples, kinds, partner),
+        sigma=_sigma_by_unit(measurements, cell),
+        poses=_repeats(pose, samples, kind, partner),
         blocks=joined_labels(pose, pairs),
     )
     return rows, setup
 
 
-def _kinds_and_partners(measurements: Measurements) -> tuple[Integers, Integers]:
-    """Numbers of the rows' kinds and of their partners, both (N,), as `Rows` has them.
+def _kinds_of(measurements: Measurements) -> tuple[Kind, ...]:
+    """Kinds that occur in a table, in the order in which they were registered."""
+    occurring = set(measurements.kinds)
+    return tuple(registry.get(name) for name in registry.names() if name in occurring)
+
+
+def _kind_and_partner(
+    measurements: Measurements, kinds: tuple[Kind, ...]
+) -> tuple[Integers, Integers]:
+    """Index of each row's kind, and its partner, both (N,), as `Rows` has them.
 
     Of a pair the earlier row has the kind, the measurement and a partner; the later one has `NONE` and no partner.
     """
-    kinds = numbered(measurements.kinds, registry.names())
+    kind = numbered(measurements.kinds, [kind.name for kind in kinds])
     partner = _partners(measurements)
     later = (partner >= 0) & (partner < np.arange(len(measurements)))
-    kinds[later] = NONE
-    return kinds, np.where(kinds == NONE, -1, partner)
+    kind[later] = NONE
+    return kind, np.where(kind == NONE, -1, partner)
 
 
 def _needs_loads(cell: Cell) -> bool:
@@ -88,48 +92,46 @@ def _needs_loads(cell: Cell) -> bool:
     return any(FAMILIES[family].loaded for family in families)
 
 
-def _sigma(count: int, by_row: Array | None, by_cell: float | None, assumed: float) -> Array:
-    """Standard deviation of each row, shape (count,): the row's, else the cell's, else the assumed one.
+def _sigma_by_unit(measurements: Measurements, cell: Cell) -> dict[str, Array]:
+    """Standard deviation of one scalar of each row, shape (N,) for each unit: the row's, else the cell's, else assumed.
 
     Args:
-        count: Number of rows.
-        by_row: shape (count,), as the table gives it, NaN where it does not [m] or [rad]; None without such a column.
-        by_cell: As the cell gives it for all rows, in the same unit; None where it does not.
-        assumed: In the same unit.
+        measurements: Table of N rows, which may state it for some of its rows.
+        cell: May state it for all rows.
     """
-    general = np.full(count, assumed if by_cell is None else by_cell)
-    if by_row is None:
-        return general
-    return np.where(np.isfinite(by_row), by_row, general)
+    result = {}
+    for symbol, unit in RESIDUAL_UNITS.items():
+        general = np.full(len(measurements), cell.sigma.get(symbol, unit.assumed_sigma))
+        by_row = measurements.sigma.get(symbol, np.full(len(measurements), np.nan))
+        result[symbol] = np.where(np.isfinite(by_row), by_row, general)
+    return result
 
 
-def _repeats(pose: Integers, samples: Samples, kinds: Integers, partner: Integers) -> Integers:
+def _repeats(pose: Integers, samples: Samples, kind: Integers, partner: Integers) -> Integers:
     """Number the rows so that repeats, of one pose, frame, target and kind, have one number, shape (N,).
 
     Args:
         pose: shape (N,), see `same_poses`.
         samples: Frames and targets.
-        kinds: shape (N,), as `Rows` has them.
+        kind: shape (N,), as `Rows` has it.
         partner: shape (N,), likewise; repeats of a pair repeat both its rows.
     """
     poses = int(pose.max(initial=-1)) + 1
     if poses == len(pose):
         return pose  # no pose is repeated
-    labels = np.column_stack([pose, samples.frame, samples.target, kinds])
+    labels = np.column_stack([pose, samples.frame, samples.target, kind])
     labels_of_partner = np.where((partner >= 0)[:, None], labels[partner], -1)
     both = np.hstack([labels, labels_of_partner])
     _, number = np.unique(both, axis=0, return_inverse=True)
     return number.reshape(-1)
 
 
-def _measured(measurements: Measurements, kinds: Integers) -> Array:
+def _measured(measurements: Measurements, kinds: tuple[Kind, ...], kind_of_row: Integers) -> Array:
     """Measured values of each row, shape (N, K), as `Rows.measured`: point, rotation matrix by rows, readings."""
-    numbers = [k for k in np.unique(kinds).tolist() if k != NONE]
-    present = {k: registry.at(k) for k in numbers}
-    size = max((kind.size for kind in present.values()), default=0)
+    size = max((kind.size for kind in kinds), default=0)
     result = np.zeros((len(measurements), size))
-    for number, kind in present.items():
-        rows = kinds == number
+    for k, kind in enumerate(kinds):
+        rows = kind_of_row == k
         parts = []
         if kind.position:
             parts.append(measurements.points[rows])

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-import calib.data.kinds as registry
 from calib.data.cell import Cell
 from calib.data.kinds import Kind
 from calib.data.measurements import Measurements
@@ -33,13 +32,19 @@ class _Frame:
     own_axes: bool
 
 
-def measurement_setup(cell: Cell, measurements: Measurements, kinds: Integers) -> Setup:
+def measurement_setup(
+    cell: Cell,
+    measurements: Measurements,
+    kinds: tuple[Kind, ...],
+    kind_of_row: Integers,
+) -> Setup:
     """Make the setup of a table: poses as the cell gives them, identity where it gives none.
 
     Args:
         cell: Frames and targets that are given, and whether they are estimated.
         measurements: Table of N rows; its groups are the stations.
-        kinds: shape (N,), number of each row's kind in `calib.data.kinds`; `NONE` for the second row of a pair.
+        kinds: The kinds of its rows.
+        kind_of_row: shape (N,), index of each row's kind in ``kinds``; `NONE` for the second row of a pair.
 
     Returns:
         One frame for each group and one target for each name, in the order in which they first occur; not registered.
@@ -54,9 +59,11 @@ def measurement_setup(cell: Cell, measurements: Measurements, kinds: Integers) -
     group_of_row = np.array([groups.index(group) for group in measurements.groups])
     frames = []
     for g, group in enumerate(groups):
-        frames.append(_frame(cell, group, kinds[group_of_row == g]))
+        of_group = np.unique(kind_of_row[group_of_row == g])
+        kinds_of_group = [kinds[k] for k in of_group.tolist() if k != NONE]
+        frames.append(_frame(cell, group, kinds_of_group))
     positions = [cell.targets.get(name, cell.target) for name in targets]
-    rotation = any(kind.angles for kind in _kinds_in(kinds))
+    rotation = any(kind.depends_on_orientation for kind in kinds)
     return Setup(
         groups=groups,
         targets=targets,
@@ -72,15 +79,15 @@ def measurement_setup(cell: Cell, measurements: Measurements, kinds: Integers) -
     )
 
 
-def _frame(cell: Cell, group: str, kinds: Integers) -> _Frame:
+def _frame(cell: Cell, group: str, kinds: list[Kind]) -> _Frame:
     """The frame of a group: its pose as given, and its directions that are estimated.
 
     Args:
         cell: Frames that are given, and whether they are estimated.
         group: Name of the group.
-        kinds: shape (n,), number of the kind of each row of the group.
+        kinds: Kinds of the group's rows.
     """
-    locating = [kind for kind in _kinds_in(kinds) if kind.directions]
+    locating = [kind for kind in kinds if kind.directions]
     given = cell.frames.get(group, cell.T_frame_base)
     # Frames of sockets, planes and anchors are estimated unless the cell gives this group's.
     part_of_scene = group not in cell.frames and all(kind.own_frame for kind in locating)
@@ -113,11 +120,6 @@ def _check_names(
             f"{measurements.source}: the cell says where {choices(missing)} is; the table's column '{column}' has "
             f"{choices(present)}."
         )
-
-
-def _kinds_in(numbers: Integers) -> list[Kind]:
-    """Kinds that occur among their numbers, in the order of these."""
-    return [registry.at(k) for k in np.unique(numbers).tolist() if k != NONE]
 
 
 def _estimated_directions(cell: Cell, locating: list[Kind], part_of_scene: bool) -> tuple[str, ...]:

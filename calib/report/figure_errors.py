@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,8 +10,9 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 import calib.report.figure_base as base
+from calib.channels import RESIDUAL_UNITS, VECTOR, Channels
 from calib.numerics.errors import CrossValidation
-from calib.report.row_values import angles_of, flagged_rows, lengths_of
+from calib.report.row_values import flagged_rows
 from calib.result.calibration import CalibrationValues
 from calib.units import Array, Mask
 
@@ -29,29 +29,20 @@ _REACH = 5.0
 _OUTLIER_EDGE = 1.25
 
 
-class Quantity(NamedTuple):
-    """Lengths or orientations: the columns of the residuals that hold them, and how they are shown."""
+def sizes(c: CalibrationValues, unit: str) -> tuple[Array, Array]:
+    """Return each row's error in one unit, of the nominal and of the calibrated robot.
 
-    #: Their columns of a residual (N, D)
-    columns: slice
-    #: Norm of each row's residual, see `lengths_of`
-    size: Callable[[Array, Mask], Array]
-    #: Factor from SI to ``unit``
-    scale: float
-    #: ``"mm"`` or ``"deg"``
-    unit: str
-    #: Of an error and an axis: ``"along"`` or ``"about"``
-    preposition: str
+    Args:
+        c: The result.
+        unit: Symbol of the unit.
 
-    def sizes(self, c: CalibrationValues) -> tuple[Array, Array]:
-        """Return each row's error of the nominal and of the calibrated robot, shapes (N,), in ``unit``."""
-        before = self.scale * self.size(c.residual_nominal, c.used)
-        after = self.scale * self.size(c.residual_calibrated, c.used)
-        return before, after
-
-
-LENGTH = Quantity(slice(0, 3), lengths_of, 1e3, "mm", "along")
-ANGLE = Quantity(slice(3, 6), angles_of, float(np.degrees(1.0)), "deg", "about")
+    Returns:
+        Norms of residuals in the unit that is shown, shapes (N,); NaN where a row measures none.
+    """
+    scale = RESIDUAL_UNITS[unit].to_shown
+    before = scale * c.channels.norms(c.residual_nominal, unit)
+    after = scale * c.channels.norms(c.residual_calibrated, unit)
+    return before, after
 
 
 class CurveRows(NamedTuple):
@@ -74,8 +65,8 @@ def has_axes(c: CalibrationValues, rows: Mask | slice = slice(None)) -> bool:
         c: The result.
         rows: The rows looked at; all by default.
     """
-    used = c.used[rows]
-    return used.shape[1] >= 3 and bool(np.any(np.all(used[:, :3], axis=1)))
+    _, are_vectors = c.channels.vector_columns("m")
+    return bool(np.any(are_vectors[rows]))
 
 
 def curve_rows(c: CalibrationValues) -> CurveRows:
@@ -85,7 +76,7 @@ def curve_rows(c: CalibrationValues) -> CurveRows:
     cross-validated, else the estimation rows with the fit's own predictions.
     """
     m = c.measurements
-    measured = np.any(c.used[:, :3], axis=1)
+    measured = np.any(c.channels.where("m"), axis=1)
     validation = m.validation & measured
     estimation = m.estimation & measured
     if np.any(validation):
@@ -116,7 +107,7 @@ def curves(c: CalibrationValues) -> Figure:
     panels = figure.subplots(*shape, sharex=True, squeeze=False)
     numbers = np.array(c.measurements.rows)[shown.mask]
     for style, residual in ((base.BEFORE, shown.before), (base.AFTER, shown.after)):
-        errors = 1e3 * _curve_values(residual, c.used, with_axes=with_axes)[shown.mask]
+        errors = 1e3 * _curve_values(residual, c.channels, with_axes=with_axes)[shown.mask]
         for ax, values in zip(panels.ravel(), errors.T, strict=True):
             _curve(ax, numbers, values, style)
     titles = ["Δx", "Δy", "Δz", "Size of the error"] if with_axes else ["Error of the length"]
@@ -125,7 +116,7 @@ def curves(c: CalibrationValues) -> Figure:
         ax.xaxis.set_major_locator(base.few_ticks(6 if with_axes else 10, integers=True))
         ax.set(title=title, ylabel="error [mm]")
     if with_axes:
-        _share_scale(panels.ravel()[:3])
+        _share_scale(panels.ravel()[:VECTOR])
         panels[1, 1].set_ylim(bottom=0.0)
     for ax in panels[-1]:
         ax.set_xlabel(f"{shown.name} row")
@@ -133,25 +124,27 @@ def curves(c: CalibrationValues) -> Figure:
     return figure
 
 
-def _curve_values(residual: Array, used: Mask, *, with_axes: bool) -> Array:
+def _curve_values(residual: Array, channels: Channels, *, with_axes: bool) -> Array:
     """Return the values of the error curves.
 
     Args:
-        residual: shape (N, D) [m, rad].
-        used: shape (N, D), the entries that were measured.
+        residual: shape (N, D).
+        channels: Units of its entries.
         with_axes: Whole positions instead of lengths.
 
     Returns:
         shape (N, 4), errors along x, y, z and their norm [m], or (N, 1), signed errors of lengths; NaN where a row has
-        none.
+        none. A row with several lengths that are no position has the norm of their errors.
     """
-    measured = np.where(used, residual, np.nan)
-    if not with_axes:
-        return measured[:, :1]
-    values: Array = np.c_[measured[:, :3], lengths_of(residual, used)]
-    incomplete = np.isnan(values).any(axis=1)
-    values[incomplete, :3] = np.nan
-    return values
+    norms = np.where(np.isnan(residual).any(axis=1), np.nan, channels.norms(residual, "m"))
+    if with_axes:
+        columns, are_vectors = channels.vector_columns("m")
+        by_axis = np.where(are_vectors[:, None], residual[:, columns], np.nan)
+        return np.column_stack([by_axis, norms])
+    of_lengths = channels.where("m")
+    signed = np.sum(np.where(of_lengths, residual, 0.0), axis=1)
+    is_single = of_lengths.sum(axis=1) == 1
+    return np.asarray(np.where(is_single, signed, norms)[:, None])
 
 
 def _share_scale(panels: NDArray[Any]) -> None:
@@ -161,23 +154,23 @@ def _share_scale(panels: NDArray[Any]) -> None:
         ax.set_ylim(-reach, reach)
 
 
-def by_row(c: CalibrationValues, quantity: Quantity = LENGTH) -> Figure:
+def by_row(c: CalibrationValues, unit: str = "m") -> Figure:
     """Draw the size of each row's error: before and after above; after alone below, magnified.
 
     Args:
         c: The result.
-        quantity: Lengths or orientations.
+        unit: Symbol of the unit: ``"m"`` for lengths, ``"rad"`` for orientations.
     """
     rows = np.array(c.measurements.rows)
-    before, after = quantity.sizes(c)
+    before, after = sizes(c, unit)
     figure = base.new_figure(4.6)
     top, below = figure.subplots(2, 1, sharex=True)
     _curve(top, rows, before, base.BEFORE)
     _curve(top, rows, after, base.AFTER)
-    reach = _draw_calibrated_errors(below, c, quantity, after)
+    reach = _draw_calibrated_errors(below, c, unit, after)
     for ax, title in ((top, "Before and after"), (below, "After")):
         ax.set_title(title)
-        ax.set_ylabel(f"size of the error [{quantity.unit}]")
+        ax.set_ylabel(f"size of the error [{RESIDUAL_UNITS[unit].shown}]")
         ax.xaxis.set_major_locator(base.few_ticks(9, integers=True))
     below.set_xlabel("row")
     top.set_ylim(bottom=0.0)
@@ -189,29 +182,29 @@ def by_row(c: CalibrationValues, quantity: Quantity = LENGTH) -> Figure:
 def _draw_calibrated_errors(
     ax: Axes,
     c: CalibrationValues,
-    quantity: Quantity,
-    sizes: Array,
+    unit: str,
+    errors: Array,
 ) -> float:
     """Mark each row's error after calibration, and its held-out error as a dash.
 
     Args:
         ax: The panel.
         c: The result.
-        quantity: Lengths or orientations.
-        sizes: shape (N,), each row's error of the calibrated robot in the quantity's unit, NaN where it has none.
+        unit: Symbol of the unit: ``"m"`` for lengths, ``"rad"`` for orientations.
+        errors: shape (N,), each row's error of the calibrated robot in the unit that is shown, NaN where it has none.
 
     Returns:
         The largest error drawn of rows that are not flagged.
     """
     rows = np.array(c.measurements.rows)
     flagged = flagged_rows(c)
-    reach = float(np.nanmax(sizes[~flagged], initial=1e-3))
-    kinds = [kind for kind in base.row_kinds(c) if np.any(np.isfinite(sizes[kind.mask]))]
+    reach = float(np.nanmax(errors[~flagged], initial=1e-3))
+    kinds = [kind for kind in base.row_kinds(c) if np.any(np.isfinite(errors[kind.mask]))]
     if len(rows) > _MOST_LINES:
-        _curve(ax, rows, np.where(flagged, np.nan, sizes), base.AFTER)
+        _curve(ax, rows, np.where(flagged, np.nan, errors), base.AFTER)
         kinds = [kind for kind in kinds if kind.name == "outlier"]
     elif c.cross_validation is not None:
-        held_out = _held_out_sizes(c, c.cross_validation, quantity)
+        held_out = _held_out_sizes(c, c.cross_validation, unit)
         held_out[flagged] = np.nan
         reach = float(np.nanmax(held_out, initial=reach))
         look: dict[str, Any] = {
@@ -223,7 +216,7 @@ def _draw_calibrated_errors(
         }
         ax.plot(rows, held_out, label="held out", **look)
     # Outliers far above the others stand at the edge: the panel above has them to scale.
-    shown = np.where(flagged, np.minimum(sizes, _OUTLIER_EDGE * reach), sizes)
+    shown = np.where(flagged, np.minimum(errors, _OUTLIER_EDGE * reach), errors)
     for kind in kinds:
         at = kind.mask & np.isfinite(shown)
         if len(rows) <= _MOST_MARKERS:
@@ -233,41 +226,44 @@ def _draw_calibrated_errors(
     return reach
 
 
-def _held_out_sizes(c: CalibrationValues, validated: CrossValidation, quantity: Quantity) -> Array:
-    """Return each row's held-out error in the quantity's unit, shape (N,), NaN for validation rows."""
-    return quantity.scale * quantity.size(_held_out(c, validated), c.used)
+def _held_out_sizes(c: CalibrationValues, validated: CrossValidation, unit: str) -> Array:
+    """Return each row's held-out error in the unit that is shown, shape (N,), NaN for validation rows."""
+    held_out = _held_out(c, validated)
+    norms = RESIDUAL_UNITS[unit].to_shown * c.channels.norms(held_out, unit)
+    return np.where(np.isnan(held_out).any(axis=1), np.nan, norms)
 
 
-def by_axis(c: CalibrationValues, quantity: Quantity = LENGTH) -> Figure:
+def by_axis(c: CalibrationValues, unit: str = "m") -> Figure:
     """Draw the distribution of errors along or about each axis as boxes; a column of panels for each set of rows.
 
     Before and after above; after alone below, magnified and without outliers.
 
     Args:
         c: The result.
-        quantity: Lengths or orientations.
+        unit: Symbol of the unit: ``"m"`` for lengths, ``"rad"`` for orientations.
     """
-    sets = _sets_with_axes(c, quantity)
+    sets = _sets_with_axes(c, unit)
+    of_unit = RESIDUAL_UNITS[unit]
     figure = base.new_figure(4.6)
     panels = figure.subplots(2, len(sets), squeeze=False, sharey="row", sharex=True)
     for (upper, lower), (name, mask) in zip(panels.T, sets, strict=True):
-        _draw_boxes(upper, lower, c, quantity, mask)
+        _draw_boxes(upper, lower, c, unit, mask)
         upper.set_title(base.rows_text(mask, name))
         for ax in (upper, lower):
             ax.axhline(0.0, color=base.INK, lw=0.7, zorder=1.5)
             ax.grid(visible=False, axis="x")
-        axes = ["about x", "about y", "about z"] if quantity is ANGLE else ["x", "y", "z"]
-        lower.set_xticks(range(3), axes)
+        prefix = "about " if of_unit.preposition == "about" else ""
+        lower.set_xticks(range(VECTOR), [f"{prefix}{axis}" for axis in "xyz"])
     for ax in panels[:, 0]:
-        ax.set_ylabel(f"error {quantity.preposition} the axis [{quantity.unit}]")
+        ax.set_ylabel(f"error {of_unit.preposition} the axis [{of_unit.shown}]")
     base.legend_above(figure)
     return figure
 
 
-def _sets_with_axes(c: CalibrationValues, quantity: Quantity) -> list[tuple[str, Mask]]:
+def _sets_with_axes(c: CalibrationValues, unit: str) -> list[tuple[str, Mask]]:
     """Return name and mask (N,) of the sets that have rows with errors along or about all axes."""
     m = c.measurements
-    complete = np.all(c.used[:, quantity.columns], axis=1)
+    _, complete = c.channels.vector_columns(unit)
     sets = [("estimation", m.estimation & complete), ("validation", m.validation & complete)]
     return [(name, mask) for name, mask in sets if np.any(mask)]
 
@@ -276,12 +272,14 @@ def _draw_boxes(
     upper: Axes,
     lower: Axes,
     c: CalibrationValues,
-    quantity: Quantity,
+    unit: str,
     mask: Mask,
 ) -> None:
     """Draw the boxes of the rows of a mask (N,): both robots above, the calibrated one without outliers below."""
-    before = quantity.scale * c.residual_nominal[:, quantity.columns]
-    after = quantity.scale * c.residual_calibrated[:, quantity.columns]
+    columns, _ = c.channels.vector_columns(unit)
+    scale = RESIDUAL_UNITS[unit].to_shown
+    before = scale * c.residual_nominal[:, columns]
+    after = scale * c.residual_calibrated[:, columns]
     flagged = flagged_rows(c)
     _boxes(upper, before[mask], -0.19, base.BEFORE)
     _boxes(upper, after[mask], 0.19, base.AFTER)
@@ -304,8 +302,8 @@ def histograms(c: CalibrationValues) -> Figure:
 
 def _size_histogram(ax: Axes, c: CalibrationValues) -> None:
     """Draw the sizes of all rows' errors before and after, on a logarithmic scale."""
-    quantity = LENGTH if np.any(c.used[:, :3]) else ANGLE
-    before, after = quantity.sizes(c)
+    unit = c.channels.present[0]
+    before, after = sizes(c, unit)
     before = before[np.isfinite(before)]
     after = after[np.isfinite(after)]
     # Bins are even in the logarithm; what is far below the median is put into the first one.
@@ -317,7 +315,7 @@ def _size_histogram(ax: Axes, c: CalibrationValues) -> None:
         shown = np.maximum(values, low)
         ax.hist(shown, edges, histtype="stepfilled", label=style.label, **style.area)
     base.log_axis(ax, "x")
-    ax.set(xlabel=f"size of the error [{quantity.unit}]", ylabel="rows")
+    ax.set(xlabel=f"size of the error [{RESIDUAL_UNITS[unit].shown}]", ylabel="rows")
     ax.set_title(f"All {len(after):,} rows")
 
 
@@ -377,7 +375,7 @@ def _boxes(ax: Axes, values: Array, shift: float, style: base.RobotStyle) -> Non
     line = {"color": style.colour, "lw": 1.4}
     parts = ax.boxplot(
         list(values.T),
-        positions=[k + shift for k in range(3)],
+        positions=[k + shift for k in range(VECTOR)],
         widths=0.3,
         whis=(5, 95),
         showfliers=False,

@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 
 import calib.report.figure_base as base
 import calib.text.summary as texts
+from calib.channels import RESIDUAL_UNITS
 from calib.model.families import unit_of
 from calib.report.figure_base import CALIBRATED, INK, NOMINAL, OUTLIER, SOFT
 from calib.result.calibration import CalibrationValues
@@ -256,11 +257,11 @@ def candidates(c: CalibrationValues) -> Figure:
 
 
 def _held_out_rms(c: CalibrationValues) -> tuple[Array, str]:
-    """Return the rms held-out error of each model and its unit: [mm], or [deg] where no length was measured."""
+    """Return the rms held-out error of each model in the first unit measured, as shown, and that unit."""
     errors = [candidate.cross_validation.errors_without_outliers for candidate in c.candidates]
-    if all(e.n for e in errors):
-        return 1e3 * np.array([e.rms for e in errors]), "mm"
-    return np.degrees([e.rms_angle for e in errors]), "deg"
+    unit = RESIDUAL_UNITS[errors[0].leading.unit]
+    rms = np.array([e[unit.symbol].rms for e in errors])
+    return unit.to_shown * rms, unit.shown
 
 
 def _bars(ax: Axes, values: Array, chosen_for: Sequence[str], number_format: str) -> None:

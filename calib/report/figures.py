@@ -67,12 +67,23 @@ def _always(c: CalibrationValues) -> bool:  # noqa: ARG001
 
 def _has_lengths(c: CalibrationValues) -> bool:
     """Tell if any row measures a length or a position."""
-    return bool(np.any(c.used[:, :3]))
+    return "m" in c.channels.present
+
+
+def _has_angles(c: CalibrationValues) -> bool:
+    """Tell if any row measures an orientation or another angle."""
+    return "rad" in c.channels.present
+
+
+def _has_pixels(c: CalibrationValues) -> bool:
+    """Tell if any row measures image coordinates."""
+    return "px" in c.channels.present
 
 
 def _has_orientations(c: CalibrationValues) -> bool:
-    """Tell if any row measures an orientation."""
-    return bool(np.any(c.used[:, 3:]))
+    """Tell if any row measures a whole orientation."""
+    _, are_vectors = c.channels.vector_columns("rad")
+    return bool(np.any(are_vectors))
 
 
 def _has_joint_parts(c: CalibrationValues) -> bool:
@@ -105,15 +116,17 @@ def _has_candidates(c: CalibrationValues) -> bool:
     return bool(c.candidates)
 
 
-_orientations_by_row = partial(errors.by_row, quantity=errors.ANGLE)
-_orientations_by_axis = partial(errors.by_axis, quantity=errors.ANGLE)
+_angles_by_row = partial(errors.by_row, unit="rad")
+_pixels_by_row = partial(errors.by_row, unit="px")
+_orientations_by_axis = partial(errors.by_axis, unit="rad")
 
 #: The figures by name, in a report's order.
 FIGURES: dict[str, FigureKind] = {
     "points": FigureKind(space.points, _always),
     "error-curves": FigureKind(errors.curves, _has_lengths),
     "errors-by-pose": FigureKind(errors.by_row, _has_lengths),
-    "orientation-errors-by-pose": FigureKind(_orientations_by_row, _has_orientations),
+    "orientation-errors-by-pose": FigureKind(_angles_by_row, _has_angles),
+    "image-errors-by-pose": FigureKind(_pixels_by_row, _has_pixels),
     "errors-by-axis": FigureKind(errors.by_axis, errors.has_axes),
     "orientation-errors-by-axis": FigureKind(_orientations_by_axis, _has_orientations),
     "histograms": FigureKind(errors.histograms, _always),
@@ -237,5 +250,5 @@ def _caption_words(c: CalibrationValues) -> dict[str, str]:
     }
     if c.candidates:
         held_out = c.candidates[0].cross_validation.errors_without_outliers
-        words["compared"] = f"{held_out.n or held_out.n_angle:,}"
+        words["compared"] = f"{held_out.leading.n:,}"
     return words

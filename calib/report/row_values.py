@@ -21,43 +21,6 @@ def flagged_rows(c: CalibrationValues) -> Mask:
     return np.isin(c.measurements.rows, numbers)
 
 
-def lengths_of(residual: Array, used: Mask) -> Array:
-    """Return the norm of each row's residual of lengths.
-
-    Args:
-        residual: shape (N, D), measured minus predicted: lengths [m] in the first three columns, rotation vectors
-            [rad] in those behind.
-        used: shape (N, D), the entries that were measured.
-
-    Returns:
-        shape (N,), [m]; NaN where no length was measured.
-    """
-    lengths = slice(3)
-    return _norms(residual[:, lengths], used[:, lengths])
-
-
-def angles_of(residual: Array, used: Mask) -> Array:
-    """Return the angle of each row's residual of orientation.
-
-    Args:
-        residual: shape (N, D), see `lengths_of`.
-        used: shape (N, D), the entries that were measured.
-
-    Returns:
-        shape (N,), [rad]; NaN where no orientation was measured.
-    """
-    angles = slice(3, None)
-    return _norms(residual[:, angles], used[:, angles])
-
-
-def _norms(values: Array, used: Mask) -> Array:
-    """Return the norm of each row's used entries, shape (N,), NaN where there are none; values and mask (N, K)."""
-    used_values = np.where(used, values, 0.0)
-    norms = np.linalg.norm(used_values, axis=1)
-    is_measured = np.any(used, axis=1)
-    return np.where(is_measured, norms, np.nan)
-
-
 def setup_of_rows(setup: Setup, m: Measurements) -> tuple[Array, Array]:
     """Return the poses of frame and target that each row was measured with.
 

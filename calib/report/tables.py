@@ -6,7 +6,6 @@ Every cell is text in the unit that the table's head or title names: lengths [mm
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -14,15 +13,16 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 import calib.text.summary as texts
+from calib.channels import RESIDUAL_UNITS, Channels
 from calib.model.dh import DHRow
 from calib.model.dh_table import dh_table
-from calib.numerics.errors import Errors
-from calib.report.row_values import angles_of, lengths_of
+from calib.numerics.errors import Errors, UnitErrors
 from calib.result.calibration import CalibrationValues
 from calib.result.prediction import ParameterEstimate
 from calib.robot.robot import rigid_inverse
-from calib.text.layout.lines import deg, mm, number
-from calib.units import Array, Mask
+from calib.text.layout.lines import number
+from calib.text.layout.sizes import shown
+from calib.units import Array
 
 #: Rows, targets or combinations of parameters that a report lists at most; the others are counted.
 MOST_LISTED = 40
@@ -41,9 +41,6 @@ _MRAD = 1e3
 
 #: Degrees per radian.
 _DEG = float(np.degrees(1.0))
-
-#: Angle [rad] as text in degrees with four digits after the point: as fine as a micrometre at 0.6 m.
-_degrees = partial(deg, digits=4)
 
 #: Factor from SI and digits after the point of a, alpha, d, theta and beta in the table of DH rows: [mm] and [deg].
 _DH_FORMATS = ((_MM, 3), (_DEG, 4), (_MM, 3), (_DEG, 4), (_DEG, 4))
@@ -71,27 +68,27 @@ class Table(NamedTuple):
     strong: Sequence[int] = ()
 
 
-def errors(c: CalibrationValues, *, turned: bool = False) -> Table:
-    """Tabulate the errors of each set of rows, of the nominal and the calibrated robot.
+def errors(c: CalibrationValues, unit: str) -> Table:
+    """Tabulate the errors of each set of rows in one unit, of the nominal and the calibrated robot.
 
     Args:
         c: The result.
-        turned: Orientation errors [deg] instead of errors of positions and lengths [mm].
+        unit: Symbol of the unit: ``"m"`` for errors of positions and lengths [mm], ``"rad"`` for orientations [deg].
 
     Returns:
         Number of rows, largest, mean and rms error of each set. Position errors also have their span (largest minus
         smallest signed error) along each axis of the measurement frame. The calibrated robot's rows are strong.
     """
     labelled = texts.error_rows(c)
-    with_span = not turned and any(_has_span(e) for _, e in labelled)
+    figures = [of_rows[unit] for _, of_rows in labelled]
+    with_span = RESIDUAL_UNITS[unit].shows_span and any(_has_span(e) for e in figures)
     rows: list[tuple[str, ...]] = []
     strong = []
-    for label, (_, e) in zip(_full_labels(labelled), labelled, strict=True):
-        count = e.n_angle if turned else e.n
-        if count:
+    for label, e in zip(_full_labels(labelled), figures, strict=True):
+        if e.n:
             if ", calibrated" in label:
                 strong.append(len(rows))
-            rows.append((label, f"{count:,}", *_error_cells(e, turned=turned, with_span=with_span)))
+            rows.append((label, f"{e.n:,}", *_error_cells(e, with_span=with_span)))
     notes = []
     if c.cross_validation is not None:
         notes.append(f"{texts.held_out_text(c)}.")
@@ -101,9 +98,8 @@ def errors(c: CalibrationValues, *, turned: bool = False) -> Table:
         notes.append("Span: largest minus smallest signed error along an axis of the frame.")
         head += ["x", "y", "z"]
         groups.append(("span", 3))
-    title = f"{texts.error_title(c.used)} by set of rows [mm]"
-    if turned:
-        title = "Orientation error by set of rows [deg]"
+    shown_unit = RESIDUAL_UNITS[unit].shown
+    title = f"{texts.error_title(unit, c.channels)} by set of rows [{shown_unit}]"
     align = "l" + "r" * (len(head) - 1)
     return Table(title, head, rows, align, " ".join(notes), groups, strong)
 
@@ -119,19 +115,17 @@ def _full_labels(labelled: Iterable[tuple[str, Errors]]) -> list[str]:
     return full
 
 
-def _has_span(e: Errors) -> bool:
+def _has_span(e: UnitErrors) -> bool:
     """Tell if a set has errors along the axes of the frame: whole positions, not only lengths."""
     return e.n > 0 and bool(np.any(np.isfinite(e.span_axis)))
 
 
-def _error_cells(e: Errors, *, turned: bool, with_span: bool) -> list[str]:
-    """Write largest, mean and rms error of a set, [deg] if ``turned``, else [mm], and the spans by axis [mm]."""
-    if turned:
-        return [_degrees(value) for value in (e.max_angle, e.mean_angle, e.rms_angle)]
-    cells = [mm(value) for value in (e.max, e.mean, e.rms)]
+def _error_cells(e: UnitErrors, *, with_span: bool) -> list[str]:
+    """Write largest, mean and rms error of a set, and the spans by axis, in the unit that is shown."""
+    values = [e.max, e.mean, e.rms]
     if with_span:
-        cells += [mm(value) for value in e.span_axis]
-    return cells
+        values += e.span_axis.tolist()
+    return [shown(value, e.unit) for value in values]
 
 
 def validation_rows(c: CalibrationValues) -> Table:
@@ -149,32 +143,29 @@ def validation_rows(c: CalibrationValues) -> Table:
     names, cells = _row_columns(c, indices)
     head = list(names)
     groups = [("", len(names))]
-    used = c.used[indices]
-    axes = _axis_labels(used)
-    if np.any(used[:, :3]):
-        head += _add_length_columns(c, indices, cells, groups, axes)
-    if np.any(used[:, 3:]):
-        head += _add_angle_columns(c, indices, cells, groups)
     note = ""
-    if axes:
-        note = "dx, dy, dz: measured minus predicted along the axes of the measurement frame."
+    for unit in c.channels.select(indices).present:
+        with_axes = RESIDUAL_UNITS[unit].shows_span and _has_vectors(c.channels, indices, unit)
+        head += _add_columns(c, indices, cells, groups, unit, with_axes=with_axes)
+        if with_axes:
+            note = "dx, dy, dz: measured minus predicted along the axes of the measurement frame."
     align = "l" * len(names) + "r" * (len(head) - len(names))
     title = f"Error of {subject}, which took no part in the fit"
     return Table(title, head, cells, align, note, groups)
 
 
 def _worst_rows(c: CalibrationValues, indices: NDArray[np.int_]) -> NDArray[np.int_]:
-    """Return the `MOST_WORST` of some rows with the largest calibrated errors of length, in ascending order."""
-    lengths = lengths_of(c.residual_calibrated, c.used)[indices]
-    order = np.argsort(-np.nan_to_num(lengths), kind="stable")
+    """Return the `MOST_WORST` of some rows with the largest calibrated errors in the first unit, in ascending order."""
+    unit = c.channels.present[0]
+    sizes = c.channels.norms(c.residual_calibrated, unit)[indices]
+    order = np.argsort(-np.nan_to_num(sizes), kind="stable")
     return indices[np.sort(order[:MOST_WORST])]
 
 
-def _axis_labels(used: Mask) -> tuple[str, ...]:
-    """Return the heads of the columns of signed errors by axis; none where no row measures a whole position."""
-    if used.shape[1] >= 3 and np.any(np.all(used[:, :3], axis=1)):
-        return ("dx", "dy", "dz")
-    return ()
+def _has_vectors(channels: Channels, indices: NDArray[np.int_], unit: str) -> bool:
+    """Tell if any of some rows measures a whole vector in a unit, such as a position."""
+    _, are_vectors = channels.select(indices).vector_columns(unit)
+    return bool(np.any(are_vectors))
 
 
 def _residuals(c: CalibrationValues) -> tuple[tuple[str, Array], tuple[str, Array]]:
@@ -184,64 +175,63 @@ def _residuals(c: CalibrationValues) -> tuple[tuple[str, Array], tuple[str, Arra
     return before, after
 
 
-def _add_length_columns(
+def _add_columns(
     c: CalibrationValues,
     indices: NDArray[np.int_],
     cells: list[list[str]],
     groups: list[tuple[str, int]],
-    axes: Sequence[str],
+    unit: str,
+    *,
+    with_axes: bool,
 ) -> list[str]:
-    """Append signed errors by axis and their norm [mm] of both robots to the cells of each row and to the groups.
+    """Append the errors of both robots in one unit to the cells of each row and to the groups.
 
     Args:
         c: The result.
         indices: Indices of the listed rows, shape (K,).
         cells: Cells of the K rows; extended in place.
         groups: Labels above the head; extended in place.
-        axes: Heads of the signed errors; empty where there are none.
+        unit: Symbol of the unit.
+        with_axes: Whether signed errors along x, y, z stand before their norm.
 
     Returns:
         The heads of the new columns.
     """
-    whole = np.all(c.used[indices, :3], axis=1, keepdims=True)
+    of_unit = RESIDUAL_UNITS[unit]
+    axes = ("dx", "dy", "dz") if with_axes else ()
     head: list[str] = []
+    if unit != "m":
+        groups.append((f"{of_unit.measured} [{of_unit.shown}]", 2))
     for label, residual in _residuals(c):
-        groups.append((f"{label} [mm]", len(axes) + 1))
-        head += [*axes, "size"]
-        by_axis = np.where(whole, residual[indices, :3], np.nan)[:, : len(axes)]
-        lengths = lengths_of(residual, c.used)[indices]
-        for row, signed, length in zip(cells, by_axis, lengths, strict=True):
-            row += [mm(value) for value in signed]
-            row.append(mm(length))
+        if unit == "m":
+            groups.append((f"{label} [{of_unit.shown}]", len(axes) + 1))
+            head += [*axes, "size"]
+        else:
+            head.append(label.split(":")[0])
+        norms = c.channels.norms(residual, unit)[indices]
+        columns, are_vectors = c.channels.vector_columns(unit)
+        whole = are_vectors[indices, None]
+        for k, norm in enumerate(norms.tolist()):
+            if with_axes:
+                by_axis = np.where(whole[k], residual[indices[k], columns], np.nan)
+                cells[k] += [shown(value, unit) for value in by_axis]
+            cells[k].append(shown(norm, unit))
     return head
 
 
-def _add_angle_columns(
-    c: CalibrationValues,
-    indices: NDArray[np.int_],
-    cells: list[list[str]],
-    groups: list[tuple[str, int]],
-) -> list[str]:
-    """Append both robots' angles of the orientation residual [deg]; arguments as in `_add_length_columns`."""
-    groups.append(("angle [deg]", 2))
-    for _, residual in _residuals(c):
-        angles = angles_of(residual, c.used)[indices]
-        for row, angle in zip(cells, angles, strict=True):
-            row.append(_degrees(angle))
-    return ["before", "after"]
-
-
 def flagged(c: CalibrationValues) -> Table:
-    """Tabulate the flagged rows of either set: errors before and after [mm], score, and weight in the fit."""
+    """Tabulate the flagged rows of either set: errors before and after, score, and weight in the fit."""
     m = c.measurements
     outliers = [*c.outliers, *c.suspects]
     listed = outliers[:MOST_LISTED]
     indices = np.array([m.rows.index(outlier.row) for outlier in listed], dtype=np.int_)
     names, rows = _row_columns(c, indices)
-    before = lengths_of(c.residual_nominal, c.used)
-    after = lengths_of(c.residual_calibrated, c.used)
+    unit = c.channels.present[0]
+    before = c.channels.norms(c.residual_nominal, unit)
+    after = c.channels.norms(c.residual_calibrated, unit)
+    shown_unit = RESIDUAL_UNITS[unit].shown
     for outlier, i, cells in zip(listed, indices, rows, strict=True):
-        cells += [m.sets[i], mm(before[i]), mm(after[i])]
+        cells += [m.sets[i], shown(before[i], unit), shown(after[i], unit)]
         cells += [number(outlier.score, 1), f"{c.weights[i]:.2f}"]
     note = (
         "Score: distance from what the other rows predict, in standard deviations. Estimation rows are flagged "
@@ -252,7 +242,7 @@ def flagged(c: CalibrationValues) -> Table:
         note += f" {unlisted} more are in the result file (--json)."
     return Table(
         "Rows flagged",
-        (*names, "set", "before [mm]", "after [mm]", "score", "weight"),
+        (*names, "set", f"before [{shown_unit}]", f"after [{shown_unit}]", "score", "weight"),
         rows,
         "l" * len(names) + "lrrrr",
         note,

@@ -14,17 +14,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, NoReturn
 
 import numpy as np
 from scipy.special import betaincinv
 
+from calib.channels import RESIDUAL_UNITS, residual_unit
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.diagnosis.coverage import OutsideRow
 from calib.diagnosis.reasons import Reason
 from calib.diagnosis.usual_mistakes import find_usual_mistake
 from calib.errors import CalibError, MeasurementError, choices
+from calib.mappings import ReadOnlyMapping
 from calib.result.accuracy import Accuracy, PoseAccuracy, accuracy, fitted_rows
 from calib.result.calibration import CalibrationValues
 from calib.result.evaluation import Evaluation, evaluate, moved_place, registration_rows
@@ -48,7 +50,7 @@ _EXACT = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """One figure compared with its tolerance, in m or rad."""
+    """One figure compared with its tolerance, in one unit."""
 
     #: The figure A that is judged
     figure: float
@@ -94,27 +96,20 @@ class Acceptance:
     accuracy: Accuracy
     #: One of `CRITERIA`
     criterion: str
-    #: Of positions or lengths [m]; None where no tolerance was stated
-    length: Check | None
-    #: Of orientations [rad]; likewise
-    angle: Check | None
+    #: The comparison in each unit of which a tolerance was stated: ``"m"`` of positions or lengths, ``"rad"`` of
+    #: orientations
+    checks: Mapping[str, Check]
     #: Number of poses that are within the tolerances, by the error that the criterion looks at in each
     within: int
 
-    @property
-    def checks(self) -> tuple[tuple[Check, bool], ...]:
-        """The comparisons of errors with tolerances that were made, one or two, each with True if it is of angles.
-
-        First ``length``, of positions or lengths [m], with False; then ``angle``, of orientations [rad], with True.
-        Either field is None, and left out, where no tolerance was stated.
-        """
-        both = ((self.length, False), (self.angle, True))
-        return tuple((check, angle) for check, angle in both if check is not None)
+    def __post_init__(self) -> None:
+        """Keep a copy that cannot be changed."""
+        object.__setattr__(self, "checks", ReadOnlyMapping(self.checks))
 
     @property
     def outcome(self) -> Outcome:
-        """``"pass"``, ``"undecided"`` or ``"fail"``: the worst outcome of the one or two ``checks``."""
-        outcomes = [check.outcome for check, _ in self.checks]
+        """``"pass"``, ``"undecided"`` or ``"fail"``: the worst outcome of the ``checks``."""
+        outcomes = [check.outcome for check in self.checks.values()]
         return max(outcomes, key=OUTCOMES.index)
 
     @property
@@ -130,19 +125,19 @@ class Acceptance:
             return 0.0
         return float(betaincinv(self.within, count - self.within + 1, 0.05))
 
-    def size(self, pose: PoseAccuracy, *, angle: bool) -> float:
+    def size(self, pose: PoseAccuracy, unit: str) -> float:
         """Return the error of a pose that this acceptance test's ``criterion`` looks at.
 
         Args:
             pose: Accuracy and repeatability at one of the judged poses, over its repeats.
-            angle: True for the error of the orientation [rad], False for that of the position or length [m].
+            unit: Symbol of the unit: ``"m"`` for the error of the position or length, ``"rad"`` for the orientation's.
 
         Returns:
             The largest error of a single repeat where the criterion is ``"single"``; for ``"max"`` and ``"mean"`` the
-            pose accuracy AP, the norm of the mean error over the repeats; [m] or [rad], 0 or more. NaN if it was not
+            pose accuracy AP, the norm of the mean error over the repeats; in the unit, 0 or more. NaN if it was not
             measured.
         """
-        return error_of(pose, self.criterion, angle=angle)
+        return error_of(pose, self.criterion, unit)
 
     def used(self, pose: PoseAccuracy) -> float:
         """Return the share of its tolerance that a pose uses: error over tolerance.
@@ -152,42 +147,38 @@ class Acceptance:
                 the pose accuracy AP, by ``criterion``.
 
         Returns:
-            The larger of error over tolerance for position and for orientation, as far as ``checks`` has a tolerance of
-            them [1]: 0 or more, above 1 out of tolerance; 0 if no such error was measured at the pose.
+            The largest error over tolerance in a unit of which ``checks`` has a tolerance [1]: 0 or more, above 1 out
+            of tolerance; 0 if no such error was measured at the pose.
         """
         largest = 0.0
-        for check, angle in self.checks:
-            share = self.size(pose, angle=angle) / check.tolerance
+        for unit, check in self.checks.items():
+            share = self.size(pose, unit) / check.tolerance
             if np.isfinite(share):
                 largest = max(largest, share)
         return largest
 
 
-def error_of(pose: PoseAccuracy, criterion: str, *, angle: bool) -> float:
+def error_of(pose: PoseAccuracy, criterion: str, unit: str) -> float:
     """Return the error of a pose that a criterion of acceptance looks at.
 
     Args:
         pose: Accuracy and repeatability at one pose, over its repeats: measured minus predicted.
         criterion: ``"single"`` looks at the largest error of a single repeat; ``"max"`` and ``"mean"`` at the pose
             accuracy AP, the norm of the mean error over the repeats.
-        angle: True for the error of the orientation [rad], False for that of the position or length [m].
+        unit: Symbol of the unit: ``"m"`` for the error of the position or length, ``"rad"`` for the orientation's.
 
     Returns:
-        The error [m] or [rad], 0 or more; NaN if it was not measured at the pose.
+        The error in the unit, 0 or more; NaN if it was not measured at the pose.
     """
-    name = "single" if criterion == "single" else "ap"
-    if angle:
-        name += "_angle"
-    return float(getattr(pose, name))
+    figures = pose[unit]
+    return figures.single if criterion == "single" else figures.ap
 
 
 def acceptance(
     evaluation: Evaluation,
-    tolerance: float | None = None,
-    tolerance_angle: float | None = None,
+    tolerance: Mapping[str, float],
     *,
-    uncertainty: float = 0.0,
-    uncertainty_angle: float = 0.0,
+    uncertainty: Mapping[str, float] | None = None,
     criterion: str = "max",
     seen: bool | Mask = False,
 ) -> Acceptance:
@@ -199,81 +190,75 @@ def acceptance(
     Args:
         evaluation: Residuals, measured minus predicted, of the robot that is judged at the N rows of a table, with
             frames and targets as given or registered.
-        tolerance: Of positions and lengths [m]; None: they are not judged.
-        tolerance_angle: Of orientations [rad]; None: they are not judged.
-        uncertainty: Expanded uncertainty (k = 2) of a measured position or length [m]; 0: it is not taken account of.
-        uncertainty_angle: The same of a measured orientation [rad].
+        tolerance: By the symbol of its unit: ``"m"`` of positions and lengths, ``"rad"`` of orientations; what has none
+            is not judged.
+        uncertainty: Expanded uncertainty (k = 2) of what is measured, by the same symbols; None, and for a unit that is
+            missing: it is not taken account of.
         criterion: What must be within: ``"max"``, the pose accuracy AP of every pose, the norm of its mean error over
             repeats; ``"mean"``, the mean of AP over the poses; ``"single"``, the error of every single repeat.
         seen: True for the rows that a calibration of this robot was fitted to, shape (N,); or one bool: whether it was
             fitted to the estimation rows.
 
     Returns:
-        The checks of positions and of orientations, each ``"pass"``, ``"undecided"`` or ``"fail"``; the accuracy at
-        each pose; and the number of poses within both tolerances.
+        The check in each unit, ``"pass"``, ``"undecided"`` or ``"fail"``; the accuracy at each pose; and the number of
+        poses within all tolerances.
 
     Raises:
-        CalibError: No tolerance, one that is not positive, an uncertainty below 0, or no such criterion.
-        MeasurementError: No row measures anything, or no orientation where these have a tolerance.
+        CalibError: No tolerance, one that is not positive, an uncertainty below 0, or no such criterion or unit.
+        MeasurementError: No row measures anything, or none in a unit that has a tolerance.
     """
-    if tolerance is None and tolerance_angle is None:
+    if not tolerance:
         raise CalibError("State a tolerance: of positions in m, of orientations in rad, or both.")
-    _check_limits(tolerance, uncertainty, "m")
-    _check_limits(tolerance_angle, uncertainty_angle, "rad")
+    uncertainty = {} if uncertainty is None else uncertainty
+    for unit, limit in tolerance.items():
+        _check_limits(limit, uncertainty.get(unit, 0.0), residual_unit(unit).symbol)
     if criterion not in CRITERIA:
         raise CalibError(f"The criterion is '{criterion}'; choose one of {choices(CRITERIA)}.")
     judged = accuracy(evaluation, seen=seen)
-    if tolerance_angle is not None and not len(judged.of("ap_angle")):
-        raise MeasurementError(
-            f"{evaluation.measurements.source or 'Measurements'}: a tolerance of {np.degrees(tolerance_angle):g} deg "
-            "was stated, and no orientation was measured in the rows that are judged."
-        )
-    length = angle = None
+    checks = {}
     within = np.ones(len(judged.poses), dtype=bool)
-    if tolerance is not None:
-        sizes = _sizes(judged, criterion, angle=False)
-        length = _check(judged, criterion, sizes, tolerance, uncertainty)
-        within &= ~(sizes > tolerance)
-    if tolerance_angle is not None:
-        sizes = _sizes(judged, criterion, angle=True)
-        angle = _check(judged, criterion, sizes, tolerance_angle, uncertainty_angle)
-        # A pose without an orientation, NaN here, is judged by its position.
-        within &= ~(sizes > tolerance_angle)
-    return Acceptance(judged, criterion, length, angle, int(np.sum(within)))
+    for unit in (unit for unit in RESIDUAL_UNITS if unit in tolerance):
+        limit = tolerance[unit]
+        sizes = np.array([error_of(pose, criterion, unit) for pose in judged.poses])
+        if not np.any(np.isfinite(sizes)):
+            _refuse_unmeasured(evaluation.measurements.source, limit, unit)
+        checks[unit] = _check(judged, criterion, sizes, limit, uncertainty.get(unit, 0.0))
+        # A pose without such an error, NaN here, is judged by its others.
+        within &= ~(sizes > limit)
+    return Acceptance(judged, criterion, checks, int(np.sum(within)))
 
 
-def _check_limits(tolerance: float | None, uncertainty: float, unit: str) -> None:
+def _refuse_unmeasured(source: str, tolerance: float, symbol: str) -> NoReturn:
+    """Refuse a tolerance of what no judged row measures.
+
+    Args:
+        source: The table's file; may be empty.
+        tolerance: The tolerance, in its unit.
+        symbol: Symbol of the unit.
+    """
+    unit = RESIDUAL_UNITS[symbol]
+    raise MeasurementError(
+        f"{source or 'Measurements'}: a tolerance of {unit.to_shown * tolerance:g} {unit.shown} was stated, and no "
+        f"{unit.measured} was measured in the rows that are judged."
+    )
+
+
+def _check_limits(tolerance: float, uncertainty: float, unit: str) -> None:
     """Refuse a tolerance that is not positive and finite, and an uncertainty that is negative or infinite.
 
     Args:
-        tolerance: The stated tolerance, in the unit; None: none was stated.
+        tolerance: The stated tolerance, in the unit.
         uncertainty: Expanded measuring uncertainty, in the unit; 0 where none was stated.
-        unit: ``"m"`` or ``"rad"``, for the error message.
+        unit: Symbol of the unit, for the error message.
 
     Raises:
         CalibError: One of them is out of range.
     """
-    tolerance_is_valid = tolerance is None or 0.0 < tolerance < np.inf
-    if not tolerance_is_valid or not 0.0 <= uncertainty < np.inf:
+    if not 0.0 < tolerance < np.inf or not 0.0 <= uncertainty < np.inf:
         raise CalibError(
             f"The tolerance is {tolerance} {unit} with an uncertainty of {uncertainty} {unit}; the first must be above "
             "0, the second 0 or larger."
         )
-
-
-def _sizes(judged: Accuracy, criterion: str, *, angle: bool) -> Array:
-    """Return the error of each judged pose that the criterion looks at.
-
-    Args:
-        judged: Accuracy of the robot, of whose k ``poses`` each has its error over repeats.
-        criterion: ``"single"``: the largest error of a single repeat; ``"max"`` and ``"mean"``: the pose accuracy AP,
-            the norm of the mean error over repeats.
-        angle: True for errors of orientations [rad], False for those of positions or lengths [m].
-
-    Returns:
-        shape (k,), in the order of the poses, 0 or more; NaN for a pose where it was not measured.
-    """
-    return np.array([error_of(pose, criterion, angle=angle) for pose in judged.poses])
 
 
 def _check(
@@ -283,7 +268,7 @@ def _check(
     tolerance: float,
     uncertainty: float,
 ) -> Check:
-    """Compare the errors of poses with a tolerance, all in m or all in rad.
+    """Compare the errors of poses with a tolerance, all in one unit.
 
     Args:
         judged: Accuracy of the robot. Of it are used ``seen``, whether a calibration was fitted to judged rows, and
@@ -340,7 +325,7 @@ def assess(
         which: What is taken from the result and not registered to these rows: ``"frame"``, ``"target"``, both or none.
         judge: Name of the robot that is judged, a key of `Assessment.evaluations`; None: the calibrated one, or the
             URDF's without a result.
-        limits: Arguments of `acceptance` by name, such as ``{"tolerance": 5e-4}`` [m]; None or empty: no acceptance
+        limits: Arguments of `acceptance` by name, such as ``{"tolerance": {"m": 5e-4}}``; None or empty: no acceptance
             test.
 
     Returns:
@@ -518,7 +503,7 @@ def _refuse_commands(
     except CalibError:
         return  # too few rows to tell
     enough = evaluation.used.sum() > evaluation.setup.count
-    if enough and evaluation.errors["all"].max < _EXACT:
+    if enough and evaluation.errors["all"]["m"].max < _EXACT:
         raise MeasurementError(
             f"{table.source}: these are commands that 'calib compensate' wrote, and nothing was measured. Put what was "
             "measured in the place of x, y, z, or give it as a list of its own with --points."

@@ -6,7 +6,7 @@ for the joint values of that row, in the axes of the base,
     AP = |mean e_j|                                 pose accuracy: from the commanded pose to the barycentre
     l_j = |e_j - mean e|,  RP = mean l + 3 S_l      pose repeatability
     AP_a, AP_b, AP_c = mean e_j about x, y, z       of orientations
-    RP_a, RP_b, RP_c = 3 S_a, 3 S_b, 3 S_c
+    RP_a, RP_b, RP_c = 3 S_a, 3 S_b, 3 S_c         of which the largest counts
 
 where S are the standard deviations over n - 1. These are the figures of a controller with this model. Rows that measure
 one length have AP = |mean e_j| along it, as ISO 9283's distance accuracy, and RP = 3 S.
@@ -15,6 +15,7 @@ one length have AP = |mean e_j| along it, as ISO 9283's distance accuracy, and R
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -22,10 +23,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from calib.channels import RESIDUAL_UNITS, Channels
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.errors import CalibError, MeasurementError
-from calib.numerics.errors import LENGTHS
+from calib.mappings import ReadOnlyMapping
 from calib.registration.rows import Rows
 from calib.registration.setup import Setup
 from calib.registration.table_rows import rows_and_setup
@@ -48,8 +50,30 @@ _SAME = 1e-7
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class PoseFigures:
+    """Accuracy and repeatability at one pose in one unit; NaN for what was not measured."""
+
+    #: Pose accuracy: norm of the mean error
+    ap: float
+    #: Shape (3,), the mean error along, or about, the base's axes; NaN where no vector was measured
+    ap_axis: Array
+    #: Pose repeatability, of orientations the largest about an axis; NaN below three repeats
+    rp: float
+    #: Shape (3,), three standard deviations along, or about, each; NaN likewise, and below three repeats
+    rp_axis: Array
+    #: Largest error of a single repeat
+    single: float
+
+
+#: Figures at a pose that has none in a unit.
+_NOTHING = PoseFigures(
+    np.nan, read_only(np.full(3, np.nan)), np.nan, read_only(np.full(3, np.nan)), np.nan
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class PoseAccuracy:
-    """Accuracy and repeatability at one pose of one target at one station; NaN for what was not measured."""
+    """Accuracy and repeatability at one pose of one target at one station."""
 
     #: Numbers of the rows in the table: the repeats of the pose
     rows: tuple[int, ...]
@@ -59,31 +83,16 @@ class PoseAccuracy:
     group: str
     #: Their target
     target: str
-    #: Pose accuracy [m]
-    ap: float
-    #: Shape (3,), its components along the base's axes [m]; NaN where one length was measured
-    ap_xyz: Array
-    #: Pose repeatability [m]; NaN below three repeats
-    rp: float
-    #: Largest error of a single repeat [m]
-    single: float
-    #: Angle between the commanded and the mean attained orientation [rad]
-    ap_angle: float
-    #: Shape (3,), its components about the base's axes [rad]
-    ap_abc: Array
-    #: Shape (3,), repeatability about them [rad]; NaN below three repeats
-    rp_abc: Array
-    #: Largest angle of a single repeat [rad]
-    single_angle: float
+    #: Figures by the units that were measured there, ``"m"`` and so on
+    by_unit: Mapping[str, PoseFigures]
 
-    @property
-    def rp_angle(self) -> float:
-        """The largest repeatability of the orientation about one of the base's three axes [rad].
+    def __post_init__(self) -> None:
+        """Keep a copy that cannot be changed."""
+        object.__setattr__(self, "by_unit", ReadOnlyMapping(self.by_unit))
 
-        The largest of ``rp_abc``, shape (3,), 3 standard deviations over the repeats about each axis. NaN where no
-        orientation was measured, or the pose has fewer than three repeats.
-        """
-        return float(np.max(self.rp_abc))
+    def __getitem__(self, unit: str) -> PoseFigures:
+        """Return the figures in a unit, by its symbol; all NaN where none was measured."""
+        return self.by_unit.get(unit, _NOTHING)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -125,40 +134,44 @@ class Accuracy:
             return np.inf
         return float(np.sqrt(self.numbers / freedom))
 
-    def of(self, name: str) -> Array:
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Symbols of the units in which some judged pose has figures, in the order of `RESIDUAL_UNITS`."""
+        return tuple(unit for unit in RESIDUAL_UNITS if len(self.of("ap", unit)))
+
+    def of(self, name: str, unit: str) -> Array:
         """Return one figure of all judged poses that have it.
 
         Args:
-            name: Of positions or lengths [m] ``"ap"``, pose accuracy, the norm of the mean error over repeats,
-                ``"rp"``, pose repeatability by ISO 9283, or ``"single"``, the largest error of a single repeat; of
-                orientations [rad] ``"ap_angle"``, ``"rp_angle"`` or ``"single_angle"``.
+            name: ``"ap"``, pose accuracy, the norm of the mean error over repeats, ``"rp"``, pose repeatability by ISO
+                9283, or ``"single"``, the largest error of a single repeat.
+            unit: Symbol of the unit: ``"m"`` of positions and lengths, ``"rad"`` of orientations.
 
         Returns:
             shape (k,), in the order of ``poses``, the judged ones, 0 or more; poses where the figure is NaN, not
             measured, are left out.
         """
-        values = np.array([getattr(pose, name) for pose in self.poses])
+        values = np.array([getattr(pose[unit], name) for pose in self.poses])
         return np.asarray(values[np.isfinite(values)])
 
-    def figures(self, *, angle: bool = False) -> dict[str, float]:
+    def figures(self, unit: str) -> dict[str, float]:
         """Return the largest and the mean AP and RP over the judged ``poses``, and the largest single error.
 
         AP is pose accuracy, the norm of the mean error over a pose's repeats; RP is pose repeatability. Poses without a
         figure are left out of it.
 
         Args:
-            angle: True for figures of orientations [rad], False for those of positions or lengths [m].
+            unit: Symbol of the unit: ``"m"`` of positions and lengths, ``"rad"`` of orientations.
 
         Returns:
             By ``"ap_max"``, ``"ap_mean"``, ``"rp_max"``, ``"rp_mean"`` and ``"single_max"``; NaN where no pose has one.
         """
-        suffix = "_angle" if angle else ""
         figures = {}
         for name in ("ap", "rp"):
-            values = self.of(name + suffix)
+            values = self.of(name, unit)
             figures[f"{name}_max"] = float(values.max()) if len(values) else np.nan
             figures[f"{name}_mean"] = float(values.mean()) if len(values) else np.nan
-        singles = self.of("single" + suffix)
+        singles = self.of("single", unit)
         figures["single_max"] = float(singles.max()) if len(singles) else np.nan
         return figures
 
@@ -176,14 +189,14 @@ def accuracy(evaluation: Evaluation, *, seen: bool | Mask = False) -> Accuracy:
     any; where a calibration was fitted to some rows, the others, see `judged_rows`.
 
     Args:
-        evaluation: Errors of the robot at the N rows of a table: ``residual``, measured minus predicted, and ``used``,
-            True for measured scalars, shapes (N, D); frames and targets as given or registered; and ``registered``,
+        evaluation: Errors of the robot at the N rows of a table: ``residual``, measured minus predicted, shape (N, D),
+            and its ``channels``; frames and targets as given or registered; and ``registered``,
             which of both were registered to these rows.
         seen: True for the rows that a calibration of this robot was fitted to, shape (N,); or one bool: whether it was
             fitted to the rows that frames and targets are registered to, the estimation rows.
 
     Returns:
-        Accuracy and repeatability at each judged pose, [m] and [rad] along the base's axes, and how these rows were
+        Accuracy and repeatability at each judged pose by unit, along the base's axes, and how these rows were
         chosen.
 
     Raises:
@@ -312,23 +325,21 @@ def _in_base_axes(evaluation: Evaluation, rows: Rows) -> Array:
 
     Args:
         evaluation: ``residual``, measured minus predicted by the robot at N rows, along the axes of each row's
-            measurement frame, shape (N, D), lengths [m] in the first three columns, rotation vectors [rad] behind; and
-            ``setup.T_frame_base``, the pose of the base in each of F frames, shape (F, 4, 4).
-        rows: The same N rows as arrays: ``samples.frame``, the index of each row's frame, shape (N,), and ``used``,
-            which scalars it measures, shape (N, D).
+            measurement frame, shape (N, D); and ``setup.T_frame_base``, the pose of the base in each of F frames, shape
+            (F, 4, 4).
+        rows: The same N rows as arrays: their kinds, and ``samples.frame``, the index of each row's frame, shape (N,).
 
     Returns:
-        shape (N, D), [m] and [rad]: vectors of three components, of positions or of orientations, are turned; what has
-        fewer, such as one length, stays as it is.
+        shape (N, D): vectors of three components, of positions or of orientations, are turned; what has fewer, such as
+        one length, stays as it is.
     """
     residual = evaluation.residual.copy()
     R = evaluation.setup.T_frame_base[rows.samples.frame, :3, :3]
-    vectors = residual.shape[1] // 3
-    for k in range(vectors):
-        columns = slice(3 * k, 3 * k + 3)
-        complete = np.all(rows.used[:, columns], axis=1)
-        in_frame = residual[complete, columns]
-        residual[complete, columns] = np.einsum("nji,nj->ni", R[complete], in_frame)
+    for unit in rows.channels.present:
+        columns, are_vectors = rows.channels.vector_columns(unit)
+        if len(columns):
+            at = np.ix_(are_vectors, columns)
+            residual[at] = np.einsum("nji,nj->ni", R[are_vectors], residual[at])
     return np.asarray(residual)
 
 
@@ -336,39 +347,54 @@ def _of_pose(evaluation: Evaluation, residual: Array, repeats: NDArray[np.intp])
     """Return accuracy and repeatability at one pose, as ISO 9283 defines them.
 
     Args:
-        evaluation: Errors of the robot at the N rows of a table: ``used``, which scalars each row measures, shape
-            (N, D), and the table itself, for kind, station and target of the pose.
-        residual: Measured minus predicted of all N rows, shape (N, D): lengths [m] in the first three columns, rotation
-            vectors [rad] behind; three components are along the base's axes.
+        evaluation: Errors of the robot at the N rows of a table: ``channels``, the unit of each scalar that a row
+            measures, shape (N, D), and the table itself, for kind, station and target of the pose.
+        residual: Measured minus predicted of all N rows, shape (N, D), vectors along the base's axes.
         repeats: Indices of the pose's rows in the table, from 0, shape (n,).
 
     Returns:
-        The figures of the pose, [m] and [rad], with the numbers of its rows in the table; NaN for what was not
-        measured, and for repeatability with fewer than `FEWEST_REPEATS` rows.
+        The figures of the pose in each unit that was measured, with the numbers of its rows in the table.
     """
     m, first = evaluation.measurements, repeats[0]
-    used = evaluation.used[first]
-    e = residual[repeats][:, :LENGTHS][:, used[:LENGTHS]]
-    w = residual[repeats][:, LENGTHS:]
-    turned = bool(np.any(used[LENGTHS:]))
-    nothing = np.full(3, np.nan)
-    mean_e = e.mean(axis=0)
-    mean_w = w.mean(axis=0) if turned else nothing
-    enough = len(repeats) >= FEWEST_REPEATS
-    rp_abc = 3.0 * w.std(axis=0, ddof=1) if turned and enough else nothing
+    channels = evaluation.channels.select(repeats)
+    by_unit = {}
+    for unit in channels.present:
+        columns, _ = channels.vector_columns(unit)
+        errors = residual[repeats][:, channels.columns(unit)]
+        by_unit[unit] = _figures(errors, unit, are_vectors=bool(len(columns)))
     return PoseAccuracy(
         rows=tuple(int(m.rows[i]) for i in repeats),
         kind=m.kinds[first],
         group=m.groups[first],
         target=m.targets[first],
-        ap=float(np.linalg.norm(mean_e)),
-        ap_xyz=read_only(mean_e if len(mean_e) == LENGTHS else nothing),
-        rp=_repeatability(e) if enough else np.nan,
+        by_unit=by_unit,
+    )
+
+
+def _figures(e: Array, unit: str, *, are_vectors: bool) -> PoseFigures:
+    """Return accuracy and repeatability of the repeats of one pose in one unit.
+
+    Args:
+        e: Residuals of n repeats, measured minus predicted, shape (n, d).
+        unit: Symbol of their unit.
+        are_vectors: Whether they are vectors along, or about, the base's axes.
+
+    Returns:
+        In this unit; NaN for repeatability with fewer than `FEWEST_REPEATS` rows.
+    """
+    mean = e.mean(axis=0)
+    enough = len(e) >= FEWEST_REPEATS
+    by_axis = 3.0 * e.std(axis=0, ddof=1) if enough else np.full(len(mean), np.nan)
+    rp = np.nan
+    if enough:
+        rp = float(np.max(by_axis)) if unit == "rad" else _repeatability(e)
+    nothing = np.full(3, np.nan)
+    return PoseFigures(
+        ap=float(np.linalg.norm(mean)),
+        ap_axis=read_only(mean if are_vectors else nothing),
+        rp=rp,
+        rp_axis=read_only(by_axis if are_vectors else nothing),
         single=_largest_norm(e),
-        ap_angle=float(np.linalg.norm(mean_w)),
-        ap_abc=read_only(mean_w),
-        rp_abc=read_only(rp_abc),
-        single_angle=_largest_norm(w) if turned else np.nan,
     )
 
 
@@ -385,14 +411,13 @@ def _largest_norm(vectors: Array) -> float:
 
 
 def _repeatability(e: Array) -> float:
-    """Return the pose repeatability RP = mean l + 3 S_l, where l_j = |e_j - mean e|; of one length RP = 3 S_e.
+    """Return the pose repeatability RP = mean l + 3 S_l, where l_j = |e_j - mean e|; of one scalar RP = 3 S_e.
 
     Args:
-        e: Residuals of n >= 2 repeats of one pose, measured minus predicted, shape (n, 3) [m]; or (n, 1) where one
-            length was measured.
+        e: Residuals of n >= 2 repeats of one pose, measured minus predicted, shape (n, d).
 
     Returns:
-        RP [m]; the standard deviations S are over n - 1.
+        RP in their unit; the standard deviations S are over n - 1.
     """
     if e.shape[1] == 1:
         return float(3.0 * e[:, 0].std(ddof=1))
@@ -443,8 +468,8 @@ def fitted_rows(
 ) -> Mask:
     """Find the rows of a table that a result was fitted to, in any file, in any order and under any number.
 
-    A row is recognised by its residuals in length with the nominal and with the corrected robot, which depend on every
-    digit of its joint values and of what was measured. Where none is recognised in the very file that was calibrated
+    A row is recognised by its residuals with the nominal and with the corrected robot, which depend on every digit
+    of its joint values and of what was measured. Where none is recognised in the very file that was calibrated
     from, these are its estimation rows.
 
     Args:
@@ -469,67 +494,56 @@ def fitted_rows(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _LengthResiduals:
-    """Residuals in length of N rows by two robots, by which a row is recognised in another table."""
+class _KnownResiduals:
+    """Residuals of N rows by two robots, by which a row is recognised in another table.
 
-    #: Shape (N, 3), or less than 3 columns where no row measures three lengths: measured minus predicted by the nominal
-    #: robot [m]
+    Of a row count the scalars in the first of its units: lengths, if it measures any.
+    """
+
+    #: Shape (N, D), measured minus predicted by the nominal robot
     nominal: Array
-    #: The same by the corrected robot [m]
+    #: The same by the corrected robot
     corrected: Array
-    #: True for the lengths that were measured, of the same shape
-    used: Mask
+    #: True for the scalars that count, of the same shape
+    counts: Mask
 
     @classmethod
-    def of(cls, nominal: Array, corrected: Array, used: Mask) -> _LengthResiduals:
-        """Return the lengths of residuals, without their angles.
+    def of(cls, nominal: Array, corrected: Array, channels: Channels) -> _KnownResiduals:
+        """Return residuals with a mask of the scalars that count.
 
         Args:
-            nominal: Measured minus predicted by the nominal robot at N rows, shape (N, D), [m] in the first three
-                columns, [rad] in those behind.
+            nominal: Measured minus predicted by the nominal robot at N rows, shape (N, D).
             corrected: The same by the corrected robot.
-            used: True for the scalars that were measured, shape (N, D).
-
-        Returns:
-            The first three columns of each, [m], or all where D is less. Two rows are taken as the same where these are
-            equal.
+            channels: The unit of each scalar.
         """
-        return cls(nominal[:, :LENGTHS], corrected[:, :LENGTHS], used[:, :LENGTHS])
+        counts = np.zeros_like(channels.used)
+        for unit in channels.present:
+            not_yet = ~counts.any(axis=1, keepdims=True)
+            counts |= channels.where(unit) & not_yet
+        return cls(nominal, corrected, counts)
 
-    def rows_with(self, lengths: int) -> NDArray[np.intp]:
-        """Return the rows that measure a number of lengths.
-
-        With ``used``, shape (N, 3) or fewer columns, True for the lengths that each of N rows measures.
-
-        Args:
-            lengths: 1 for a distance, up to 3 for a position.
-
-        Returns:
-            Indices of the rows, from 0, shape (n,).
-        """
-        return np.flatnonzero(self.used.sum(axis=1) == lengths)
+    def rows_with(self, scalars: int) -> NDArray[np.intp]:
+        """Return the indices of the rows, from 0, of which a number of scalars count, shape (n,)."""
+        return np.flatnonzero(self.counts.sum(axis=1) == scalars)
 
     def side_by_side(self, rows: Integers) -> Array:
-        """Return the measured lengths' residuals of some rows by both robots, side by side.
-
-        With ``nominal`` and ``corrected``, measured minus predicted by either robot at all rows [m], and ``used``, True
-        for the lengths that were measured, all of shape (N, 3) or fewer columns.
+        """Return the residuals of some rows by both robots, side by side.
 
         Args:
-            rows: Indices, from 0, of n rows that measure the same number k of lengths.
+            rows: Indices, from 0, of n rows of which the same number k of scalars count.
 
         Returns:
-            shape (n, 2 k), measured minus predicted [m]: the k by the nominal robot, then those by the corrected one.
+            shape (n, 2 k), measured minus predicted: the k by the nominal robot, then those by the corrected one.
         """
         both = []
         for residual in (self.nominal, self.corrected):
-            lengths = residual[rows][self.used[rows]]
-            both.append(lengths.reshape(len(rows), -1))
+            scalars = residual[rows][self.counts[rows]]
+            both.append(scalars.reshape(len(rows), -1))
         return np.hstack(both)
 
 
 def _recognised(c: CalibrationValues, robot: Robot, measurements: Measurements, cell: Cell) -> Mask:
-    """Find the rows of a table whose residuals in length are those of a row that a result was fitted to.
+    """Find the rows of a table whose residuals are those of a row that a result was fitted to.
 
     Args:
         c: The result, which holds the residuals of its own rows by its nominal and by its calibrated robot, and the
@@ -547,14 +561,14 @@ def _recognised(c: CalibrationValues, robot: Robot, measurements: Measurements, 
     """
     nominal = evaluate(c.uncorrected(robot), measurements, cell, known=c.nominal_setup)
     corrected = evaluate(c.corrected(robot), measurements, cell, known=c.setup)
-    of_table = _LengthResiduals.of(nominal.residual, corrected.residual, corrected.used)
+    of_table = _KnownResiduals.of(nominal.residual, corrected.residual, corrected.channels)
     fitted = c.rows.estimation
-    stored = _LengthResiduals.of(
-        c.residual_nominal[fitted], c.residual_calibrated[fitted], c.used[fitted]
+    stored = _KnownResiduals.of(
+        c.residual_nominal[fitted], c.residual_calibrated[fitted], c.channels.select(fitted)
     )
     recognised = np.zeros(len(measurements), dtype=bool)
-    for lengths in range(1, LENGTHS + 1):
-        rows, stored_rows = of_table.rows_with(lengths), stored.rows_with(lengths)
+    for scalars in range(1, of_table.counts.shape[1] + 1):
+        rows, stored_rows = of_table.rows_with(scalars), stored.rows_with(scalars)
         if len(rows) and len(stored_rows):
             residuals = of_table.side_by_side(rows)
             recognised[rows] = _are_among(residuals, stored.side_by_side(stored_rows))

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from calib.blas import one_blas_thread
+from calib.channels import RESIDUAL_UNITS
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.diagnosis.coverage import OutsideRow, outside
@@ -25,7 +26,7 @@ from calib.jobs import Progress
 from calib.model.kinematics import Samples
 from calib.model.observability import Observability
 from calib.model.parameters import Parameter
-from calib.numerics.errors import LENGTHS, CrossValidation, rms
+from calib.numerics.errors import CrossValidation, rms
 from calib.numerics.repeats import Repeats, scatter_of_repeats
 from calib.numerics.scores import Limits
 from calib.numerics.solvers import Solver
@@ -288,7 +289,7 @@ def _judged(result: CalibrationValues, rows: Rows) -> CalibrationValues:
 class _Scored:
     """Figures of each of N rows, fitted or not, by the fit of the geometry."""
 
-    #: (N, D), measured minus predicted [m], [rad]
+    #: (N, D), measured minus predicted
     residual: Array
     #: (N,), distance of each row from what the others predict, in standard deviations
     scores: Array
@@ -342,13 +343,11 @@ def _assembled(
         solution=estimate.solution,
         seconds=fits.seconds,
         freedom=estimate.freedom,
-        sigma=_noise_std(geometry, slice(0, LENGTHS)),
-        sigma_angle=_noise_std(geometry, slice(LENGTHS, None)),
-        sigma_given=_stated(m.sigma, cell.sigma, m.estimation),
-        sigma_angle_given=_stated(m.sigma_angle, cell.sigma_angle, m.estimation),
+        sigma=_noise_std(geometry),
+        sigma_given=_stated_sigma(m, cell),
         residual_nominal=read_only(all_rows.residual(nominal_poses)),
         residual_calibrated=read_only(scored.residual),
-        used=all_rows.used,
+        channels=all_rows.channels,
         scores=read_only(scored.scores),
         weights=read_only(scored.weights),
         ranges=_fitted_ranges(all_rows.joints[scored.weights > 0.0]),
@@ -551,22 +550,22 @@ def _flagged(
     Args:
         measurements: All N rows of the table, with their numbers.
         fits: The fits of the table, with the N rows as arrays: which scalars each measures.
-        scored: Of the N rows by the fit of the geometry: ``residual``, measured minus predicted, shape (N, D), lengths
-            [m] in the first three columns, and ``scores``, in standard deviations, shape (N,).
+        scored: Of the N rows by the fit of the geometry: ``residual``, measured minus predicted, shape (N, D), and
+            ``scores``, in standard deviations, shape (N,).
         chosen: True for the rows of the set, estimation or validation, shape (N,).
         limit: The score above which a row is flagged.
 
     Returns:
-        Of each flagged row, in the table's order, its number in the table, the norm of its residual in length [m], NaN
-        where it measures none, and its score.
+        Of each flagged row, in the table's order, its number in the table, the norm of its residual in each unit that
+        it measures, and its score.
     """
-    lengths = np.linalg.norm(scored.residual[:, :LENGTHS], axis=1)
-    measured = np.any(fits.all_rows.used[:, :LENGTHS], axis=1)
-    lengths = np.where(measured, lengths, np.nan)
-    flagged = np.flatnonzero(chosen & (scored.scores > limit))
-    return tuple(
-        Outlier(measurements.rows[i], float(lengths[i]), float(scored.scores[i])) for i in flagged
-    )
+    channels = fits.all_rows.channels
+    norms = {unit: channels.norms(scored.residual, unit) for unit in channels.present}
+    result = []
+    for i in np.flatnonzero(chosen & (scored.scores > limit)).tolist():
+        residual = {unit: float(norm[i]) for unit, norm in norms.items() if np.isfinite(norm[i])}
+        result.append(Outlier(measurements.rows[i], residual, float(scored.scores[i])))
+    return tuple(result)
 
 
 def _fitted_ranges(joints: Array) -> Array:
@@ -612,39 +611,35 @@ def _solver_name(solver: str | Solver) -> str:
     return solver if isinstance(solver, str) else solver.__name__
 
 
-def _noise_std(fitted: Fitted, columns: slice) -> float:
-    """Return the estimated standard deviation of one measured scalar, median over all scalars that were fitted.
+def _noise_std(fitted: Fitted) -> dict[str, float]:
+    """Return the estimated standard deviation of one scalar, median over all scalars that were fitted, by unit.
 
     Args:
         fitted: A fit to N rows. Of its problem are used ``scales``, the estimated standard deviation of each scalar,
-            and ``rows.used``, which were measured, both shape (N, D).
-        columns: Columns of the residual: the first three, of lengths [m], or those behind, of angles [rad].
-
-    Returns:
-        [m] or [rad]; NaN where none was measured.
+            and ``rows.channels``, their units, both shape (N, D).
     """
     problem = fitted.estimate.problem
-    scales = np.where(problem.rows.used, problem.scales, np.nan)[:, columns]
-    measured = scales[~np.isnan(scales)]
-    return float(np.median(measured)) if measured.size else np.nan
+    channels = problem.rows.channels
+    return {
+        unit: float(np.median(problem.scales[channels.where(unit)])) for unit in channels.present
+    }
 
 
-def _stated(by_row: Array | None, by_cell: float | None, fitted: Mask) -> float:
-    """Return the noise of fitted rows as their table states it, rms, else as the cell does; NaN where neither does.
+def _stated_sigma(measurements: Measurements, cell: Cell) -> dict[str, float]:
+    """Return the noise of one scalar of fitted rows as their table states it, rms, else as the cell does, by unit.
 
     Args:
-        by_row: Standard deviation of each row in the table, shape (N,), [m] or [rad]; NaN where a row states none;
-            None: the table has no such column.
-        by_cell: The cell's for all rows, in the same unit; None: it states none.
-        fitted: True for the rows that were fitted, shape (N,).
-
-    Returns:
-        Standard deviation of one measured length [m] or angle [rad], as stated.
+        measurements: Table of N rows; NaN stands for rows that state none.
+        cell: May state it for all rows.
     """
-    if by_row is None:
-        return np.nan if by_cell is None else by_cell
-    stated = by_row[fitted & np.isfinite(by_row)]  # the second row of a pair states none
-    return rms(stated) if len(stated) else np.nan
+    stated = dict(cell.sigma)
+    for unit, by_row in measurements.sigma.items():
+        of_fitted = by_row[measurements.estimation & np.isfinite(by_row)]
+        if len(of_fitted):  # the second row of a pair states none
+            stated[unit] = rms(of_fitted)
+        else:
+            stated.pop(unit, None)
+    return {unit: stated[unit] for unit in RESIDUAL_UNITS if unit in stated}
 
 
 def _repeats(fitted: Fitted) -> Repeats | None:
@@ -655,8 +650,8 @@ def _repeats(fitted: Fitted) -> Repeats | None:
             repeats shared out, and ``problem.rows.poses``, the same number for repeats of a pose.
 
     Returns:
-        Standard deviation of one coordinate within the poses, of lengths [m] and of angles [rad], with degrees of
-        freedom, and the intraclass correlation of repeats; None where no pose is repeated, or only by rows without
+        Standard deviation of one scalar within the poses, by unit, with degrees of freedom, and the intraclass
+        correlation of repeats; None where no pose is repeated, or only by rows without
         weight.
     """
     estimate = fitted.estimate
@@ -666,6 +661,6 @@ def _repeats(fitted: Fitted) -> Repeats | None:
     # The scalars' worth of information that the parameters have taken.
     paid = float(np.sum(estimate.problem.weights @ rows.used)) - estimate.freedom
     scatter = scatter_of_repeats(
-        fitted.residual(rows), rows.used, rows.poses, estimate.weights, fitted=max(paid, 0.0)
+        fitted.residual(rows), rows.channels, rows.poses, estimate.weights, fitted=max(paid, 0.0)
     )
     return scatter if scatter.freedom > 0 else None

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from calib.channels import Channels
 from calib.data.cell import Cell
 from calib.data.columns import SETS
 from calib.data.measurements import Measurements
@@ -126,22 +127,17 @@ class CalibrationValues(FittedModel):
     seconds: float
     #: Degrees of freedom left for the noise
     freedom: float
-    #: Standard deviation of one measured length (median over rows) [m]; NaN where none was measured
-    sigma: float
-    #: Of one measured angle [rad]; NaN where none was
-    sigma_angle: float
-    #: Standard deviation of one measured length as the cell or the table states it (rms over fitted rows) [m]; NaN
-    #: where it is not stated
-    sigma_given: float = np.nan
-    #: Of one measured angle, likewise [rad]
-    sigma_angle_given: float = np.nan
-    #: shape (N, D), measured minus predicted by the nominal robot, all rows: lengths [m] in the first columns, angles
-    #: [rad] in three more where poses were measured
+    #: Estimated standard deviation of one scalar (median over rows), by the units that were measured: ``"m"`` ...
+    sigma: Mapping[str, float]
+    #: Standard deviation of one scalar as the cell or the table states it (rms over fitted rows), by the units of which
+    #: it is stated
+    sigma_given: Mapping[str, float]
+    #: shape (N, D), measured minus predicted by the nominal robot, all rows; ``channels`` has the unit of each entry
     residual_nominal: Array
     #: Shape (N, D), by the calibrated robot
     residual_calibrated: Array
-    #: Shape (N, D), True for the scalars that were measured
-    used: Mask
+    #: Unit of each entry of the residuals, (N, D), and which were measured
+    channels: Channels
     #: Shape (N,), of all rows; see `calib.numerics.scores`
     scores: Array
     #: Shape (N,), of all rows in the fit, between 0 and 1; 0 for validation rows
@@ -210,6 +206,11 @@ class CalibrationValues(FittedModel):
         return self.fit
 
     @property
+    def used(self) -> Mask:
+        """True for the entries of the residuals that were measured, of ``channels``, shape (N, D)."""
+        return self.channels.used
+
+    @property
     def T_frame_base(self) -> Array:
         """Pose of the base in the (first) measurement frame of ``setup``, estimated or given, shape (4, 4), [m]."""
         return np.asarray(self.setup.T_frame_base[0])
@@ -223,10 +224,10 @@ class CalibrationValues(FittedModel):
     def errors(self) -> dict[str, dict[str, Errors]]:
         """``errors["nominal" | "calibrated" | "non_geometric"]["estimation" | "validation"]``.
 
-        Largest, mean and rms error, lengths in [m] and angles in [rad], of the nominal robot (``residual_nominal``), of
-        the calibrated one (``residual_calibrated``), and of the non-geometric model if there is one, over the rows that
-        were fitted and over those that were only predicted. Residuals are measured minus predicted, shape (N, D), of N
-        rows; ``used`` is True for the scalars that were measured.
+        Largest, mean and rms error in each unit that was measured, such as ``["m"]``, of the nominal robot
+        (``residual_nominal``), of the calibrated one (``residual_calibrated``), and of the non-geometric model if there
+        is one, over the rows that were fitted and over those that were only predicted. Residuals are measured minus
+        predicted, shape (N, D), of N rows; ``channels`` has their units.
         """
         residuals = {"nominal": self.residual_nominal, "calibrated": self.residual_calibrated}
         if self.non_geometric is not None:
@@ -234,7 +235,9 @@ class CalibrationValues(FittedModel):
         sets = (("estimation", self.rows.estimation), ("validation", self.rows.validation))
         errors = {}
         for robot, residual in residuals.items():
-            errors[robot] = {name: Errors.of(residual[m], self.used[m]) for name, m in sets}
+            errors[robot] = {
+                name: Errors.of(residual[rows], self.channels.select(rows)) for name, rows in sets
+            }
         return errors
 
     def parameter(self, name: str) -> ParameterEstimate:

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from calib.channels import Channels, residual_unit
 from calib.diagnosis.coverage import OutsideRow
 from calib.diagnosis.reasons import Reason
 from calib.errors import CalibError, FileError
@@ -25,11 +26,11 @@ from calib.model.families import FAMILIES, Factor, factor_of
 from calib.model.kinematics import Kinematics
 from calib.model.observability import Observability
 from calib.model.parameters import ErrorModel, Parameter
-from calib.numerics.errors import CrossValidation, Errors
+from calib.numerics.errors import CrossValidation, Errors, UnitErrors
 from calib.numerics.repeats import Repeats
 from calib.registration.setup import Setup
 from calib.result.calibration import CalibrationValues, Source
-from calib.result.prediction import FittedModel, NonGeometric, Outlier
+from calib.result.prediction import FittedModel, NonGeometric
 from calib.robot.payload import Payload
 from calib.robot.robot import Robot, read_only
 from calib.robot.urdf import Urdf
@@ -39,24 +40,44 @@ from calib.units import Array
 from calib.version import __version__
 
 #: The layout of a result.
-SCHEMA = 6
+SCHEMA = 7
 
 
 def error_table(errors: Errors) -> dict[str, Any]:
     """Return the table of errors of one set of rows, see docs/result-json.md.
 
     Args:
-        errors: Largest, mean and rms errors of lengths [m], and of angles [rad] where there are any.
+        errors: Largest, mean and rms errors in each unit that was measured.
 
     Returns:
-        ``"n"``, the number of rows with a length; ``"max_m"``, ``"mean_m"`` and ``"rms_m"`` of the norms;
-        ``"mean_xyz_m"``, ``"rms_xyz_m"`` and ``"span_xyz_m"``, shape (3,), along x, y, z; and only where there are
-        angles ``"n_rad"``, their number, ``"max_rad"``, ``"mean_rad"`` and ``"rms_rad"``.
+        A table for each unit by its symbol, such as ``"m"``: ``"n"``, the number of rows; ``"max"``, ``"mean"`` and
+        ``"rms"`` of the norms, in this unit; and ``"mean_axis"``, ``"rms_axis"`` and ``"span_axis"``, shape (3,), along
+        x, y, z.
     """
-    table = _LAYOUT.table(errors)
-    if errors.n_angle:
-        return table
-    return {key: value for key, value in table.items() if not key.endswith("_rad")}
+    tables = {}
+    for unit, figures in errors.by_unit.items():
+        tables[unit] = _LAYOUT.table(figures)
+    return tables
+
+
+def _read_errors(table: Json) -> Errors:
+    """Return errors from their tables by unit in the file, as `error_table` makes them."""
+    by_unit = {}
+    for unit, figures in table.items():
+        by_unit[unit] = UnitErrors(unit=unit, **_LAYOUT.values(UnitErrors, figures))
+    return Errors(by_unit)
+
+
+def _channels_table(channels: Channels) -> dict[str, Any]:
+    """Return the channels of residuals' entries as a table for the file: their units, and the index of each entry's."""
+    return {"units": channels.units, "vectors": channels.vectors, "index": channels.index}
+
+
+def _read_channels(table: Json) -> Channels:
+    """Return the channels of residuals' entries from their table in the file."""
+    units = tuple(residual_unit(unit).symbol for unit in table["units"])
+    index = np.array(table["index"], dtype=np.int8)
+    return Channels(units, tuple(table["vectors"]), index.reshape(len(index), -1))
 
 
 def pose_table(T: Array, prefix: str = "") -> dict[str, Any]:
@@ -218,13 +239,8 @@ _PRIOR_STD = Key("prior_std", _prior_std_table, _read_prior_std)
 #: Where attributes stand in the file, by class; see `JsonLayout`.
 _LAYOUT: JsonLayout = JsonLayout(
     {
-        Errors: {
-            **{name: f"{name}_m" for name in ("max", "mean", "rms")},
-            **{f"{name}_axis": f"{name}_xyz_m" for name in ("mean", "rms", "span")},
-            **{f"{name}_angle": f"{name}_rad" for name in ("n", "max", "mean", "rms")},
-        },
-        CrossValidation: {"errors": "", "errors_without_outliers": "without_outliers"},
-        Outlier: {"residual": "residual_m"},
+        UnitErrors: {"unit": None},
+        CrossValidation: {"errors_without_outliers": "without_outliers"},
         OutsideRow: {"beyond": "joints"},
         Reason: {
             "why": "code",
@@ -260,18 +276,17 @@ _LAYOUT: JsonLayout = JsonLayout(
             "rows": "rows.",
             **{
                 name: f"rows.{name}"
-                for name in ("residual_nominal", "residual_calibrated", "used", "scores", "weights")
+                for name in ("residual_nominal", "residual_calibrated", "scores", "weights")
             },
+            "channels": Key("rows.channels", _channels_table, _read_channels),
             "ranges": Key("robot.ranges", None, _read_ranges),
             **{
                 name: f"noise.{name}"
                 for name in ("freedom", "repeats", "prior_std_from", "flag_limit")
             },
             "prior_std": replace(_PRIOR_STD, path="noise.prior_std"),
-            "sigma": "noise.sigma_m",
-            "sigma_angle": "noise.sigma_angle_rad",
-            "sigma_given": "noise.sigma_given_m",
-            "sigma_angle_given": "noise.sigma_angle_given_rad",
+            "sigma": "noise.sigma",
+            "sigma_given": "noise.sigma_given",
             **{name: f"model.{name}" for name in ("frozen", "candidates")},
             "ties": Key("model.ties", _ties_table, _read_ties),
             "solver": "solver.name",
@@ -280,7 +295,7 @@ _LAYOUT: JsonLayout = JsonLayout(
         },
     },
     {
-        Errors: (error_table, None),
+        Errors: (error_table, _read_errors),
         Factor: (lambda factor: factor.name, factor_of),
     },
 )

@@ -219,7 +219,7 @@ def _why_not_told(
     if differences.test.combinations == 0:
         return "nothing known"
     has_other_errors = bool(differences.only_a or differences.only_b)
-    residual = max(result.errors["calibrated"]["estimation"].rms for result in results)
+    residual = max(result.errors["calibrated"]["estimation"]["m"].rms for result in results)
     far = differences.moves[0].moved > _FAR * residual
     if has_other_errors and differences.test.drifted and not far:
         return "other errors"

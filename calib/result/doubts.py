@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from calib.channels import RESIDUAL_UNITS
 from calib.diagnosis.coverage import shares_of_ranges, spread_of
 from calib.diagnosis.further_unknowns import (
     UNLIKELY,
@@ -28,7 +29,6 @@ from calib.estimate.gauge import measures_length
 from calib.estimate.problem import Problem
 from calib.estimate.task import PAPER
 from calib.model.families import FAMILIES, joint_families
-from calib.numerics.errors import LENGTHS
 from calib.registration.registration import ENOUGH
 from calib.registration.rows import Rows
 from calib.result.calibration import CalibrationValues
@@ -54,15 +54,6 @@ _SCATTER_SHARE = 0.5
 
 #: Noise more than so many times the one stated is not the instrument's.
 _ABOVE = 5.0
-
-#: Where none is stated, noise above this is not an instrument's [m].
-_LARGE_NOISE = 1e-3
-
-#: Repeatability of arms, which adds to the stated noise of a length [m].
-_REPEATABILITY = 3e-5
-
-#: The same for the noise of an angle [rad].
-_REPEATABILITY_ANGLE = 1e-4
 
 #: No arm is off by more than this share in all its lengths: a larger one is the instrument's scale error.
 _SCALED = 2e-3
@@ -270,48 +261,53 @@ def _sole_postures(result: CalibrationValues, rows: Rows) -> Iterator[Reason]:
 
 
 def _negative_compliances(result: CalibrationValues) -> Iterator[Reason]:
-    """Name joints that would move against their load: their estimated compliance is negative beyond its interval.
+    """Name joints that would move against their load: an error that cannot be negative is, beyond its interval.
 
     Args:
-        result: The result, with the parameters of its non-geometric model, if it has one. Of each compliance, [rad/Nm]
-            or [m/N], value and upper end of the 95 % interval are used: it is named if twice the upper end is below the
-            value.
+        result: The result, with the parameters of its non-geometric model, if it has one. Of each parameter of a family
+            whose errors are positive, such as compliances, value and upper end of the 95 % interval are used: it is
+            named if twice the upper end is below the value.
 
     Yields:
-        One reason for each such joint, with its name.
+        One reason for each such joint, with its name and that of the family.
     """
     if result.non_geometric is None:
         return
-    for parameter in result.non_geometric.parameters:
-        if not parameter.name.endswith(".compliance"):
+    model = result.non_geometric.model
+    estimates = zip(model.parameters, result.non_geometric.parameters, strict=True)
+    for parameter, estimate in estimates:
+        family = FAMILIES.get(parameter.family)
+        if family is None or not family.positive:
             continue
         # Twice as far as its interval reaches: there are as many chances as joints.
-        if 2.0 * parameter.high < parameter.value:
-            joint = parameter.name.removesuffix(".compliance")
-            yield Reason.of(Why.COMPLIANCE_NEGATIVE, joint=joint)
+        if 2.0 * estimate.high < estimate.value:
+            yield Reason.of(Why.COMPLIANCE_NEGATIVE, joint=parameter.place, family=family.name)
 
 
 def _agreeing_repeats(result: CalibrationValues, fitted: Fitted) -> Iterator[Reason]:
     """Say if repeats of a pose agree far better with each other than with the model, which then lacks something.
 
     Args:
-        result: The result. Of ``repeats``, None where no pose was repeated, the first entries are used: ``within``, the
-            standard deviation of one length within the poses [m], and ``freedoms``, its degrees of freedom.
-        fitted: The fit of its best model: ``estimate.noise[0]``, the noise of a length as a multiple of the given
-            sigma, which is ``rows.sigma`` [m], median over rows.
+        result: The result. Of ``repeats``, None where no pose was repeated, are used ``within``, the standard deviation
+            of one scalar within the poses, and ``freedoms``, its degrees of freedom, of the first unit measured.
+        fitted: The fit of its best model: ``estimate.noise[0]``, the noise of its first channel as a multiple of the
+            given sigma, which is ``rows.sigma``, median over rows.
 
     Yields:
-        One reason with the scatter, ``within_m``, and the noise, ``noise_m`` [m]; none where they are alike, or the
-        repeats are too few.
+        One reason with the scatter, such as ``within_m``, and the noise, such as ``noise_m`` [m]; none where they are
+        alike, or the repeats are too few.
     """
     repeats = result.repeats
-    sigma = float(np.median(fitted.estimate.problem.rows.sigma))
+    rows = fitted.estimate.problem.rows
+    unit = rows.channels.units[0]
+    sigma = float(np.median(rows.sigma[unit]))
     noise = float(fitted.estimate.noise[0]) * sigma
-    if repeats is None or not len(repeats.within) or repeats.freedoms[0] < FEWEST_FREEDOM:
+    if repeats is None or repeats.freedoms.get(unit, 0.0) < FEWEST_FREEDOM:
         return
-    within = float(repeats.within[0])
+    within = repeats.within[unit]
     if within < _SCATTER_SHARE * noise and noise >= ROUNDING_NOISE:
-        yield Reason.of(Why.REPEATS_AGREE, within_m=within, noise_m=noise)
+        sizes = {f"within_{unit}": within, f"noise_{unit}": noise}
+        yield Reason.of(Why.REPEATS_AGREE, **sizes)
 
 
 def thin(fitted: Fitted) -> tuple[Fitted, Mask]:
@@ -376,8 +372,9 @@ def _missing_model(fitted: Fitted) -> Iterator[Reason]:
             first instrument (of a length, if any was measured) as a multiple of the given sigma.
 
     Yields:
-        One reason with the name of the larger model that leaves the least noise, and the noise of a length, ``noise_m``
-        by the named model and ``less_m`` by the larger one [m]; none where no larger model lowers it to `_FAR_LESS`.
+        One reason with the name of the larger model that leaves the least noise, and the noise in the first unit,
+        such as ``noise_m`` by the named model and ``less_m`` by the larger one [m]; none where none lowers it
+        to `_FAR_LESS`.
     """
     rows, name = fitted.estimate.problem.rows, fitted.kinematics.model.name
     noise = least = fitted.estimate.noise[0]
@@ -391,8 +388,9 @@ def _missing_model(fitted: Fitted) -> Iterator[Reason]:
         if of_model is not None and of_model <= _FAR_LESS * least:
             least, lacking = of_model, model
     if lacking:
-        unit = float(np.median(rows.sigma))
-        noises = {"noise_m": unit * noise, "less_m": unit * least}
+        unit = rows.channels.units[0]
+        sigma = float(np.median(rows.sigma[unit]))
+        noises = {f"noise_{unit}": sigma * noise, f"less_{unit}": sigma * least}
         yield Reason.of(Why.MODEL_LACKS, model=name, non_geometric=lacking, **noises)
 
 
@@ -417,19 +415,18 @@ def _noise_of(fitted: Fitted, model: str) -> float | None:
 def noise_doubts(
     result: CalibrationValues, fitted: Fitted, doubts: tuple[Reason, ...]
 ) -> Iterator[Reason]:
-    """Yield a reason for each instrument whose noise exceeds the stated or, without one, a usual one.
+    """Yield a reason for each channel whose noise exceeds the stated or, without one, a usual one.
 
     Args:
         result: The result with its table and cell in memory, which may state the noise.
         fitted: The fit. Its ``estimate.noise``, shape (C,), is the estimated over the given standard deviation of each
-            instrument: lengths of each kind of rows, then angles of each; ``rows.instruments``, shape (N, D), is the
-            index of each scalar's instrument.
+            of the C channels of its rows.
         doubts: Doubts so far. Where a model lacks something, residuals are no noise, and nothing is yielded; nor where
             residuals of a named geometry follow a joint.
 
     Yields:
-        A reason with the noise as stated or assumed and as estimated, [m] of lengths and [rad] of angles, and their
-        ratio; where none is stated, the estimated noise of lengths alone.
+        A reason with the noise as stated or assumed and as estimated, in the channel's unit, and their ratio; where
+        none is stated, the estimated noise alone.
     """
     codes = {doubt.why for doubt in doubts}
     if Why.MODEL_LACKS in codes:
@@ -438,70 +435,44 @@ def noise_doubts(
     if _named_model(result) and result.non_geometric is None and Why.JOINT_PATTERN in codes:
         return
     rows = fitted.estimate.problem.rows
-    for instrument, ratio in enumerate(fitted.estimate.noise):
-        of_instrument, columns = np.nonzero(rows.instruments == instrument)
-        if columns[0] < LENGTHS:
-            yield from _length_noise(result, rows, of_instrument, float(ratio))
-        else:
-            yield from _angle_noise(result, rows, of_instrument, float(ratio))
+    for c, ratio in enumerate(fitted.estimate.noise):
+        of_channel, _ = np.nonzero(rows.channels.index == c)
+        yield from _channel_noise(result, rows, c, of_channel, float(ratio))
 
 
-def _length_noise(
+def _channel_noise(
     result: CalibrationValues,
     rows: Rows,
-    of_instrument: Integers,
+    c: int,
+    of_channel: Integers,
     ratio: float,
 ) -> Iterator[Reason]:
-    """Doubt the noise of an instrument for lengths.
+    """Doubt the noise of a channel.
 
     Args:
-        result: The result with its table and cell in memory, either of which may state the noise of a length [m].
-        rows: The N rows that were fitted, as arrays: ``sigma``, the standard deviation of a length as stated or
-            assumed, shape (N,), [m].
-        of_instrument: Indices of the rows that the instrument measured, from 0; of a row once for each of its lengths.
+        result: The result with its table and cell in memory, either of which may state the noise.
+        rows: The N rows that were fitted, as arrays: ``sigma``, the standard deviation of one scalar as stated or
+            assumed.
+        c: Index of the channel, from 0.
+        of_channel: Indices of the rows that have scalars of it, from 0; of a row once for each of these.
         ratio: Estimated noise over the stated or assumed one.
 
     Yields:
-        One reason: ``before_m`` as stated, ``after_m`` as estimated [m] and their ratio, where the noise is far above
-        the stated one; or ``noise_m`` [m], where none is stated and it is above `_LARGE_NOISE`. Else none.
+        One reason: such as ``before_m`` as stated, ``after_m`` as estimated [m] and their ratio, where the noise is far
+        above the stated one; or ``noise_m`` [m], where none is stated and it is above that of usual instruments. Else
+        none.
     """
-    m, sigma = result.measurements, float(np.median(rows.sigma[of_instrument]))
+    symbol = rows.channels.units[c]
+    unit = RESIDUAL_UNITS[symbol]
+    m, sigma = result.measurements, float(np.median(rows.sigma[symbol][of_channel]))
     noise = ratio * sigma
-    if result.cell.sigma is None and not _all_stated(m.sigma, m.estimation, of_instrument):
-        if noise > _LARGE_NOISE:
-            yield Reason.of(Why.NOISE_LARGE, noise_m=noise)
-    elif noise > _ABOVE * np.hypot(sigma, _REPEATABILITY):
-        yield Reason.of(Why.NOISE_ABOVE_SIGMA, before_m=sigma, after_m=noise, ratio=noise / sigma)
-
-
-def _angle_noise(
-    result: CalibrationValues,
-    rows: Rows,
-    of_instrument: Integers,
-    ratio: float,
-) -> Iterator[Reason]:
-    """Doubt the noise of an instrument for angles.
-
-    Args:
-        result: The result with its table and cell in memory, either of which may state the noise of an angle [rad].
-        rows: The N rows that were fitted, as arrays: ``sigma_angle``, the standard deviation of an angle as stated or
-            assumed, shape (N,), [rad].
-        of_instrument: Indices of the rows that the instrument measured, from 0; of a row once for each of its angles.
-        ratio: Estimated noise over the stated or assumed one.
-
-    Yields:
-        One reason: ``before_rad`` as stated, ``after_rad`` as estimated [rad] and their ratio, where the noise is far
-        above the stated one; none where none is stated.
-    """
-    m, sigma = result.measurements, float(np.median(rows.sigma_angle[of_instrument]))
-    noise = ratio * sigma
-    by_row = _all_stated(m.sigma_angle, m.estimation, of_instrument)
-    if result.cell.sigma_angle is None and not by_row:
-        return
-    if noise > _ABOVE * np.hypot(sigma, _REPEATABILITY_ANGLE):
-        yield Reason.of(
-            Why.NOISE_ABOVE_SIGMA, before_rad=sigma, after_rad=noise, ratio=noise / sigma
-        )
+    by_row = _all_stated(m.sigma.get(symbol), m.estimation, of_channel)
+    if symbol not in result.cell.sigma and not by_row:
+        if noise > unit.large_noise:
+            yield Reason.of(Why.NOISE_LARGE, **{f"noise_{symbol}": noise})
+    elif noise > _ABOVE * np.hypot(sigma, unit.repeatability):
+        sizes = {f"before_{symbol}": sigma, f"after_{symbol}": noise}
+        yield Reason.of(Why.NOISE_ABOVE_SIGMA, **sizes, ratio=noise / sigma)
 
 
 def _all_stated(sigma: Array | None, estimation: Mask, chosen: Integers) -> bool:

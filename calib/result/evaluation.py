@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.blas import one_blas_thread
+from calib.channels import Channels
 from calib.data.cell import Cell
 from calib.data.columns import DEFAULT_TARGET
 from calib.data.measurements import Measurements
@@ -52,24 +53,30 @@ class Evaluation:
     setup: Setup
     #: Some of ``"target"`` and ``"frame"``, registered to these rows
     registered: tuple[str, ...]
-    #: Shape (N, D), measured minus predicted: lengths [m] first, then angles [rad]
+    #: Shape (N, D), measured minus predicted
     residual: Array
-    #: Shape (N, D), True for the scalars that were measured
-    used: Mask
+    #: Unit of each entry of the residual, and which were measured
+    channels: Channels
+
+    @property
+    def used(self) -> Mask:
+        """True for the entries of the residual that were measured, of ``channels``, shape (N, D)."""
+        return self.channels.used
 
     @property
     def errors(self) -> dict[str, Errors]:
         """``errors["estimation" | "validation" | "all"]``: largest, mean and rms error of the rows of one set.
 
-        Of ``residual``, measured minus predicted by the robot as it is at N rows, shape (N, D), where ``used`` marks
-        what was measured; lengths in [m], angles in [rad]. The sets are those of ``measurements``.
+        Of ``residual``, measured minus predicted by the robot as it is at N rows, shape (N, D), in each unit of
+        ``channels`` that was measured, such as ``["m"]``. The sets are those of ``measurements``.
         """
         m = self.measurements
         every_row = np.ones(len(m), dtype=bool)
         sets = {"estimation": m.estimation, "validation": m.validation, "all": every_row}
-        return {
-            name: Errors.of(self.residual[rows], self.used[rows]) for name, rows in sets.items()
-        }
+        errors = {}
+        for name, rows in sets.items():
+            errors[name] = Errors.of(self.residual[rows], self.channels.select(rows))
+        return errors
 
 
 @one_blas_thread()
@@ -100,8 +107,8 @@ def evaluate(
             gravity counts, and a payload of the cell wins over its own.
 
     Returns:
-        Residuals of the N rows, measured minus predicted, shape (N, D), [m] and [rad], with the frames and targets that
-        were used.
+        Residuals of the N rows, measured minus predicted, shape (N, D), with their units, and the frames and targets
+        that were used.
 
     Raises:
         MeasurementError: Too few rows to register what was not given, or a joint's column is missing.
@@ -125,7 +132,7 @@ def evaluate(
         setup=placed,
         registered=_not_given(setup),
         residual=read_only(rows.residual(T_frame_target)),
-        used=rows.used,
+        channels=rows.channels,
     )
 
 
@@ -329,7 +336,7 @@ def moved_place(
         ``error_m`` [m]; None where nothing has moved, or the error is below `_SMALL`.
     """
     as_known = evaluate(robot, measurements, cell, known=known, which=which)
-    rms, best = as_known.errors["all"].rms, None
+    rms, best = as_known.errors["all"]["m"].rms, None
     if not rms > _SMALL:
         return None
     least = rms / _FAR_SMALLER
@@ -383,4 +390,4 @@ def _registered_error(
     unknowns, scalars = after.setup.count, int(after.used.sum())
     if not unknowns or scalars < _SCALARS_PER_UNKNOWN * unknowns:
         return None
-    return after.errors["all"].rms
+    return after.errors["all"]["m"].rms

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from calib.channels import Channels
 from calib.diagnosis.reasons import NO, Reason, Why
 from calib.diagnosis.verdict import Evidence
 from calib.estimate.fitting import Fitted
@@ -133,7 +134,7 @@ def _noise_floor(result: CalibrationValues, fitted: Fitted, doubts: tuple[Reason
         result: The result with its fits in memory, of the geometry and of the non-geometric model if there is one;
             ``estimate.noise``, shape (C,), of each is the noise of each instrument (lengths of each kind of rows, then
             angles), as a multiple of the given sigma.
-        fitted: The fit to N rows whose noise is compared; ``rows.instruments``, shape (N, D), is the index of each
+        fitted: The fit to N rows whose noise is compared; ``rows.channels.index``, shape (N, D), is the index of each
             scalar's instrument, -1 for none.
         doubts: Reasons for doubt. That a larger model leaves less noise, ``Why.MODEL_LACKS``, has both noises of a
             length [m] as its values; their ratio then counts for the first instrument.
@@ -147,11 +148,12 @@ def _noise_floor(result: CalibrationValues, fitted: Fitted, doubts: tuple[Reason
     share = np.minimum(least / noise, 1.0)
     for doubt in doubts:
         if doubt.why == Why.MODEL_LACKS:
-            share_of_larger_model = doubt.values["less_m"] / doubt.values["noise_m"]
+            unit = fitted.estimate.problem.rows.channels.units[0]
+            share_of_larger_model = doubt.values[f"less_{unit}"] / doubt.values[f"noise_{unit}"]
             share[0] = min(share[0], share_of_larger_model)
     # Scalars that were not measured have the instrument -1, the last one.
     by_instrument = np.append(share, 1.0)
-    return np.asarray(by_instrument[fitted.estimate.problem.rows.instruments])
+    return np.asarray(by_instrument[fitted.estimate.problem.rows.channels.index])
 
 
 def _notes(result: CalibrationValues) -> Iterator[Reason]:
@@ -198,7 +200,7 @@ def _note_on_non_geometric(result: CalibrationValues) -> Iterator[Reason]:
     closer = True
     if result.cross_validation is not None:
         of_geometry = result.cross_validation.errors_without_outliers
-        closer = not errors.rms >= of_geometry.rms
+        closer = not errors.leading.rms >= of_geometry.leading.rms
     why = Why.LARGER_MODEL if closer else Why.LARGER_NO_CLOSER
     yield Reason.of(why, model=model.name, after=errors, use=model.verdict.use)
 
@@ -257,19 +259,19 @@ def _validation_errors(result: CalibrationValues, part: FittedModel) -> tuple[Er
 
     Args:
         result: The result with its measurements in memory. For all N rows it has the residuals, measured minus
-            predicted, and the mask ``used`` of measured scalars, shapes (N, D); ``suspects`` are the validation rows
+            predicted, shape (N, D), and their ``channels``; ``suspects`` are the validation rows
             whose score is beyond the limit, by their numbers in the table.
         part: The result itself, for its geometry, or its non-geometric model.
 
     Returns:
-        Errors of the nominal robot and by the part, [m] and [rad]; and the number of suspects that were set aside, see
+        Errors of the nominal robot and by the part; and the number of suspects that were set aside, see
         `validation_errors`.
     """
     m = result.measurements
     suspects = [suspect.row for suspect in result.suspects]
     residual = part.residual if isinstance(part, NonGeometric) else result.residual_calibrated
     return validation_errors(
-        m.validation, np.isin(m.rows, suspects), result.residual_nominal, residual, result.used
+        m.validation, np.isin(m.rows, suspects), result.residual_nominal, residual, result.channels
     )
 
 
@@ -278,7 +280,7 @@ def validation_errors(
     suspects: Mask,
     nominal: Array,
     calibrated: Array,
-    used: Mask,
+    channels: Channels,
 ) -> tuple[Errors, Errors, int]:
     """Compare errors on the validation rows, without suspects if they are few.
 
@@ -288,19 +290,19 @@ def validation_errors(
     Args:
         validation: True for validation rows, shape (N,).
         suspects: True for rows whose score is beyond the limit, shape (N,).
-        nominal: Measured minus predicted by the nominal robot, shape (N, D), lengths [m] in the first three columns,
-            angles [rad] behind.
+        nominal: Measured minus predicted by the nominal robot, shape (N, D).
         calibrated: The same by the calibrated robot.
-        used: True for the scalars that were measured, shape (N, D).
+        channels: The channels of the residuals.
 
     Returns:
-        Errors of the nominal and of the calibrated robot, [m] and [rad], and the number of rows that were set aside.
+        Errors of the nominal and of the calibrated robot, and the number of rows that were set aside.
     """
     aside = suspects & validation
     many = np.sum(suspects) > max(1, int(_FEW_SUSPECTS * np.sum(validation)))
     if many or np.array_equal(aside, validation):
         aside = np.zeros_like(suspects)
     chosen = validation & ~aside
-    before = Errors.of(nominal[chosen], used[chosen])
-    after = Errors.of(calibrated[chosen], used[chosen])
+    channels = channels.select(chosen)
+    before = Errors.of(nominal[chosen], channels)
+    after = Errors.of(calibrated[chosen], channels)
     return before, after, int(np.sum(aside))

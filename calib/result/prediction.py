@@ -75,8 +75,8 @@ class Outlier:
 
     #: Its number in the table
     row: int
-    #: Norm of measured minus predicted length [m]; NaN where none was measured
-    residual: float
+    #: Norm of measured minus predicted over the scalars of each unit that the row measures, by its symbol
+    residual: Mapping[str, float]
     #: Distance from what the others predict, in standard deviations
     score: float
 
@@ -134,9 +134,12 @@ class FittedModel:
         no length was measured, these two are returned, by the covariance alone.
         """
         at_measured, elsewhere = self.expected_measured, self.expected_elsewhere
-        if self.cross_validation is None or not self.cross_validation.errors_without_outliers.n:
+        if (
+            self.cross_validation is None
+            or not self.cross_validation.errors_without_outliers["m"].n
+        ):
             return at_measured, elsewhere
-        held_out = self.cross_validation.errors_without_outliers.rms
+        held_out = self.cross_validation.errors_without_outliers["m"].rms
         beside_prediction = max(held_out**2 - at_measured**2, 0.0)
         return held_out, float(np.sqrt(beside_prediction + elsewhere**2))
 
@@ -467,6 +470,7 @@ def tells_place(kinds: Iterable[str]) -> bool:
         kinds: Names of registered kinds of measurement, such as ``"point"`` or ``"pair"``.
 
     Returns:
-        True if any of them measures a position in a known frame; False for sockets, planes, anchors and pairs.
+        True if any of them determines where the base stands in the instrument's frame; False for sockets, planes,
+        anchors and pairs.
     """
-    return any(registry.get(kind).position for kind in kinds)
+    return any(registry.get(kind).tells_place for kind in kinds)

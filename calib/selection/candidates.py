@@ -117,23 +117,17 @@ def _evidence_of_likelihood(fitted: Fitted) -> float:
 
 
 def _mean_log_error(errors: Errors) -> float:
-    """Return the mean of log(rms), of lengths [m] and of angles [rad] as far as they were measured."""
-    measured = []
-    if errors.n:
-        measured.append(errors.rms)
-    if errors.n_angle:
-        measured.append(errors.rms_angle)
-    return float(np.mean(np.log(measured)))
+    """Return the mean of log(rms) over the units that were measured."""
+    return float(np.mean([np.log(errors[unit].rms) for unit in errors.units]))
 
 
 def held_out_rms(validation: CrossValidation) -> float:
-    """Return the rms error on held-out rows, outliers aside, [m], or [rad] where no length was measured.
+    """Return the rms error on held-out rows, outliers aside, in the first unit measured: [m] if any length was.
 
     Args:
         validation: Errors of a model at rows that were held out.
     """
-    errors = validation.errors_without_outliers
-    return errors.rms if errors.n else errors.rms_angle
+    return validation.errors_without_outliers.leading.rms
 
 
 def mark_chosen(

@@ -122,8 +122,8 @@ class Folds:
 
         Args:
             rows: The N rows that were divided.
-            residuals: Of each fold, measured minus predicted at the rows that it holds out, shape (n, d), [m] and
-                [rad], in the order of the rows; d may be less than D where all of them lack a kind.
+            residuals: Of each fold, measured minus predicted at the rows that it holds out, shape (n, d), in
+                the order of the rows; d may be less than D where all of them lack a kind.
             outliers: Rows that the fit to all rows flagged, shape (N,).
 
         Returns:
@@ -140,8 +140,8 @@ class Folds:
             folds=len(self.masks),
             poses=block.reshape(-1),
             residual=read_only(residual),
-            errors=Errors.of(residual[checked], rows.used[checked]),
-            errors_without_outliers=Errors.of(residual[good], rows.used[good]),
+            errors=Errors.of(residual[checked], rows.channels.select(checked)),
+            errors_without_outliers=Errors.of(residual[good], rows.channels.select(good)),
         )
 
 

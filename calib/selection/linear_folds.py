@@ -211,7 +211,7 @@ def _leaves_enough_rows(fitted: Fitted, mask: Mask) -> bool:
     in_frame = np.bincount(rows.samples.frame, scalars)
     if np.any((in_frame > 0.0) & (in_frame < _FEWEST_SCALARS)):
         return False
-    return len(np.unique(rows.kinds[~mask])) == len(np.unique(rows.kinds))
+    return len(np.unique(rows.kind[~mask])) == len(np.unique(rows.kind))
 
 
 def _fold_estimates(

@@ -49,10 +49,12 @@ def compare_weights(fitted: Fitted) -> Robustness:
         of_robust = linear_cross_validation(robust).residual[kept]
         of_full = linear_cross_validation(full).residual[kept]
     except MeasurementError:  # rows of a single pose, of which none can be held out
-        errors_lowered = errors_full = Errors.of(np.zeros((0, rows.width)))
+        errors_lowered = errors_full = Errors.of(
+            np.zeros((0, rows.width)), rows.channels.select(slice(0))
+        )
     else:
-        errors_lowered = Errors.of(of_robust, rows.used[kept])
-        errors_full = Errors.of(of_full, rows.used[kept])
+        errors_lowered = Errors.of(of_robust, rows.channels.select(kept))
+        errors_full = Errors.of(of_full, rows.channels.select(kept))
     return Robustness(
         lowered=fitted.task.robust,
         moved_rms=float(np.sqrt(np.mean(distances**2))),
@@ -73,7 +75,7 @@ def _distances(fitted: Fitted, other: Fitted) -> Array:
     """
     rows = fitted.estimate.problem.rows
     samples = rows.samples
-    as_one_body = not any(kind.position for kind in rows.present)
+    as_one_body = not any(kind.tells_place for kind in rows.present)
     if as_one_body:
         samples = replace(samples, frame=np.zeros_like(samples.frame))
     points = fitted.kinematics.points(fitted.estimate.x, samples)

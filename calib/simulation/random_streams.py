@@ -22,6 +22,7 @@ STREAMS = (
     "outlier directions",
     "poses",
     "validation poses",
+    "pixel noise",
 )
 
 

@@ -16,11 +16,13 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 import calib.data.kinds as registry
+from calib.channels import RESIDUAL_UNITS, VECTOR
 from calib.data.cell import Cell, TrackerNoise
 from calib.data.columns import SETS
 from calib.data.kinds import Kind
 from calib.data.measurements import Measurements
 from calib.errors import CalibError, choices
+from calib.mappings import ReadOnlyMapping
 from calib.robot.ranges import joint_ranges
 from calib.robot.robot import Robot, read_only
 from calib.simulation.disturbances import Encoder, MovedTarget, Outliers
@@ -58,8 +60,9 @@ class Scenario:
     #: Of one coordinate, by the distance from the tracker; None: none. The repeatability in it displaces all targets
     #: of one stop alike; of the kind ``distance`` the distance is that from the anchor
     noise: TrackerNoise | None = field(default_factory=TrackerNoise)
-    #: Standard deviation of a measured orientation about one axis [rad]
-    sigma_angle: float = 0.0
+    #: Standard deviation of one scalar in the other units, by their symbols: ``"rad"`` of an orientation about one axis
+    #: [rad], ``"px"`` of an image coordinate [px]; of a unit that is missing 0
+    sigma: Mapping[str, float] = field(default_factory=dict)
     #: Steps of the joint values
     encoder: Encoder = field(default_factory=Encoder)
     #: Outliers; None: none
@@ -81,6 +84,7 @@ class Scenario:
                 f"{choices(allowed)}."
             )
         object.__setattr__(self, "drift", read_only(self.drift))
+        object.__setattr__(self, "sigma", ReadOnlyMapping(self.sigma))
 
     @property
     def kind(self) -> Kind:
@@ -394,26 +398,55 @@ class VirtualCell:
         """
         kind = self.scenario.kind
         assert kind.measure is not None
-        noise = stream(seed, "tracker noise").standard_normal((len(T), 3)) * instrument[:, None]
-        noise = noise + outliers
-        angle_noise = stream(seed, "angle noise").standard_normal((len(T), 3))
-        angle_noise = angle_noise * self.scenario.sigma_angle
+        noise = self._noise(len(T), instrument, seed)
+        noise["length"][:, :VECTOR] += outliers
         displaced = self._displaced(T, tour, seed)
         readings = np.array(kind.measure(tour.with_partners(displaced)))
         if kind.position:
-            readings[:, :3] += noise
+            readings[:, :VECTOR] += noise["length"][:, :VECTOR]
         if kind.orientation:
-            R = Rotation.from_rotvec(angle_noise).as_matrix() @ T[:, :3, :3]
+            turns = Rotation.from_rotvec(noise["angle"][:, :VECTOR])
+            R = turns.as_matrix() @ T[:, :3, :3]
             readings[:, 3:12] = R.reshape(-1, 9)
         if tour.partner is not None:  # both rows of a pair hold the one reading
-            noise = noise[np.minimum(np.arange(len(noise)), tour.partner)]
+            first_rows = np.minimum(np.arange(len(T)), tour.partner)
+            noise = {quantity: added[first_rows] for quantity, added in noise.items()}
         first = kind.size - len(kind.readings)
+        # Scalars of a position and an orientation have the first three columns of their noise.
+        next_column = {"length": VECTOR * kind.position, "angle": VECTOR * kind.orientation}
         for k, reading in enumerate(kind.readings, start=first):
-            added = noise if reading.quantity == "length" else angle_noise
-            readings[:, k] += added[:, k % 3]
+            column = next_column.get(reading.quantity, 0)
+            next_column[reading.quantity] = column + 1
+            readings[:, k] += noise[reading.quantity][:, column]
             if reading.positive:  # what noise would make negative is seen from the other side
                 readings[:, k] = np.abs(readings[:, k])
         return readings
+
+    def _noise(self, rows: int, instrument: Array, seed: int) -> dict[str, Array]:
+        """Draw the noise of what the kind measures, by quantity.
+
+        Args:
+            rows: Number R of rows.
+            instrument: Standard deviation of lengths, shape (R,), [m].
+            seed: Of the random numbers.
+
+        Returns:
+            For each quantity of `RESIDUAL_UNITS` shape (R, k), in its residual unit, with k of at least 3.
+        """
+        kind = self.scenario.kind
+        noise: dict[str, Array] = {}
+        for symbol, unit in RESIDUAL_UNITS.items():
+            quantity = unit.quantity
+            of_quantity = [reading for reading in kind.readings if reading.quantity == quantity]
+            name = "tracker noise" if symbol == "m" else f"{quantity} noise"
+            random = stream(seed, name)
+            first = random.standard_normal((rows, VECTOR))
+            further = random.standard_normal((rows, len(of_quantity)))
+            std = (
+                instrument if symbol == "m" else np.full(rows, self.scenario.sigma.get(symbol, 0.0))
+            )
+            noise[quantity] = np.hstack([first, further]) * std[:, None]
+        return noise
 
     def _displaced(self, T: Array, tour: _Tour, seed: int) -> Array:
         """Return true poses with drift and the robot's repeatability, which all targets of a stop share.

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from calib.channels import RESIDUAL_UNITS
 from calib.data.cell import Cell, TrackerNoise
 from calib.data.cell_file import DEGREES, MM, POINT, TEXT, Field, numbers, read_table, read_toml
 from calib.model.error_model import error_model
@@ -89,7 +90,7 @@ def read_scenario(
         true_robot=_true_robot(robot, words.truth_robot),
         target_error=_target_error(words.target_error),
         noise=noise,
-        sigma_angle=_angle_noise(cell, noise),
+        sigma=_further_noise(cell, noise),
         encoder=Encoder(events.get("angle", 0.0), events.get("length", 0.0)),
         outliers=_outliers(words.outliers, events),
         moved=_moved_target(events),
@@ -120,11 +121,13 @@ def _target_error(text: str | None) -> float:
     return parse_amount(text, "--target-error", LENGTH, "1 mm")
 
 
-def _angle_noise(cell: Cell, noise: TrackerNoise | None) -> float:
-    """Return the noise of an orientation about one axis [rad]: the cell's, or a probe's; 0 where there is no noise."""
+def _further_noise(cell: Cell, noise: TrackerNoise | None) -> dict[str, float]:
+    """Return the noise of one scalar in units other than of length: the cell's, or a usual one; none without noise."""
     if noise is None:
-        return 0.0
-    return _PROBE if cell.sigma_angle is None else cell.sigma_angle
+        return {}
+    usual = {symbol: unit.assumed_sigma for symbol, unit in RESIDUAL_UNITS.items()}
+    usual |= {"rad": _PROBE, **cell.sigma}
+    return {symbol: std for symbol, std in usual.items() if symbol != "m"}
 
 
 def _outliers(text: str | None, events: Mapping[str, Any]) -> Outliers | None:
@@ -166,6 +169,6 @@ def parse_tracker_noise(cell: Cell, text: str | None) -> TrackerNoise | None:
     if text is not None:
         constant, per_length = (0.0, 0.0) if text == NONE else parse_noise(text, "--noise")
         return TrackerNoise(constant, per_length, 0.0) if constant or per_length else None
-    if cell.sigma is not None:
-        return TrackerNoise(cell.sigma, 0.0, 0.0)
+    if "m" in cell.sigma:
+        return TrackerNoise(cell.sigma["m"], 0.0, 0.0)
     return TrackerNoise() if cell.tracker is None else cell.tracker.noise

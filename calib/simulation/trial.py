@@ -139,7 +139,7 @@ def one_trial(trials: Trials, seed: int) -> Trial:
     simulated = virtual_cell.measure(q, seed, sets)
     calibrated = _calibrate(trials, simulated)
     problem = calibrated.fitted.estimate.problem
-    of_lengths = problem.scales[:, :3][problem.rows.used[:, :3]]
+    of_lengths = problem.scales[problem.rows.channels.where("m")]
     verified = _verify(trials, simulated.truth, calibrated.fitted)
     outliers = set(simulated.outlier_rows)
     return Trial(
@@ -281,8 +281,7 @@ def forecast_of_trial(trials: Trials, seed: int) -> Forecast | None:
         return None
     cell = replace(
         trials.cell,
-        sigma=None,
-        sigma_angle=scenario.sigma_angle or trials.cell.sigma_angle,
+        sigma=_further_sigma(trials),
         tracker=Tracker(_tracker_position(scenario), noise=scenario.noise),
     )
     try:
@@ -294,6 +293,13 @@ def forecast_of_trial(trials: Trials, seed: int) -> Forecast | None:
     visited = np.repeat(q[to_estimate], scenario.visits, axis=0)
     workspace = Workspace.of(sensitivity, verification_poses(scenario))
     return Forecast.of(sensitivity, workspace, visited)
+
+
+def _further_sigma(trials: Trials) -> dict[str, float]:
+    """Return the noise of one scalar in units other than of length: the true one, or where that is 0 the cell's."""
+    sigma = dict(trials.cell.sigma)
+    sigma.pop("m", None)
+    return sigma | {unit: std for unit, std in trials.scenario.sigma.items() if std}
 
 
 def _tracker_position(scenario: Scenario) -> Array:

@@ -128,7 +128,7 @@ def _instrument_table(scenario: Scenario) -> dict[str, Any]:
     return {
         "kind": scenario.kind.name,
         "noise": noise and dict(zip(_NOISE, astuple(noise), strict=True)),
-        "sigma_angle_rad": scenario.sigma_angle,
+        "sigma": scenario.sigma,
         "tracker_base_xyz_m": scenario.tracker,
         "encoder_step_rad": scenario.encoder.angle,
         "encoder_step_m": scenario.encoder.length,

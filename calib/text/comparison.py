@@ -213,7 +213,7 @@ def _result_table(name: str, result: CalibrationValues) -> dict[str, Any]:
         "name": name,
         "set": result.model.name,
         "verdict": None if result.verdict is None else result.verdict.use,
-        "sigma_m": result.sigma,
+        "sigma": result.sigma,
         "urdf_sha256": result.nominal.urdf.sha256,
         "measurements_sha256": result.source.sha256,
     }

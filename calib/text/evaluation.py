@@ -3,22 +3,24 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 
 import calib.data.kinds as registry
+from calib.channels import RESIDUAL_UNITS
 from calib.errors import choices
 from calib.numerics.errors import Errors
 from calib.result.acceptance import Acceptance, Assessment, Check
 from calib.result.accuracy import FEWEST_APART, Accuracy, PoseAccuracy
 from calib.result.calibration_file import error_table as stored_errors, pose_table, versions
 from calib.result.evaluation import Evaluation
-from calib.text.layout.lines import WIDTH, deg, mm, plural, wrap
+from calib.text.layout.lines import WIDTH, mm, plural, wrap
+from calib.text.layout.sizes import shown, with_unit
 from calib.text.layout.tables import Column, name_column, table_lines
-from calib.text.summary import angle_table, error_table, error_title
+from calib.text.summary import error_table, error_title
 from calib.text.verdict import outside_text, reason_text
 
 #: Poses that are listed; the others are counted.
@@ -88,13 +90,13 @@ def assessment_text(e: Assessment, result: str, source: str) -> str:
 
 def _reasons(e: Assessment, a: Acceptance, robot: str) -> Iterator[str]:
     """Word what an outcome rests on, and its caveats; ``robot`` is the evaluated robot in words."""
-    for check, angle in a.checks:
-        yield from _check_reasons(a, check, robot, angle=angle)
+    for unit in a.checks:
+        yield from _check_reasons(a, unit, robot)
     yield from _rows_reasons(a)
-    if a.angle is None and len(a.accuracy.of("ap_angle")):
-        yield "Orientations have no tolerance and are not evaluated."
-    if a.length is None:
-        yield "Positions have no tolerance and are not evaluated."
+    for unit in a.accuracy.units:
+        if unit not in a.checks:
+            measured = RESIDUAL_UNITS[unit].measured.capitalize()
+            yield f"{measured}s have no tolerance and are not evaluated."
     kinds = dict.fromkeys(pose.kind for pose in a.accuracy.poses)
     partial = [kind for kind in kinds if not registry.get(kind).coordinates]
     if partial:
@@ -106,39 +108,39 @@ def _reasons(e: Assessment, a: Acceptance, robot: str) -> Iterator[str]:
         yield reason_text(e.hint)
 
 
-def _check_reasons(a: Acceptance, check: Check, robot: str, *, angle: bool) -> Iterator[str]:
+def _check_reasons(a: Acceptance, unit: str, robot: str) -> Iterator[str]:
     """Word a figure against its tolerance, and the sum that decides, if that is another number.
 
     Args:
-        a: The acceptance test, which has the check.
-        check: The figure, its tolerance and the outcome: of positions [m], or of orientations [rad].
+        a: The acceptance test, which has the check: the figure, its tolerance and the outcome.
+        unit: Symbol of the check's unit, ``"m"`` of positions, ``"rad"`` of orientations.
         robot: The evaluated robot in words.
-        angle: Whether the check is that of orientations.
 
     Yields:
         One sentence or two, with numbers in mm or deg.
     """
-    yield _figure_sentence(a, check, robot, angle=angle)
+    check = a.checks[unit]
+    yield _figure_sentence(a, unit, robot)
     total = check.held
     if check.outcome == "fail":
         total = check.figure - check.uncertainty
     if np.isfinite(check.held) and total != check.figure:
-        yield _sum_sentence(check, total, angle=angle)
+        yield _sum_sentence(check, total, unit)
 
 
-def _figure_sentence(a: Acceptance, check: Check, robot: str, *, angle: bool) -> str:
+def _figure_sentence(a: Acceptance, unit: str, robot: str) -> str:
     """Word a figure against its tolerance; the arguments are those of `_check_reasons`."""
-    poses = a.accuracy.poses
+    check, poses = a.checks[unit], a.accuracy.poses
     name = _FIGURES[a.criterion]
-    if angle:
-        name += " of orientation"
+    if unit != "m":
+        name += f" of {RESIDUAL_UNITS[unit].measured}"
     where = ""
     if a.criterion != "mean":
-        sizes = [a.size(pose, angle=angle) for pose in poses]
+        sizes = [a.size(pose, unit) for pose in poses]
         worst = poses[int(np.nanargmax(sizes))]
         where = f" ({_rows_label(worst)})"
-    figure = _with_unit(check.figure, angle)
-    tolerance = _with_unit(check.tolerance, angle)
+    figure = with_unit(check.figure, unit)
+    tolerance = with_unit(check.tolerance, unit)
     relation = "above" if check.figure > check.tolerance else "within"
     return (
         f"Evaluated: {robot}. The {name} of {plural(len(poses), 'pose')} is {figure}{where}, {relation} the "
@@ -146,39 +148,28 @@ def _figure_sentence(a: Acceptance, check: Check, robot: str, *, angle: bool) ->
     )
 
 
-def _sum_sentence(check: Check, total: float, *, angle: bool) -> str:
+def _sum_sentence(check: Check, total: float, unit: str) -> str:
     """Write the sum that decides as an equation, against the tolerance.
 
     A figure that fails is above the tolerance without its guard band, one that passes is within it with its guard band:
     ISO 14253-1.
 
     Args:
-        check: The figure, its factor and guard band, and the tolerance [m], or [rad] of orientations.
+        check: The figure, its factor and guard band, and the tolerance, in the unit.
         total: The sum, in the same unit.
-        angle: Whether the check is that of orientations.
+        unit: Symbol of the unit.
     """
     fails = check.outcome == "fail"
-    terms = _size(check.figure, angle)
+    terms = shown(check.figure, unit)
     if not fails and check.factor != 1.0:
         terms += f" x {check.factor:.3f} (registration)"
     if check.uncertainty > 0.0:
         sign = "-" if fails else "+"
-        guard_band = _size(check.uncertainty, angle)
+        guard_band = shown(check.uncertainty, unit)
         terms += f" {sign} guard band {guard_band} (k = 2, ISO 14253-1)"
     relation = ">" if total > check.tolerance else "<="
-    tolerance = _with_unit(check.tolerance, angle)
-    return f"{terms} = {_with_unit(total, angle)} {relation} {tolerance}."
-
-
-def _size(value: float, angle: bool) -> str:
-    """Format a length [m] in mm, or an angle [rad] in deg, without the unit."""
-    return deg(value, 4) if angle else mm(value)
-
-
-def _with_unit(value: float, angle: bool) -> str:
-    """Format a length [m] as ``0.123 mm``, or an angle [rad] as ``0.1234 deg``."""
-    unit = "deg" if angle else "mm"
-    return f"{_size(value, angle)} {unit}"
+    tolerance = with_unit(check.tolerance, unit)
+    return f"{terms} = {with_unit(total, unit)} {relation} {tolerance}."
 
 
 def _rows_reasons(a: Acceptance) -> Iterator[str]:
@@ -226,26 +217,30 @@ def accuracy_text(robots: Mapping[str, Accuracy]) -> str:
         robots: The accuracy of each robot, by its name in the table.
 
     Returns:
-        A table of positions [mm], and one of orientations [deg] if any were measured.
+        A table for each unit that was measured: of positions [mm], of orientations [deg].
     """
+    units = {unit for accuracy in robots.values() for unit in accuracy.units}
+    return "\n\n".join(_accuracy_table(robots, unit) for unit in RESIDUAL_UNITS if unit in units)
+
+
+def _accuracy_title(robots: Mapping[str, Accuracy], unit: str) -> str:
+    """Title of a table of accuracies in one unit: the accuracy of lengths alone is none of a pose."""
     poses = [pose for accuracy in robots.values() for pose in accuracy.poses]
     points = any(registry.get(pose.kind).coordinates for pose in poses)
-    title = "Pose accuracy, ISO 9283 [mm]" if points else "Length accuracy [mm]"
-    parts = [_accuracy_table(robots, title, angle=False)]
-    if any(np.isfinite(pose.ap_angle) for pose in poses):
-        parts.append(_accuracy_table(robots, "Orientation, ISO 9283 [deg]", angle=True))
-    return "\n\n".join(parts)
+    if unit == "m":
+        return "Pose accuracy, ISO 9283 [mm]" if points else "Length accuracy [mm]"
+    of_unit = RESIDUAL_UNITS[unit]
+    return f"{of_unit.measured.capitalize()}, ISO 9283 [{of_unit.shown}]"
 
 
-def _accuracy_table(robots: Mapping[str, Accuracy], title: str, *, angle: bool) -> str:
-    """Write a table of accuracies, of positions or of orientations."""
-    columns = [name_column(title, 33), Column("poses", 5, gap=0)]
+def _accuracy_table(robots: Mapping[str, Accuracy], unit: str) -> str:
+    """Write a table of accuracies in one unit."""
+    columns = [name_column(_accuracy_title(robots, unit), 33), Column("poses", 5, gap=0)]
     columns += [Column(head, 9) for head in ("AP max", "mean", "RP max", "mean", "single")]
-    measured = "ap_angle" if angle else "ap"
     rows = []
     for name, accuracy in robots.items():
-        count = len(accuracy.of(measured))
-        figures = [_size(figure, angle) for figure in accuracy.figures(angle=angle).values()]
+        count = len(accuracy.of("ap", unit))
+        figures = [shown(figure, unit) for figure in accuracy.figures(unit).values()]
         rows.append((f"  {name}", str(count), *figures))
     return "\n".join(table_lines(columns, rows))
 
@@ -261,11 +256,15 @@ def poses_text(a: Acceptance, robot: str) -> str:
         A line for each of at most ten poses, with AP and RP [mm] and, where orientations were measured, [deg].
     """
     poses = sorted(a.accuracy.poses, key=a.used, reverse=True)
-    turned = any(np.isfinite(pose.ap_angle) for pose in poses)
-    columns = [name_column("", 24), Column("repeats", 7), Column("AP [mm]", 8)]
-    columns += [Column(head, 7) for head in ("x", "y", "z", "RP", "single")]
-    if turned:
-        columns += [Column("AP [deg]", 8), Column("RP", 7)]
+    units = a.accuracy.units
+    columns = [name_column("", 24), Column("repeats", 7)]
+    for unit in units:
+        of_unit = RESIDUAL_UNITS[unit]
+        columns.append(Column(f"AP [{of_unit.shown}]", 8))
+        axes = ("x", "y", "z") if of_unit.shows_span else ()
+        columns += [Column(head, 7) for head in (*axes, "RP")]
+        if unit == units[0]:
+            columns.append(Column("single", 7))
     several_targets = len({pose.target for pose in poses}) > 1
     several_stations = len({pose.group for pose in poses}) > 1
     rows = []
@@ -275,23 +274,27 @@ def poses_text(a: Acceptance, robot: str) -> str:
             names.append(pose.target)
         if several_stations:
             names.append(pose.group)
-        rows.append(_pose_row(pose, names, turned=turned))
+        rows.append(_pose_row(pose, names, units))
     lines = [wrap(f"Poses, the worst first, of {robot}:"), *table_lines(columns, rows)]
     if len(poses) > _MOST_POSES:
         lines.append(f"  and {len(poses) - _MOST_POSES} more")
     return "\n".join(lines)
 
 
-def _pose_row(pose: PoseAccuracy, names: list[str], *, turned: bool) -> list[str]:
-    """Cells of a pose; names are those of its target and station where the table has several."""
+def _pose_row(pose: PoseAccuracy, names: list[str], units: Sequence[str]) -> list[str]:
+    """Cells of a pose in some units; names are those of its target and station where the table has several."""
     label = _rows_label(pose)
     if names:
         label += f" ({', '.join(names)})"
     label = textwrap.shorten(label, _LABEL, placeholder="...")
-    lengths = (pose.ap, *pose.ap_xyz, pose.rp, pose.single)
-    cells = [f"  {label}", str(len(pose.rows)), *map(mm, lengths)]
-    if turned:
-        cells += [deg(pose.ap_angle, 4), deg(pose.rp_angle, 4)]
+    cells = [f"  {label}", str(len(pose.rows))]
+    for unit in units:
+        figures = pose[unit]
+        along = figures.ap_axis if RESIDUAL_UNITS[unit].shows_span else ()
+        values = [figures.ap, *along, figures.rp]
+        if unit == units[0]:
+            values.append(figures.single)
+        cells += [shown(value, unit) for value in values]
     return cells
 
 
@@ -326,21 +329,19 @@ def _errors_text(robots: Mapping[str, Evaluation], result: str) -> str:
     """Write the tables of errors, with a block of rows for each robot."""
     names = {who: _LONG_NAMES[who].format(result) for who in robots}
     blocks = {names[who]: evaluation for who, evaluation in robots.items()}
-    title = error_title(robots["urdf"].used)
-    tables = [error_table(title, _blocks(blocks, "n"))]
-    if any(evaluation.errors["all"].n_angle for evaluation in robots.values()):
-        tables.append(angle_table(_blocks(blocks, "n_angle")))
-    return "\n\n".join("\n".join(lines) for lines in tables)
+    channels = robots["urdf"].channels
+    tables = []
+    for unit in channels.present:
+        lines = error_table(error_title(unit, channels), unit, _blocks(blocks, unit))
+        tables.append("\n".join(lines))
+    return "\n\n".join(tables)
 
 
-def _blocks(robots: Mapping[str, Evaluation], count: str) -> Iterator[tuple[str, Errors] | str]:
-    """Rows of a table of errors: the name of each robot, then its errors by set.
-
-    ``count`` names the attribute of `Errors` with the number of rows: ``"n"`` of lengths, ``"n_angle"`` of angles.
-    """
+def _blocks(robots: Mapping[str, Evaluation], unit: str) -> Iterator[tuple[str, Errors] | str]:
+    """Rows of a table of errors in one unit: the name of each robot, then its errors by set."""
     for name, evaluation in robots.items():
         yield textwrap.shorten(name, WIDTH - 1, placeholder="...") + ":"
-        counts = {key: getattr(errors, count) for key, errors in evaluation.errors.items()}
+        counts = {key: errors[unit].n for key, errors in evaluation.errors.items()}
         one_set = counts["all"] in (counts["estimation"], counts["validation"])
         validated = np.any(evaluation.measurements.validation)
         for key, errors in evaluation.errors.items():
@@ -363,7 +364,7 @@ def assessment_table(e: Assessment) -> dict[str, Any]:
     if acceptance is not None:
         accepted = {"robot": e.judged, **acceptance_table(acceptance)}
     return {
-        "schema": "evaluation 3",  # a word, so that it is not taken for a result's
+        "schema": "evaluation 4",  # a word, so that it is not taken for a result's
         "robot": {"name": robot.name, "base": robot.base, "tip": robot.tip},
         "frames": {
             **pose_table(setup.T_frame_base[0], "frame_base_"),
@@ -391,15 +392,12 @@ def _errors_table(evaluation: Evaluation) -> dict[str, Any]:
 def accuracy_table(accuracy: Accuracy) -> dict[str, Any]:
     """Accuracy and repeatability of one robot, in SI units."""
     low, high = accuracy.repeats
-    figures = {f"{key}_m": value for key, value in accuracy.figures().items()}
-    figures |= {f"{key}_rad": value for key, value in accuracy.figures(angle=True).items()}
-    units = {name: f"{name}_m" for name in ("ap", "ap_xyz", "rp", "single")}
-    units |= {"ap_angle": "ap_rad", "single_angle": "single_rad"}
-    units |= {name: f"{name}_rad" for name in ("ap_abc", "rp_abc")}
+    figures = {unit: accuracy.figures(unit) for unit in accuracy.units}
     poses = []
     for pose in accuracy.poses:
-        values = asdict(pose)
-        poses.append({units.get(name, name): value for name, value in values.items()})
+        by_unit = {unit: asdict(of_unit) for unit, of_unit in pose.by_unit.items()}
+        names = {"rows": pose.rows, "kind": pose.kind, "group": pose.group, "target": pose.target}
+        poses.append(names | by_unit)
     return {
         "rows": accuracy.rows,
         "measured": accuracy.measured,
@@ -413,22 +411,19 @@ def accuracy_table(accuracy: Accuracy) -> dict[str, Any]:
 
 
 def acceptance_table(a: Acceptance) -> dict[str, Any]:
-    """Acceptance test in SI units: outcome, criterion and both checks."""
+    """Acceptance test in SI units: outcome, criterion, and the check in each unit that has a tolerance."""
     table: dict[str, Any] = {
         "outcome": a.outcome,
         "criterion": a.criterion,
         "within": a.within,
         "share": a.share,
-        "length": None,
-        "angle": None,
     }
-    for check, angle in a.checks:
-        quantity, unit = ("angle", "rad") if angle else ("length", "m")
-        table[quantity] = {
-            f"figure_{unit}": check.figure,
-            f"tolerance_{unit}": check.tolerance,
-            f"uncertainty_{unit}": check.uncertainty,
-            f"held_{unit}": check.held,
+    for unit, check in a.checks.items():
+        table[unit] = {
+            "figure": check.figure,
+            "tolerance": check.tolerance,
+            "uncertainty": check.uncertainty,
+            "held": check.held,
             "factor": check.factor,
             "outcome": check.outcome,
         }

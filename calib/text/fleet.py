@@ -9,6 +9,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+from calib.channels import RESIDUAL_UNITS
 from calib.text.layout.lines import fill, plural
 
 #: Of more robots than this only those are listed that somebody should look at.
@@ -22,12 +23,12 @@ _COPIES = "Data given twice, which count once in the statistics:"
 _WITHHELD = "No corrected URDF, because the verdict is 'do not use' (summary.txt says why; --accept writes it):"
 _FAILED = "Failed:"
 
-#: Columns of figures: the heading, and the key of a robot in ``fleet.json`` [m].
+#: Columns of figures: the heading, and the key of a robot in ``fleet.json``.
 _SIZES = {
-    "nominal": "nominal_rms_m",
-    "calibrated": "calibrated_rms_m",
-    "held-out": "unseen_rms_m",
-    "noise": "sigma_m",
+    "nominal": "nominal_rms",
+    "calibrated": "calibrated_rms",
+    "held-out": "unseen_rms",
+    "noise": "sigma",
 }
 
 
@@ -119,10 +120,19 @@ def _cells(robot: Mapping[str, Any]) -> list[str]:
         model += f" ({robot['non_geometric']})"
     sizes = []
     for key in _SIZES.values():
-        value = robot[key]
-        sizes.append("" if value is None else f"{1e3 * value:.3f}")
+        sizes.append(_leading_size(robot[key]))
     words = [robot["name"], robot["verdict"] or "-", robot["urdf"] or "-", model]
     return [*words, *sizes, str(robot["rows"]), str(robot["outliers"])]
+
+
+def _leading_size(by_unit: Mapping[str, float | None]) -> str:
+    """Format a figure in the first unit that was measured: lengths in mm without the unit; empty if there is none."""
+    for symbol, unit in RESIDUAL_UNITS.items():
+        value = by_unit.get(symbol)
+        if value is not None:
+            number = f"{unit.to_shown * value:.{unit.digits}f}"
+            return number if symbol == "m" else f"{number} {unit.shown}"
+    return ""
 
 
 def fleet_text(fleet: Mapping[str, Any], kept: int) -> Iterator[str]:

@@ -118,10 +118,14 @@ def _places(scenario: Scenario, simulated: Simulated) -> Iterator[tuple[str, str
 def _disturbances(scenario: Scenario, simulated: Simulated) -> Iterator[tuple[str, str]]:
     """Label and text of noise, encoder steps, outliers, a moved target and drift; the text is empty without one."""
     kind = scenario.kind
-    noisy = "length" if kind.lengths == 1 else "coordinate"
-    yield f"Noise of a {noisy}", _noise(scenario, simulated)
-    if kind.angles:
-        yield "Noise of an orientation", f"{np.degrees(scenario.sigma_angle):g} deg about each axis"
+    if "m" in kind.units:
+        noisy = "length" if kind.units.count("m") == 1 else "coordinate"
+        yield f"Noise of a {noisy}", _noise(scenario, simulated)
+    if "rad" in kind.units:
+        angle = np.degrees(scenario.sigma.get("rad", 0.0))
+        yield "Noise of an orientation", f"{angle:g} deg about each axis"
+    if "px" in kind.units:
+        yield "Noise of an image coordinate", f"{scenario.sigma.get('px', 0.0):g} px"
     encoder = scenario.encoder
     steps = (f"{np.degrees(encoder.angle):g} deg", f"{1e3 * encoder.length:g} mm")
     nonzero_steps = [step for step in steps if not step.startswith("0 ")]

@@ -10,17 +10,18 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
+from calib.channels import RESIDUAL_UNITS, Channels
 from calib.model.families import FAMILIES, unit_of
 from calib.model.observability import Combination
 from calib.model.parameters import FRAME, TARGET
 from calib.numerics.errors import Errors
 from calib.result.calibration import CalibrationValues
 from calib.result.prediction import Outlier, ParameterEstimate
-from calib.text.layout.lines import deg, mm, number, wrap
+from calib.text.layout.lines import mm, number, wrap
+from calib.text.layout.sizes import shown, with_unit
 from calib.text.layout.tables import Column, name_column, table_lines
 from calib.text.places import frame_sentences, target_sentences
 from calib.text.verdict import reason_text, robustness_text
-from calib.units import Mask
 from calib.version import __version__
 
 #: Rows, or combinations of parameters, that are listed; the others are counted.
@@ -127,11 +128,13 @@ def facts(c: CalibrationValues) -> dict[str, str]:
         A sentence for each label, as far as the figure exists: noise, scatter of repeats, expected error at a new
         point, prior standard deviations, rank.
     """
-    lengths = measured_lengths(c.used)
-    result = {"Noise": _noise(c, lengths)}
-    if c.repeats is not None and np.isfinite(c.repeats.within[0]):
-        scatter, freedom = c.repeats.within[0], c.repeats.freedoms[0]
-        result[SCATTER] = f"{mm(scatter)} mm per {lengths} ({freedom:.0f} d.o.f.)."
+    result = {"Noise": _noise(c)}
+    if c.repeats is not None:
+        unit = next(iter(c.repeats.within))
+        scatter, freedom = c.repeats.within[unit], c.repeats.freedoms[unit]
+        if np.isfinite(scatter):
+            per = _per(c.channels, unit)
+            result[SCATTER] = f"{with_unit(scatter, unit)} {per} ({freedom:.0f} d.o.f.)."
     result[EXPECTED] = _expected(c)
     if c.prior_std:
         result[PRIOR_STD] = _prior_std(c)
@@ -140,17 +143,20 @@ def facts(c: CalibrationValues) -> dict[str, str]:
     return result
 
 
-def _noise(c: CalibrationValues, lengths: str) -> str:
-    """Word the estimated noise of lengths and of angles, and its source."""
-    noise = []
-    if math.isfinite(c.sigma):
-        noise.append(f"{mm(c.sigma)} mm per {lengths}")
-    if math.isfinite(c.sigma_angle):
-        noise.append(f"{deg(c.sigma_angle, 4)} deg about an axis")
+def _noise(c: CalibrationValues) -> str:
+    """Word the estimated noise in each unit, and its source."""
+    noise = [f"{with_unit(std, unit)} {_per(c.channels, unit)}" for unit, std in c.sigma.items()]
     source = "mostly assumed: too few rows"
     if c.freedom >= _ENOUGH_FREEDOM:
         source = f"from residuals, {c.freedom:.0f} d.o.f."
     return f"{' and '.join(noise)} (1 sigma, {source})."
+
+
+def _per(channels: Channels, unit: str) -> str:
+    """Word what the noise of one scalar is stated for, such as ``"per coordinate"``."""
+    if unit == "m":
+        return f"per {measured_lengths(channels)}"
+    return RESIDUAL_UNITS[unit].per
 
 
 def _expected(c: CalibrationValues) -> str:
@@ -176,16 +182,18 @@ def _prior_std(c: CalibrationValues) -> str:
     return f"{', '.join(sizes)} ({source})."
 
 
-def measured_lengths(*used: Mask) -> str:
+def measured_lengths(*channels: Channels) -> str:
     """Name what measured lengths are: coordinates of points, distances, or both.
 
     Args:
-        used: Masks of measured scalars, shape (N, D) each, of which the first three columns are lengths.
+        channels: Units of the scalars of one or several sets of rows.
 
     Returns:
         ``"coordinate"``, ``"length"`` where rows measure a single length, or ``"coordinate or length"``.
     """
-    counts = {int(count) for mask in used for count in np.sum(mask[:, :3], axis=1)}
+    counts: set[int] = set()
+    for of_rows in channels:
+        counts |= set(np.sum(of_rows.where("m"), axis=1).tolist())
     names = []
     if max(counts, default=0) > 1:
         names.append("coordinate")
@@ -194,16 +202,20 @@ def measured_lengths(*used: Mask) -> str:
     return " or ".join(names) or "coordinate"
 
 
-def error_title(*used: Mask) -> str:
-    """Title of a table of errors in mm: an error of a distance is none of a position.
+def error_title(unit: str, *channels: Channels) -> str:
+    """Title of a table of errors in one unit: an error of a distance is none of a position.
 
     Args:
-        used: Masks of measured scalars, shape (N, D) each; see `measured_lengths`.
+        unit: Symbol of the unit.
+        channels: Units of the scalars of one or several sets of rows; see `measured_lengths`.
 
     Returns:
-        ``"Position error"``, ``"Length error"`` or ``"Position or length error"``.
+        Such as ``"Position error"``, ``"Length error"``, ``"Position or length error"`` or ``"Orientation error"``.
     """
-    return f"{measured_lengths(*used).replace('coordinate', 'position').capitalize()} error"
+    measured = RESIDUAL_UNITS[unit].measured
+    if unit == "m":
+        measured = measured_lengths(*channels).replace("coordinate", measured)
+    return f"{measured.capitalize()} error"
 
 
 def error_rows(c: CalibrationValues) -> list[tuple[str, Errors]]:
@@ -233,49 +245,32 @@ def held_out_text(c: CalibrationValues) -> str:
     return f"* {method}: {_HELD_OUT[method]}"
 
 
-def error_table(title: str, rows: Iterable[tuple[str, Errors] | str]) -> list[str]:
-    """Write a table of errors of lengths [mm].
+def error_table(title: str, unit: str, rows: Iterable[tuple[str, Errors] | str]) -> list[str]:
+    """Write a table of errors in one unit.
 
     Args:
         title: Heading of the labels; see `error_title`.
+        unit: Symbol of the unit.
         rows: Label and errors of each row; a text is a line of its own.
 
     Returns:
-        Its lines: rows, maximum, mean, rms, and the span of the error along each axis.
+        Its lines: rows, maximum, mean, rms, and of lengths the span of the error along each axis.
     """
-    heads = ("max", "mean", "rms", "span x", "y", "z")
-    columns = [name_column(f"{title} [mm]", 33), Column("rows", 4)]
-    columns += [Column(head, 9) for head in heads]
+    of_unit = RESIDUAL_UNITS[unit]
+    spans = ("span x", "y", "z") if of_unit.shows_span else ()
+    columns = [name_column(f"{title} [{of_unit.shown}]", 33), Column("rows", 4)]
+    columns += [Column(head, 9) for head in ("max", "mean", "rms", *spans)]
     cells: list[Sequence[str] | str] = []
     for row in rows:
         if isinstance(row, str):
             cells.append(row)
             continue
         label, errors = row
-        figures = (errors.max, errors.mean, errors.rms, *errors.span_axis)
-        cells.append((label, str(errors.n), *map(mm, figures)))
-    return table_lines(columns, cells)
-
-
-def angle_table(rows: Iterable[tuple[str, Errors] | str]) -> list[str]:
-    """Write a table of errors of orientations [deg].
-
-    Args:
-        rows: Label and errors of each row; a text is a line of its own.
-
-    Returns:
-        Its lines: rows, maximum, mean and rms.
-    """
-    columns = [name_column("Orientation error [deg]", 33), Column("rows", 4)]
-    columns += [Column(head, 9) for head in ("max", "mean", "rms")]
-    cells: list[Sequence[str] | str] = []
-    for row in rows:
-        if isinstance(row, str):
-            cells.append(row)
-            continue
-        label, errors = row
-        figures = (errors.max_angle, errors.mean_angle, errors.rms_angle)
-        cells.append((label, str(errors.n_angle), *(deg(figure, 4) for figure in figures)))
+        figures = errors[unit]
+        values = [figures.max, figures.mean, figures.rms]
+        if of_unit.shows_span:
+            values += figures.span_axis.tolist()
+        cells.append((label, str(figures.n), *(shown(value, unit) for value in values)))
     return table_lines(columns, cells)
 
 
@@ -359,14 +354,16 @@ def solver_text(c: CalibrationValues) -> str:
 
 
 def _errors(c: CalibrationValues) -> str:
-    """Write the error tables; a second one for orientations."""
+    """Write a table of errors for each unit that was measured."""
     rows = error_rows(c)
-    lines = error_table(error_title(c.used), [row for row in rows if row[1].n])
-    turned = [row for row in rows if row[1].n_angle]
-    if turned:
-        lines += ["", *angle_table(turned)]
+    tables = []
+    for unit in c.channels.present:
+        of_unit = [row for row in rows if row[1][unit].n]
+        table = error_table(error_title(unit, c.channels), unit, of_unit)
+        tables.append("\n".join(table))
     note = held_out_text(c)
-    return "\n".join([*lines, note] if note else lines)
+    text = "\n\n".join(tables)
+    return f"{text}\n{note}" if note else text
 
 
 def _flagged(c: CalibrationValues) -> str:
@@ -383,14 +380,15 @@ def _flagged(c: CalibrationValues) -> str:
 
 def _outliers(outliers: Sequence[Outlier]) -> str:
     """List rows with residual and score."""
-    shown = []
+    listed = []
     for outlier in outliers[:_MOST_ROWS]:
-        figures = f"{mm(outlier.residual, 2)} mm, {outlier.score:.1f} sigma"
-        shown.append(f"row {outlier.row} ({figures})")
+        unit, residual = next(iter(outlier.residual.items()))
+        size = f"{shown(residual, unit, 2)} {RESIDUAL_UNITS[unit].shown}"
+        listed.append(f"row {outlier.row} ({size}, {outlier.score:.1f} sigma)")
     more = len(outliers) - _MOST_ROWS
     if more > 0:
-        shown.append(f"and {more} more")
-    return "; ".join(shown)
+        listed.append(f"and {more} more")
+    return "; ".join(listed)
 
 
 def _models(c: CalibrationValues) -> str:
@@ -408,8 +406,8 @@ def _models(c: CalibrationValues) -> str:
     uses = {"geometry": "the URDF", "non_geometric": "predict()"}
     rows = []
     for candidate in c.candidates:
-        errors = candidate.cross_validation.errors_without_outliers
-        rms = f"{mm(errors.rms)} mm" if errors.n else f"{deg(errors.rms_angle, 4)} deg"
+        figures = candidate.cross_validation.errors_without_outliers.leading
+        rms = with_unit(figures.rms, figures.unit)
         evidence = f"{candidate.evidence - best:.1f}"
         use = uses.get(candidate.chosen, "")
         rows.append((f"  {candidate.name}", str(candidate.parameters), evidence, rms, use))

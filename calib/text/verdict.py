@@ -8,18 +8,17 @@ from typing import Any
 
 import numpy as np
 
+from calib.channels import RESIDUAL_UNITS
 from calib.diagnosis.coverage import Beyond, OutsideRow
 from calib.diagnosis.reasons import NO, Reason, Verdict, Why
 from calib.selection.robustness import Robustness
 from calib.text.layout.lines import mm, plural
+from calib.text.layout.sizes import shown
 
 #: Rows outside of the measured range that are named one by one; a sentence with more is hard to read.
 _NAMED = 3
 
 _DEG = float(np.degrees(1.0))
-
-#: Units in which the sentences show values: suffix of the value's name, factor from SI, unit.
-_UNITS = (("m", 1e3, "mm"), ("rad", _DEG, "deg"))
 
 #: A p-value below this is shown as such: its digits mean nothing.
 _SMALLEST_P = 1e-6
@@ -75,11 +74,11 @@ SENTENCES = {
     Why.POINTS_MIRRORED: _OFF
     + "the points are mirrored: two of the columns x, y and z are swapped, or one has the wrong "
     "sign.",
-    Why.PARAMETER_ABSURD: "The nominal robot is {before_m:mm.0f} mm rms off on held-out rows, and "
+    Why.PARAMETER_ABSURD: "The nominal robot is {before_off} rms off on held-out rows, and "
     "the fit changes a parameter by {largest:mm.0f} mm or mrad, more than any arm needs. "
     + _CHECK
     + "that each station has a group of its own.",
-    Why.NOISE_ABSURD: "The residuals are {noise_m:mm.0f} mm per coordinate, which no arm or "
+    Why.NOISE_ABSURD: "The residuals are {noise_off} per coordinate, which no arm or "
     "instrument explains. "
     + _CHECK
     + "that they are in the base frame (otherwise: --frame estimate).",
@@ -92,7 +91,7 @@ SENTENCES = {
     Why.NOTHING_TO_GAIN: "Nothing to gain: the nominal robot is {before} off on held-out rows, "
     "which is about the measurement noise. Keep its URDF.",
     Why.STILL_FAR_OFF: "On held-out rows ({method}) the calibrated robot is still "
-    "{after_m:mm.0f} mm rms off.",
+    "{after_off} rms off.",
     Why.TOO_FEW: "{measured} are too few for {parameters} parameters: no significant improvement "
     "on held-out rows ({change}, {gain:.1f} standard errors). Measure more poses.",
     Why.NO_BETTER: "On held-out rows ({method}) the calibrated robot is no better than the "
@@ -117,14 +116,14 @@ SENTENCES = {
     "standard errors. Measure more poses.",
     Why.FEW_NUMBERS: "{measured} with {numbers} measured numbers are few for {parameters} "
     "parameters: the result relies on the priors. Measure more poses.",
-    Why.FAR_OFF_BEFORE: "The nominal robot is {before_m:mm.0f} mm rms off on held-out rows, far "
+    Why.FAR_OFF_BEFORE: "The nominal robot is {before_off} rms off on held-out rows, far "
     "more than an uncalibrated arm. Is it the right URDF?",
     Why.JOINTS_STILL: "Joints that hardly moved: {joints}. Their errors are known near these "
     "values only; measure poses that move every joint.",
     Why.SOLE_POSTURE: "{sole}; no other row can check this, nor is it cross-validated. Measure "
     "{anew} again, and add poses with {those} at other values.",
-    Why.MODEL_LACKS: "The model '{model}' leaves residuals of {noise_m:mm.3f} mm per coordinate, "
-    "'{non_geometric}' would leave {less_m:mm.3f} mm: the robot has errors that this model lacks. "
+    Why.MODEL_LACKS: "The model '{model}' leaves residuals of {noise} per coordinate, "
+    "'{non_geometric}' would leave {less_noise}: the robot has errors that this model lacks. "
     "Try --model auto.",
     Why.CORNER: "Only part of the joints' ranges was measured: {ranges}. Beyond, the result is "
     "extrapolated. The measured tip positions spread {spread:%.0f} % as far as the joint limits "
@@ -136,8 +135,8 @@ SENTENCES = {
     "leaves errors there {ratio:.1f} times those expected. " + _CHANGED,
     Why.SETUP_FLAGGED: "{flagged} of the {rows} rows of station '{setup}' are flagged as "
     "outliers: it does not agree with the others. " + _CHANGED,
-    Why.REPEATS_AGREE: "Repeats of a pose scatter by {within_m:mm.3f} mm per coordinate, but the "
-    "residuals are {noise_m:mm.3f} mm: the robot has errors that the model lacks.",
+    Why.REPEATS_AGREE: "Repeats of a pose scatter by {within} per coordinate, but the "
+    "residuals are {noise}: the robot has errors that the model lacks.",
     Why.NO_LENGTH: "No length was measured, so the size of the arm stays nominal: to determine "
     "it, measure the distance between two sockets, and give it in the cell file ([[distances]]).",
     Why.PARAMETER_FAR: "A parameter has changed by {largest:mm.0f} mm or mrad, more than any error "
@@ -153,7 +152,7 @@ SENTENCES = {
     "Measure throughout the workspace, or choose a smaller model.",
     Why.SMALL_GAIN: "The error falls little, or only near the measured poses: over the joint "
     "limits {remains:%.0f} % of it is expected to remain.",
-    Why.NOISE_LARGE: "Residual noise is {noise_m:mm.1f} mm per coordinate, more than any usual "
+    Why.NOISE_LARGE: "Residual noise is {noise_rough} per coordinate, more than any usual "
     "instrument: are the joint values exact, taken at standstill and of the same pose as the "
     "measurement? If this is the instrument's noise, state it as sigma.",
     Why.NOISE_ABOVE_SIGMA: "Residual noise is {ratio:.0f} times the noise that the table or the "
@@ -168,7 +167,7 @@ SENTENCES = {
     Why.LENGTHS_SCALED: "All lengths of the robot together are {scale:%+.2f} % off (standard error "
     "{std:%.2f} %), more than those of any arm: check the instrument's scale (the size of a "
     "printed board, a tracker's temperature, the unit).",
-    Why.COMPLIANCE_NEGATIVE: "'{joint}' would move against its load, which no compliance does. Are "
+    Why.COMPLIANCE_NEGATIVE: "'{joint}' would move against its load, which no {family} does. Are "
     "the masses, the payload and the direction of gravity right?",
     Why.GAIN: "On held-out rows ({method}{outliers_aside}) the error falls {change}.",
     Why.LARGER_MODEL: "With the non-geometric model '{model}' it is {after} (verdict: {use}). No "
@@ -229,6 +228,13 @@ def _words(values: Mapping[str, Any]) -> dict[str, str]:
         "ranges": _ranges(values),
         "rows_lie": _rows_lie(values.get("rows", 0)),
         "better": "",
+        "before_off": _absurd_size(values, "before"),
+        "after_off": _absurd_size(values, "after"),
+        "noise_off": _absurd_size(values, "noise"),
+        "noise": "".join(_sizes(values, "noise")[:1]),
+        "noise_rough": "".join(_sizes(values, "noise", ".1f")[:1]),
+        "less_noise": "".join(_sizes(values, "less")[:1]),
+        "within": "".join(_sizes(values, "within")[:1]),
     }
     if values.get("outliers"):
         words["outliers_aside"] = ", outliers excluded"
@@ -239,8 +245,8 @@ def _words(values: Mapping[str, Any]) -> dict[str, str]:
         words["named"] = f" '{values['target']}'"
     if "rows" in values and "joints" in values:
         words |= _sole_postures(values["rows"], values["joints"])
-    if "less_m" in values and "model" in values:
-        less = f"{mm(values['less_m'])} mm rms"
+    if words["less_noise"] and "model" in values:
+        less = f"{words['less_noise']} rms"
         words["less"] = less
         if "remains" in values:
             words["better"] = _BETTER.format(model=values["model"], less=less)
@@ -248,7 +254,7 @@ def _words(values: Mapping[str, Any]) -> dict[str, str]:
 
 
 def _sizes(values: Mapping[str, Any], name: str, form: str = ".3f") -> list[str]:
-    """Format the length and the angle, as far as there are any: ``["2.350 mm", "0.573 deg"]``.
+    """Format the size in each unit in which there is one: ``["2.350 mm", "0.573 deg"]``.
 
     Args:
         values: The values of a reason, in SI units.
@@ -256,11 +262,20 @@ def _sizes(values: Mapping[str, Any], name: str, form: str = ".3f") -> list[str]
         form: Format of the numbers.
     """
     sizes = []
-    for suffix, factor, unit in _UNITS:
-        key = f"{name}_{suffix}"
+    for symbol, unit in RESIDUAL_UNITS.items():
+        key = f"{name}_{symbol}"
         if key in values:
-            sizes.append(f"{factor * values[key]:{form}} {unit}")
+            sizes.append(f"{unit.to_shown * values[key]:{form}} {unit.shown}")
     return sizes
+
+
+def _absurd_size(values: Mapping[str, Any], name: str) -> str:
+    """Format the first size that is beyond any arm, without digits behind the point: ``"264 mm"``; empty if none is."""
+    for symbol, unit in RESIDUAL_UNITS.items():
+        value = values.get(f"{name}_{symbol}", 0.0)
+        if isinstance(value, float) and value > unit.absurd:
+            return f"{unit.to_shown * value:.0f} {unit.shown}"
+    return ""
 
 
 def _change(before: Sequence[str], after: Sequence[str]) -> str:
@@ -436,7 +451,10 @@ def robustness_text(robustness: Robustness) -> str:
         f"With {other_weights} weight these rows would change the prediction by {mm(robustness.moved_rms)} mm rms "
         f"at the measured poses, {mm(robustness.moved_max)} mm at most"
     )
-    if used.n:
-        change = f"from about {mm(used.rms)} to {mm(other.rms)} mm rms"
+    figures = used.leading
+    if figures.n:
+        unit = RESIDUAL_UNITS[figures.unit]
+        after = shown(other[figures.unit].rms, figures.unit)
+        change = f"from about {shown(figures.rms, figures.unit)} to {after} {unit.shown} rms"
         text += f", and the held-out error of the others {change}"
     return text + "."

@@ -16,6 +16,7 @@ import numpy as np
 
 import calib.report.figure_base as look
 import calib.viewer.scene as stage
+from calib.channels import RESIDUAL_UNITS
 from calib.result.calibration import CalibrationValues
 from calib.units import Array
 from calib.viewer.html_page import COLOURS, Page, filled_page, floats
@@ -316,10 +317,24 @@ def script_table(view: View, shown: Mapping[str, Puppet]) -> dict[str, Any]:
         "colours": {**COLOURS, **colours, "beam": look.BEAM},
         "robots": {name: _robot_table(puppet, links) for name, puppet in shown.items()},
         "measured": floats(view.measured),
-        "errors": [floats(errors) for errors in view.errors],
-        "angles": [floats(angles) for angles in view.angles],
+        "errors": [_errors_table(unit, errors) for unit, errors in view.errors.items()],
         "instruments": packed(view.instruments).tolist(),
     }
+
+
+def _errors_table(symbol: str, errors: Array) -> dict[str, Any]:
+    """Return both robots' errors in one unit for the script.
+
+    Args:
+        symbol: Symbol of the unit.
+        errors: shape (2, N), in this unit; NaN where a row has none.
+
+    Returns:
+        The errors, the factor to the unit that is shown, and that unit as it stands behind a number.
+    """
+    unit = RESIDUAL_UNITS[symbol]
+    mark = "\N{DEGREE SIGN}" if unit.shown == "deg" else f" {unit.shown}"
+    return {"factor": unit.to_shown, "mark": mark, "robots": [floats(robot) for robot in errors]}
 
 
 def _robot_table(puppet: Puppet, links: Sequence[str]) -> dict[str, Any]:

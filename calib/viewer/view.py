@@ -5,7 +5,7 @@ At the rows of a table each row is a pose; of robots alone poses are spread over
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -14,10 +14,9 @@ import numpy as np
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.errors import ModelError, choices
+from calib.mappings import ReadOnlyMapping
 from calib.report.row_values import (
-    angles_of,
     flagged_rows,
-    lengths_of,
     measured_in_base,
     setup_of_rows,
 )
@@ -78,10 +77,8 @@ class View:
     T_base_nominal: Array = field(default_factory=lambda: np.eye(4))
     #: shape (N, 3), the measured targets in the base [m]; NaN where nothing was measured
     measured: Array = field(default_factory=lambda: np.array(np.nan))
-    #: shape (2, N), norm of each robot's residual of lengths [m]; NaN where none was measured
-    errors: Array = field(default_factory=lambda: np.array(np.nan))
-    #: Of orientations [rad]
-    angles: Array = field(default_factory=lambda: np.array(np.nan))
+    #: shape (2, N), norm of each robot's residual by the unit's symbol; NaN where a row measures nothing in it
+    errors: Mapping[str, Array] = field(default_factory=dict)
     #: shape (K, 4, 4), frames of the stations in the base [m], but for those that are the base
     instruments: Array = field(default_factory=lambda: np.zeros((0, 4, 4)))
     #: Index of the pose shown first, from 0
@@ -103,14 +100,16 @@ class View:
         count = len(self.q)
         shapes = {
             "measured": (count, 3),
-            "errors": (2, count),
-            "angles": (2, count),
             "nominal_target": (count, 4, 4),
             "calibrated_target": (count, 4, 4),
             "T_base_nominal": (count, 4, 4),
         }
         for name, shape in shapes.items():
             object.__setattr__(self, name, np.broadcast_to(getattr(self, name), shape))
+        errors = {
+            unit: np.broadcast_to(of_unit, (2, count)) for unit, of_unit in self.errors.items()
+        }
+        object.__setattr__(self, "errors", ReadOnlyMapping(errors))
         labels = self.labels or tuple(f"pose {k + 1}" for k in range(count))
         object.__setattr__(self, "labels", labels)
         object.__setattr__(self, "kinds", self.kinds or ("pose",) * count)
@@ -150,8 +149,8 @@ def view_of(calibration: CalibrationValues) -> View:
     """Return the view of a calibration: every row a pose."""
     c = calibration
     m = c.measurements
-    before = Evaluation(c.nominal, m, c.nominal_setup, (), c.residual_nominal, c.used)
-    after = Evaluation(c.robot, m, c.setup, (), c.residual_calibrated, c.used)
+    before = Evaluation(c.nominal, m, c.nominal_setup, (), c.residual_nominal, c.channels)
+    after = Evaluation(c.robot, m, c.setup, (), c.residual_calibrated, c.channels)
     view = _at_rows(before, after, flagged_rows(c))
     view = replace(view, title=f"{c.nominal.name or 'Robot'}: nominal and calibrated")
     return _with_verdict(view, c)
@@ -297,9 +296,11 @@ def _at_rows(first: Evaluation, second: Evaluation | None, flagged: Mask) -> Vie
     """
     m = first.measurements
     last = second or first
-    errors = np.array([lengths_of(e.residual, e.used) for e in (first, last)])
-    angles = np.array([angles_of(e.residual, e.used) for e in (first, last)])
-    start = _first_shown(errors[0], m.validation, flagged)
+    errors = {}
+    for unit in first.channels.present:
+        errors[unit] = np.array([e.channels.norms(e.residual, unit) for e in (first, last)])
+    leading = next(iter(errors.values()), np.full((2, len(m)), np.nan))
+    start = _first_shown(leading[0], m.validation, flagged)
     at = _shown_rows(start, flagged)
     _, nominal_target = setup_of_rows(first.setup, m)
     T_frame_base, calibrated_target = setup_of_rows(last.setup, m)
@@ -313,8 +314,7 @@ def _at_rows(first: Evaluation, second: Evaluation | None, flagged: Mask) -> Vie
         calibrated_target=calibrated_target[at],
         T_base_nominal=_bases_of_first(first, last)[at],
         measured=measured_in_base(m, T_frame_base)[at],
-        errors=errors[:, at],
-        angles=angles[:, at],
+        errors={unit: of_unit[:, at] for unit, of_unit in errors.items()},
         instruments=_stations(m, T_frame_base),
         start=int(np.searchsorted(at, start)),
     )
@@ -347,7 +347,7 @@ def _first_shown(errors: Array, validation: Mask, flagged: Mask) -> int:
     """Return the index of the row that is shown first.
 
     Args:
-        errors: shape (N,), [m]; NaN where none was measured.
+        errors: shape (N,), in one unit; NaN where none was measured.
         validation: shape (N,), the validation rows.
         flagged: shape (N,), the flagged rows.
 

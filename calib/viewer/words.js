@@ -1,11 +1,16 @@
 // Words and numbers about the row shown, and the target magnified.
-function mm(length) {
-  const value = 1e3 * length;
-  return value.toFixed(value < 1 ? 3 : value < 100 ? 2 : 0) + " mm";
+function sized(value, mark) {
+  return value.toFixed(value < 1 ? 3 : value < 100 ? 2 : 0) + mark;
 }
-const rowErrors = table.errors.map(floats), rowAngles = table.angles.map(floats);
-const known = (value) => (state.alone || !Number.isFinite(value) ? null : value);
-const degrees = (angle) => ((180 / Math.PI) * angle).toFixed(3) + "\u00b0";
+const mm = (length) => sized(1e3 * length, " mm");
+// The errors of both robots in each unit that was measured.
+const rowErrors = table.errors.map((unit) => ({ ...unit, robots: unit.robots.map(floats) }));
+
+// Each known error of a robot at a row, with its unit.
+function errorsOf(who, row) {
+  const known = rowErrors.filter((unit) => Number.isFinite(unit.robots[who][row]));
+  return known.map((unit) => sized(unit.factor * unit.robots[who][row], unit.mark));
+}
 
 function fill(parent, ...parts) {
   parent.replaceChildren(...parts.map((part) => {
@@ -27,8 +32,8 @@ function label() {
 
 // Text about a row beside the mouse.
 function brief(row) {
-  const values = rowErrors.slice(0, names.length).map((errors) => errors[row]).filter(Number.isFinite);
-  return labelOf(row) + (values.length ? `: ${values.map(mm).join(" \u2192 ")}` : "");
+  const values = names.map((_, who) => errorsOf(who, row)[0]).filter((text) => text !== undefined);
+  return labelOf(row) + (values.length ? `: ${values.join(" \u2192 ")}` : "");
 }
 
 function points() {
@@ -43,11 +48,9 @@ function points() {
 function describe() {
   if (element("which")) element("which").textContent = label();
   const parts = [[label()], ". "];
-  const values = rowErrors.map((errors) => known(errors[state.row]));
-  const turns = rowAngles.map((angles) => known(angles[state.row]));
-  const show = (who) => (values[who] === null ? [] : [[mm(values[who])]])
-    .concat(turns[who] === null ? [] : [values[who] === null ? "" : " and ", [degrees(turns[who])]]);
-  if (values[0] !== null || turns[0] !== null) {
+  const show = (who) => errorsOf(who, state.row)
+    .flatMap((text, k) => (k ? [" and ", [text]] : [[text]]));
+  if (!state.alone && errorsOf(0, state.row).length) {
     parts.push("Residual: ", `${table.names[0].toLowerCase()} `, ...show(0));
     if (both) parts.push(`, ${table.names[1].toLowerCase()} `, ...show(1));
     parts.push(".");

@@ -131,7 +131,7 @@ def test_solvers_priors_and_weights(call, shop, reference, words: tuple[str, ...
         assert result["solver"]["name"] == "scipy"
         assert values(result) == pytest.approx(values(reference), abs=1e-5)
     if words[-1] == "--no-robust":
-        assert noise["sigma_m"] > 1.5 * reference["noise"]["sigma_m"]
+        assert noise["sigma"]["m"] > 1.5 * reference["noise"]["sigma"]["m"]
 
 
 def test_auto_is_the_default_and_says_what_it_tried(examples, reference):

@@ -92,7 +92,7 @@ def test_variances_are_known_as_well_as_what_tells_them():
     result = made("paper")
     held_out = result.cross_validation
     assert _freedom(result, known_to(0.0), 2e-8, held_out) == pytest.approx(
-        held_out.errors_without_outliers.n
+        held_out.errors_without_outliers["m"].n
     )
     assert _freedom(result, known_to(0.0), 0.0, held_out) == np.inf
     assert with_mean(1e-3, np.inf).band == (1e-3, 1e-3)
@@ -174,7 +174,7 @@ def estimated(ur3: Robot) -> CalibrationValues:
     poses = off(ur3, model="dh").poses(q)
     points = poses[:, :3, 3] + poses[:, :3, :3] @ [0.05, 0.04, 0.03]
     table = Measurements(ur3.joint_names, q, points + 5e-5 * rng.normal(size=points.shape))
-    cell = Cell(estimate_frame=True, sigma=5e-5, model="dh")
+    cell = Cell(estimate_frame=True, sigma={"m": 5e-5}, model="dh")
     return calibrate(ur3, table, cell=cell)
 
 
@@ -205,7 +205,7 @@ def test_noise_that_is_not_stated_counts_as_error(estimated: CalibrationValues):
 
     assert squares(of(estimated))["model"] == 0.0
     unknown = of(replace(estimated, sigma_given=np.nan))
-    held_out = estimated.cross_validation.errors_without_outliers.rms
+    held_out = estimated.cross_validation.errors_without_outliers["m"].rms
     added = squares(unknown)
     assert unknown.noise == "unknown"
     assert added["model"] + added["parameters"] == pytest.approx(1e6 * held_out**2, rel=0.2)
@@ -225,7 +225,7 @@ def test_each_model_has_its_errors(ur3: Robot):
     truth = draw_truth(ur3, "zeros+gain", {"zero": 3e-3, "gain": 2e-3}, 1)
     q, where = random_joint_values(ur3, 20, 4), random_joint_values(ur3, 20, 8)
     points = truth.points(q) + 5e-5 * np.random.default_rng(5).normal(size=(20, 3))
-    cell = Cell(sigma=5e-5, model="zeros+gain")
+    cell = Cell(sigma={"m": 5e-5}, model="zeros+gain")
     result = calibrate(ur3, Measurements(ur3.joint_names, q, points), cell=cell)
     pairs = [
         pair_of(result, tool="", frame="", non_geometric=non_geometric)
@@ -268,7 +268,7 @@ def test_true_errors_are_those_expected_over_many_robots(ur3: Robot, known: bool
         poses = robot.poses(q)
         points = poses[:, :3, 3] + poses[:, :3, :3] @ [0.05, 0.04, 0.03]
         table = Measurements(ur3.joint_names, q, points + 5e-5 * rng.normal(size=points.shape))
-        cell = Cell(estimate_frame=not known, sigma=5e-5, model="dh", priors=priors)
+        cell = Cell(estimate_frame=not known, sigma={"m": 5e-5}, model="dh", priors=priors)
         result = calibrate(ur3, table, cell=cell, validate=False)
         arrived, wanted = robot.poses(where) @ tool, result.robot.poses(where) @ tool
         for k, (frame, T) in enumerate(((None, np.eye(4)), ("", result.T_frame_base))):

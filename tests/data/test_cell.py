@@ -59,7 +59,7 @@ def test_values_are_read_only_and_reach_another_process():
 
 
 def test_another_target():
-    cell = Cell(sigma=1e-4).with_target([1, 2, 3], estimate=False)
+    cell = Cell(sigma={"m": 1e-4}).with_target([1, 2, 3], estimate=False)
     np.testing.assert_array_equal(cell.target, [1, 2, 3])
     assert (cell.sigma, cell.estimate_target) == (1e-4, False)
 

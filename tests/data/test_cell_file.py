@@ -121,7 +121,7 @@ def test_every_new_key_and_table(tmp_path: Path):
     np.testing.assert_allclose(cell.target_rotation, pin.rpy.rpyToMatrix(*rpy), atol=1e-15)
     assert cell.estimate_frame
     assert cell.frame_directions == ("x", "rz")
-    assert cell.sigma_angle == pytest.approx(np.radians(0.1), rel=1e-15)
+    assert cell.sigma["rad"] == pytest.approx(np.radians(0.1), rel=1e-15)
     assert cell.priors == Priors("data", zero=1e-3, gain=2e-4, eccentricity=3e-3, compliance=4e-6)
     np.testing.assert_array_equal(cell.gravity, [0.0, 9.81, 0.0])
     assert set(cell.targets) == {"up"}

@@ -54,7 +54,7 @@ def test_what_a_kind_does_not_measure_is_not_kept():
             "row 2: 'rotations' is nan",
         ),
         (
-            {"kinds": ("pose",) * 2, "rotations": [np.eye(3)] * 2, "sigma_angle": [0.1, 0.0]},
+            {"kinds": ("pose",) * 2, "rotations": [np.eye(3)] * 2, "sigma": {"rad": [0.1, 0.0]}},
             "row 2: 'sigma_angle' is 0;",
         ),
         ({"kinds": ("distance",) * 2, "distances": [1, -1]}, "row 2: 'distance' is -1;"),

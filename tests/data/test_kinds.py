@@ -254,8 +254,11 @@ def test_a_kind_from_outside_is_simulated_fitted_and_cross_validated(ur3, count)
     virtual = scenario.draw(seed=1)
     data = virtual.measure(scenario.random_poses(count, seed=1), seed=1).measurements
     result = calib.calibrate(ur3, data, cell=cell)
-    assert result.errors["calibrated"]["estimation"].rms == pytest.approx(2e-5, rel=0.3)
-    assert result.cross_validation.errors.rms < 0.1 * result.nominal_cross_validation.errors.rms
+    assert result.errors["calibrated"]["estimation"]["m"].rms == pytest.approx(2e-5, rel=0.3)
+    assert (
+        result.cross_validation.errors["m"].rms
+        < 0.1 * result.nominal_cross_validation.errors["m"].rms
+    )
     for p in result.parameters:
         if p.name.endswith(".zero") and p.identifiable:
             assert abs(p.value - virtual.truth.value(p.name)) < 4.5 * p.std

@@ -82,12 +82,12 @@ def test_a_complete_orientation_makes_poses(table, columns, values):
     assert m.kinds == ("pose", "pose")
     np.testing.assert_allclose(m.rotations, TURNED.as_matrix(), atol=1e-14)
     np.testing.assert_allclose(m.points, [[0.1, 0.2, 0.3]] * 2)
-    np.testing.assert_allclose(m.sigma_angle, np.deg2rad([0.05, 0.05]))
+    np.testing.assert_allclose(m.sigma["rad"], np.deg2rad([0.05, 0.05]))
     assert m.ignored == ()
     points = Measurements.read(path, kind="point")
     assert points.kinds == ("point", "point")
     assert points.rotations is None
-    assert points.sigma_angle is None
+    assert "rad" not in points.sigma
     assert len(points.ignored) == columns.count(",") + 2
     as_poses = Measurements.read(path, kind="pose")
     assert_same(as_poses, m, atol=1e-15)
@@ -172,7 +172,7 @@ def test_rows_of_several_kinds(table):
     np.testing.assert_array_equal(m.rotations[1], np.eye(3))
     assert np.isnan(m.rotations[[0, *range(2, 7)]]).all()
     np.testing.assert_allclose(m.distances, [np.nan, np.nan, 0.5, 0.6, 0.6, np.nan, np.nan])
-    np.testing.assert_allclose(m.sigma_angle[1], np.deg2rad(0.1))
+    np.testing.assert_allclose(m.sigma["rad"][1], np.deg2rad(0.1))
     np.testing.assert_array_equal(
         m.of_kind("fixed", "pose"), [False, True, *[False] * 3, True, True]
     )

@@ -67,7 +67,7 @@ def test_the_examples_of_other_kinds(table):
     poses, lengths, sockets = examples()[1:4]
     m = Measurements.read(table(poses))
     assert set(m.kinds) == {"pose"}
-    np.testing.assert_allclose(m.sigma_angle, np.deg2rad([0.1, 0.1]))
+    np.testing.assert_allclose(m.sigma["rad"], np.deg2rad([0.1, 0.1]))
     m = Measurements.read(table(lengths))
     assert m.kinds == ("distance", "distance", "pair", "pair")
     np.testing.assert_allclose(m.distances[2:], [0.750002] * 2)
@@ -90,7 +90,7 @@ def test_the_example_of_a_list_of_points(table, tmp_path):
 
 def test_arrays_are_read_only_copies():
     joints = np.zeros((2, 1))
-    m = Measurements(("a",), joints, [[1, 2, 3], [4, 5, 6]], sigma=[0.1, 0.2])
+    m = Measurements(("a",), joints, [[1, 2, 3], [4, 5, 6]], sigma={"m": [0.1, 0.2]})
     joints[0, 0] = 1.0
     assert m.joints[0, 0] == 0.0
     for array in (m.joints, m.points, m.sigma, m.estimation, m.validation, m.joints_for(["a"])):
@@ -108,7 +108,7 @@ def test_another_process_gets_the_same():
 
 
 def test_select_keeps_row_numbers_and_the_rest():
-    m = replace(Measurements.read(UR3), sigma=np.linspace(1e-4, 2e-4, 35))
+    m = replace(Measurements.read(UR3), sigma={"m": np.linspace(1e-4, 2e-4, 35)})
     held_back = m.select(m.validation)
     assert len(held_back) == 5
     assert held_back.rows == (31, 32, 33, 34, 35)

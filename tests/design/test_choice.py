@@ -22,7 +22,7 @@ SIGMA = 1e-4
 def paper(ur3) -> Sensitivity:
     """The paper's target and its 23 identifiable parameters, without priors."""
     target = np.array(calib.example.PAPER_TARGET)
-    cell = Cell(target=target, model="hayati", priors=Priors(source="off"), sigma=SIGMA)
+    cell = Cell(target=target, model="hayati", priors=Priors(source="off"), sigma={"m": SIGMA})
     return Sensitivity.of(ur3, cell)
 
 

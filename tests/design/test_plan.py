@@ -31,7 +31,7 @@ def box(name: str, size, centre) -> Box:
 TABLE = box("table", (1.6, 1.6, 0.04), (0.0, 0.0, -0.03))
 POST = box("post", (0.1, 0.1, 0.8), (0.45, -0.35, 0.4))
 
-BARE = Cell(target=TARGET, model="hayati", sigma=1e-4, priors=Priors(source="off"))
+BARE = Cell(target=TARGET, model="hayati", sigma={"m": 1e-4}, priors=Priors(source="off"))
 FULL = replace(
     BARE,
     boxes=(TABLE, POST),
@@ -111,7 +111,7 @@ def test_every_pose_is_free_by_another_collision_library(ur3, full, bare):
 def test_targets_and_their_holders_stay_out_of_a_box_and_above_the_mounting_plane():
     # On an UR10 five of 35 targets were planned inside of this table, and 14 without it below the plane.
     robot, target = calib.Robot.load("ur10"), np.array([0.0, 0.05, 0.2])
-    cell = Cell(target=target, model="zeros", sigma=1e-4)
+    cell = Cell(target=target, model="zeros", sigma={"m": 1e-4})
     table = box("table", (3.0, 3.0, 0.05), (0.0, 0.0, -0.4))
 
     def lowest(boxes=(), **check) -> float:

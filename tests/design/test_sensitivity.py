@@ -30,40 +30,48 @@ FRAME[:3, 3] = [2.0, -1.0, 0.4]
 PAYLOAD = Payload(2.0, np.array([0.0, 0.02, 0.05]))
 
 CELLS = {
-    "a known frame": Cell(target=TARGET, model="dh", sigma=SIGMA),
+    "a known frame": Cell(target=TARGET, model="dh", sigma={"m": SIGMA}),
     "an estimated frame": Cell(
-        target=TARGET, model="dh", sigma=SIGMA, T_frame_base=FRAME, estimate_frame=True
+        target=TARGET, model="dh", sigma={"m": SIGMA}, T_frame_base=FRAME, estimate_frame=True
     ),
-    "a frame that is not given": Cell(target=TARGET, model="dh", sigma=SIGMA, estimate_frame=True),
+    "a frame that is not given": Cell(
+        target=TARGET, model="dh", sigma={"m": SIGMA}, estimate_frame=True
+    ),
     "poses": Cell(
-        target=TARGET, model="dh", kind="pose", sigma=SIGMA, T_frame_base=FRAME, estimate_frame=True
+        target=TARGET,
+        model="dh",
+        kind="pose",
+        sigma={"m": SIGMA},
+        T_frame_base=FRAME,
+        estimate_frame=True,
     ),
     "poses of a turned target": Cell(
         target=TARGET,
         model="placement",
         kind="pose",
-        sigma=SIGMA,
-        sigma_angle=3e-4,
+        sigma={"m": SIGMA, "rad": 3e-4},
         target_rotation=Rotation.from_rotvec([0.5, 0.3, -2.0]).as_matrix(),
     ),
-    "distances": Cell(target=TARGET, model="dh", kind="distance", sigma=SIGMA, T_frame_base=FRAME),
+    "distances": Cell(
+        target=TARGET, model="dh", kind="distance", sigma={"m": SIGMA}, T_frame_base=FRAME
+    ),
     "two targets": Cell(
-        targets={"one": TARGET, "two": -2.0 * TARGET}, model="placement", sigma=SIGMA
+        targets={"one": TARGET, "two": -2.0 * TARGET}, model="placement", sigma={"m": SIGMA}
     ),
     "two targets' distances": Cell(
         targets={"one": TARGET, "two": -2.0 * TARGET},
         model="dh",
         kind="distance",
-        sigma=SIGMA,
+        sigma={"m": SIGMA},
         frames={"A": FRAME},
     ),
     "bending": Cell(
-        target=TARGET, model="dh+gain+eccentricity+compliance", sigma=SIGMA, payload=PAYLOAD
+        target=TARGET, model="dh+gain+eccentricity+compliance", sigma={"m": SIGMA}, payload=PAYLOAD
     ),
-    "no target": Cell(model="hayati", sigma=SIGMA),
-    "auto": Cell(target=TARGET, sigma=SIGMA),
+    "no target": Cell(model="hayati", sigma={"m": SIGMA}),
+    "auto": Cell(target=TARGET, sigma={"m": SIGMA}),
     "frozen and tied": Cell(
-        target=TARGET, model="dh", sigma=SIGMA, frozen=("a2",), ties={"a3": ("d1", 2.0)}
+        target=TARGET, model="dh", sigma={"m": SIGMA}, frozen=("a2",), ties={"a3": ("d1", 2.0)}
     ),
 }
 
@@ -119,7 +127,7 @@ def test_what_is_measured_moves_as_predictions_do(ur3, cell):
     q = random_joint_values(ur3, 7, 5)
     parts = {
         "point": [(in_position, SIGMA)],
-        "pose": [(in_position, SIGMA), (in_orientation, cell.sigma_angle or FIRST_SIGMA_ANGLE)],
+        "pose": [(in_position, SIGMA), (in_orientation, cell.sigma.get("rad", FIRST_SIGMA_ANGLE))],
         "distance": [(in_length, SIGMA)],
     }[sensitivity.kind]
     expected = np.concatenate(
@@ -160,7 +168,7 @@ def test_what_is_located_moves_as_predictions_do(ur3, cell):
 
 def test_the_noise_is_the_cells_or_the_trackers_by_distance_or_a_usual_trackers(ur3):
     q = random_joint_values(ur3, 20, 5)
-    given = Sensitivity.of(ur3, Cell(target=TARGET, sigma=SIGMA))
+    given = Sensitivity.of(ur3, Cell(target=TARGET, sigma={"m": SIGMA}))
     np.testing.assert_array_equal(given.noise(q), np.full(20, SIGMA))
     tracker = Tracker(np.array([2.5, 0.3, 0.5]), noise=TrackerNoise(10e-6, 50e-6, 0.0))
     seen = Sensitivity.of(ur3, Cell(target=TARGET, tracker=tracker))
@@ -168,7 +176,7 @@ def test_the_noise_is_the_cells_or_the_trackers_by_distance_or_a_usual_trackers(
     distance = np.linalg.norm(points - tracker.position, axis=1)
     np.testing.assert_allclose(seen.noise(q), 10e-6 + 50e-6 * distance, rtol=1e-12)
     assert np.ptp(seen.noise(q)) > 1e-5
-    both = Sensitivity.of(ur3, Cell(target=TARGET, tracker=tracker, sigma=SIGMA))
+    both = Sensitivity.of(ur3, Cell(target=TARGET, tracker=tracker, sigma={"m": SIGMA}))
     np.testing.assert_array_equal(both.noise(q), np.full(20, SIGMA))
     usual = Sensitivity.of(ur3, Cell(target=TARGET))
     np.testing.assert_allclose(usual.noise(q), np.hypot(15e-6 + 3 * 6e-6, 20e-6))
@@ -202,7 +210,7 @@ def test_targets_of_one_stop_share_the_robots_repeatability(ur3):
     cell = Cell(targets={"one": TARGET, "two": TARGET, "three": TARGET}, model="dh")
     q = random_joint_values(ur3, 4, seed=3)
     shared = Sensitivity.of(ur3, replace(cell, tracker=tracker)).measured(q)
-    alone = Sensitivity.of(ur3, replace(cell, sigma=noise.std(3.0))).measured(q)
+    alone = Sensitivity.of(ur3, replace(cell, sigma={"m": noise.std(3.0)})).measured(q)
     # Three targets at one place say of the robot what one row does whose noise is that of their mean.
     robot = slice(0, 20)
     square = (10e-6**2 / 3.0 + 40e-6**2) / (noise.std(3.0) ** 2 / 3.0)
@@ -227,7 +235,7 @@ def simulated(robot, cell, q, rng) -> Measurements:
         columns["distances"] = lengths + SIGMA * rng.normal(size=n)
         points = np.full((n, 3), np.nan)
     if kind == "pose":
-        turn = Rotation.from_rotvec(cell.sigma_angle * rng.normal(size=(n, 3))).as_matrix()
+        turn = Rotation.from_rotvec(cell.sigma["rad"] * rng.normal(size=(n, 3))).as_matrix()
         columns["rotations"] = turn @ T[:, :3, :3]
     return Measurements(robot.joint_names, q, points, kinds=(kind,) * n, **columns)
 
@@ -239,7 +247,7 @@ def simulated(robot, cell, q, rng) -> Measurements:
 def test_the_forecast_is_what_a_calibration_then_says_of_itself(ur3, name):
     given = Priors(source="given")
     cell = (
-        Cell(target=TARGET, model="zeros", sigma=SIGMA, priors=given)
+        Cell(target=TARGET, model="zeros", sigma={"m": SIGMA}, priors=given)
         if name == "zeros"
         else replace(CELLS[name], priors=given)
     )

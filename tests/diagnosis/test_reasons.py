@@ -7,6 +7,7 @@ import pytest
 
 from calib.diagnosis.reasons import CARE, NO, USE, Reason, Why
 from calib.numerics.errors import Errors
+from tests.residuals import lengths_and_angles
 
 
 def test_each_code_has_a_number_of_its_own():
@@ -30,7 +31,7 @@ def test_the_verdicts():
 )
 def test_of_errors_the_rms_is_stored(columns: int, names: set[str]):
     residual = np.full((4, columns), 1e-3)
-    errors = Errors.of(residual)
+    errors = Errors.of(residual, lengths_and_angles(np.ones(residual.shape)))
     values = Reason.of(Why.GAIN, before=errors, method="leave-one-out").values
     assert set(values) == names | {"method"}
     for name in names:

@@ -99,7 +99,7 @@ def test_noise_that_no_instrument_has(make_scene):
     """Joint values to 1 deg: the gain on unseen rows is real, but what is left is not the tracker's."""
     noise = reasons(judged(make_scene, 68, rounded))[Why.NOISE_LARGE]["noise_m"]
     assert noise > 1e-3
-    told = reasons(judged(make_scene, 68, rounded, cell=Cell(sigma=3e-5)))
+    told = reasons(judged(make_scene, 68, rounded, cell=Cell(sigma={"m": 3e-5})))
     assert told[Why.NOISE_ABOVE_SIGMA]["ratio"] == pytest.approx(noise / 3e-5, rel=0.01)
     assert told[Why.JOINTS_COARSE]["by_rad"] == pytest.approx(np.radians(1.0))
     scene = arm(make_scene, 68)

@@ -10,6 +10,7 @@ import pytest
 from calib.diagnosis.reasons import Reason, Verdict, Why
 from calib.diagnosis.verdict import Evidence, verdict
 from calib.numerics.errors import CrossValidation, Errors
+from tests.residuals import lengths_and_angles
 
 ROWS = 30
 
@@ -41,7 +42,7 @@ GOOD = Evidence(
     parameters=27,
     changes=True,
     largest=5e-3,
-    noise=1e-4,
+    noise={"m": 1e-4},
     expected=0.2e-3,
     expected_of_nominal=2.5e-3,
 )
@@ -79,7 +80,7 @@ def test_a_good_calibration_is_to_be_used_and_says_by_how_much():
     result = verdict(replace(GOOD, validation=(errors(2.7e-3), errors(0.25e-3), 1)))
     assert (result.use, codes(result)) == ("use", [Why.GAIN, Why.VALIDATION_GAIN])
     gain, fresh = result.reasons
-    before, after = (v.errors_without_outliers.rms for v in (GOOD.nominal, GOOD.calibrated))
+    before, after = (v.errors_without_outliers["m"].rms for v in (GOOD.nominal, GOOD.calibrated))
     assert (gain.values["before_m"], gain.values["after_m"]) == (before, after)
     assert gain.code == "gain"
     assert (gain.values["method"], gain.values["outliers"]) == ("leave-one-out", 2)
@@ -92,7 +93,7 @@ def test_a_good_calibration_is_to_be_used_and_says_by_how_much():
         ({"calibrated": validated(2.9e-3, 1)}, "do not use", Why.NO_BETTER),
         ({"calibrated": GOOD.nominal}, "do not use", Why.NO_BETTER),
         ({"validation": (errors(2.7e-3), errors(3e-3), 0)}, "do not use", Why.VALIDATION_NO_BETTER),
-        ({"noise": 0.05}, "do not use", Why.NOISE_ABSURD),
+        ({"noise": {"m": 0.05}}, "do not use", Why.NOISE_ABSURD),
         ({"nominal": validated(0.3), "largest": 0.4}, "do not use", Why.PARAMETER_ABSURD),
         (
             {"nominal": validated(0.61e-3, 2), "calibrated": validated(0.59e-3, 1)},
@@ -206,7 +207,7 @@ def test_many_flagged_rows_are_accidents_where_they_are_as_far_off_the_nominal_r
 def test_orientations_that_no_instrument_measures_are_a_wrong_set_up():
     """Inverse orientations leave the positions as good as ever."""
     turned = np.hstack([GOOD.calibrated.residual, np.full((ROWS, 3), 1.0)])
-    off = Errors.of(turned)
+    off = Errors.of(turned, lengths_and_angles(np.ones(turned.shape)))
     e = replace(
         GOOD,
         calibrated=replace(
@@ -220,9 +221,9 @@ def test_orientations_that_no_instrument_measures_are_a_wrong_set_up():
 
 def test_orientations_as_an_instrument_measures_them_are_no_wrong_set_up():
     turned = np.hstack([GOOD.calibrated.residual, np.full((ROWS, 3), 1e-3)])
-    off = Errors.of(turned)
+    off = Errors.of(turned, lengths_and_angles(np.ones(turned.shape)))
     calibrated = replace(GOOD.calibrated, errors=off, errors_without_outliers=off)
-    assert off.n_angle == ROWS
+    assert off["rad"].n == ROWS
     assert verdict(replace(GOOD, calibrated=calibrated)).use == "use"
 
 

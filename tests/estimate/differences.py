@@ -23,7 +23,7 @@ def differences(function, x, step):
 
 def problem_of(virtual, rng, precision):
     x = virtual.offsets(rng, 1e-3, 5e-3)
-    rows = replace(virtual.rows(rng, x, 12, 1e-3), sigma=rng.uniform(1e-4, 3e-4, 12))
+    rows = replace(virtual.rows(rng, x, 12, 1e-3), sigma={"m": rng.uniform(1e-4, 3e-4, 12)})
     centre = 1e-3 * rng.normal(size=27)
     problem = Problem.initial(virtual.kinematics, rows)
     weights = rng.uniform(0, 1, 12)

@@ -204,7 +204,7 @@ def held_out(robot: Robot, table, cell: Cell):
     sets = tuple("validate" if group == "3" else "estimate" for group in table.groups)
     result = calibrate(robot, replace(table, sets=sets), cell=cell)
     errors = result.errors["non_geometric" if result.non_geometric else "calibrated"]["validation"]
-    return errors.rms, relative_size(result.robot, robot), result
+    return errors["m"].rms, relative_size(result.robot, robot), result
 
 
 @pytest.mark.slow

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from calib.data.kinds import get
 from calib.data.measurements import Measurements
 from calib.estimate import problem
 from calib.model.error_model import error_model
@@ -16,7 +17,8 @@ from calib.result.calibrate import calibrate
 from calib.robot import kernel
 
 #: Numbers of kinds in the registry.
-DISTANCE, FIXED, PAIR, PLANE, POINT, POSE = 2, 4, 3, 5, 0, 1
+ALL_KINDS = tuple(map(get, ("point", "pose", "distance", "pair", "fixed", "plane")))
+POINT, POSE, DISTANCE, PAIR, FIXED, PLANE = range(6)
 
 COUNT = 1700
 
@@ -55,11 +57,11 @@ def rows_of_kinds(robot, kinds, seed=0, count=260) -> tuple[Kinematics, Rows]:
     measured[lengths, 0] = rng.uniform(0.3, 0.6, np.sum(lengths))
     return kinematics, Rows(
         samples,
+        ALL_KINDS,
         of,
         measured,
         partner,
-        rng.uniform(0.5e-4, 2e-4, count),
-        rng.uniform(0.5e-3, 2e-3, count),
+        {"m": rng.uniform(0.5e-4, 2e-4, count), "rad": rng.uniform(0.5e-3, 2e-3, count)},
         np.arange(count),
         np.where(partner >= 0, partner, np.arange(count)),
     )
@@ -101,8 +103,8 @@ def test_parts_and_blocks_do_not_matter(ur3, table, monkeypatch):
     std = np.sqrt(np.diag(whole.covariance))
     np.testing.assert_allclose(parts.x, whole.x, atol=1e-6 * std.min())
     np.testing.assert_allclose(parts.scores, whole.scores, rtol=1e-6)
-    assert parts.cross_validation.errors.rms == pytest.approx(
-        whole.cross_validation.errors.rms, rel=1e-9
+    assert parts.cross_validation.errors["m"].rms == pytest.approx(
+        whole.cross_validation.errors["m"].rms, rel=1e-9
     )
     assert parts.verdict.use == whole.verdict.use
     assert [r.why for r in parts.verdict.reasons] == [r.why for r in whole.verdict.reasons]

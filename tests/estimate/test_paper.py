@@ -66,7 +66,7 @@ def test_noise_and_covariance_of_the_papers_estimate_by_hand(noisy):
 
 def test_weights_priors_and_bounds_have_no_part_in_the_papers_estimate(make_scene, noisy):
     scene = make_scene(3, frames=[np.eye(4)], noise=5e-5, length=5e-4, angle=3e-3)
-    cell = Cell(bounds={"a2": (-1e-6, 1e-6)}, parameter_priors={"a3": 1e-7}, sigma=3e-4)
+    cell = Cell(bounds={"a2": (-1e-6, 1e-6)}, parameter_priors={"a3": 1e-7}, sigma={"m": 3e-4})
     found, _ = fitted(scene, scene.points(80), cell, solver="paper")
     np.testing.assert_allclose(found.estimate.x, noisy.estimate.x, atol=1e-12)
     assert 3.0 * found.estimate.noise[0] == pytest.approx(noisy.estimate.noise[0])

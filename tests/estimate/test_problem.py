@@ -99,5 +99,5 @@ def test_a_known_distance_is_that_between_the_frames_origins_in_the_base(make_sc
 def test_the_smallest_noise_is_rounding_of_what_is_measured(virtual):
     """Ten nanometres, in units of the sigma of the typical row."""
     rows = virtual.rows(np.random.default_rng(4), np.zeros(27), 3, 0.0)
-    rows = replace(rows, sigma=np.array([1e-5, 1e-4, 1e-3]))
+    rows = replace(rows, sigma={"m": np.array([1e-5, 1e-4, 1e-3])})
     assert Problem.initial(virtual.kinematics, rows).smallest_noise == pytest.approx((1e-4,))

@@ -141,8 +141,8 @@ def test_its_row_takes_part_in_what_is_determined(ur3, truth):
 def test_held_out_errors_are_without_it(ur3, truth):
     found = fitted(measured(truth, joint_values(ur3), OFF), ur3)
     validation = cross_validation(found, found.estimate.outliers)
-    assert validation.errors.n == ROWS - 1
-    assert validation.errors.max < 1e-3 < np.linalg.norm(validation.residual[ROW])
+    assert validation.errors["m"].n == ROWS - 1
+    assert validation.errors["m"].max < 1e-3 < np.linalg.norm(validation.residual[ROW])
 
 
 def test_given_weights_of_a_judge_leave_it_as_it_is(ur3, truth):
@@ -159,7 +159,7 @@ def test_covariance_by_monte_carlo(ur3):
     """Errors of predictions, where the sole posture moves the joint and where it stands, are as large as said."""
     prior_std = {"length": 0.3e-3, "angle": 1e-3}
     priors = Priors("given", **prior_std)
-    cell = Cell(priors=priors, sigma=NOISE)
+    cell = Cell(priors=priors, sigma={"m": NOISE})
     q = joint_values(ur3)
     squares = []
     for seed in range(200):

@@ -65,7 +65,7 @@ def mixed(make_scene):
     rng = np.random.default_rng(5)
     table = table.select(rng.permutation(len(table)))
     sigma = rng.uniform(0.5e-4, 2e-4, len(table))
-    return problem_of(scene, replace(table, sigma=sigma, sigma_angle=10.0 * sigma))
+    return problem_of(scene, replace(table, sigma={"m": sigma, "rad": 10.0 * sigma}))
 
 
 def dense(problem, weights, rho):

@@ -56,9 +56,9 @@ def test_each_robot_has_a_folder_and_the_fleet_its_tables(shop):
     assert [robot["name"] for robot in table["robots"]] == [f"arm-{k}" for k in range(4)]
     robot = table["robots"][2]
     assert robot["status"] == DONE
-    assert robot["nominal_rms_m"] == result["errors"]["nominal"]["estimation"]["rms_m"]
+    assert robot["nominal_rms"]["m"] == result["errors"]["nominal"]["estimation"]["m"]["rms"]
     assert robot["calibrated_rms_m"] == result["errors"]["calibrated"]["estimation"]["rms_m"]
-    assert robot["sigma_m"] == result["noise"]["sigma_m"]
+    assert robot["sigma"] == result["noise"]["sigma"]
     assert robot["unseen_rms_m"] is None
     deltas = {p["name"]: p["delta"] for p in result["parameters"]}
     geometry = [p for p in robot["parameters"] if "target" not in p["name"]]

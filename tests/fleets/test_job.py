@@ -29,7 +29,7 @@ def test_a_job_returns_the_row_and_the_files(tmp_path, ur3):
     assert result.row.urdf == WRITTEN
     assert set(result.files) == {"corrected.urdf", "result.json", "summary.txt"}
     table = json.loads(result.files["result.json"])
-    assert table["noise"]["sigma_m"] == result.row.sigma
+    assert table["noise"]["sigma"] == dict(result.row.sigma)
 
 
 def test_a_report_names_the_command_and_the_robot(tmp_path, ur3):

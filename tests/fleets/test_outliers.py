@@ -24,9 +24,9 @@ def row(k: int, rng: np.random.Generator, parameters: int = 10) -> FleetRow:
         verdict="use",
         model="dh",
         rows=30,
-        nominal_rms=nominal,
-        held_out_rms=held_out,
-        sigma=sigma,
+        nominal_rms={"m": nominal},
+        held_out_rms={"m": held_out},
+        sigma={"m": sigma},
         kind="ur3 base tool0 j1",
         data=f"{k}.csv",
         measured=str(rng.random()),
@@ -52,10 +52,14 @@ def test_few_fleets_without_outliers_have_one(count):
 
 def test_outliers_are_flagged_with_their_figures():
     rows = fleet_of(40)
-    rows[3] = replace(rows[3], sigma=5.0 * rows[3].sigma, held_out_rms=5.0 * rows[3].held_out_rms)
+    rows[3] = replace(
+        rows[3],
+        sigma={"m": 5.0 * rows[3].sigma["m"]},
+        held_out_rms={"m": 5.0 * rows[3].held_out_rms["m"]},
+    )
     large = FleetParameter("p0", "m", 0.02, 1e-5)
     rows[7] = replace(rows[7], parameters=(large, *rows[7].parameters[1:]))
-    rows[9] = replace(rows[9], nominal_rms=rows[9].nominal_rms / 40.0)
+    rows[9] = replace(rows[9], nominal_rms={"m": rows[9].nominal_rms["m"] / 40.0})
     rows[11] = replace(rows[11], measured=rows[12].measured)
     rows[30] = FleetRow("r30", FAILED, "why")
     outliers, notes = fleet_outliers(rows)
@@ -75,13 +79,13 @@ def test_outliers_are_flagged_with_their_figures():
     assert abs(outliers[0].z) > outliers[0].limit == limit(38, 3, 0.025)
     assert abs(outliers[0].z) >= abs(outliers[1].z)
     assert outliers[3].z < 0.0
-    assert outliers[3].value == pytest.approx(rows[9].nominal_rms)
+    assert outliers[3].value == pytest.approx(rows[9].nominal_rms["m"])
     assert outliers[2].value == 0.02
 
 
 def test_data_given_many_times_count_once():
     rows = fleet_of(12)
-    rows[0] = replace(rows[0], nominal_rms=50.0 * rows[0].nominal_rms)
+    rows[0] = replace(rows[0], nominal_rms={"m": 50.0 * rows[0].nominal_rms["m"]})
     alone, _ = fleet_outliers(rows)
     assert [(one.name, one.figure) for one in alone] == [("r0", "nominal error")]
     copies = [replace(rows[0], name=f"c{k}", data=f"c{k}.csv") for k in range(20)]
@@ -102,7 +106,7 @@ def test_robots_are_compared_with_their_own_kind():
             r,
             name=f"o{r.name}",
             kind="ur5 base tool0",
-            nominal_rms=30 * r.nominal_rms,
+            nominal_rms={"m": 30 * r.nominal_rms["m"]},
             measured=r.name,
         )
         for r in rows[:6]

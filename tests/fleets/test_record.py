@@ -31,10 +31,9 @@ ROW = FleetRow(
     verdict="use",
     model="dh",
     rows=30,
-    nominal_rms=3e-3,
-    held_out_rms=8.1234567e-5,
-    sigma=4e-5,
-    sigma_angle=math.nan,
+    nominal_rms={"m": 3e-3},
+    held_out_rms={"m": 8.1234567e-5},
+    sigma={"m": 4e-5},
     kind="ur3 base tool0 j1",
     data="1.csv",
     measured="1",
@@ -62,7 +61,8 @@ def test_the_csv_table_is_in_mm_with_texts_and_empty_cells():
     first, second = csv.DictReader(content.decode().splitlines())
     assert first["nominal_rms [mm]"] == "3"
     assert first["held_out_rms [mm]"] == "0.0812346"
-    assert first["sigma_angle [mrad]"] == ""
+    assert first["calibrated_rms [mm]"] == ""
+    assert "sigma [mrad]" not in first
     assert first["rows"] == "30"
     assert first["outlier"] == "noise 9 mm; p 20 mm"
     assert (second["outlier"], second["sigma [mm]"]) == ("", "")

@@ -11,7 +11,7 @@ from calib.fleets.record import DONE, FleetRow
 from calib.fleets.robot_folder import MADE, URDF, RobotFolder
 from tests.fleets.arms import files
 
-ROW = FleetRow("arm-0", DONE, sigma=1e-4)
+ROW = FleetRow("arm-0", DONE, sigma={"m": 1e-4})
 CONTENT = {URDF: b"<robot/>", "result.json": b"{}"}
 
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from calib.channels import Channels
 from calib.estimate.linear import LinearProblem
 from calib.numerics.likelihood import GaussianPriors
 
@@ -42,9 +43,10 @@ def normal_of(A, y, weights, instruments, known=None, held=None):
     columns = np.concatenate([A, y[:, :, None]], axis=2).transpose(2, 1, 0).copy()
     p, count = A.shape[2], int(instruments.max()) + 1
     C, z = (np.zeros((0, p)), np.zeros(0)) if known is None else known
-    x, used = np.zeros(p), instruments >= 0
+    x = np.zeros(p)
+    channels = Channels(("m",) * count, (False,) * count, instruments)
     held = np.zeros(p) if held is None else held
-    linear = LinearProblem(x, columns, used, instruments, (0.0,) * count, C, z, held)
+    linear = LinearProblem(x, columns, channels, (0.0,) * count, C, z, held)
     return linear.normal_equations(weights[None], np.zeros((count, 2)))
 
 

@@ -5,7 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from calib.channels import Channels
+from calib.errors import CalibError
 from calib.numerics.errors import Errors
+from tests.residuals import lengths_and_angles
 
 # The paper's Table 4: errors of rows 31 to 35 before and after calibration [mm].
 BEFORE = np.array(
@@ -36,18 +39,32 @@ def test_lengths_and_angles_of_several_kinds():
         [[3.0, 0, 4.0, 0, 0.1, 0], [0, 2.0, 0, 0, 0, 0], [-1.0, 0, 0, 0, 0, 0], [0] * 6]
     )
     used = np.array([[1] * 6, [1, 1, 1, 0, 0, 0], [1, 0, 0, 0, 0, 0], [0] * 6], dtype=bool)
-    errors = Errors.of(residual, used)
-    assert (errors.n, errors.n_angle) == (3, 1)
-    assert errors.mean == pytest.approx(8 / 3)
-    assert errors.rms == pytest.approx(np.sqrt(30 / 3))
-    assert (errors.max, errors.max_angle) == pytest.approx((5.0, 0.1))
-    assert np.all(np.isnan(errors.mean_axis))  # not all have axes
-    whole = Errors.of(residual[:2], used[:2])
-    np.testing.assert_allclose(whole.mean_axis, [1.5, 1.0, 2.0])
+    errors = Errors.of(residual, lengths_and_angles(used))
+    assert (errors["m"].n, errors["rad"].n) == (3, 1)
+    assert errors["m"].mean == pytest.approx(8 / 3)
+    assert errors["m"].rms == pytest.approx(np.sqrt(30 / 3))
+    assert (errors["m"].max, errors["rad"].max) == pytest.approx((5.0, 0.1))
+    assert np.all(np.isnan(errors["m"].mean_axis))  # not all have axes
+    whole = Errors.of(residual[:2], lengths_and_angles(used[:2]))
+    np.testing.assert_allclose(whole["m"].mean_axis, [1.5, 1.0, 2.0])
+    np.testing.assert_allclose(whole["m"].span_axis, [3.0, 2.0, 4.0])
+    np.testing.assert_allclose(whole["rad"].mean_axis, [0.0, 0.1, 0.0])
+    assert errors.units == ("m", "rad")
+    assert errors.leading is errors["m"]
+
+
+def test_a_unit_that_was_not_measured_has_no_figures():
+    errors = Errors.of(np.full((2, 1), 3.0), Channels.of_unit(np.ones((2, 1), dtype=bool), "px"))
+    assert (errors.units, errors.leading.unit, errors["px"].max) == (("px",), "px", 3.0)
+    assert errors["m"].n == 0
+    assert np.isnan([errors["m"].max, errors["m"].mean, errors["m"].rms]).all()
+    assert Errors.of(np.zeros((0, 3))).leading.n == 0
+    with pytest.raises(CalibError, match="'deg' is no unit of residuals"):
+        errors["deg"]
 
 
 def test_a_length_alone_has_no_mean_along_an_axis():
     errors = Errors.of(np.array([[3e-3], [-1e-3]]))
-    assert (errors.n, errors.mean, errors.max) == (2, pytest.approx(2e-3), 3e-3)
-    assert np.all(np.isnan(errors.mean_axis))
-    assert np.all(np.isnan(errors.rms_axis))
+    assert (errors["m"].n, errors["m"].mean, errors["m"].max) == (2, pytest.approx(2e-3), 3e-3)
+    assert np.all(np.isnan(errors["m"].mean_axis))
+    assert np.all(np.isnan(errors["m"].rms_axis))

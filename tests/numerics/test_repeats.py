@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from calib.numerics.repeats import pose_means, scatter_of_repeats
+from tests.residuals import lengths_and_angles
 
 
 def measured(rng, counts, *, shared=1.0, noise=1.0, columns=3):
@@ -16,7 +17,7 @@ def measured(rng, counts, *, shared=1.0, noise=1.0, columns=3):
 
 
 def everything(residual):
-    return np.ones(residual.shape, dtype=bool), np.ones(len(residual))
+    return lengths_and_angles(np.ones(residual.shape)), np.ones(len(residual))
 
 
 def test_the_textbook_s_anova_with_unequal_groups():
@@ -31,7 +32,7 @@ def test_the_textbook_s_anova_with_unequal_groups():
     n0 = (10 - (9 + 4 + 1 + 16) / 10) / 3
     shared = (msb - msw) / n0
     found = scatter_of_repeats(y, used, poses, weights)
-    assert found.within[0] == pytest.approx(np.sqrt(msw))
+    assert found.within["m"] == pytest.approx(np.sqrt(msw))
     assert found.freedom == pytest.approx(6.0)
     assert found.rho == pytest.approx(shared / (shared + msw))
 
@@ -44,8 +45,9 @@ def test_no_bias_with_unequal_repeats(share):
     for _ in range(60):
         e, poses = measured(rng, counts, shared=np.sqrt(share), noise=np.sqrt(1 - share))
         used = rng.random(e.shape) < 0.9
-        result = scatter_of_repeats(np.where(used, e, np.nan), used, poses, np.ones(len(e)))
-        found.append((result.rho, result.within[0]))
+        channels = lengths_and_angles(used)
+        result = scatter_of_repeats(np.where(used, e, np.nan), channels, poses, np.ones(len(e)))
+        found.append((result.rho, result.within["m"]))
     rho, within = np.mean(found, axis=0)
     # At 0 half of the estimates are cut off below.
     assert rho == pytest.approx(share, abs=0.015)
@@ -60,7 +62,7 @@ def test_parameters_of_the_fit_are_allowed_for():
         e, poses = measured(rng, [5] * 30, shared=np.sqrt(0.6), noise=np.sqrt(0.4))
         A = np.repeat(rng.normal(size=(30, 3, 36)), 5, axis=0).reshape(-1, 36)
         r = e.ravel() - A @ np.linalg.lstsq(A, e.ravel(), rcond=None)[0]
-        arguments = (r.reshape(-1, 3), np.ones(e.shape, dtype=bool), poses, np.ones(len(e)))
+        arguments = (r.reshape(-1, 3), lengths_and_angles(np.ones(e.shape)), poses, np.ones(len(e)))
         naive.append(scatter_of_repeats(*arguments).rho)
         right.append(scatter_of_repeats(*arguments, fitted=36).rho)
     assert np.mean(naive) < 0.5
@@ -72,11 +74,11 @@ def test_rows_count_by_their_weights():
     y = np.array([0.0, 4.0, 11.0, 13.0, 1e3, 1e3])[:, None]
     weights = np.array([1.0, 0.5, 1.0, 1.0, 0.0, 0.0])
     poses = np.array([0, 0, 1, 1, 1, 2])
-    used = np.ones(y.shape, dtype=bool)
+    used = lengths_and_angles(np.ones(y.shape))
     found = scatter_of_repeats(y, used, poses, weights)
     # The first pose has the mean 4/3 with squares of 16/3 where 2/3 are expected of a unit variance.
     variance = (16 / 3 + 2) / (2 / 3 + 1)
-    assert found.within[0] == pytest.approx(np.sqrt(variance))
+    assert found.within["m"] == pytest.approx(np.sqrt(variance))
     assert found.freedom == pytest.approx(1.5**2 / 1.25 - 1 + 1)
     between = 1.5 * 2 / 3.5 * (12 - 4 / 3) ** 2
     noise = 1.25 / 1.5 + 2 / 2 - 3.25 / 3.5
@@ -84,7 +86,7 @@ def test_rows_count_by_their_weights():
     assert found.rho == pytest.approx(shared / (shared + variance))
     # Only how the weights compare counts.
     light = scatter_of_repeats(y, used, poses, 0.1 * weights)
-    assert light.within[0] == pytest.approx(found.within[0])
+    assert light.within["m"] == pytest.approx(found.within["m"])
     assert light.freedom == pytest.approx(found.freedom)
     assert light.rho == pytest.approx(found.rho)
 
@@ -93,14 +95,14 @@ def test_repeats_without_any_residual_share_nothing():
     y = np.zeros((4, 3))
     used, weights = everything(y)
     found = scatter_of_repeats(y, used, np.array([0, 0, 1, 1]), weights)
-    assert (found.within.tolist(), found.freedom, found.rho) == ([0.0], 6.0, 0.0)
+    assert (found.within, found.freedom, found.rho) == ({"m": 0.0}, 6.0, 0.0)
 
 
 def test_without_repeats_nothing_is_known_of_their_scatter():
     y = np.random.default_rng(0).normal(size=(4, 3))
     used, weights = everything(y)
     found = scatter_of_repeats(y, used, np.arange(4), weights)
-    assert np.isnan(found.within[0])
+    assert np.isnan(found.within["m"])
     assert (found.freedom, found.rho) == (0.0, 0.0)
 
 
@@ -131,9 +133,9 @@ def test_correlation_does_not_depend_on_the_units_of_lengths_and_angles():
     one_unit = scatter_of_repeats(e / np.sqrt(_mean_squares(e)), used, poses, weights)
     two_units = scatter_of_repeats(e * units, used, poses, weights)
     assert two_units.rho == pytest.approx(one_unit.rho)
-    np.testing.assert_allclose(
-        two_units.within, scatter_of_repeats(e, used, poses, weights).within * units[[0, 3]]
-    )
+    plain = scatter_of_repeats(e, used, poses, weights)
+    assert two_units.within["m"] == pytest.approx(plain.within["m"] * 1e-3)
+    assert two_units.within["rad"] == pytest.approx(plain.within["rad"] * 20.0)
 
 
 def test_lengths_and_angles_count_alike_towards_the_correlation():
@@ -144,9 +146,9 @@ def test_lengths_and_angles_count_alike_towards_the_correlation():
     weights = rng.uniform(0.2, 1.0, len(e))
     nothing = np.zeros((len(e), 2))
     both = np.column_stack([e[:, 0], nothing, e[:, 1], nothing])
-    found = scatter_of_repeats(both, both != 0.0, poses, weights)
+    found = scatter_of_repeats(both, lengths_and_angles(both != 0.0), poses, weights)
     alike = e / np.sqrt(np.average(e**2, axis=0, weights=weights))
-    expected = scatter_of_repeats(alike, alike != 0.0, poses, weights)
+    expected = scatter_of_repeats(alike, lengths_and_angles(alike != 0.0), poses, weights)
     assert found.rho == pytest.approx(expected.rho)
 
 

@@ -9,25 +9,26 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calib.data.cell import Cell
-from calib.data.kinds import at as kind_at
+from calib.data.kinds import get
 from calib.model.error_model import DIRECTIONS, error_model
 from calib.model.kinematics import Kinematics, Samples
 from calib.registration.rows import NONE, Rows
 from calib.registration.table_rows import rows_and_setup
 
 #: Numbers of kinds in the registry.
-DISTANCE, FIXED, PAIR, PLANE, POINT, POSE = 2, 4, 3, 5, 0, 1
+KINDS = tuple(map(get, ("point", "pose", "distance", "pair", "fixed", "plane")))
+POINT, POSE, DISTANCE, PAIR, FIXED, PLANE = range(6)
 
 
 def some_rows(rng, kinds, partner=None) -> Rows:
     n = len(kinds)
     return Rows(
         samples=Samples.at(rng.uniform(-3, 3, (n, 6))),
-        kinds=np.array(kinds),
+        kinds=KINDS,
+        kind=np.array(kinds),
         measured=_measured(rng, kinds),
         partner=np.full(n, -1) if partner is None else np.array(partner),
-        sigma=rng.uniform(1e-4, 2e-4, n),
-        sigma_angle=rng.uniform(1e-3, 2e-3, n),
+        sigma={"m": rng.uniform(1e-4, 2e-4, n), "rad": rng.uniform(1e-3, 2e-3, n)},
         poses=np.arange(n),
         blocks=np.arange(n),
     )
@@ -36,7 +37,7 @@ def some_rows(rng, kinds, partner=None) -> Rows:
 def _measured(rng, kinds):
     turned = Rotation.random(len(kinds), random_state=int(rng.integers(2**31))).as_matrix()
     measured = np.hstack([rng.uniform(1, 2, (len(kinds), 3)), turned.reshape(-1, 9)])
-    prior_std = np.array([0 if k == NONE else kind_at(k).size for k in kinds])
+    prior_std = np.array([0 if k == NONE else KINDS[k].size for k in kinds])
     return np.where(np.arange(12) < prior_std[:, None], measured, 0.0)
 
 
@@ -87,7 +88,7 @@ def test_a_selection_numbers_partners_anew():
     rows = some_rows(np.random.default_rng(8), [PAIR, NONE, POINT, PAIR, NONE], [1, -1, -1, 4, -1])
     chosen = rows.select(np.array([False, False, True, True, True]))
     np.testing.assert_array_equal(chosen.partner, [-1, 2, -1])
-    np.testing.assert_array_equal(chosen.kinds, [POINT, PAIR, NONE])
+    np.testing.assert_array_equal(chosen.kind, [POINT, PAIR, NONE])
     np.testing.assert_array_equal(chosen.sigma, rows.sigma[2:])
     np.testing.assert_array_equal(rows.select(slice(0, 2)).partner, [1, -1])
 
@@ -161,7 +162,7 @@ def test_derivatives_against_differences(make_scene, join, kind):
         kinds[:] = {"fixed": FIXED, "plane": PLANE}[kind]
     if kind == "mixed":
         kinds[-2:] = FIXED, PLANE
-    rows = Rows(**{**_fields(rows), "kinds": kinds})
+    rows = Rows(**{**_fields(rows), "kind": kinds})
     model = error_model(
         scene.robot,
         "placement+gain",

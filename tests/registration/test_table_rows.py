@@ -60,11 +60,11 @@ def test_noise_is_the_rows_the_cells_or_a_first_guess(four_frames, ur3):
     table = four_frames.poses(3)
     rows, _ = rows_and_setup(ur3, table, Cell())
     assert set(rows.sigma) == {FIRST_SIGMA}
-    assert set(rows.sigma_angle) == {FIRST_SIGMA_ANGLE}
-    told = replace(table, sigma=np.array([4e-5, 5e-5, 6e-5]))
-    rows, _ = rows_and_setup(ur3, told, Cell(sigma=2e-4, sigma_angle=3e-3))
+    assert set(rows.sigma["rad"]) == {FIRST_SIGMA_ANGLE}
+    told = replace(table, sigma={"m": np.array([4e-5, 5e-5, 6e-5])})
+    rows, _ = rows_and_setup(ur3, told, Cell(sigma={"m": 2e-4, "rad": 3e-3}))
     np.testing.assert_array_equal(rows.sigma, [4e-5, 5e-5, 6e-5])
-    np.testing.assert_array_equal(rows.sigma_angle, [3e-3] * 3)
+    np.testing.assert_array_equal(rows.sigma["rad"], [3e-3] * 3)
 
 
 def test_repeats_are_of_one_pose_target_frame_and_kind(ur3):

@@ -39,7 +39,7 @@ def test_the_papers_figure_8_shows_the_validation_rows(calibrations):
         assert ax.get_title(loc="left") == f"Δ{'xyz'[k]}"
     assert len({ax.get_ylim() for ax in figure.axes[:3]}) == 1
     _, after = lines(figure.axes[3]).values()
-    assert after.max() == pytest.approx(1e3 * c.errors["calibrated"]["validation"].max)
+    assert after.max() == pytest.approx(1e3 * c.errors["calibrated"]["validation"]["m"].max)
     styles = {line.get_linestyle() for line in figure.axes[3].lines}
     assert styles == {"--", "-"}  # distinguished without colours
     assert figure.axes[3].get_xlabel() == "validation row"

@@ -112,7 +112,7 @@ def test_the_ladder_names_every_model_and_marks_the_chosen(calibrations):
     left, right = figure.axes
     names = [text.get_text() for text in left.get_yticklabels()]
     assert names == [f"{one.name} ({one.parameters})" for one in c.candidates]
-    rms = [1e3 * one.cross_validation.errors_without_outliers.rms for one in c.candidates]
+    rms = [1e3 * one.cross_validation.errors_without_outliers["m"].rms for one in c.candidates]
     assert sorted(patch.get_width() for patch in left.patches) == pytest.approx(sorted(rms))
     best = max(one.evidence for one in c.candidates)
     gains = [one.evidence - best for one in c.candidates]

@@ -3,32 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
-from calib.report.row_values import (
-    angles_of,
-    flagged_rows,
-    lengths_of,
-    measured_in_base,
-    setup_of_rows,
-)
-
-
-def test_sizes_of_errors_are_those_of_the_tables(calibrations):
-    c = calibrations.made("poses")
-    v = c.measurements.validation
-    lengths = lengths_of(c.residual_calibrated, c.used)[v]
-    angles = angles_of(c.residual_calibrated, c.used)[v]
-    errors = c.errors["calibrated"]["validation"]
-    assert lengths.max() == pytest.approx(errors.max, rel=1e-12)
-    assert np.sqrt(np.mean(angles**2)) == pytest.approx(errors.rms_angle, rel=1e-12)
-
-
-def test_rows_without_a_quantity_have_no_size():
-    residual = np.array([[3.0, 4.0, 0.0, 0.0, 0.0, 2.0], [9.0, 9.0, 9.0, 9.0, 9.0, 9.0]])
-    used = np.array([[True] * 3 + [False] * 3, [False] * 3 + [True] * 3])
-    np.testing.assert_array_equal(lengths_of(residual, used), [5.0, np.nan])
-    np.testing.assert_allclose(angles_of(residual, used), [np.nan, 9.0 * np.sqrt(3.0)])
+from calib.report.row_values import flagged_rows, measured_in_base, setup_of_rows
 
 
 def test_flagged_are_outliers_and_suspects(calibrations):

@@ -73,7 +73,7 @@ def test_errors_by_set_are_those_of_the_result(paper_calibration):
             assert int(count) == e.n
             np.testing.assert_allclose(numbers(values), expected, atol=5.1e-4)
     held_out = rows["held-out rows*, calibrated, without outliers"]
-    rms = 1e3 * c.cross_validation.errors_without_outliers.rms
+    rms = 1e3 * c.cross_validation.errors_without_outliers["m"].rms
     assert float(held_out[3]) == pytest.approx(rms, abs=5.1e-4)
     assert table.note.startswith("* leave-one-out: each row predicted from the others alone. Span:")
     assert {table.rows[k][0].split(",")[1] for k in table.strong} == {" calibrated"}

@@ -80,13 +80,13 @@ def test_what_is_judged_depends_on_the_criterion(ur3: Robot):
         found, residual=found.residual + 1e-4 * np.tile([[1.0], [0.0], [-1.0]], (3, 3))
     )
     figures = [
-        acceptance(shaken, 0.5e-3, criterion=name).length.figure
+        acceptance(shaken, {"m": 0.5e-3}, criterion=name).checks["m"].figure
         for name in ("max", "mean", "single")
     ]
     assert figures == pytest.approx([0.6e-3, 0.3e-3, 1e-3 * np.sqrt(0.7**2 + 2 * 0.1**2)])
-    assert acceptance(found, 0.5e-3).outcome == "fail"
-    assert acceptance(found, 0.5e-3, criterion="mean").outcome == "pass"
-    single = acceptance(shaken, 0.65e-3, criterion="single")
+    assert acceptance(found, {"m": 0.5e-3}).outcome == "fail"
+    assert acceptance(found, {"m": 0.5e-3}, criterion="mean").outcome == "pass"
+    single = acceptance(shaken, {"m": 0.65e-3}, criterion="single")
     assert (single.outcome, single.within) == ("fail", 2)
 
 
@@ -94,9 +94,7 @@ def test_what_is_judged_depends_on_the_criterion(ur3: Robot):
 def test_the_share_holds_with_the_confidence_that_is_stated(ur3: Robot, count: int):
     """Clopper and Pearson: whatever the true share is, the limit lies above it once in twenty at most."""
     figures = accuracy(evaluation(ur3, [0.1] * count))
-    limits = np.array(
-        [Acceptance(figures, "max", None, None, within).share for within in range(count + 1)]
-    )
+    limits = np.array([Acceptance(figures, "max", {}, within).share for within in range(count + 1)])
     assert limits[0] == 0.0
     assert limits[-1] == pytest.approx(0.05 ** (1.0 / count))
     for true in np.linspace(0.02, 0.98, 49):
@@ -106,21 +104,21 @@ def test_the_share_holds_with_the_confidence_that_is_stated(ur3: Robot, count: i
 
 def test_what_registering_takes_away_is_counted(ur3: Robot):
     found = evaluation(ur3, [0.1, -0.1] * 3, cell=Cell())
-    a = acceptance(found, 1e-3, uncertainty=0.04e-3)
-    assert a.length.factor == pytest.approx(np.sqrt(18 / 15))
-    assert a.length.held == pytest.approx(a.length.figure * np.sqrt(18 / 15) + 0.04e-3)
-    assert acceptance_table(a)["length"]["held_m"] == a.length.held
+    a = acceptance(found, {"m": 1e-3}, uncertainty={"m": 0.04e-3})
+    assert a.checks["m"].factor == pytest.approx(np.sqrt(18 / 15))
+    assert a.checks["m"].held == pytest.approx(a.checks["m"].figure * np.sqrt(18 / 15) + 0.04e-3)
+    assert acceptance_table(a)["m"]["held"] == a.checks["m"].held
     cell = Cell(estimate_frame=True)
-    nothing_left = acceptance(evaluation(ur3, [0.1, -0.1, 0.1], cell=cell), 1.0)
+    nothing_left = acceptance(evaluation(ur3, [0.1, -0.1, 0.1], cell=cell), {"m": 1.0})
     assert (nothing_left.accuracy.unknowns, nothing_left.accuracy.numbers) == (9, 9)
     assert nothing_left.outcome == "undecided"
 
 
 def test_rows_that_the_fit_saw_prove_nothing(ur3: Robot):
-    assert acceptance(evaluation(ur3, [0.1, 0.2]), 0.5e-3, seen=True).outcome == "undecided"
-    assert acceptance(evaluation(ur3, [0.1, 0.6]), 0.5e-3, seen=True).outcome == "fail"
+    assert acceptance(evaluation(ur3, [0.1, 0.2]), {"m": 0.5e-3}, seen=True).outcome == "undecided"
+    assert acceptance(evaluation(ur3, [0.1, 0.6]), {"m": 0.5e-3}, seen=True).outcome == "fail"
     sets = ("estimate", "estimate", "validate")
-    apart = acceptance(evaluation(ur3, [0.9, 0.9, 0.1], sets=sets), 0.5e-3, seen=True)
+    apart = acceptance(evaluation(ur3, [0.9, 0.9, 0.1], sets=sets), {"m": 0.5e-3}, seen=True)
     assert (apart.outcome, apart.accuracy.others) == ("pass", ("calibration",))
 
 
@@ -129,7 +127,7 @@ def test_the_text_of_a_verdict(ur3: Robot):
         ur3, [0.1 * k for k in range(1, 13)], 3, turns=[1.0] * 12, targets=("a", "b") * 18
     )
     cell = Cell(targets={"a": (0.0, 0.0, 0.0), "b": (0.0, 0.0, 0.0)}, estimate_target=False)
-    found = assess(ur3, table, cell, limits={"tolerance": 0.55e-3, "uncertainty": 1e-4})
+    found = assess(ur3, table, cell, limits={"tolerance": {"m": 0.55e-3}, "uncertainty": {"m": 1e-4}})
     text = assessment_text(found, "", "as given")
     assert text.splitlines()[0] == "Verdict: fail"
     said = " ".join(text.split())
@@ -160,17 +158,17 @@ def test_robots_side_by_side(ur3: Robot):
 
 def test_the_tables(ur3: Robot):
     found = evaluation(ur3, [0.1, 0.2], 3, turns=[1.0, 2.0])
-    a = acceptance(found, 0.5e-3, uncertainty=0.1e-3)
+    a = acceptance(found, {"m": 0.5e-3}, uncertainty={"m": 0.1e-3})
     table = json.loads(json.dumps(plain(acceptance_table(a))))
-    assert (table["outcome"], table["criterion"], table["angle"]) == ("pass", "max", None)
-    assert table["length"]["figure_m"] == pytest.approx(0.2e-3)
-    assert (table["length"]["tolerance_m"], table["length"]["uncertainty_m"]) == (0.5e-3, 0.1e-3)
+    assert (table["outcome"], table["criterion"], "rad" in table) == ("pass", "max", False)
+    assert table["m"]["figure"] == pytest.approx(0.2e-3)
+    assert (table["m"]["tolerance"], table["m"]["uncertainty"]) == (0.5e-3, 0.1e-3)
     assert (table["within"], table["share"]) == (2, pytest.approx(0.05**0.5))
     figures = json.loads(json.dumps(plain(accuracy_table(a.accuracy))))
-    assert figures["ap_max_rad"] == pytest.approx(2e-3)
+    assert figures["rad"]["ap_max"] == pytest.approx(2e-3)
     assert (figures["repeats_min"], figures["repeats_max"], figures["rows"]) == (3, 3, "all")
     assert [pose["rows"] for pose in figures["poses"]] == [[1, 2, 3], [4, 5, 6]]
-    assert figures["poses"][1]["ap_xyz_m"] == pytest.approx([0.2e-3, 0.0, 0.0], abs=1e-12)
+    assert figures["poses"][1]["m"]["ap_axis"] == pytest.approx([0.2e-3, 0.0, 0.0], abs=1e-12)
 
 
 COMMANDS = ("correction position [mm]",)
@@ -202,11 +200,24 @@ def test_commands_are_refused_where_the_nominal_robot_predicts_them(
 @pytest.mark.parametrize(
     ("options", "error", "message"),
     [
-        ({}, CalibError, "State a tolerance"),
-        ({"tolerance": 0.0}, CalibError, r"The tolerance is 0.0 m"),
-        ({"tolerance": 1e-3, "uncertainty": -1e-4}, CalibError, r"uncertainty of -0.0001 m"),
-        ({"tolerance": 1e-3, "criterion": "best"}, CalibError, "choose one of 'max', 'mean'"),
-        ({"tolerance_angle": np.radians(0.1)}, MeasurementError, r"0\.1 deg .* no orientation"),
+        ({"tolerance": {}}, CalibError, "State a tolerance"),
+        ({"tolerance": {"m": 0.0}}, CalibError, r"The tolerance is 0.0 m"),
+        (
+            {"tolerance": {"m": 1e-3}, "uncertainty": {"m": -1e-4}},
+            CalibError,
+            r"uncertainty of -0.0001 m",
+        ),
+        ({"tolerance": {"mm": 0.5}}, CalibError, "'mm' is no unit of residuals"),
+        (
+            {"tolerance": {"m": 1e-3}, "criterion": "best"},
+            CalibError,
+            "choose one of 'max', 'mean'",
+        ),
+        (
+            {"tolerance": {"rad": np.radians(0.1)}},
+            MeasurementError,
+            r"0\.1 deg .* no orientation",
+        ),
     ],
 )
 def test_what_nothing_can_be_judged_by_is_refused(

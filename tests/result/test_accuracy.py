@@ -16,7 +16,7 @@ from calib.data.measurements import Measurements
 from calib.result.accuracy import (
     Accuracy,
     _are_among,
-    _LengthResiduals,
+    _KnownResiduals,
     accuracy,
     fitted_rows,
     judged_rows,
@@ -26,6 +26,7 @@ from calib.result.calibration_file import read_result, write_result
 from calib.result.evaluation import evaluate
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
+from tests.residuals import lengths_and_angles
 
 #: Target and frame known: what is measured minus what is predicted is what was put in.
 KNOWN = Cell(target=(0.05, 0.06, 0.07), estimate_target=False)
@@ -66,18 +67,17 @@ def test_one_pose_by_hand(ur3: Robot):
     found = of(ur3, with_errors(ur3, 1e-3 * CROSS, 4))
     (pose,) = found.poses
     assert pose.rows == (1, 2, 3, 4)
-    assert pose.ap == pytest.approx(5e-3, abs=1e-12)
-    np.testing.assert_allclose(pose.ap_xyz, [3e-3, 4e-3, 0.0], atol=1e-12)
+    assert pose["m"].ap == pytest.approx(5e-3, abs=1e-12)
+    np.testing.assert_allclose(pose["m"].ap_axis, [3e-3, 4e-3, 0.0], atol=1e-12)
     # l = 1, 1, 2, 2: mean 1.5, S = sqrt(4 * 0.25 / 3).
-    assert pose.rp == pytest.approx(1e-3 * (1.5 + 3.0 * np.sqrt(1.0 / 3.0)), abs=1e-12)
-    assert pose.single == pytest.approx(1e-3 * np.sqrt(34.0), abs=1e-12)
+    assert pose["m"].rp == pytest.approx(1e-3 * (1.5 + 3.0 * np.sqrt(1.0 / 3.0)), abs=1e-12)
+    assert pose["m"].single == pytest.approx(1e-3 * np.sqrt(34.0), abs=1e-12)
     assert found.repeats == (4, 4)
     assert (found.rows, found.seen, found.others) == ("all", False, ())
     # Squares about the mean: 1 + 1 + 4 + 4, over (4 - 1) * 3.
-    assert np.isnan(pose.ap_angle)
-    assert (
-        len(found.of("ap_angle")) == len(found.of("rp_angle")) == len(found.of("single_angle")) == 0
-    )
+    assert np.isnan(pose["rad"].ap)
+    assert [len(found.of(name, "rad")) for name in ("ap", "rp", "single")] == [0, 0, 0]
+    assert found.units == ("m",)
 
 
 def test_the_axes_are_the_bases_whatever_the_frame(ur3: Robot):
@@ -92,21 +92,21 @@ def test_the_axes_are_the_bases_whatever_the_frame(ur3: Robot):
         rotations=T[:3, :3] @ m.rotations,
     )
     (pose,) = of(ur3, seen, replace(KNOWN, T_frame_base=T)).poses
-    np.testing.assert_allclose(pose.ap_xyz, [3e-3, 4e-3, 0.0], atol=1e-12)
-    np.testing.assert_allclose(pose.ap_abc, [1e-3, -2e-3, 3e-3], atol=1e-12)
-    assert pose.ap_angle == pytest.approx(np.sqrt(14.0) * 1e-3)
-    np.testing.assert_allclose(pose.rp_abc, np.zeros(3), atol=1e-12)
+    np.testing.assert_allclose(pose["m"].ap_axis, [3e-3, 4e-3, 0.0], atol=1e-12)
+    np.testing.assert_allclose(pose["rad"].ap_axis, [1e-3, -2e-3, 3e-3], atol=1e-12)
+    assert pose["rad"].ap == pytest.approx(np.sqrt(14.0) * 1e-3)
+    np.testing.assert_allclose(pose["rad"].rp_axis, np.zeros(3), atol=1e-12)
 
 
 def test_orientations_by_hand(ur3: Robot):
     turns = np.array([[2e-3, 0, 1e-3], [2e-3, 0, 2e-3], [2e-3, 0, 3e-3]])
     found = of(ur3, with_errors(ur3, np.zeros((3, 3)), 3, turns))
     (pose,) = found.poses
-    np.testing.assert_allclose(pose.ap_abc, [2e-3, 0.0, 2e-3], atol=1e-9)
-    np.testing.assert_allclose(pose.rp_abc, [0.0, 0.0, 3e-3], atol=1e-9)
-    assert pose.single_angle == pytest.approx(np.sqrt(13.0) * 1e-3)
-    assert found.of("rp_angle") == pytest.approx([3e-3])
-    assert found.of("single_angle") == pytest.approx([pose.single_angle])
+    np.testing.assert_allclose(pose["rad"].ap_axis, [2e-3, 0.0, 2e-3], atol=1e-9)
+    np.testing.assert_allclose(pose["rad"].rp_axis, [0.0, 0.0, 3e-3], atol=1e-9)
+    assert pose["rad"].single == pytest.approx(np.sqrt(13.0) * 1e-3)
+    assert found.of("rp", "rad") == pytest.approx([3e-3])
+    assert found.of("single", "rad") == pytest.approx([pose["rad"].single])
 
 
 def test_lengths_have_the_standards_distance_accuracy(ur3: Robot):
@@ -118,11 +118,11 @@ def test_lengths_have_the_standards_distance_accuracy(ur3: Robot):
     )
     known = evaluate(ur3, m, KNOWN).setup
     first, second = accuracy(evaluate(ur3, table, KNOWN, known=known)).poses
-    assert first.ap == pytest.approx(2e-3, abs=1e-12)
-    assert first.rp == pytest.approx(3e-3, abs=1e-12)
-    assert first.single == pytest.approx(3e-3, abs=1e-12)
-    assert np.all(np.isnan(first.ap_xyz))
-    assert second.rp == pytest.approx(3e-3 * np.sqrt(3.0), abs=1e-12)
+    assert first["m"].ap == pytest.approx(2e-3, abs=1e-12)
+    assert first["m"].rp == pytest.approx(3e-3, abs=1e-12)
+    assert first["m"].single == pytest.approx(3e-3, abs=1e-12)
+    assert np.all(np.isnan(first["m"].ap_axis))
+    assert second["m"].rp == pytest.approx(3e-3 * np.sqrt(3.0), abs=1e-12)
     assert second.kind == "distance"
 
 
@@ -223,13 +223,13 @@ def test_which_rows_are_judged(validate: str, fitted: str, registered: bool, jud
 
 
 def test_residuals_of_both_robots_stand_side_by_side_without_what_was_not_measured():
-    nominal = np.arange(12.0).reshape(3, 4)
-    used = np.array(
-        [[True, True, True, True], [False, True, False, True], [True, False, False, False]]
-    )
-    residuals = _LengthResiduals.of(nominal, 100.0 + nominal, used)
-    np.testing.assert_array_equal(residuals.rows_with(1), [1, 2])
-    np.testing.assert_array_equal(residuals.side_by_side([1, 2]), [[5.0, 105.0], [8.0, 108.0]])
+    nominal = np.arange(16.0).reshape(4, 4)
+    used = np.array([[1, 1, 1, 1], [0, 1, 0, 1], [1, 0, 0, 0], [0, 0, 0, 1]], dtype=bool)
+    residuals = _KnownResiduals.of(nominal, 100.0 + nominal, lengths_and_angles(used))
+    # Angles count only where a row measures no length.
+    np.testing.assert_array_equal(residuals.rows_with(1), [1, 2, 3])
+    expected = [[5.0, 105.0], [8.0, 108.0], [15.0, 115.0]]
+    np.testing.assert_array_equal(residuals.side_by_side([1, 2, 3]), expected)
     np.testing.assert_array_equal(residuals.side_by_side([0]), [[0, 1, 2, 100, 101, 102]])
 
 

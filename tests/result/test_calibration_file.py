@@ -145,18 +145,21 @@ def test_the_values_are_those_of_the_calibration(
     result_json: dict[str, Any], default_result: Calibration
 ):
     c = default_result
-    assert result_json["schema"] == 6
+    assert result_json["schema"] == 7
     for who, sets in c.errors.items():
         for name, errors in sets.items():
             stored = result_json["errors"][who][name]
-            assert stored["n"] == errors.n
-            assert stored["max_m"] == errors.max
-            assert stored["mean_m"] == errors.mean
-            assert stored["rms_m"] == errors.rms
-            np.testing.assert_array_equal(stored["span_xyz_m"], errors.span_axis)
+            assert set(stored) == {"m"}
+            assert stored["m"]["n"] == errors["m"].n
+            assert stored["m"]["max"] == errors["m"].max
+            assert stored["m"]["mean"] == errors["m"].mean
+            assert stored["m"]["rms"] == errors["m"].rms
+            np.testing.assert_array_equal(stored["m"]["span_axis"], errors["m"].span_axis)
     assert c.cross_validation is not None
-    assert result_json["cross_validation"]["rms_m"] == c.cross_validation.errors.rms
-    assert result_json["cross_validation"]["without_outliers"]["n"] == 30 - len(c.outliers)
+    assert (
+        result_json["cross_validation"]["errors"]["m"]["rms"] == c.cross_validation.errors["m"].rms
+    )
+    assert result_json["cross_validation"]["without_outliers"]["m"]["n"] == 30 - len(c.outliers)
     assert [p["name"] for p in result_json["parameters"]] == list(c.model.names)
     assert [p["value"] for p in result_json["parameters"]] == [p.value for p in c.parameters]
     np.testing.assert_array_equal(result_json["covariance"], c.covariance)
@@ -165,7 +168,7 @@ def test_the_values_are_those_of_the_calibration(
     assert c.robustness is not None
     assert result_json["robustness"]["weights_lowered"] is True
     assert result_json["robustness"]["moved_max_m"] == c.robustness.moved_max
-    assert result_json["robustness"]["full"]["rms_m"] == c.robustness.errors_full.rms
+    assert result_json["robustness"]["full"]["m"]["rms"] == c.robustness.errors_full["m"].rms
     assert result_json["rows"]["numbers"] == list(range(1, 36))
     assert result_json["rows"]["weights"] == c.weights.tolist()
     assert result_json["rows"]["sets"] == ["estimate"] * 30 + ["validate"] * 5
@@ -218,9 +221,7 @@ def test_the_document_has_every_key_of_a_file_and_no_other(everything_json: dict
 def test_the_document_has_every_key_of_an_evaluation(calibrated: Any, tmp_path: Path):
     _, c = calibrated("poses")
     cell = replace(c.cell, target=None)
-    found = assess(
-        c.nominal, c.measurements, cell, limits={"tolerance": 1.0, "tolerance_angle": 1.0}
-    )
+    found = assess(c.nominal, c.measurements, cell, limits={"tolerance": {"m": 1.0, "rad": 1.0}})
     stored = json.loads(
         write_table(assessment_table(found), tmp_path / "e.json").read_text(encoding="utf-8")
     )
@@ -235,7 +236,7 @@ def test_the_document_has_every_key_of_an_evaluation(calibrated: Any, tmp_path: 
         if not p.startswith(("errors", "accuracy"))
     }
     assert {path for path, _ in leaves(stored)} == keys
-    with pytest.raises(FileError, match="its 'schema' is 'evaluation 3'; a result of calib"):
+    with pytest.raises(FileError, match="its 'schema' is 'evaluation 4'; a result of calib"):
         read_result(tmp_path / "e.json")
 
 
@@ -278,7 +279,7 @@ def test_a_result_read_back_meets_every_row_as_the_fit_did(case: Any, tmp_path: 
 def test_another_schema(tmp_path: Path, text: str):
     path = tmp_path / "r.json"
     path.write_text(text, encoding="utf-8")
-    said = r"r\.json: its 'schema' is (None|2); a result of calib .* has 6\..*calib calibrate ROBOT DATA --json r"
+    said = r"r\.json: its 'schema' is (None|2); a result of calib .* has 7\..*calib calibrate ROBOT DATA --json r"
     with pytest.raises(FileError, match=said):
         read_result(path)
 

@@ -54,7 +54,7 @@ def test_a_base_that_does_not_stand_where_the_known_frame_puts_it(make_scene):
     first = moved.verdict.reasons[0]
     assert (moved.verdict.use, first.why) == ("use with care", Why.BASE_MOVED)
     assert first.values["moved_m"] == pytest.approx(6e-3, abs=5e-4)
-    assert moved.cross_validation.errors.rms < 2e-4
+    assert moved.cross_validation.errors["m"].rms < 2e-4
     free = Cell(model="dh", estimate_frame=True)
     assert Why.BASE_MOVED not in reasons(judged(make_scene, 61, cell=free))
 
@@ -125,7 +125,7 @@ def test_a_joint_that_moves_against_its_load_where_gravity_is_turned(make_scene)
 )
 def test_the_noise_of_angles_is_held_against_the_stated_one_alone(make_scene, noise, stated, codes):
     scene = arm(make_scene, 63, noise=3e-5, noise_angle=noise)
-    cell = Cell(model="dh", sigma_angle=stated)
+    cell = Cell(model="dh", sigma={} if stated is None else {"rad": stated})
     result = calibrate(scene.robot, scene.poses(40), cell=cell, validate=False)
     geometry = result.fit_in_memory.geometry
     found = list(noise_doubts(result, geometry, ()))
@@ -164,7 +164,7 @@ def test_the_noise_of_lengths_is_held_against_the_stated_or_a_usual_one(
     make_scene, noise, stated, why
 ):
     scene = arm(make_scene, 63, noise=noise)
-    cell = Cell(model="dh", sigma=stated)
+    cell = Cell(model="dh", sigma={} if stated is None else {"m": stated})
     result = calibrate(scene.robot, scene.points(60), cell=cell, validate=False)
     found = list(noise_doubts(result, result.fit_in_memory.geometry, ()))
     assert [reason.why for reason in found] == ([] if why is None else [why])
@@ -208,8 +208,8 @@ def test_repeats_that_agree_better_with_each_other_than_with_the_model(
 ):
     scene = arm(make_scene, 63, noise=noise)
     result = calibrate(scene.robot, scene.points(40), model="dh", validate=False)
-    left = result.sigma
-    repeats = Repeats(within=np.array([share * left]), freedoms=np.array([freedom]), rho=0.9)
+    left = result.sigma["m"]
+    repeats = Repeats(within={"m": share * left}, freedoms={"m": freedom}, rho=0.9)
     found = list(_agreeing_repeats(replace(result, repeats=repeats), result.fitted))
     assert [reason.why for reason in found] == [Why.REPEATS_AGREE] * told
     for reason in found:

@@ -40,8 +40,10 @@ def test_the_nominal_errors_are_those_of_the_fit(case):
     np.testing.assert_allclose(found.residual, c.residual_nominal, rtol=0, atol=1e-9)
     np.testing.assert_array_equal(found.used, c.used)
     for name in ("estimation", "validation"):
-        assert found.errors[name].n == c.errors["nominal"][name].n
-    assert found.errors["all"].n == sum(found.errors[k].n for k in ("estimation", "validation"))
+        assert found.errors[name]["m"].n == c.errors["nominal"][name]["m"].n
+    assert found.errors["all"]["m"].n == sum(
+        found.errors[k]["m"].n for k in ("estimation", "validation")
+    )
     assert "target" in found.registered
     scene = not {"point", "pose", "pair"} & set(c.measurements.kinds)
     assert ("frame" in found.registered) == (c.cell.estimate_frame or scene)
@@ -53,9 +55,9 @@ def test_what_is_known_wins_over_the_cell(calibrated):
     found = evaluate(c.robot, c.measurements, cell, known=c.setup)
     np.testing.assert_allclose(found.residual, c.residual_calibrated, atol=1e-9)
     off = evaluate(c.robot, c.measurements, cell)
-    assert off.errors["all"].rms > 0.3
+    assert off.errors["all"]["m"].rms > 0.3
     only_frames = evaluate(c.robot, c.measurements, cell, known=c.setup, which=("frame",))
-    assert only_frames.errors["all"].rms > 0.3
+    assert only_frames.errors["all"]["m"].rms > 0.3
 
 
 def test_targets_that_a_result_lacks_are_registered(calibrated):
@@ -80,7 +82,9 @@ def test_a_new_socket_is_found(calibrated):
     known = part(c.setup, frames=[0, 1])
     found = evaluate(c.robot, c.measurements, known=known)
     assert found.registered == ("frame",)
-    assert found.errors["all"].rms < 1.05 * c.errors["calibrated"]["estimation"].rms + 1e-5
+    assert (
+        found.errors["all"]["m"].rms < 1.05 * c.errors["calibrated"]["estimation"]["m"].rms + 1e-5
+    )
 
 
 @pytest.mark.parametrize("model", ["dh", "dh+gain"])
@@ -93,13 +97,13 @@ def test_another_target_seen_from_another_place_is_registered_when_asked(make_sc
     anew = assess(c.robot, fresh, FREE, c, which=("target",))
     assert {one.registered for one in anew.evaluations.values()} == {("target", "frame")}
     best = anew.evaluations["non_geometric" if c.non_geometric else "calibration"]
-    assert best.errors["all"].rms < 1e-9
-    assert anew.evaluations["nominal"].errors["all"].rms > 1e-3
+    assert best.errors["all"]["m"].rms < 1e-9
+    assert anew.evaluations["nominal"].errors["all"]["m"].rms > 1e-3
     assert anew.hint is None
     known = replace(fresh, groups=("0",) * 20)
     off = assess(c.robot, known, FREE, c, which=("frame", "target"))
     assert off.evaluations["calibration"].registered == ("target",)
-    assert off.evaluations["calibration"].errors["all"].rms > 0.1
+    assert off.evaluations["calibration"].errors["all"]["m"].rms > 0.1
     assert off.hint is not None
     assert off.hint.code == "frame_moved"
 
@@ -110,7 +114,7 @@ def test_rows_that_found_a_set_up_do_not_judge_it_free_of_charge(calibrated):
     sets = tuple("validate" if g == "2" else "estimate" for g in c.measurements.groups)
     found = evaluate(c.robot, replace(c.measurements, sets=sets), c.cell)
     one = accuracy(found)
-    assert found.errors["validation"].rms < 2 * c.errors["calibrated"]["estimation"].rms
+    assert found.errors["validation"]["m"].rms < 2 * c.errors["calibrated"]["estimation"]["m"].rms
     assert (one.registered, one.rows) == (("target", "frame"), "validation")
     assert one.factor > 1.0
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calib.channels import Channels
 from calib.result.evidence import (
     _full_model_parameters,
     _mean_variance,
@@ -15,7 +16,7 @@ from calib.result.evidence import (
 )
 from calib.robot.ranges import spread_poses
 
-ALL = np.ones((10, 3), dtype=bool)
+ALL = Channels.of_unit(np.ones((10, 3), dtype=bool))
 
 
 def test_one_wild_validation_row_is_set_aside():
@@ -25,15 +26,15 @@ def test_one_wild_validation_row_is_set_aside():
     before, after, aside = validation_errors(
         validation, np.arange(10) == 7, nominal, calibrated, ALL
     )
-    assert (before.n, after.n, aside) == (5, 5, 1)
-    assert after.rms == pytest.approx(1e-4 * np.sqrt(3))
+    assert (before["m"].n, after["m"].n, aside) == (5, 5, 1)
+    assert after["m"].rms == pytest.approx(1e-4 * np.sqrt(3))
 
 
 def test_many_rows_that_do_not_fit_are_no_accidents():
     validation = np.arange(10) >= 4
     residual = np.full((10, 3), 1e-3)
     before, _, aside = validation_errors(validation, np.arange(10) >= 7, residual, residual, ALL)
-    assert (before.n, aside) == (6, 0)
+    assert (before["m"].n, aside) == (6, 0)
 
 
 def test_the_variance_of_a_position_is_the_sum_over_its_axes_and_the_mean_over_positions():

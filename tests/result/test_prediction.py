@@ -117,7 +117,7 @@ def test_the_error_at_a_new_point_has_what_the_model_lacks(calibrated):
     """Elsewhere the variance of the prediction takes the place of that at the measured poses."""
     _, c = calibrated("points")
     here, elsewhere = c.new_point
-    held_out = c.cross_validation.errors_without_outliers.rms
+    held_out = c.cross_validation.errors_without_outliers["m"].rms
     assert here == held_out
     added = c.expected_elsewhere**2 - c.expected_measured**2
     assert elsewhere**2 == pytest.approx(held_out**2 + added)

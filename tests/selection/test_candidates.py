@@ -7,9 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calib.channels import Channels
 from calib.data.cell import Cell, Priors
 from calib.estimate.fitting import fit
 from calib.model.families import FAMILIES
+from calib.numerics.errors import Errors
 from calib.selection.candidates import (
     CLEARLY,
     alternative_models,
@@ -44,15 +46,16 @@ def test_evidence_is_the_likelihood_less_what_the_model_costs(make_scene):
 def test_without_priors_evidence_is_the_fall_of_held_out_errors_in_steps(make_scene):
     fitted = fitted_with(make_scene, "off")
     errors = linear_cross_validation(fitted).errors_without_outliers
-    expected = -np.log(errors.rms) / CLEARLY - 2.0 - 1.0
+    expected = -np.log(errors["m"].rms) / CLEARLY - 2.0 - 1.0
     assert candidate_of(fitted).evidence == pytest.approx(expected, rel=1e-12)
 
 
 def test_errors_are_angles_where_no_length_was_measured():
     lengths = a_candidate("dh", 0.0, 2e-4).cross_validation
     assert held_out_rms(lengths) == pytest.approx(2e-4)
-    errors = replace(lengths.errors_without_outliers, n=0, n_angle=3, rms_angle=5e-3)
-    assert held_out_rms(replace(lengths, errors_without_outliers=errors)) == 5e-3
+    angles = Channels.of_unit(np.ones((3, 1), dtype=bool), "rad")
+    errors = Errors.of(np.full((3, 1), 5e-3), angles)
+    assert held_out_rms(replace(lengths, errors_without_outliers=errors)) == pytest.approx(5e-3)
 
 
 def test_families_vanish_below_a_hundredth_of_their_prior():

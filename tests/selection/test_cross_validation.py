@@ -35,9 +35,9 @@ def test_the_nominal_robot_is_given_what_the_calibrated_one_is(calibrated):
     task, rows = task_of_case((scene, c))
     found = nominal_cross_validation(task, rows, c.fitted.estimate.outliers)
     assert found.method == c.cross_validation.method
-    assert found.errors.rms > 20 * c.cross_validation.errors.rms
+    assert found.errors["m"].rms > 20 * c.cross_validation.errors["m"].rms
     frames = fit(Task(scene.robot, c.cell, task.setup, "frames"), rows)
-    assert found.errors.rms >= frames.residual(rows).std() * 0.9
+    assert found.errors["m"].rms >= frames.residual(rows).std() * 0.9
 
 
 @pytest.mark.parametrize("cell", [Cell(), Cell(estimate_frame=True)], ids=["target", "frame too"])

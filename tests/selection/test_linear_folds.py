@@ -34,8 +34,8 @@ def assert_refitted(fitted: Fitted) -> None:
     """Each held-out row is predicted as by a fit from the beginning, to a small share of the noise."""
     linear, refitted = both(fitted)
     assert linear.method == refitted.method
-    assert linear.errors.rms == pytest.approx(refitted.errors.rms, rel=3e-4, abs=1e-9)
-    assert linear.errors.max == pytest.approx(refitted.errors.max, rel=1e-3, abs=1e-9)
+    assert linear.errors["m"].rms == pytest.approx(refitted.errors["m"].rms, rel=3e-4, abs=1e-9)
+    assert linear.errors["m"].max == pytest.approx(refitted.errors["m"].max, rel=1e-3, abs=1e-9)
     used = fitted.estimate.problem.rows.used
     apart = (linear.residual - refitted.residual) / fitted.estimate.problem.scales
     assert np.sqrt(np.mean(apart[used] ** 2)) < 1e-2
@@ -94,9 +94,9 @@ def test_the_linear_one_agrees_with_the_refitted_one(case):
     refitted = c.cross_validation if c.non_geometric is None else c.non_geometric.cross_validation
     linear = linear_cross_validation(fitted)
     assert linear.method == refitted.method
-    assert linear.errors.rms == pytest.approx(refitted.errors.rms, rel=0.1)
-    if refitted.errors.n_angle:
-        assert linear.errors.rms_angle == pytest.approx(refitted.errors.rms_angle, rel=0.1)
+    assert linear.errors["m"].rms == pytest.approx(refitted.errors["m"].rms, rel=0.1)
+    if refitted.errors["rad"].n:
+        assert linear.errors["rad"].rms == pytest.approx(refitted.errors["rad"].rms, rel=0.1)
     good = ~fitted.estimate.outliers
     used = fitted.estimate.problem.rows.used & good[:, None]
     apart = (linear.residual - refitted.residual) / fitted.estimate.problem.scales

@@ -49,15 +49,15 @@ def test_it_is_the_difference_of_the_two_calibrations(robust, plain, table):
     assert found.moved_max == pytest.approx(np.max(moved), rel=1e-6)
     # Two rows of thirty, a hundred times the noise: worse by far on the rows that nobody doubts.
     assert found.moved_rms > 3.0 * robust.expected_measured
-    assert found.errors_lowered.n == found.errors_full.n == 28
-    assert found.errors_lowered.rms < 2.5e-4 < 4e-4 < found.errors_full.rms
+    assert found.errors_lowered["m"].n == found.errors_full["m"].n == 28
+    assert found.errors_lowered["m"].rms < 2.5e-4 < 4e-4 < found.errors_full["m"].rms
 
 
 def test_of_a_fit_with_every_row_in_full_it_is_the_other_way_round(robust, plain):
     found = compare_weights(plain.fitted)
     assert not found.lowered
     assert found.moved_rms == pytest.approx(robust.robustness.moved_rms, rel=1e-6)
-    assert found.errors_lowered.rms < 2.5e-4 < 4e-4 < found.errors_full.rms
+    assert found.errors_lowered["m"].rms < 2.5e-4 < 4e-4 < found.errors_full["m"].rms
 
 
 def test_a_motion_as_one_body_is_no_difference_where_no_row_determines_the_base(calibrated):

@@ -172,7 +172,7 @@ def test_noise_grows_with_the_distance_from_the_tracker(truth, q, away):
 
 
 def test_orientations_are_turned_by_their_noise(truth, q):
-    made = virtual(truth, kind="pose", noise=None, sigma_angle=1e-3, visits=100).measure(q, 1)
+    made = virtual(truth, kind="pose", noise=None, sigma={"rad": 1e-3}, visits=100).measure(q, 1)
     turned = made.measurements.rotations @ made.T_frame_target[:, :3, :3].transpose(0, 2, 1)
     angles = Rotation.from_matrix(turned).as_rotvec()
     assert angles.std(axis=0) == pytest.approx(1e-3, rel=0.06)

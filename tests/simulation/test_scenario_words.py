@@ -54,7 +54,7 @@ def test_single_errors(ur3):
         (CELL, "15 um + 6 um/m", TrackerNoise(15e-6, 6e-6, 0.0)),
         (CELL, None, TrackerNoise()),
         (Cell(tracker=TRACKER), None, TRACKER.noise),
-        (Cell(sigma=1e-4, tracker=TRACKER), None, TrackerNoise(1e-4, 0.0, 0.0)),
+        (Cell(sigma={"m": 1e-4}, tracker=TRACKER), None, TrackerNoise(1e-4, 0.0, 0.0)),
         *((CELL, text, None) for text in ("none", "0", "0 mm", "0 um + 0 um/m")),
     ],
 )

@@ -29,7 +29,7 @@ def measured(robot: Robot, errors: np.ndarray) -> Measurements:
 @pytest.fixture(scope="module")
 def assessment(ur3: Robot) -> Assessment:
     errors = 1e-4 * np.arange(1, 13)
-    limits = {"tolerance": 2e-3, "uncertainty": 1e-4}
+    limits = {"tolerance": {"m": 2e-3}, "uncertainty": {"m": 1e-4}}
     return assess(ur3, measured(ur3, errors), KNOWN, limits=limits)
 
 
@@ -45,7 +45,7 @@ def numbers(line: str) -> list[float]:
 def test_the_outcome_stands_first(text: str, assessment: Assessment):
     assert text.splitlines()[0] == f"Verdict: {assessment.accepted.outcome}" == "Verdict: pass"
     said = " ".join(text.split())
-    check = assessment.accepted.length
+    check = assessment.accepted.checks["m"]
     assert f"largest AP of 12 poses is {mm(check.figure)} mm (rows 34, 35, 36)" in said
     assert f"= {mm(check.held)} mm <= {mm(check.tolerance)} mm." in said
     assert max(map(len, text.splitlines())) <= 100
@@ -54,15 +54,17 @@ def test_the_outcome_stands_first(text: str, assessment: Assessment):
 def test_the_errors_are_those_of_the_robot(text: str, assessment: Assessment):
     errors = assessment.evaluations["urdf"].errors["all"]
     (line,) = [line for line in text.splitlines() if line.startswith("  measured rows ")]
-    shown = 1e3 * np.array([errors.max, errors.mean, errors.rms, *errors.span_axis])
-    assert line.split()[2] == str(errors.n) == "36"
+    shown = 1e3 * np.array(
+        [errors["m"].max, errors["m"].mean, errors["m"].rms, *errors["m"].span_axis]
+    )
+    assert line.split()[2] == str(errors["m"].n) == "36"
     assert numbers(line) == pytest.approx(shown, abs=5.01e-4)
 
 
 def test_the_accuracies_are_those_of_the_robot(text: str, assessment: Assessment):
     accuracy = assessment.accuracies["urdf"]
     (line,) = [line for line in text.splitlines() if line.startswith("  URDF as it is ")]
-    expected = [1e3 * value for value in accuracy.figures().values()]
+    expected = [1e3 * value for value in accuracy.figures("m").values()]
     assert numbers(line) == pytest.approx(expected, abs=5.01e-4)
 
 
@@ -84,21 +86,21 @@ def test_long_names_of_files_are_shortened(assessment: Assessment):
 def test_the_table_is_in_si_units(assessment: Assessment):
     table = assessment_table(assessment)
     assert table["acceptance"]["outcome"] == "pass"
-    assert table["acceptance"]["length"]["tolerance_m"] == 2e-3
-    assert table["acceptance"]["length"]["held_m"] == assessment.accepted.length.held
-    assert table["acceptance"]["angle"] is None
+    assert table["acceptance"]["m"]["tolerance"] == 2e-3
+    assert table["acceptance"]["m"]["held"] == assessment.accepted.checks["m"].held
+    assert "rad" not in table["acceptance"]
     assert table["frames"]["registered"] == []
     accuracy = accuracy_table(assessment.accuracies["urdf"])
-    assert accuracy["ap_max_m"] == pytest.approx(1.2e-3)
+    assert accuracy["m"]["ap_max"] == pytest.approx(1.2e-3)
     assert accuracy["repeats_min"] == accuracy["repeats_max"] == 3
-    assert accuracy["poses"][-1]["ap_m"] == pytest.approx(1.2e-3)
+    assert accuracy["poses"][-1]["m"]["ap"] == pytest.approx(1.2e-3)
 
 
 def test_what_fails_is_above_the_tolerance_without_the_guard_band(ur3: Robot):
-    limits = {"tolerance": 0.9e-3, "uncertainty": 1e-4}
+    limits = {"tolerance": {"m": 0.9e-3}, "uncertainty": {"m": 1e-4}}
     failed = assess(ur3, measured(ur3, 1e-4 * np.arange(1, 13)), KNOWN, limits=limits)
     said = " ".join(assessment_text(failed, "result.json", "as given").split())
-    figure = failed.accepted.length.figure
+    figure = failed.accepted.checks["m"].figure
     assert said.startswith("Verdict: fail")
     assert (
         f"AP of 12 poses is {mm(figure)} mm (rows 34, 35, 36), above the tolerance of 0.900 mm."

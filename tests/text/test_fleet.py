@@ -17,10 +17,10 @@ def robot(name: str, **values: Any) -> dict[str, Any]:
         "urdf": "corrected.urdf",
         "model": "dh",
         "non_geometric": "",
-        "nominal_rms_m": 2.5e-3,
-        "calibrated_rms_m": 2e-4,
-        "unseen_rms_m": 2.5e-4,
-        "sigma_m": 1e-4,
+        "nominal_rms": {"m": 2.5e-3},
+        "calibrated_rms": {"m": 2e-4},
+        "unseen_rms": {"m": 2.5e-4},
+        "sigma": {"m": 1e-4},
         "rows": 35,
         "outliers": 2,
         "message": "",
@@ -37,7 +37,7 @@ def outlier(name: str, figure: str = "noise", text: str = "noise 9 mm") -> dict[
 
 
 def test_a_row_has_the_figures_in_mm():
-    heads, rows = fleet_cells(fleet(robot("SN-1", non_geometric="dh+gain", sigma_m=None)))
+    heads, rows = fleet_cells(fleet(robot("SN-1", non_geometric="dh+gain", sigma={})))
     cells = dict(zip(heads, rows[0], strict=True))
     assert cells["robot"] == "SN-1"
     assert cells["model"] == "dh (dh+gain)"

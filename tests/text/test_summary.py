@@ -8,6 +8,7 @@ import pytest
 
 import calib
 from calib.calibration import Calibration, calibrate
+from calib.channels import Channels
 from calib.data.cell import Cell
 from calib.text.summary import (
     EXPECTED,
@@ -59,8 +60,8 @@ def test_the_errors_are_those_of_the_result(text: str, default_result: Calibrati
     for who, sets in default_result.errors.items():
         for name, errors in sets.items():
             shown = numbers_of(text, f"{name} rows, {who}")
-            wanted = [errors.max, errors.mean, errors.rms, *errors.span_axis]
-            assert shown[0] == errors.n
+            wanted = [errors["m"].max, errors["m"].mean, errors["m"].rms, *errors["m"].span_axis]
+            assert shown[0] == errors["m"].n
             np.testing.assert_allclose(shown[1:], 1e3 * np.array(wanted), atol=5.001e-4)
     assert default_result.cross_validation is not None
     assert default_result.nominal_cross_validation is not None
@@ -69,7 +70,7 @@ def test_the_errors_are_those_of_the_result(text: str, default_result: Calibrati
         ("calibrated", default_result.cross_validation),
     ):
         shown = numbers_of(text, f"held-out rows*, {who}")
-        assert shown[3] == pytest.approx(1e3 * validated.errors.rms, abs=5e-4)
+        assert shown[3] == pytest.approx(1e3 * validated.errors["m"].rms, abs=5e-4)
     kept = 30 - len(default_result.outliers)
     assert len(re.findall(rf"^  the same without outliers +{kept} ", text, flags=re.MULTILINE)) == 2
     assert "\n* leave-one-out: each row predicted from the others alone\n" in text
@@ -98,9 +99,10 @@ def test_the_parameters_are_those_of_the_result(text: str, default_result: Calib
     ],
 )
 def test_an_error_of_a_length_is_none_of_a_position(numbers: list[int], of: str, title: str):
-    used = np.arange(3) < np.array(numbers)[:, None]
-    assert measured_lengths(used) == of
-    assert error_title(used) == title
+    channels = Channels.of_unit(np.arange(3) < np.array(numbers)[:, None])
+    assert measured_lengths(channels) == of
+    assert error_title("m", channels) == title
+    assert error_title("rad", channels) == "Orientation error"
 
 
 def test_what_too_few_rows_do_not_tell_is_not_expected(ur3, table):

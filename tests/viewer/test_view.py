@@ -81,7 +81,7 @@ def test_every_row_is_a_pose_and_the_worst_validation_row_is_shown_first(result)
     np.testing.assert_allclose(distances(view), view.errors, atol=1e-12)
     for k, who in enumerate(("nominal", "calibrated")):
         rms = np.sqrt(np.mean(view.errors[k, 30:] ** 2))
-        assert rms == pytest.approx(result.errors[who]["validation"].rms, abs=1e-12)
+        assert rms == pytest.approx(result.errors[who]["validation"]["m"].rms, abs=1e-12)
 
 
 def test_measured_points_are_shown_in_the_base_frame_and_the_tracker_where_it_stands(result):

@@ -121,4 +121,5 @@ def _against_the_paper(result: Calibration, by_paper: Calibration) -> str:
 
 def _in_mm(errors: Errors) -> tuple[float, float, float]:
     """Return max, mean and rms [mm]."""
-    return 1e3 * errors.max, 1e3 * errors.mean, 1e3 * errors.rms
+    figures = errors["m"]
+    return 1e3 * figures.max, 1e3 * figures.mean, 1e3 * figures.rms

@@ -23,7 +23,7 @@ from calib.cli.outputs import check_outputs
 from calib.cli.setup import load_with_data, read_cell, with_chain_of_result, with_target_link
 from calib.cli.terminal import say
 from calib.cli.verb import verb
-from calib.cli.words import parse_pair
+from calib.cli.words import parse_by_unit
 from calib.errors import CalibError
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 #: A tolerance as it could be typed.
 _EXAMPLE = "0.5 mm 0.1 deg"
-_METAVAR = '"LENGTH [ANGLE]"'
+_METAVAR = '"LENGTH [ANGLE] [PIXELS]"'
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +65,7 @@ class AcceptanceOptions:
     ] = None
 
     def limits(self) -> dict[str, Any]:
-        """Return the limits as `calib.result.acceptance.assess` takes them [m], [rad]; empty without a tolerance.
+        """Return the limits as `calib.result.acceptance.assess` takes them, by unit; empty without a tolerance.
 
         Raises:
             CalibError: An option that needs a tolerance is given without one.
@@ -74,13 +74,9 @@ class AcceptanceOptions:
             if self.uncertainty or self.criterion or self.judge:
                 raise CalibError("--uncertainty, --criterion and --judge need a --tolerance.")
             return {}
-        length, angle = parse_pair(self.tolerance, "--tolerance", _EXAMPLE)
-        uncertainty = parse_pair(self.uncertainty or "0 mm", "--uncertainty", _EXAMPLE)
         return {
-            "tolerance": length,
-            "tolerance_angle": angle,
-            "uncertainty": uncertainty[0] or 0.0,
-            "uncertainty_angle": uncertainty[1] or 0.0,
+            "tolerance": parse_by_unit(self.tolerance, "--tolerance", _EXAMPLE),
+            "uncertainty": parse_by_unit(self.uncertainty or "0 mm", "--uncertainty", _EXAMPLE),
             "criterion": self.criterion or "max",
         }
 
