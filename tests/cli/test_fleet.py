@@ -64,7 +64,9 @@ def test_a_fleet_is_calibrated_compared_and_kept(call, arms_shop: Path):
     assert [row["name"] for row in rows] == [f"SN-{k}" for k in range(6)]
     assert {row["unseen"] for row in rows} == {"cross-validation"}
     for row, one in zip(rows, table["robots"], strict=True):
-        assert float(row["nominal_rms [mm]"]) == pytest.approx(1e3 * one["nominal_rms"]["m"], rel=1e-5)
+        assert float(row["nominal_rms [mm]"]) == pytest.approx(
+            1e3 * one["nominal_rms"]["m"], rel=1e-5
+        )
         assert float(row["sigma [mm]"]) == pytest.approx(1e3 * one["sigma"]["m"], rel=1e-5)
 
 

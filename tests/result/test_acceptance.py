@@ -127,7 +127,9 @@ def test_the_text_of_a_verdict(ur3: Robot):
         ur3, [0.1 * k for k in range(1, 13)], 3, turns=[1.0] * 12, targets=("a", "b") * 18
     )
     cell = Cell(targets={"a": (0.0, 0.0, 0.0), "b": (0.0, 0.0, 0.0)}, estimate_target=False)
-    found = assess(ur3, table, cell, limits={"tolerance": {"m": 0.55e-3}, "uncertainty": {"m": 1e-4}})
+    found = assess(
+        ur3, table, cell, limits={"tolerance": {"m": 0.55e-3}, "uncertainty": {"m": 1e-4}}
+    )
     text = assessment_text(found, "", "as given")
     assert text.splitlines()[0] == "Verdict: fail"
     said = " ".join(text.split())
