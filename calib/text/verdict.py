@@ -13,7 +13,7 @@ from calib.diagnosis.coverage import Beyond, OutsideRow
 from calib.diagnosis.reasons import NO, Reason, Verdict, Why
 from calib.selection.robustness import Robustness
 from calib.text.layout.lines import mm, plural
-from calib.text.layout.sizes import shown
+from calib.text.layout.sizes import absurd_size, shown, sizes_of
 
 #: Rows outside of the measured range that are named one by one; a sentence with more is hard to read.
 _NAMED = 3
@@ -212,14 +212,14 @@ def reason_text(reason: Reason) -> str:
 
 def _words(values: Mapping[str, Any]) -> dict[str, str]:
     """Words that the sentences take besides the values of a reason."""
-    before = _sizes(values, "before")
-    after = _sizes(values, "after")
+    before = sizes_of(values, "before")
+    after = sizes_of(values, "after")
     words = {
         "before": f"{' and '.join(before)} rms",
         "after": f"{' and '.join(after)} rms",
         "change": _change(before, after),
         "measured": _measured(values),
-        "beyond": "".join(_sizes(values, "by", ".3g")),
+        "beyond": "".join(sizes_of(values, "by", ".3g")),
         "chance_p": _p_value(values.get("p", 1.0)),
         "falls_by": _fall(values.get("falls", 0.0)),
         "outliers_aside": "",
@@ -228,13 +228,13 @@ def _words(values: Mapping[str, Any]) -> dict[str, str]:
         "ranges": _ranges(values),
         "rows_lie": _rows_lie(values.get("rows", 0)),
         "better": "",
-        "before_off": _absurd_size(values, "before"),
-        "after_off": _absurd_size(values, "after"),
-        "noise_off": _absurd_size(values, "noise"),
-        "noise": "".join(_sizes(values, "noise")[:1]),
-        "noise_rough": "".join(_sizes(values, "noise", ".1f")[:1]),
-        "less_noise": "".join(_sizes(values, "less")[:1]),
-        "within": "".join(_sizes(values, "within")[:1]),
+        "before_off": absurd_size(values, "before"),
+        "after_off": absurd_size(values, "after"),
+        "noise_off": absurd_size(values, "noise"),
+        "noise": "".join(sizes_of(values, "noise")[:1]),
+        "noise_rough": "".join(sizes_of(values, "noise", ".1f")[:1]),
+        "less_noise": "".join(sizes_of(values, "less")[:1]),
+        "within": "".join(sizes_of(values, "within")[:1]),
     }
     if values.get("outliers"):
         words["outliers_aside"] = ", outliers excluded"
@@ -251,31 +251,6 @@ def _words(values: Mapping[str, Any]) -> dict[str, str]:
         if "remains" in values:
             words["better"] = _BETTER.format(model=values["model"], less=less)
     return words
-
-
-def _sizes(values: Mapping[str, Any], name: str, form: str = ".3f") -> list[str]:
-    """Format the size in each unit in which there is one: ``["2.350 mm", "0.573 deg"]``.
-
-    Args:
-        values: The values of a reason, in SI units.
-        name: Their common name: of ``"before"`` the length is ``before_m`` and the angle ``before_rad``.
-        form: Format of the numbers.
-    """
-    sizes = []
-    for symbol, unit in RESIDUAL_UNITS.items():
-        key = f"{name}_{symbol}"
-        if key in values:
-            sizes.append(f"{unit.to_shown * values[key]:{form}} {unit.shown}")
-    return sizes
-
-
-def _absurd_size(values: Mapping[str, Any], name: str) -> str:
-    """Format the first size that is beyond any arm, without digits behind the point: ``"264 mm"``; empty if none is."""
-    for symbol, unit in RESIDUAL_UNITS.items():
-        value = values.get(f"{name}_{symbol}", 0.0)
-        if isinstance(value, float) and value > unit.absurd:
-            return f"{unit.to_shown * value:.0f} {unit.shown}"
-    return ""
 
 
 def _change(before: Sequence[str], after: Sequence[str]) -> str:

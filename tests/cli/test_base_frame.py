@@ -82,7 +82,7 @@ def test_the_cell_file_goes_into_fit(call, bench: Path):
     )  # fmt: skip
     assert (fitted.code, fitted.err) == (0, "")
     result = json.loads((bench / "r.json").read_text(encoding="utf-8"))
-    assert result["errors"]["calibrated"]["estimation"]["rms_m"] < 1e-4
+    assert result["errors"]["calibrated"]["estimation"]["m"]["rms"] < 1e-4
 
 
 def test_findings_are_printed(call, bench: Path):

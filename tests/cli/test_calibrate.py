@@ -104,7 +104,7 @@ def test_every_model(call, shop, reference, model: str, count: int, has: str):
     assert has in found
     if model == "paper":
         assert found == pytest.approx(values(reference), abs=1e-9)
-    rms = result["errors"]["calibrated"]["validation"]["rms_m"]
+    rms = result["errors"]["calibrated"]["validation"]["m"]["rms"]
     assert rms < {"zeros": 2e-3, "frames": 4e-3}.get(model, 3.5e-4)
 
 
@@ -120,7 +120,7 @@ def test_every_model(call, shop, reference, model: str, count: int, has: str):
 )
 def test_solvers_priors_and_weights(call, shop, reference, words: tuple[str, ...], largest_rms):
     result = quick(call, shop, *words)
-    assert result["errors"]["calibrated"]["validation"]["rms_m"] < largest_rms
+    assert result["errors"]["calibrated"]["validation"]["m"]["rms"] < largest_rms
     if words[-1] != "paper":
         assert 11 in [outlier["row"] for outlier in result["outliers"]]
     noise = result["noise"]

@@ -48,7 +48,7 @@ def test_the_files(examples, demo):
     result = json.loads((folder / "calibration.json").read_text(encoding="utf-8"))
     shown = re.search(r"\nvalidation rows, calibrated +5 +\S+ +\S+ +(\S+)", demo.out)
     assert shown is not None
-    rms = 1e3 * result["errors"]["calibrated"]["validation"]["rms_m"]
+    rms = 1e3 * result["errors"]["calibrated"]["validation"]["m"]["rms"]
     assert float(shown[1]) == pytest.approx(rms, abs=5.001e-4)
     assert b"<html" in (folder / "view.html").read_bytes()[:1000].lower()
     report = (folder / "report.html").read_bytes()

@@ -39,7 +39,7 @@ def test_the_nominal_urdf_with_the_json_is_the_fit(examples, folder: Path):
     assert done.lines[-1] == "Written: errors.json"
     errors = load(folder / "errors.json")["errors"]
     same_errors(errors["calibration"], load(folder / "result.json")["errors"]["calibrated"])
-    assert errors["urdf"]["validation"]["rms_m"] > 2e-3
+    assert errors["urdf"]["validation"]["m"]["rms"] > 2e-3
 
 
 def test_the_link_carries_the_target(examples):

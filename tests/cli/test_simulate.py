@@ -111,5 +111,5 @@ def test_without_noise_a_fit_finds_the_truth(simulate, call, shop: Path):
     words = ("fit", "robot.urdf", "t.csv", *ARM, "--cell", "free.toml", "--model", "placement")
     assert call(shop, *words, "--json", "r.json", "--no-validate").code == 0
     errors = json.loads((shop / "r.json").read_text())["errors"]["calibrated"]
-    assert errors["estimation"]["max_m"] < 1e-9
-    assert errors["validation"]["max_m"] < 1e-9
+    assert errors["estimation"]["m"]["max"] < 1e-9
+    assert errors["validation"]["m"]["max"] < 1e-9

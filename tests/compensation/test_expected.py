@@ -204,17 +204,15 @@ def test_noise_that_is_not_stated_counts_as_error(estimated: CalibrationValues):
         return expected_errors(pair_of(result, tool="", frame=""), q)
 
     assert squares(of(estimated))["model"] == 0.0
-    unknown = of(replace(estimated, sigma_given=np.nan))
+    unknown = of(replace(estimated, sigma_given={}))
     held_out = estimated.cross_validation.errors_without_outliers["m"].rms
     added = squares(unknown)
     assert unknown.noise == "unknown"
     assert added["model"] + added["parameters"] == pytest.approx(1e6 * held_out**2, rel=0.2)
-    scatter = Repeats(np.array([5e-5]), np.array([40.0]), 0.0)
-    repeated = of(replace(estimated, sigma_given=np.nan, repeats=scatter))
+    scatter = Repeats({"m": 5e-5}, {"m": 40.0}, 0.0)
+    repeated = of(replace(estimated, sigma_given={}, repeats=scatter))
     assert (repeated.noise, squares(repeated)["model"]) == ("repeats", 0.0)
-    few = of(
-        replace(estimated, sigma_given=np.nan, repeats=replace(scatter, freedoms=np.array([3.0])))
-    )
+    few = of(replace(estimated, sigma_given={}, repeats=replace(scatter, freedoms={"m": 3.0})))
     assert few.noise == "unknown"
     alone = of(replace(estimated, cross_validation=None))
     assert not alone.validated

@@ -6,7 +6,7 @@ import pytest
 from calib.data.measurements import Measurements
 from calib.errors import MeasurementError
 
-ARRAYS = ("joints", "points", "sigma", "rotations", "distances", "sigma_angle", "torques")
+ARRAYS = ("joints", "points", "rotations", "distances", "torques")
 WORDS = ("joint_names", "sets", "targets", "groups", "rows", "kinds", "pairs", "prismatic")
 
 #: A table of two joints and points, and two rows of it.
@@ -32,5 +32,10 @@ def assert_same(first, second, rtol=1e-15, atol=0.0):
         assert (values is None) == (others is None), name
         if values is not None:
             np.testing.assert_allclose(values, others, rtol=rtol, atol=atol, err_msg=name)
+    for name in ("sigma", "readings"):
+        mapping, other = getattr(first, name), getattr(second, name)
+        assert mapping.keys() == other.keys(), name
+        for key in mapping:
+            np.testing.assert_allclose(mapping[key], other[key], rtol=rtol, atol=atol, err_msg=key)
     for name in WORDS:
         assert getattr(first, name) == getattr(second, name)

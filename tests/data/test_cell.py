@@ -23,7 +23,9 @@ def test_the_defaults():
     ("arguments", "says"),
     [
         ({"T_frame_base": -np.eye(4)}, "A cell's T_frame_base is [["),
-        ({"sigma": 0.0}, "A cell's sigma is 0.0; it must be a number from 1e-15"),
+        ({"sigma": 1e-4}, "A cell's sigma is 0.0001; it must be standard deviations from 1e-15"),
+        ({"sigma": {"m": 0.0}}, "A cell's sigma is {'m': 0.0}; it must be standard deviations"),
+        ({"sigma": {"mm": 0.1}}, "units are 'm', 'rad'"),
         ({"target_rotation": np.ones((3, 3))}, "A cell's target_rotation is"),
         ({"frame_directions": ("x", "x")}, "A cell's frame_directions is"),
         ({"repeats": "often"}, "A cell's repeats is 'often'"),
@@ -61,7 +63,7 @@ def test_values_are_read_only_and_reach_another_process():
 def test_another_target():
     cell = Cell(sigma={"m": 1e-4}).with_target([1, 2, 3], estimate=False)
     np.testing.assert_array_equal(cell.target, [1, 2, 3])
-    assert (cell.sigma, cell.estimate_target) == (1e-4, False)
+    assert (cell.sigma, cell.estimate_target) == ({"m": 1e-4}, False)
 
 
 @pytest.mark.parametrize(

@@ -66,7 +66,7 @@ def test_every_key(tmp_path: Path):
     np.testing.assert_allclose(cell.T_frame_base[:3, 3], [1.0, 0.002, -0.003], rtol=1e-15)
     rpy = np.radians([10.0, 20.0, 30.0])
     np.testing.assert_allclose(cell.T_frame_base[:3, :3], pin.rpy.rpyToMatrix(*rpy), atol=1e-15)
-    assert cell.sigma == pytest.approx(2e-4, rel=1e-15)
+    assert cell.sigma["m"] == pytest.approx(2e-4, rel=1e-15)
     assert cell.priors == Priors("given", length=2e-3, angle=8e-3)
 
 
@@ -165,6 +165,7 @@ def test_values_are_those_of_a_cells_attributes(tmp_path: Path):
         "estimate_frame": True,
         "frame_directions": ("x", "rz"),
         "priors": {"source": "data", "angle": 0.003},
+        "sigma": {},
     }
     path.write_text("a = = 1", encoding="utf-8")
     with pytest.raises(FileError, match="this is not a TOML file"):
@@ -205,7 +206,7 @@ def test_a_value_is_refused_by_none_or_an_error():
         ('target = "known"', "The target is marked as known, but its position"),
         ('frame = ["u"]', "'frame' is ['u']"),
         ('frame = "x,yaw"', "'frame' is 'x,yaw'"),
-        ("sigma_angle_deg = -1", "sigma_angle is -0.017"),
+        ("sigma_angle_deg = -1", "sigma is {'rad': -0.017"),
         ('sigma_mm = "0.1"', "'sigma_mm' is '0.1'; it must be a number."),
         ('kind = "ball"', "'ball' is not a kind of measurement; allowed are 'point', 'pose', "),
         ('repeats = "often"', "repeats is 'often'; it must be one of 'weighted', 'average', "),

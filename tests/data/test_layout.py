@@ -21,7 +21,7 @@ def test_optional_columns_and_ignored_ones(table):
     assert m.joint_names == ("a",)
     assert m.targets == ("ball", "cube")
     assert m.groups == ("north", "")
-    np.testing.assert_allclose(m.sigma, [5e-5, 6e-5], rtol=1e-15)
+    np.testing.assert_allclose(m.sigma["m"], [5e-5, 6e-5], rtol=1e-15)
     assert m.rows == (1, 2)
     assert m.sets == ("estimate", "estimate")
     assert m.ignored == ("qx", "rx [rad]", "force [N]", "note")

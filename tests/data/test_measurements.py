@@ -43,7 +43,7 @@ def test_the_papers_table():
     assert m.joints[9, 5] == pytest.approx(np.deg2rad(420.75), rel=1e-15)
     assert m.sets == ("estimate",) * 30 + ("validate",) * 5
     assert m.rows == tuple(range(1, 36))
-    assert m.sigma is None
+    assert m.sigma == {}
     assert (m.targets, m.groups) == (("target",) * 35, ("",) * 35)
     assert m.source == "ur3_leica.csv"
     assert m.sha256 == hashlib.sha256(UR3.read_bytes()).hexdigest()
@@ -55,6 +55,10 @@ def examples():
     """The tables and lists that docs/data-format.md shows, in its order."""
     page = Path(__file__).parents[2] / "docs" / "data-format.md"
     return [block.strip() for block in page.read_text(encoding="utf-8").split("```")[1::2]]
+
+
+#: Standard deviations that a table may state.
+NOISE = ({}, {"m": 1.3e-4}, {"rad": 1.7e-4}, {"m": 1.3e-4, "rad": 1.7e-4})
 
 
 def test_the_example_in_the_documentation(table):
@@ -93,7 +97,14 @@ def test_arrays_are_read_only_copies():
     m = Measurements(("a",), joints, [[1, 2, 3], [4, 5, 6]], sigma={"m": [0.1, 0.2]})
     joints[0, 0] = 1.0
     assert m.joints[0, 0] == 0.0
-    for array in (m.joints, m.points, m.sigma, m.estimation, m.validation, m.joints_for(["a"])):
+    for array in (
+        m.joints,
+        m.points,
+        m.sigma["m"],
+        m.estimation,
+        m.validation,
+        m.joints_for(["a"]),
+    ):
         with pytest.raises(ValueError, match="read-only"):
             array[0] = 1
     with pytest.raises(FrozenInstanceError):
@@ -115,7 +126,7 @@ def test_select_keeps_row_numbers_and_the_rest():
     assert held_back.sets == ("validate",) * 5
     np.testing.assert_array_equal(held_back.points, m.points[30:])
     np.testing.assert_array_equal(held_back.joints, m.joints[30:])
-    np.testing.assert_array_equal(held_back.sigma, m.sigma[30:])
+    np.testing.assert_array_equal(held_back.sigma["m"], m.sigma["m"][30:])
     assert held_back.sha256 == m.sha256
     assert len(held_back.select(held_back.estimation)) == 0
 
@@ -190,8 +201,9 @@ def test_what_is_written_reads_back(tmp_path_factory, data):
         kinds=tuple(names),
         rotations=Rotation.random(count, rng=random).as_matrix(),
         distances=np.ones(count),
-        sigma=data.draw(st.none() | st.just(np.full(count, 1.3e-4))),
-        sigma_angle=data.draw(st.none() | st.just(np.full(count, 1.7e-4))),
+        sigma={
+            unit: np.full(count, std) for unit, std in data.draw(st.sampled_from(NOISE)).items()
+        },
         pairs=tuple("p" if kind == "pair" else "" for kind in names),
         groups=data.draw(st.just(()) | st.just(("A/1",) * count)),
         torques=data.draw(st.none() | st.just(torques)),

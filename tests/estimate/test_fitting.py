@@ -144,8 +144,8 @@ def test_unseen_rows_are_judged_by_the_noise_of_their_own_kind(make_scene, join)
     found = fit(task, rows.select(seen))
     left = rows.select(~seen)
     scores = found.held_out_scores(left)
-    for kind in np.unique(left.kinds):
-        assert np.median(scores[left.kinds == kind]) == pytest.approx(1.54, rel=0.25)
+    for kind in np.unique(left.kind):
+        assert np.median(scores[left.kind == kind]) == pytest.approx(1.54, rel=0.25)
     assert len(found.held_out_scores(rows.select(np.zeros(len(rows), dtype=bool)))) == 0
 
 

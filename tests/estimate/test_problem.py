@@ -26,7 +26,9 @@ def test_system_is_weighted_residual_over_sigma_with_a_row_for_each_prior(virtua
     assert J.shape == (38, 27)
     rows = problem.rows
     measured_minus_predicted = rows.measured - virtual.kinematics.points(x, rows.joints)
-    by_hand = measured_minus_predicted * (np.sqrt(problem.weights) / (1.3 * rows.sigma))[:, None]
+    by_hand = (
+        measured_minus_predicted * (np.sqrt(problem.weights) / (1.3 * rows.sigma["m"]))[:, None]
+    )
     np.testing.assert_allclose(r[:36], by_hand.T.ravel())
     from_mean = x - problem.centre
     np.testing.assert_allclose(r[36:], [-2e3 * from_mean[2], -1e2 * from_mean[5]])

@@ -72,7 +72,7 @@ def dense(problem, weights, rho):
     """K and what it belongs to, of the scalars that count: (row, column) of each, by the definition."""
     rows, stops = problem.rows, problem.stops
     row, column = np.nonzero(rows.used & (weights > 0.0)[:, None])
-    number = rows.instruments[row, column]
+    number = rows.channels.index[row, column]
     J, stop = np.zeros((len(row), 6)), -1 - row
     where = {r: k for k, r in enumerate(stops.rows.tolist())}
     for i, (r, d) in enumerate(zip(row.tolist(), column.tolist(), strict=True)):
@@ -124,7 +124,7 @@ def test_the_body_moves_as_one_and_its_effect_has_mean_square_one(mixed):
             found = ((rows.residual(T) - rows.residual(moved)) / rows.scales)[own] / 1e-6
             expected = stops.J[stops.stops == number][:, :, k]
             for c in range(3):
-                here = rows.instruments[own] == c
+                here = rows.channels.index[own] == c
                 a, b = found[here], expected[here]
                 if len(b) and np.any(np.abs(b) > 1e-9):
                     np.testing.assert_allclose(b / np.abs(b).max(), a / np.abs(a).max(), atol=1e-4)
@@ -168,7 +168,7 @@ def test_the_system_that_solvers_see_is_whitened_alike(mixed, monkeypatch, tall)
     rng = np.random.default_rng(7)
     weights = rng.choice([0.0, 0.3, 1.0], len(mixed.rows))
     noise = np.array([1.0, 2.0, 3.0])
-    scales = mixed.rows.scales * np.append(noise, 1.0)[mixed.rows.instruments]
+    scales = mixed.rows.scales * np.append(noise, 1.0)[mixed.rows.channels.index]
     problem = replace(mixed, weights=weights, scales=scales, rho=RHO)
     x = 1e-4 * rng.normal(size=mixed.size)
     r, J = problem.system(x)

@@ -57,9 +57,9 @@ def test_each_robot_has_a_folder_and_the_fleet_its_tables(shop):
     robot = table["robots"][2]
     assert robot["status"] == DONE
     assert robot["nominal_rms"]["m"] == result["errors"]["nominal"]["estimation"]["m"]["rms"]
-    assert robot["calibrated_rms_m"] == result["errors"]["calibrated"]["estimation"]["rms_m"]
+    assert robot["calibrated_rms"]["m"] == result["errors"]["calibrated"]["estimation"]["m"]["rms"]
     assert robot["sigma"] == result["noise"]["sigma"]
-    assert robot["unseen_rms_m"] is None
+    assert robot["unseen_rms"] == {}
     deltas = {p["name"]: p["delta"] for p in result["parameters"]}
     geometry = [p for p in robot["parameters"] if "target" not in p["name"]]
     assert geometry

@@ -6,14 +6,6 @@ from dataclasses import replace
 
 from calib.data.measurements import Measurements
 
-#: Numbers of kinds in the registry.
-POINT = 0
-POSE = 1
-DISTANCE = 2
-PAIR = 3
-FIXED = 4
-PLANE = 5
-
 
 def as_kind(table: Measurements, kind: str, **columns) -> Measurements:
     """The same rows as another kind: where they lie does not matter."""

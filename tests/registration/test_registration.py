@@ -410,10 +410,10 @@ def test_a_row_is_far_from_the_others_in_units_of_its_own_noise(make_scene):
     scene = make_scene(4, **RIGHT, noise=1e-4)
     rows, setup = rows_and_setup(scene.robot, scene.points(20), FREE)
     setup = setup.placed(scene.kinematics.T_frame_base, scene.kinematics.T_tip_target)
-    measured, sigma = rows.measured.copy(), rows.sigma.copy()
+    measured, sigma = rows.measured.copy(), rows.sigma["m"].copy()
     measured[[5, 6], 0] += 0.03
     sigma[6] *= 1e3
-    altered = replace(rows, measured=measured, sigma=sigma)
+    altered = replace(rows, measured=measured, sigma={"m": sigma})
     near = _near_rows(setup, scene.robot.poses(rows.joints), altered)
     assert near is not None
     assert np.flatnonzero(~near).tolist() == [5]

@@ -66,11 +66,12 @@ def test_a_residual_is_as_wide_as_the_widest_kind(kinds, width, count):
     assert rows.used.shape == rows.scales.shape == (len(kinds), width)
 
 
-def test_each_kind_has_an_instrument_and_orientations_have_their_own():
+def test_each_kind_has_a_channel_for_each_of_its_units():
     rows = some_rows(np.random.default_rng(3), [DISTANCE, POSE, NONE, POINT, POSE])
-    index = rows.instruments
+    assert rows.channels.units == ("m", "m", "m", "rad")
+    assert [kind.name for kind in rows.channel_kinds] == ["point", "pose", "distance", "pose"]
     np.testing.assert_array_equal(
-        index,
+        rows.channels.index,
         [
             [2, -1, -1, -1, -1, -1],
             [1, 1, 1, 3, 3, 3],
@@ -80,8 +81,15 @@ def test_each_kind_has_an_instrument_and_orientations_have_their_own():
         ],
     )
     # What is left out does not keep its number.
-    index = rows.select(np.array([True, False, True, False, False])).instruments
+    index = rows.select(np.array([True, False, True, False, False])).channels.index
     np.testing.assert_array_equal(index, [[0], [-1]])
+
+
+def test_the_sigma_of_a_scalar_is_that_of_its_unit():
+    rows = some_rows(np.random.default_rng(3), [POSE, DISTANCE])
+    np.testing.assert_array_equal(rows.scales[0, 3:], np.full(3, rows.sigma["rad"][0]))
+    np.testing.assert_array_equal(rows.scales[0, :3], np.full(3, rows.sigma["m"][0]))
+    assert rows.scales[1, 0] == rows.sigma["m"][1]
 
 
 def test_a_selection_numbers_partners_anew():
@@ -89,7 +97,7 @@ def test_a_selection_numbers_partners_anew():
     chosen = rows.select(np.array([False, False, True, True, True]))
     np.testing.assert_array_equal(chosen.partner, [-1, 2, -1])
     np.testing.assert_array_equal(chosen.kind, [POINT, PAIR, NONE])
-    np.testing.assert_array_equal(chosen.sigma, rows.sigma[2:])
+    np.testing.assert_array_equal(chosen.sigma["rad"], rows.sigma["rad"][2:])
     np.testing.assert_array_equal(rows.select(slice(0, 2)).partner, [1, -1])
 
 
@@ -154,15 +162,13 @@ def test_derivatives_against_differences(make_scene, join, kind):
     else:
         table = MAKERS[kind](scene)
     rows, setup = rows_and_setup(scene.robot, table, Cell())
-    kinds = rows.kinds.copy()
-    if kind in (
-        "fixed",
-        "plane",
-    ):  # far from the socket and from the plane: the residual need not be small
-        kinds[:] = {"fixed": FIXED, "plane": PLANE}[kind]
+    of_row = [NONE if k == NONE else KINDS.index(rows.kinds[k]) for k in rows.kind.tolist()]
+    # Far from the socket and from the plane: the residual need not be small.
+    if kind in ("fixed", "plane"):
+        of_row = [{"fixed": FIXED, "plane": PLANE}[kind]] * len(rows)
     if kind == "mixed":
-        kinds[-2:] = FIXED, PLANE
-    rows = Rows(**{**_fields(rows), "kind": kinds})
+        of_row[-2:] = FIXED, PLANE
+    rows = Rows(**{**_fields(rows), "kinds": KINDS, "kind": np.array(of_row)})
     model = error_model(
         scene.robot,
         "placement+gain",

@@ -6,11 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from calib.channels import RESIDUAL_UNITS
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.registration.rows import NONE
-from calib.registration.table_rows import FIRST_SIGMA, FIRST_SIGMA_ANGLE, rows_and_setup
-from tests.registration.tables import DISTANCE, FIXED, PAIR, PLANE, POINT, POSE, as_kind
+from calib.registration.table_rows import rows_and_setup
+from tests.registration.tables import as_kind
 
 
 def test_every_kind_has_its_number_and_nothing_is_nan(four_frames, join, ur3):
@@ -23,9 +24,9 @@ def test_every_kind_has_its_number_and_nothing_is_nan(four_frames, join, ur3):
         as_kind(four_frames.points(1, 1), "plane"),
     )
     rows, setup = rows_and_setup(ur3, table, Cell())
-    np.testing.assert_array_equal(
-        rows.kinds, [POINT, POINT, POSE, POSE, DISTANCE, DISTANCE, PAIR, NONE, FIXED, PLANE]
-    )
+    names = [kind.name for kind in rows.kinds]
+    assert names == ["point", "pose", "distance", "pair", "fixed", "plane"]
+    np.testing.assert_array_equal(rows.kind, [0, 0, 1, 1, 2, 2, 3, NONE, 4, 5])
     for values in (rows.measured, rows.scales):
         assert np.all(np.isfinite(values))
     np.testing.assert_array_equal(rows.measured[:4, :3], table.points[:4])
@@ -49,7 +50,8 @@ def test_the_first_row_of_a_pair_carries_the_distance(four_frames, ur3):
         distances=table.distances[order],
     )
     rows, _ = rows_and_setup(ur3, mixed, Cell())
-    np.testing.assert_array_equal(rows.kinds, [PAIR, PAIR, PAIR, NONE, NONE, NONE])
+    assert [kind.name for kind in rows.kinds] == ["pair"]
+    np.testing.assert_array_equal(rows.kind, [0, 0, 0, NONE, NONE, NONE])
     np.testing.assert_array_equal(rows.partner, [4, 5, 3, -1, -1, -1])
     np.testing.assert_array_equal(rows.measured[:3, 0], table.distances[[0, 2, 4]])
     # Both rows of a pair are left out together.
@@ -59,11 +61,11 @@ def test_the_first_row_of_a_pair_carries_the_distance(four_frames, ur3):
 def test_noise_is_the_rows_the_cells_or_a_first_guess(four_frames, ur3):
     table = four_frames.poses(3)
     rows, _ = rows_and_setup(ur3, table, Cell())
-    assert set(rows.sigma) == {FIRST_SIGMA}
-    assert set(rows.sigma["rad"]) == {FIRST_SIGMA_ANGLE}
+    for symbol, unit in RESIDUAL_UNITS.items():
+        assert set(rows.sigma[symbol]) == {unit.assumed_sigma}
     told = replace(table, sigma={"m": np.array([4e-5, 5e-5, 6e-5])})
     rows, _ = rows_and_setup(ur3, told, Cell(sigma={"m": 2e-4, "rad": 3e-3}))
-    np.testing.assert_array_equal(rows.sigma, [4e-5, 5e-5, 6e-5])
+    np.testing.assert_array_equal(rows.sigma["m"], [4e-5, 5e-5, 6e-5])
     np.testing.assert_array_equal(rows.sigma["rad"], [3e-3] * 3)
 
 

@@ -17,7 +17,6 @@ UNITS = re.compile(r"\[(mm|deg|mrad)\]|number|score|weight|evidence|parameters|h
 def every_table(c):
     """All the tables of a report."""
     makers = (
-        tables.errors,
         tables.validation_rows,
         tables.non_geometric,
         tables.dh,
@@ -27,7 +26,7 @@ def every_table(c):
     )
     made = [make(c) for make in makers]
     made += [tables.parameters(c, unit) for unit in ("mm", "deg")]
-    made.append(tables.errors(c, turned=True))
+    made += [tables.errors(c, unit) for unit in c.channels.present]
     return made
 
 
@@ -63,11 +62,11 @@ def test_every_column_of_numbers_has_a_unit_or_is_a_count(calibrations, name):
 
 def test_errors_by_set_are_those_of_the_result(paper_calibration):
     c = paper_calibration
-    table = tables.errors(c)
+    table = tables.errors(c, "m")
     rows = {row[0]: row[1:] for row in table.rows}
     for robot in ("nominal", "calibrated"):
         for name in ("estimation", "validation"):
-            e = c.errors[robot][name]
+            e = c.errors[robot][name]["m"]
             expected = 1e3 * np.array([e.max, e.mean, e.rms, *e.span_axis])
             count, *values = rows[f"{name} rows, {robot}"]
             assert int(count) == e.n

@@ -501,7 +501,7 @@ def test_where_refits_refuse_a_larger_model_the_next_by_evidence_is_tried(refuse
         "dh+gain": "non_geometric",
     }
     held_out = result.non_geometric.cross_validation.errors_without_outliers
-    assert held_out.rms < result.cross_validation.errors_without_outliers["m"].rms
+    assert held_out["m"].rms < result.cross_validation.errors_without_outliers["m"].rms
     # Geometry, the one refused, and its successor.
     assert done[-1] == (120, 120)
     # The rows that no fit saw are predicted by the successor.
@@ -522,5 +522,5 @@ def test_a_larger_model_that_was_named_stays(refused):
     result = _validated(m, replace(fits, candidates=()), None)
     assert result.non_geometric.name == "dh+eccentricity"
     held_out = result.non_geometric.cross_validation.errors_without_outliers
-    assert held_out.rms > result.cross_validation.errors_without_outliers["m"].rms
+    assert held_out["m"].rms > result.cross_validation.errors_without_outliers["m"].rms
     assert Why.LARGER_NO_CLOSER in {reason.why for reason in result.verdict.reasons}

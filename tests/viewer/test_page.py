@@ -96,7 +96,7 @@ def test_poses_points_and_numbers_are_those_of_the_view(view):
     gap = np.array(view.measured)
     gap[3] = np.nan
     errors = np.linalg.norm(gap - view.predicted, axis=2)
-    view = replace(view, measured=gap, errors=errors, start=30)
+    view = replace(view, measured=gap, errors={"m": errors}, start=30)
     shown = puppets(
         view, {name: read_visuals(robot.urdf)[0] for name, robot in view.robots.items()}
     )
@@ -108,9 +108,10 @@ def test_poses_points_and_numbers_are_those_of_the_view(view):
         poses = floats(table["robots"][who]["poses"], 35, count, 7)
         np.testing.assert_array_equal(poses, packed(puppet.poses))
     np.testing.assert_allclose(floats(table["measured"], 35, 3), gap, atol=1e-7)
-    sent = [floats(values, 35) for values in table["errors"]]
+    (unit,) = table["errors"]
+    assert (unit["factor"], unit["mark"]) == (pytest.approx(1e3), " mm")
+    sent = [floats(values, 35) for values in unit["robots"]]
     np.testing.assert_allclose(sent, errors, rtol=1e-6)
-    assert np.isnan([floats(values, 35) for values in table["angles"]]).all()
     assert (table["start"], table["kinds"][30]) == (30, "validation")
     assert table["instruments"] == []
     tracked = script_table(replace(view, instruments=translation([3.0, 1.0, 0.5])[None]), shown)
@@ -120,7 +121,7 @@ def test_poses_points_and_numbers_are_those_of_the_view(view):
 def test_typical_arrows_are_well_visible(ur3, ur3_view):
     factor = magnification(ur3_view, 1.0)
     assert factor in FACTORS
-    assert 0.04 < factor * float(np.median(ur3_view.errors[0])) < 0.13
+    assert 0.04 < factor * float(np.median(ur3_view.errors["m"][0])) < 0.13
     # A wild row that was flagged changes nothing.
     wild = np.array(ur3_view.measured)
     wild[:15] += 100.0

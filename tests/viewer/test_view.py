@@ -64,7 +64,7 @@ def test_of_many_rows_an_even_choice_is_shown_with_the_flagged_ones():
     numbers = [int(label.removeprefix("row ")) for label in view.labels]
     assert max(np.diff(numbers)) < 20
     np.testing.assert_array_equal(view.q, c.measurements.joints[np.array(numbers) - 1])
-    np.testing.assert_allclose(distances(view), view.errors, atol=1e-12)
+    np.testing.assert_allclose(distances(view), view.errors["m"], atol=1e-12)
     assert view.kinds[view.start] == "validation"
 
 
@@ -78,9 +78,9 @@ def test_every_row_is_a_pose_and_the_worst_validation_row_is_shown_first(result)
     np.testing.assert_array_equal(view.calibrated_target[3, :3, 3], result.target)
     assert (view.verdict, view.note) == ("use", reason_text(result.verdict.reasons[0]))
     assert not len(view.instruments)  # measured in the base itself
-    np.testing.assert_allclose(distances(view), view.errors, atol=1e-12)
+    np.testing.assert_allclose(distances(view), view.errors["m"], atol=1e-12)
     for k, who in enumerate(("nominal", "calibrated")):
-        rms = np.sqrt(np.mean(view.errors[k, 30:] ** 2))
+        rms = np.sqrt(np.mean(view.errors["m"][k, 30:] ** 2))
         assert rms == pytest.approx(result.errors[who]["validation"]["m"].rms, abs=1e-12)
 
 
@@ -143,11 +143,11 @@ def test_one_robot_moves_one_joint_after_the_other(gantry):
 def test_robots_and_a_table_show_what_evaluate_says(result):
     alone = view_of_robots(result.nominal, None, result.measurements, cells=[result.cell])
     assert (alone.title, alone.calibrated) == ("ur3", None)
-    np.testing.assert_allclose(alone.errors[0], view_of(result).errors[0])
+    np.testing.assert_allclose(alone.errors["m"][0], view_of(result).errors["m"][0])
     both = view_of_robots(
         result.nominal, result.robot, result.measurements, cells=[result.cell] * 2
     )
-    np.testing.assert_allclose(distances(both), both.errors, atol=1e-12)
+    np.testing.assert_allclose(distances(both), both.errors["m"], atol=1e-12)
     assert both.labels[both.start] == "row 35"
     assert [name for name, _ in both.names] == ["Nominal", "Calibrated"]
 
@@ -155,7 +155,7 @@ def test_robots_and_a_table_show_what_evaluate_says(result):
 def test_a_stored_result_shows_the_errors_of_the_fit_from_either_robot(result, stored):
     shown = view_of_result(stored, result.nominal, result.measurements)
     fresh = view_of(result)
-    np.testing.assert_allclose(shown.errors, fresh.errors, atol=1e-9)
+    np.testing.assert_allclose(shown.errors["m"], fresh.errors["m"], atol=1e-9)
     assert (shown.kinds, shown.start, shown.note) == (fresh.kinds, fresh.start, fresh.note)
     other = view_of_result(stored, result.robot, result.measurements)
     np.testing.assert_allclose(shown.predicted, other.predicted, atol=1e-9)
