@@ -114,7 +114,7 @@ def ur3_view(ur3):
         measured=m.points,
         start=30,
     )
-    return replace(view, errors=np.linalg.norm(view.measured - view.predicted, axis=2))
+    return replace(view, errors={"m": np.linalg.norm(view.measured - view.predicted, axis=2)})
 
 
 @pytest.fixture(scope="session")
