@@ -20,6 +20,7 @@ ORDER = (
     "units",
     "files",
     "json_files",
+    "plugins",
     "jobs",
     "blas",
     "example",

@@ -21,7 +21,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from calib.errors import CalibError, MeasurementError, choices
+import calib.plugins as plugins
+from calib.errors import CalibError, MeasurementError
 from calib.model.error_model import DIRECTIONS
 from calib.numerics.geometry import inverse_right_jacobian
 from calib.units import Array, Quantity
@@ -180,7 +181,7 @@ _KINDS: dict[str, Kind] = {}
 def register(kind: Kind) -> None:
     """Add a kind of measurement: tables, fits, simulations and files of this process know it from then on.
 
-    Nothing can be replaced or taken out again. Worker processes register what they need themselves, on import.
+    Nothing can be replaced or taken out again. Worker processes load the plugins of the process that sends the jobs.
 
     Args:
         kind: The kind, with a name of its own; its readings have names of their own too, or are
@@ -210,9 +211,7 @@ def get(name: str) -> Kind:
         MeasurementError: There is none; the message lists the names of all kinds.
     """
     if name not in _KINDS:
-        raise MeasurementError(
-            f"'{name}' is not a kind of measurement; allowed are {choices(_KINDS)}"
-        )
+        raise MeasurementError(plugins.unknown("kinds", name, _KINDS))
     return _KINDS[name]
 
 
@@ -457,3 +456,4 @@ register(
         place="Plane",
     )
 )
+plugins.watch("kinds", _KINDS)
