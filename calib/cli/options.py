@@ -250,18 +250,14 @@ class FitOptions(ModelOptions):
 
 @dataclass(frozen=True, slots=True)
 class SolverOptions:
-    """Estimation: solver, robust weights, cross-validation.
-
-    Raises:
-        ModelError: There is no such solver.
-    """
+    """Estimation: solver, robust weights, cross-validation."""
 
     solver: SolverName = "lm"
     robust: Robust = True
     validate: Validate = True
 
-    def __post_init__(self) -> None:
-        """Check the solver before any file is read."""
+    def check(self) -> None:
+        """Check, once the cell file's plugins are loaded, that the solver exists; raises `ModelError`."""
         from calib.numerics.solvers import check_name
 
         check_name(self.solver)

@@ -98,6 +98,6 @@ def test_no_placeholder_is_left_in_any_help():
 
 def test_an_unknown_solver_is_refused_with_the_names_that_there_are():
     for name in (*SOLVERS, PAPER):
-        assert SolverOptions(solver=name).solver == name
+        SolverOptions(solver=name).check()
     with pytest.raises(ModelError, match=r"no solver 'scipi' \(did you mean 'scipy'\?\)"):
-        SolverOptions(solver="scipi")
+        SolverOptions(solver="scipi").check()
