@@ -208,7 +208,7 @@ def test_a_name_is_given_once():
     for change in ({"units": ("rad", "m")}, {"measure": None}):
         with pytest.raises(CalibError, match="needs 'residual' or 'measure', and 'units' of"):
             replace(LINE, **change)
-    with pytest.raises(MeasurementError, match=r"'lines' is not a kind .* 'line', 'tilt'"):
+    with pytest.raises(MeasurementError, match=r"no kind of measurement 'lines' .* 'line', 'tilt'"):
         get("lines")
 
 
