@@ -79,6 +79,13 @@ def test_a_module_is_a_plugin_too(tmp_path, monkeypatch):
     assert plugins.load("line_gauge_a") is plugin
 
 
+def test_an_error_of_a_module_names_its_line(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(str(tmp_path))
+    write_plugin(tmp_path, "x = 1\n\nx / 0", "line_gauge_e.py")
+    with pytest.raises(PluginError, match=r"division by zero \(line 3 of line_gauge_e\.py\)"):
+        plugins.load("line_gauge_e")
+
+
 def test_what_a_plugin_loads_itself_is_not_its_own(tmp_path):
     inner = write_plugin(tmp_path, SOLVER, "inner.py")
     outer = write_plugin(
