@@ -64,8 +64,12 @@ _NAMES = {
     "calib.simulation.scenario": "Scenario simulate",
     "calib.viewer.live": "view",
 }
-#: Modules that a user adds a row to.
-_REGISTRIES = {"families": "calib.model.families", "kinds": "calib.data.kinds"}
+#: Modules by which a user extends calib.
+_EXTENSIONS = {
+    "families": "calib.model.families",
+    "kinds": "calib.data.kinds",
+    "plugins": "calib.plugins",
+}
 
 _MODULES = {name: module for module, names in _NAMES.items() for name in names.split()}
 
@@ -74,8 +78,8 @@ __all__ = sorted(_MODULES)
 
 def __getattr__(name: str) -> Any:  # noqa: ANN401  any public name
     """Import a public name on first use."""
-    if name in _REGISTRIES:
-        return importlib.import_module(_REGISTRIES[name])
+    if name in _EXTENSIONS:
+        return importlib.import_module(_EXTENSIONS[name])
     if name not in _MODULES:
         raise AttributeError(f"module 'calib' has no attribute '{name}'")
     return getattr(importlib.import_module(_MODULES[name]), name)

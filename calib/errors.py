@@ -58,6 +58,10 @@ class FileError(CalibError):
     """A file cannot be read or written: it exists already, its folder does not, or it changed."""
 
 
+class PluginError(CalibError):
+    """A plugin cannot be loaded, or a name that it registers is needed and it is not loaded."""
+
+
 class VerdictError(CalibError):
     """A result whose verdict is ``do not use`` was to be made into something for a robot, and was not accepted."""
 

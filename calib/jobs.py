@@ -1,12 +1,19 @@
-"""Many independent jobs: `run` them here or in any executor of `concurrent.futures`; Dask has one too."""
+"""Many independent jobs: `run` them here or in any executor of `concurrent.futures`; Dask has one too.
+
+Jobs carry the plugins that are loaded here, and a worker loads them first. The rest of such a job is sent as bytes: it
+may name functions of a plugin, which exist in the worker only from then on.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import BrokenExecutor, Executor, as_completed
-from typing import TypeVar
+import pickle
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import BrokenExecutor, Executor, Future, as_completed
+from typing import Any, TypeVar
 
+import calib.plugins as plugins
 from calib.errors import CalibError
+from calib.plugins import Plugin
 
 #: Function that is called with the number of jobs done and of all jobs.
 Progress = Callable[[int, int], None]
@@ -41,6 +48,7 @@ def run(
 
     Raises:
         CalibError: A worker was killed, or ran out of memory.
+        PluginError: A worker cannot load a plugin.
     """
     numbered = enumerate(items)
     if executor is None:
@@ -48,7 +56,7 @@ def run(
         return
     jobs = list(numbered)
     batches = [jobs[k : k + batch] for k in range(0, len(jobs), batch)]
-    pending = [executor.submit(_call, function, shared, jobs) for jobs in batches]
+    pending = [_submit(executor, function, shared, jobs) for jobs in batches]
     try:
         for future in as_completed(pending):
             yield from future.result()
@@ -69,6 +77,31 @@ def batch_size(count: int, largest: int = 50) -> int:
         largest: The largest number to send together.
     """
     return max(1, min(largest, count // _BATCHES))
+
+
+def _submit(
+    executor: Executor,
+    function: Callable[[Shared, Item], Result],
+    shared: Shared,
+    jobs: list[tuple[int, Item]],
+) -> Future[list[tuple[int, Result]]]:
+    """Send one batch of numbered items to a worker."""
+    loaded = plugins.loaded()
+    if not loaded:
+        return executor.submit(_call, function, shared, jobs)
+    call = pickle.dumps((function, shared, jobs))
+    return executor.submit(_call_with_plugins, loaded, call)
+
+
+def _call_with_plugins(loaded: Sequence[Plugin], call: bytes) -> list[tuple[int, Any]]:
+    """Load plugins, then return the numbers and results of one batch, in a worker.
+
+    Args:
+        loaded: The plugins of the process that sends the jobs.
+        call: The pickled arguments of `_call`.
+    """
+    plugins.load_sent(loaded)
+    return _call(*pickle.loads(call))  # noqa: S301  from the process that sends the jobs
 
 
 def _call(

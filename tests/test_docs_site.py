@@ -204,7 +204,7 @@ def test_calls_that_are_none_are_seen():
         "calib calibrate robot.urdf",
         "calib calibrate robot.urdf data.csv --nonsense",
         "calib calibrate ... --nonsense",
-        "calib calibrate robot.urdf data.csv --solver best",
+        "calib calibrate robot.urdf data.csv --priors best",
     ):
         with pytest.raises(UsageError):
             parse_whole(wrong)

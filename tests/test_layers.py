@@ -21,6 +21,7 @@ ORDER = (
     "channels",
     "files",
     "json_files",
+    "plugins",
     "jobs",
     "blas",
     "example",

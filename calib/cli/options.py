@@ -71,7 +71,7 @@ ModelName = Annotated[
         help="Errors of the robot. auto, the default of a fit: as many as the data support. dh: "
         "a, alpha, d, theta of each DH row; paper: the same with a known frame; hayati: beta for "
         "d between near-parallel axes; placement: all six of each joint; zeros; frames: none. "
-        "Append families with +: {families} (dh+gain).",
+        "Sets: {models}. Append families with +: {families} (dh+gain).",
     ),
 ]
 MeasuredKind = Annotated[
@@ -127,8 +127,9 @@ CellFile = Annotated[
     ),
 ]
 SolverName = Annotated[
-    Literal["lm", "scipy", "paper"],
+    str,
     typer.Option(
+        metavar="SOLVER",
         help="One of {solvers}. lm: the default. scipy: the same problem by SciPy. paper: the "
         "paper's algorithm.",
     ),
@@ -204,6 +205,15 @@ Accept = Annotated[
 ]
 Force = Annotated[bool, typer.Option("--force", help="Overwrite files that exist.")]
 Quiet = Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")]
+Plugins = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--plugin",
+        metavar="FILE|MODULE",
+        help="Python file (.py) or importable module with families, kinds, solvers, parameter sets "
+        "or formats of your own, loaded before anything else. Can be repeated.",
+    ),
+]
 Debug = Annotated[bool, typer.Option("--debug", help="Show the trace of an error.")]
 
 
@@ -245,6 +255,12 @@ class SolverOptions:
     solver: SolverName = "lm"
     robust: Robust = True
     validate: Validate = True
+
+    def check(self) -> None:
+        """Check, once the cell file's plugins are loaded, that the solver exists; raises `ModelError`."""
+        from calib.numerics.solvers import check_name
+
+        check_name(self.solver)
 
 
 @dataclass(frozen=True, slots=True)

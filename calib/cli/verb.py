@@ -1,11 +1,11 @@
-"""A verb of the command line: options from groups, help from the registries, errors as one line and an exit status."""
+"""A verb of the command line: plugins, options from groups, help from the registries, errors as an exit status."""
 
 from __future__ import annotations
 
 import inspect
 import sys
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import fields, is_dataclass
 from typing import Any, get_type_hints
@@ -14,17 +14,18 @@ import typer
 from typer.core import TyperCommand
 
 from calib.cli.exit_status import ExitStatus
-from calib.cli.options import Debug
+from calib.cli.options import Debug, Plugins
 from calib.errors import CalibError, VerdictError
 
 
 class Verb(TyperCommand):
-    """A command that refuses a single-valued option given twice, and lists in its help what is registered."""
+    """A command that loads plugins first, refuses a single-valued option given twice, and lists what is registered."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:  # noqa: ANN401  typer's own class
-        """Parse the words of a call; a wrong call ends the program with exit status 2.
+        """Parse the words of a call, and load its plugins; a wrong call ends the program with exit status 2.
 
-        Of two values of one option the last would win silently, so they are refused.
+        Of two values of one option the last would win silently, so they are refused. Plugins are loaded here because
+        the help, which is printed while the words are parsed, lists what they register.
 
         Args:
             ctx: The context of the call.
@@ -33,7 +34,7 @@ class Verb(TyperCommand):
         Returns:
             The words that were not parsed.
         """
-        _, _, order = self.make_parser(ctx).parse_args(args=[*args])
+        given, _, order = self.make_parser(ctx).parse_args(args=[*args])
         for option in self.get_params(ctx):
             # A switch such as --force may come again; --robust beside --no-robust may not.
             is_switch = getattr(option, "is_flag", False) and not option.secondary_opts
@@ -44,6 +45,8 @@ class Verb(TyperCommand):
             if times > 1:
                 names = "/".join((*option.opts, *option.secondary_opts))
                 ctx.fail(f"Option '{names}' is given {times} times. Give it once.")
+        with reporting(debug="debug" in given):
+            _load_plugins(given.get("plugin", ()))
         return super().parse_args(ctx, args)
 
     def format_help(self, ctx: Any, formatter: Any) -> None:  # noqa: ANN401  typer's own class
@@ -62,6 +65,15 @@ class Verb(TyperCommand):
         super().format_help(ctx, formatter)
 
 
+def _load_plugins(names: Iterable[str]) -> None:
+    """Load the installed plugins and those of ``--plugin``; raises `PluginError`."""
+    import calib.plugins as plugins
+
+    plugins.load_installed()
+    for name in names:
+        plugins.load(name)
+
+
 def _families() -> tuple[str, ...]:
     """Return the names of the families of joint errors, which no URDF holds."""
     from calib.model.families import joint_families
@@ -76,10 +88,16 @@ def _kinds() -> tuple[str, ...]:
     return names()
 
 
+def _models() -> tuple[str, ...]:
+    """Return the names of the parameter sets."""
+    from calib.model.error_model import MODELS
+
+    return tuple(MODELS)
+
+
 def _solvers() -> tuple[str, ...]:
     """Return the names of the solvers."""
-    from calib.estimate.task import PAPER
-    from calib.numerics.solvers import SOLVERS
+    from calib.numerics.solvers import PAPER, SOLVERS
 
     return (*SOLVERS, PAPER)
 
@@ -95,6 +113,7 @@ def _formats() -> tuple[str, ...]:
 _REGISTERED: dict[str, Callable[[], tuple[str, ...]]] = {
     "{families}": _families,
     "{kinds}": _kinds,
+    "{models}": _models,
     "{solvers}": _solvers,
     "{formats}": _formats,
 }
@@ -104,7 +123,7 @@ def verb(help_text: str) -> Callable[[Callable[..., None]], Callable[..., None]]
     """Make a verb of the command line of a function.
 
     A parameter whose type is a dataclass is a group: its fields become options, and the function gets the group. Every
-    verb has ``--debug`` besides, and reports errors as `reporting` does.
+    verb has ``--plugin`` and ``--debug`` besides, and reports errors as `reporting` does.
 
     Args:
         help_text: The text of ``--help``.
@@ -118,6 +137,7 @@ def verb(help_text: str) -> Callable[[Callable[..., None]], Callable[..., None]]
         groups = {name: kind for name, kind in types.items() if is_dataclass(kind)}
 
         def run(**values: Any) -> None:  # noqa: ANN401  options of any type
+            values.pop("plugin")  # loaded by `Verb.parse_args`
             with reporting(debug=values.pop("debug")):
                 for name, group in groups.items():
                     members = {f.name: values.pop(f.name) for f in fields(group)}
@@ -127,7 +147,8 @@ def verb(help_text: str) -> Callable[[Callable[..., None]], Callable[..., None]]
         run.__name__ = function.__name__
         run.__doc__ = help_text
         run.__annotations__ = {}
-        signature = inspect.Signature([*_options(function, types), _option("debug", Debug, False)])
+        of_every_verb = (_option("plugin", Plugins, None), _option("debug", Debug, False))
+        signature = inspect.Signature([*_options(function, types), *of_every_verb])
         run.__signature__ = signature  # type: ignore[attr-defined]
         return run
 

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+import calib.plugins as plugins
 from calib.channels import RESIDUAL_UNITS
 from calib.errors import CalibError, FileError, choices, did_you_mean
 from calib.files import read_bytes
@@ -348,6 +349,7 @@ def _frame_pose(value: Any, where: str) -> Array:  # noqa: ANN401
 #: The keys of a cell file: the attribute of a cell that each gives, and how its value is read.
 #: `read_cell_file` joins ``frame``, ``xyz``, ``rotation`` and ``source`` into attributes.
 FIELDS: dict[str, Field] = {
+    "plugins": Field("plugins", _NAMES),
     "base": Field("base", TEXT),
     "tip": Field("tip", TEXT),
     "model": Field("model", TEXT),
@@ -428,8 +430,20 @@ def read_toml(path: str | Path) -> dict[str, Any]:
     return table
 
 
+def _load_plugins(table: Mapping[str, Any], folder: Path) -> None:
+    """Load the plugins that a cell file names; those of the other keys' names that they register exist from then on.
+
+    Args:
+        table: The file's outermost table.
+        folder: The file's, where paths of plugins begin.
+    """
+    for given in _NAMES(table.get("plugins", []), "'plugins'"):
+        name = TEXT(given, "A plugin in 'plugins'")
+        plugins.load(folder / name if name.endswith(".py") else name)
+
+
 def read_cell_file(path: str | Path) -> dict[str, Any]:
-    """Read a cell file.
+    """Read a cell file, and load the plugins that it names.
 
     Args:
         path: The TOML file; its table ``[simulation]`` is not read here.
@@ -442,10 +456,13 @@ def read_cell_file(path: str | Path) -> dict[str, Any]:
     Raises:
         FileError: The file cannot be read or is not TOML.
         CalibError: It has an unknown key, or a value of the wrong kind.
+        PluginError: A plugin cannot be loaded.
     """
     table = read_toml(path)
     table.pop("simulation", None)
+    _load_plugins(table, Path(path).parent)
     values = read_table(table, fields())
+    values.pop("plugins", None)
     values |= values.pop("frame", {})
     frame_pose = {name: values.pop(name) for name in ("xyz", "rotation") if name in values}
     if frame_pose:

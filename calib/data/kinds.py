@@ -21,6 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+import calib.plugins as plugins
 from calib.channels import RESIDUAL_UNITS
 from calib.errors import CalibError, MeasurementError, choices
 from calib.model.error_model import DIRECTIONS
@@ -209,7 +210,7 @@ _KINDS: dict[str, Kind] = {}
 def register(kind: Kind) -> None:
     """Add a kind of measurement: tables, fits, simulations and files of this process know it from then on.
 
-    Nothing can be replaced or taken out again. Worker processes register what they need themselves, on import.
+    Nothing can be replaced or taken out again. Worker processes load the plugins of the process that sends the jobs.
 
     Args:
         kind: The kind, with a name of its own; its readings have names of their own too, or are
@@ -239,9 +240,7 @@ def get(name: str) -> Kind:
         MeasurementError: There is none; the message lists the names of all kinds.
     """
     if name not in _KINDS:
-        raise MeasurementError(
-            f"'{name}' is not a kind of measurement; allowed are {choices(_KINDS)}"
-        )
+        raise MeasurementError(plugins.unknown("kinds", name, _KINDS))
     return _KINDS[name]
 
 
@@ -481,3 +480,4 @@ register(
         place="Plane",
     )
 )
+plugins.watch("kinds", _KINDS)

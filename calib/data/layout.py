@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import NoReturn
 
 import calib.data.kinds as registry
+import calib.plugins as plugins
 from calib.channels import RESIDUAL_UNITS
 from calib.data.columns import (
     COMMON,
@@ -132,7 +133,7 @@ def _kinds_by_column(table: Table, named: Named) -> tuple[str, ...]:
     for i, word in enumerate(cells):
         if word not in known:
             what = (
-                f"'{word}' is not a kind of measurement; allowed are {choices(known)}. "
+                f"{plugins.unknown('kinds', word, known)} "
                 f'--columns "{column.label}=-" leaves the column out.'
             )
             table.fail(i, column, what, named.get("row"))

@@ -9,13 +9,10 @@ from calib.data.cell import Cell
 from calib.errors import ModelError, choices
 from calib.model.error_model import error_model
 from calib.model.parameters import FRAME, TARGET, ErrorModel, Parameter
-from calib.numerics.solvers import SOLVERS, Solver
+from calib.numerics.solvers import PAPER as PAPER, Solver, check_name
 from calib.registration.known_distances import KnownDistance
 from calib.registration.setup import Setup
 from calib.robot.robot import Robot
-
-#: The paper's algorithm, which is no weighted least-squares solver: it has neither weights nor priors.
-PAPER = "paper"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,7 +29,7 @@ class Task:
     model: str | Sequence[Parameter]
     #: Known distances between frames
     distances: tuple[KnownDistance, ...] = ()
-    #: A name of `SOLVERS`, `PAPER`, or a solver itself
+    #: A name of `calib.numerics.solvers.SOLVERS`, `PAPER`, or a solver itself
     solver: str | Solver = "lm"
     #: Whether outliers lose their weight
     robust: bool = True
@@ -45,9 +42,8 @@ class Task:
         Raises:
             ModelError: No such solver.
         """
-        names = (*SOLVERS, PAPER)
-        if not callable(self.solver) and self.solver not in names:
-            raise ModelError(f"There is no solver '{self.solver}'. Choose one of {choices(names)}.")
+        if not callable(self.solver):
+            check_name(self.solver)
 
     def error_model(self) -> ErrorModel:
         """Return the parameters that are estimated: of the robot, frames and targets, without frozen and tied ones.

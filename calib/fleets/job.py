@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 
+import calib.plugins as plugins
 from calib.calibration import Calibration, calibrate
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
@@ -56,7 +57,7 @@ class FleetJob:
     cell: Cell
 
     def fingerprint(self, options: FleetOptions) -> str:
-        """Return the fingerprint of all that the robot's files depend on.
+        """Return the fingerprint of all that the robot's files depend on, the plugins that are loaded among them.
 
         Two options are left aside: the command, and ``accept``, which changes only the files of robots whose verdict is
         ``do not use``.
@@ -73,7 +74,8 @@ class FleetJob:
         urdf_source = self.robot.urdf.source
         inputs = (self.name, self.robot, urdf_source, rows, self.cell)
         relevant = replace(options, command="", accept=False)
-        return fingerprint(*inputs, relevant, __version__, SCHEMA)
+        contents = [plugin.sha256 for plugin in plugins.loaded()]
+        return fingerprint(*inputs, relevant, contents, __version__, SCHEMA)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

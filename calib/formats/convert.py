@@ -5,13 +5,14 @@ What can be read is a row of `KINDS`, what can be written a row of `FORMATS`: fi
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
-from calib.errors import CalibError
+import calib.plugins as plugins
+from calib.errors import CalibError, choices, did_you_mean
 from calib.formats.dh_files import ENDINGS, DHTables, write_dh
 from calib.formats.notes import Note
 from calib.formats.origins import write_origins
@@ -31,6 +32,7 @@ __all__ = [
     "Source",
     "chosen_format",
     "read_source",
+    "register",
 ]
 
 Notes = tuple[Note, ...]
@@ -98,10 +100,10 @@ def chosen_format(path: Path, given: str | None, kind: str) -> str:
         if len(fitting) == 1:
             return fitting[0]
     options = ", ".join(f"--to {name} ({FORMATS[name].what})" for name in fitting or FORMATS)
-    fault = f"there is no format {given!r}"
+    fault = f"there is no format '{given}'{did_you_mean(given or '', FORMATS)}"
     if given is None:
         fault = f"'{ending}' does not say which format is wanted"
-    raise CalibError(f"{path}: {fault}. Give one of: {options}.")
+    raise CalibError(f"{path}: {fault}. Give one of: {options}. {plugins.HINT}")
 
 
 # What can be written
@@ -171,7 +173,7 @@ class Format(NamedTuple):
     write: Callable[[Source, Path, Options], Notes]
 
 
-FORMATS: Mapping[str, Format] = {
+FORMATS: dict[str, Format] = {
     "urdf": Format("the URDF", (".urdf", ".xml"), _write_urdf),
     "ur-yaml": Format("kinematics.yaml of Universal Robots' ROS driver", YAML, _write_ur_yaml),
     "ur-conf": Format("DH deltas of a Universal Robots controller", (".conf",), _write_ur_conf),
@@ -183,3 +185,20 @@ FORMATS: Mapping[str, Format] = {
     "hayati": Format("DH rows with Hayati's beta", ENDINGS, partial(_write_dh, HAYATI)),
 }
 """The formats by name, as in ``--to``."""
+
+plugins.watch("formats", FORMATS)
+
+
+def register(name: str, row: Format) -> None:
+    """Add a format that robots can be written in.
+
+    Args:
+        name: Its name, as in ``--to``, which no other format has.
+        row: What it is, the endings of its files, and the function that writes it.
+
+    Raises:
+        CalibError: The name is taken.
+    """
+    if name in FORMATS:
+        raise CalibError(f"The format '{name}' needs a name other than {choices(FORMATS, 60)}.")
+    FORMATS[name] = row

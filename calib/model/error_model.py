@@ -18,7 +18,8 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from calib.errors import ModelError, choices
+import calib.plugins as plugins
+from calib.errors import ModelError, choices, did_you_mean
 from calib.model.dh import DHRow, dh_frames, screw
 from calib.model.dh_table import dh_table, zero_poses
 from calib.model.families import ANGLE, LENGTH, ZERO, joint_families
@@ -40,6 +41,9 @@ _TWISTS = {direction: read_only(row) for direction, row in zip(DIRECTIONS, np.ey
 
 #: The name of a set of parameters that was given as parameters, not by its name.
 OWN = "own"
+
+#: Names that mean something else than a set: the choice by the data, and `OWN`.
+_RESERVED = ("auto", OWN)
 
 #: An axis within this of a coordinate axis is one [rad].
 _ALIGNED = 1e-6
@@ -208,10 +212,10 @@ def split_name(name: str) -> tuple[str, tuple[str, ...]]:
     if base not in MODELS or wrong:
         fault = f"'{name}' adds {choices(dict.fromkeys(wrong))} to the set '{base}'"
         if base not in MODELS:
-            fault = f"There is no parameter set '{base}'"
+            fault = f"There is no parameter set '{base}'{did_you_mean(base, MODELS)}"
         raise ModelError(
             f"{fault}. Choose 'auto', or one of {choices(MODELS)} and behind it, each once and with a '+', any of "
-            f"{choices(joint_families())}."
+            f"{choices(joint_families())}. {plugins.HINT}"
         )
     return base, tuple(families)
 
@@ -385,3 +389,23 @@ MODELS: dict[str, Callable[[Robot], list[Parameter]]] = {
     "zeros": _zero_parameters,
     "frames": lambda _robot: [],  # no error of the robot: frame and target alone
 }
+
+plugins.watch("models", MODELS)
+
+
+def register(name: str, parameters: Callable[[Robot], list[Parameter]]) -> None:
+    """Add a parameter set, which models can then name: ``"shoulder"``, ``"shoulder+gain"``.
+
+    Args:
+        name: Its name, which no other set has.
+        parameters: A function from the nominal robot to the robot's own parameters.
+
+    Raises:
+        ModelError: The name is taken, has a "+", or means something else.
+    """
+    taken = (*MODELS, *_RESERVED)
+    if name in taken or "+" in name:
+        raise ModelError(
+            f"The parameter set '{name}' needs a name without '+', other than {choices(taken, 60)}."
+        )
+    MODELS[name] = parameters

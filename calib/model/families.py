@@ -12,7 +12,7 @@ Gravity is compliance without masses: those of the links are unknown, and put wh
 axis is z through p, of the nominal robot, and c_l what a mass at p_l bends it by, per metre of its lever arm.
 
 No URDF can hold those. Source: J. Hollerbach, W. Khalil, M. Gautier, Handbook of Robotics, ch. 6. `register` adds a
-family from outside; each process registers its own first.
+family from outside.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from types import MappingProxyType
 
 import numpy as np
 
+import calib.plugins as plugins
 from calib.errors import ModelError, choices
 from calib.units import Array
 
@@ -264,6 +265,8 @@ _REGISTRY: dict[str, Family] = {row.name: row for row in _ROWS}
 #: All families by name, in the order in which they are shown.
 FAMILIES: Mapping[str, Family] = MappingProxyType(_REGISTRY)
 
+plugins.watch("families", _REGISTRY)
+
 
 def register(family: Family) -> None:
     """Add a family of the joints' state, which models can then name: ``"dh+harmonic"``.
@@ -283,7 +286,7 @@ def register(family: Family) -> None:
 def family_of(name: str) -> Family:
     """Return a family by its name; ModelError if none of that name is registered."""
     if name not in FAMILIES:
-        raise ModelError(f"There is no family of errors '{name}'; there are {choices(FAMILIES)}.")
+        raise ModelError(plugins.unknown("families", name, FAMILIES))
     return FAMILIES[name]
 
 

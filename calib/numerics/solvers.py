@@ -12,8 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg.lapack import dgeqrf, dtrtrs
 
-from calib.errors import SolverError
+import calib.plugins as plugins
+from calib.errors import ModelError, SolverError, choices
 from calib.units import Array
+
+#: Name of the paper's algorithm, which is no weighted least-squares solver: it has neither weights nor priors.
+PAPER = "paper"
 
 #: Message of a solver that converged.
 _CONVERGED = "Relative change of cost and parameters below tolerance."
@@ -380,6 +384,35 @@ Solver = Callable[[System, Array, Array, float], Solution]
 
 #: The least-squares solvers by the name that `calib.calibrate` and ``--solver`` take; yours is one more.
 SOLVERS: dict[str, Solver] = {"lm": levenberg_marquardt, "scipy": scipy_least_squares}
+
+plugins.watch("solvers", SOLVERS)
+
+
+def register(name: str, solver: Solver) -> None:
+    """Add a solver, which fits can then name.
+
+    Args:
+        name: Its name, which no other solver has.
+        solver: A function like those of `SOLVERS`.
+
+    Raises:
+        SolverError: The name is taken.
+    """
+    if name in (*SOLVERS, PAPER):
+        raise SolverError(
+            f"The solver '{name}' needs a name other than {choices((*SOLVERS, PAPER), 60)}."
+        )
+    SOLVERS[name] = solver
+
+
+def check_name(name: str) -> None:
+    """Check that there is a solver of this name, or that it is `PAPER`.
+
+    Raises:
+        ModelError: There is none.
+    """
+    if name not in (*SOLVERS, PAPER):
+        raise ModelError(plugins.unknown("solvers", name, (*SOLVERS, PAPER)))
 
 
 def _checked_start(system: System, x0: Array) -> _Evaluation:

@@ -16,16 +16,17 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+import calib.plugins as plugins
 from calib.channels import Channels, residual_unit
 from calib.diagnosis.coverage import OutsideRow
 from calib.diagnosis.reasons import Reason
-from calib.errors import CalibError, FileError
+from calib.errors import CalibError, FileError, PluginError
 from calib.files import write_atomically
 from calib.json_files import Json, JsonLayout, Key, damage, json_bytes, nested, read_json
 from calib.model.families import FAMILIES, Factor, factor_of
 from calib.model.kinematics import Kinematics
 from calib.model.observability import Observability
-from calib.model.parameters import ErrorModel, Parameter
+from calib.model.parameters import FRAME, TARGET, ErrorModel, Parameter
 from calib.numerics.errors import CrossValidation, Errors, UnitErrors
 from calib.numerics.repeats import Repeats
 from calib.registration.setup import Setup
@@ -331,7 +332,29 @@ def result_table(c: CalibrationValues) -> dict[str, Any]:
             "errors": table["errors"]["non_geometric"],
             "model": _model_table(c.non_geometric.model),
         }
+    table["plugins"] = plugins.plugin_tables(_registered_names(table))
     return table
+
+
+def _registered_names(table: Json) -> dict[str, set[str]]:
+    """Return the names of registries that a result uses.
+
+    Args:
+        table: The tables of a result.
+
+    Returns:
+        Names of families, kinds, solvers and parameter sets, by the keys of `calib.plugins.WORDS`.
+    """
+    models = [table["model"]]
+    if table["non_geometric"] is not None:
+        models.append(table["non_geometric"]["model"])
+    families = {term["family"] for model in models for term in model["terms"]}
+    return {
+        "families": families - {FRAME, TARGET},
+        "kinds": {*table["rows"]["kinds"]},
+        "solvers": {table["solver"]["name"]},
+        "models": {model["set"].partition("+")[0] for model in models},
+    }
 
 
 def _derived_values(c: CalibrationValues) -> dict[str, Any]:
@@ -442,6 +465,7 @@ def read_result(path: str | Path) -> CalibrationValues:
 
     Raises:
         FileError: It cannot be read, is no result, of another schema, or damaged.
+        PluginError: It uses a family or a kind of a plugin that is not loaded.
     """
     expected = (
         f"a result of calib {__version__} has {SCHEMA}. Results are written by calib calibrate ROBOT DATA --json "
@@ -449,7 +473,10 @@ def read_result(path: str | Path) -> CalibrationValues:
     )
     table = read_json(path, "calibration result", SCHEMA, expected)
     try:
+        plugins.check_registered(_registered_names(table), table.get("plugins", ()))
         return _calibration(table, Path(path).parent)
+    except PluginError as error:
+        raise PluginError(f"{path}: {error}") from error
     except (
         CalibError, KeyError, TypeError, ValueError, AttributeError, IndexError, OverflowError,
     ) as error:  # fmt: skip

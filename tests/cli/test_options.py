@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from typing import get_args, get_type_hints
 
 import pytest
 import typer
@@ -14,9 +13,10 @@ from calib.cli.options import FitOptions, Robust, SolverOptions, TableOptions
 from calib.cli.program import app as program
 from calib.cli.verb import Verb, verb
 from calib.data import kinds
-from calib.errors import FileError
+from calib.errors import FileError, ModelError
 from calib.estimate.task import PAPER
 from calib.formats.convert import FORMATS
+from calib.model.error_model import MODELS
 from calib.model.families import joint_families
 from calib.numerics.solvers import SOLVERS
 
@@ -78,6 +78,7 @@ def test_classes_of_options_stand_for_their_fields(words, code, said):
         ("calibrate", joint_families()),
         ("calibrate", kinds.names()),
         ("calibrate", (*SOLVERS, PAPER)),
+        ("calibrate", tuple(MODELS)),
         ("convert", tuple(FORMATS)),
     ],
 )
@@ -95,6 +96,8 @@ def test_no_placeholder_is_left_in_any_help():
         assert not re.findall(r"\{[a-z]+\}", done.output)
 
 
-def test_the_solvers_of_the_command_line_are_those_that_there_are():
-    literal = get_args(get_args(get_type_hints(SolverOptions, include_extras=True)["solver"])[0])
-    assert set(literal) == {*SOLVERS, PAPER}
+def test_an_unknown_solver_is_refused_with_the_names_that_there_are():
+    for name in (*SOLVERS, PAPER):
+        SolverOptions(solver=name).check()
+    with pytest.raises(ModelError, match=r"no solver 'scipi' \(did you mean 'scipy'\?\)"):
+        SolverOptions(solver="scipi").check()

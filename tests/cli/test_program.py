@@ -70,7 +70,7 @@ def test_version_and_help(run, tmp_path: Path):
         ("fit",),
         ("fit", "robot.urdf"),
         ("fit", "robot.urdf", "data.csv", "--nonsense"),
-        ("fit", "robot.urdf", "data.csv", "--solver", "best"),
+        ("fit", "robot.urdf", "data.csv", "--priors", "best"),
         ("fit", "robot.urdf", "data.csv", "--bootstrap", "39"),
         ("demo", "folder"),
     ],

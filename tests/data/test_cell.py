@@ -45,7 +45,7 @@ def test_values_that_are_refused(arguments, says):
 
 
 def test_a_kind_is_registered():
-    with pytest.raises(MeasurementError, match="'ball' is not a kind of measurement"):
+    with pytest.raises(MeasurementError, match="no kind of measurement 'ball'"):
         Cell(kind="ball")
 
 

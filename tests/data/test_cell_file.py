@@ -208,7 +208,7 @@ def test_a_value_is_refused_by_none_or_an_error():
         ('frame = "x,yaw"', "'frame' is 'x,yaw'"),
         ("sigma_angle_deg = -1", "sigma is {'rad': -0.017"),
         ('sigma_mm = "0.1"', "'sigma_mm' is '0.1'; it must be a number."),
-        ('kind = "ball"', "'ball' is not a kind of measurement; allowed are 'point', 'pose', "),
+        ('kind = "ball"', "There is no kind of measurement 'ball'; there are 'point', 'pose', "),
         ('repeats = "often"', "repeats is 'often'; it must be one of 'weighted', 'average', "),
         ('priors = "some"', "choose one of 'data', 'given', 'off'"),
         ("prior_angle_mrad = 0", "The prior's angle is 0 rad"),

@@ -213,7 +213,7 @@ def test_a_name_is_given_once():
     ):
         with pytest.raises(CalibError, match=fault):
             replace(LINE, **change)
-    with pytest.raises(MeasurementError, match=r"'lines' is not a kind .* 'line', 'tilt'"):
+    with pytest.raises(MeasurementError, match=r"no kind of measurement 'lines' .* 'line', 'tilt'"):
         get("lines")
 
 

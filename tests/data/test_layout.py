@@ -145,7 +145,7 @@ def test_what_is_missing_is_asked_for(table):
     path = table("a [deg],place", "1,left")
     refused(path, ["need a column 'x [mm]'", "--kind fixed", '"name in the table=x [mm]"'])
     refused(path, "need a column 'distance [mm]'", kind="distance")
-    refused(path, "'socket' is not a kind of measurement; allowed are 'point', ", kind="socket")
+    refused(path, "There is no kind of measurement 'socket'; there are 'point', ", kind="socket")
     path = table("a [deg],distance [mm]", "1,500")
     refused(path, ["need a column 'pair'", "'distance [mm]'"], kind="pair")
 
@@ -185,7 +185,7 @@ def test_rows_of_several_kinds(table):
     ("lines", "says"),
     [
         (("kind,a [deg]", "ball,1"), ["line 2 (row 1), column 'kind'", "'ball'", '"kind=-"']),
-        (("Kind,a [deg]", ",1"), ["'' is not a kind of measurement", '"Kind=-"']),
+        (("Kind,a [deg]", ",1"), ["There is no kind of measurement ''", '"Kind=-"']),
         (("kind,a [deg]", "fixed,1", "point,2"), "need a column 'x [mm]'"),
         (("kind,a [deg]",), "need a column 'x [mm]'"),
         (

@@ -95,6 +95,7 @@ def fleet(
     if manifest.resolve() == (out / CSV).resolve():
         raise FileError(f"{manifest} would be the table of results too; choose another --out.")
     robots = read_manifest(manifest, setup, tables.columns or (), tables.points_unit)
+    estimation.check()
     options = FleetOptions(
         solver=estimation.solver,
         robust=estimation.robust,
