@@ -16,6 +16,7 @@ MODULES = sorted(CALIB.rglob("*.py"))
 ORDER = (
     "version",
     "errors",
+    "pickling",
     "mappings",
     "units",
     "files",

@@ -26,6 +26,7 @@ from calib.circle_points.orthogonal_distances import (
     nearest_plane,
 )
 from calib.errors import CalibError
+from calib.pickling import Value
 from calib.robot.robot import read_only
 from calib.units import Array, Mask
 
@@ -49,7 +50,7 @@ _VAGUE = 0.25
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Plane:
+class Plane(Value):
     """Plane through N points."""
 
     #: On the plane, the points' weighted mean, shape (3,) [m]

@@ -28,6 +28,7 @@ from scipy.special import stdtrit
 from calib.circle_points.fits import Circle, Plane
 from calib.errors import CalibError, UrdfError
 from calib.model.dh_table import zero_poses
+from calib.pickling import Value
 from calib.robot.robot import Robot, read_only, rigid_inverse
 from calib.units import Array
 
@@ -86,7 +87,7 @@ def nominal_axes(robot: Robot) -> tuple[Line, ...]:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class BaseFrame:
+class BaseFrame(Value):
     """Base frame and its uncertainty."""
 
     #: Pose of the base in the tracker's frame, shape (4, 4) [m]

@@ -37,6 +37,7 @@ from calib.circle_points.frame import (
 from calib.circle_points.sweeps import Sweeps
 from calib.errors import CalibError, MeasurementError, choices
 from calib.json_files import JsonLayout
+from calib.pickling import Value
 from calib.robot.robot import Robot, read_only, rigid_inverse
 from calib.units import Array
 
@@ -54,7 +55,7 @@ _SIGMAS = 6.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class JointAxis:
+class JointAxis(Value):
     """Axis of a joint, from its sweep."""
 
     #: Name of the joint
@@ -92,7 +93,7 @@ class AxisPair:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Survey:
+class Survey(Value):
     """Results of all sweeps."""
 
     #: The base frame

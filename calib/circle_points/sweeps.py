@@ -19,6 +19,7 @@ from calib.data.points_file import PARTS, Points, read_points
 from calib.data.table import Column, Table
 from calib.data.values import read_values
 from calib.errors import MeasurementError, choices
+from calib.pickling import Value
 from calib.robot.robot import read_only
 from calib.units import Array
 
@@ -33,7 +34,7 @@ _POINT_NAME = re.compile(r"(.*?)[ _\-.:]*[0-9]+")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sweep:
+class Sweep(Value):
     """Points of one sweep, in the order in which they were measured."""
 
     #: The joint of the chain that turns, from 0; None for the plane
@@ -61,7 +62,7 @@ class Sweep:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sweeps:
+class Sweeps(Value):
     """Sweeps of a file."""
 
     #: The plane first, then the joints in the order of the chain; one of each at most

@@ -41,6 +41,7 @@ from calib.compensation.warnings import (
 )
 from calib.diagnosis.reasons import NO
 from calib.errors import VerdictError
+from calib.pickling import Value
 from calib.result.calibration import CalibrationValues
 from calib.robot.payload import Payload
 from calib.robot.ranges import column_limits
@@ -65,7 +66,7 @@ _CORRECTIONS = 6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Commands:
+class Commands(Value):
     """Commands that bring the true robot to the poses of a program; rows that cannot be reached are NaN."""
 
     #: The robot as its controller has it and the actual one, their tools, the frame of the poses.

@@ -32,6 +32,7 @@ from calib.compensation.pose_covariance import (
 )
 from calib.model.kinematics import Samples
 from calib.numerics.errors import CrossValidation
+from calib.pickling import Value
 from calib.result.calibration import CalibrationValues
 from calib.result.prediction import FittedModel
 from calib.robot.robot import read_only
@@ -66,7 +67,7 @@ class Contribution(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ExpectedErrors:
+class ExpectedErrors(Value):
     """Expected errors of N commands, in the frame of the program."""
 
     #: shape (N, 2), mean distance [m] and angle [rad] of the tool from its wanted pose.

@@ -24,6 +24,7 @@ from calib.model.joint_errors import axis_twists
 from calib.model.kinematics import Kinematics, Samples
 from calib.model.parameters import TIP, ErrorModel, Parameter
 from calib.numerics.geometry import not_rotations
+from calib.pickling import Value
 from calib.result.calibration import CalibrationValues
 from calib.result.prediction import NonGeometric
 from calib.robot.payload import Payload
@@ -45,7 +46,7 @@ _POSES = 64
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Arm:
+class Arm(Value):
     """Robot whose errors are known, with a tool; made by `of` or `of_non_geometric`."""
 
     #: With the placements as they are.
@@ -78,15 +79,7 @@ class Arm:
             load: Load on each joint at joint values, (N, m) to (N, n), [Nm, N]; None: no error needs it.
         """
         of_terms = np.asarray(values, dtype=np.float64)
-
-        def motion(state: JointState) -> Array:
-            """Return the motion of a joint per change of its value: 1, and the slopes of its errors."""
-            per_value = np.ones(len(state.values))
-            for term, value in zip(terms, of_terms, strict=True):
-                if term.place == state.joint and term.factor and term.factor.slope:
-                    per_value += value * term.factor.slope(state)
-            return per_value
-
+        motion = partial(_motion_per_value, terms, of_terms)
         motions = _motions(robot, Factor("motion", motion, slope=None))
         places = error_model(robot, "frames", target=False).places
         model = ErrorModel("motion", places, (*terms, *motions))
@@ -155,6 +148,24 @@ def _displaced(nominal: Robot, non_geometric: NonGeometric) -> Robot:
     return nominal.with_placements(nominal.placements @ displacements[order])
 
 
+def _motion_per_value(terms: Sequence[Parameter], values: Array, state: JointState) -> Array:
+    """Return the motion of a joint per change of its value: 1, and the slopes of its errors.
+
+    Args:
+        terms: Errors of the joints that change with their state.
+        values: The value of each, in its unit, shape (terms,).
+        state: The joint, and the state of all joints in N samples.
+
+    Returns:
+        Shape (N,).
+    """
+    per_value = np.ones(len(state.values))
+    for term, value in zip(terms, values, strict=True):
+        if term.place == state.joint and term.factor and term.factor.slope:
+            per_value += value * term.factor.slope(state)
+    return per_value
+
+
 def _motions(robot: Robot, factor: Factor) -> list[Parameter]:
     """Return a parameter for each measured joint that moves it, and those that follow it.
 
@@ -177,7 +188,7 @@ def _load(non_geometric: NonGeometric, nominal: Robot, payload: Payload | None, 
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Pair:
+class Pair(Value):
     """Tool on the nominal robot and on the actual one; made by `pair_of`."""
 
     #: The robot as its controller has it, with the tool that the controller is to be set to.

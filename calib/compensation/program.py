@@ -10,7 +10,9 @@ from numpy.typing import ArrayLike
 
 from calib.compensation.inverse import MATCHES, POSITION
 from calib.errors import ModelError, choices
+from calib.mappings import keep_read_only
 from calib.numerics.geometry import not_rotations
+from calib.pickling import Value
 from calib.robot.robot import read_only
 from calib.units import Array
 
@@ -22,7 +24,7 @@ EXPECTED = "expected error"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Program:
+class Program(Value):
     """N rows that a robot is to run through: joint values, poses of the tool, or both.
 
     Raises:
@@ -67,6 +69,7 @@ class Program:
             if not np.isfinite(values).all() or not_rotations(rotations).any():
                 raise ModelError(f"{name} of a program has a number or a pose that is none.")
             object.__setattr__(self, name, read_only(values))
+        keep_read_only(self, "start")
 
     def __len__(self) -> int:
         """Return the number of rows."""

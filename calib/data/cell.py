@@ -32,6 +32,7 @@ from calib.errors import CalibError, FileError, choices
 from calib.mappings import ReadOnlyMapping
 from calib.model.error_model import DIRECTIONS
 from calib.numerics.geometry import FARTHEST, pose_of, pose_or_none, rotation_or_none, vector
+from calib.pickling import Value
 from calib.robot.gravity import GRAVITY
 from calib.robot.payload import Payload
 from calib.robot.robot import read_only
@@ -204,7 +205,7 @@ def _no_entries() -> Mapping[str, Any]:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Cell:
+class Cell(Value):
     """The measurement setup of a calibration: frames, targets, instrument, priors and surroundings.
 
     Parameters are named as `calib inspect` prints them. A change is what is added to a parameter's nominal value, in

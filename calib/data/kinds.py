@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -24,6 +25,7 @@ from scipy.spatial.transform import Rotation
 from calib.errors import CalibError, MeasurementError, choices
 from calib.model.error_model import DIRECTIONS
 from calib.numerics.geometry import inverse_right_jacobian
+from calib.pickling import Value
 from calib.units import Array, Quantity
 
 #: Least and largest standard deviation accepted for a measurement [m or rad]: no instrument is
@@ -50,7 +52,7 @@ class Reading:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Kind:
+class Kind(Value):
     """A kind of measurement: what its rows measure, and the prediction with its derivative.
 
     The functions of a kind take and return arrays over n rows, in SI units, not whitened:
@@ -124,6 +126,12 @@ class Kind:
                 f"The kind '{self.name}' needs 'residual' or 'measure', and 'units' of 'm' and "
                 "'rad', lengths first."
             )
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle a registered kind by its name: the process that reads it must have registered it, in any order."""
+        if _KINDS.get(self.name) is self:
+            return get, (self.name,)
+        return Value.__reduce__(self)
 
     @property
     def lengths(self) -> int:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import compress
 from pathlib import Path
@@ -36,6 +36,7 @@ from calib.errors import MeasurementError, choices
 from calib.files import csv_bytes, write_atomically
 from calib.mappings import ReadOnlyMapping
 from calib.numerics.geometry import FARTHEST, to_quaternions
+from calib.pickling import Value
 from calib.robot.robot import read_only
 from calib.units import UNITS, Array, Mask, Quantity
 
@@ -53,7 +54,7 @@ _NumberColumn = tuple[str, Quantity | None, Array | None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Measurements:
+class Measurements(Value):
     """N rows: the joint values of the robot and what was measured of the target there.
 
     What a row measures is its kind, one of `calib.data.kinds`: ``point``, ``pose``, ``distance``, ``pair``, ``fixed``,
@@ -278,12 +279,6 @@ class Measurements:
         """Return one line, such as ``Measurements(35 rows of 6 joints from ur3_leica.csv)``."""
         origin = f" from {self.source}" if self.source else ""
         return f"Measurements({len(self)} rows of {len(self.joint_names)} joints{origin})"
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle with a plain dict for the read-only mapping."""
-        values = {f.name: getattr(self, f.name) for f in fields(self)}
-        values["readings"] = dict(self.readings)
-        return partial(Measurements, **values), ()
 
     def __len__(self) -> int:
         """Return the number of rows, N."""

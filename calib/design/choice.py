@@ -16,6 +16,7 @@ from calib.design.sensitivity import Sensitivity
 from calib.errors import ModelError
 from calib.jobs import Progress
 from calib.model.observability import steps
+from calib.pickling import Value
 from calib.robot.robot import read_only
 from calib.units import Array
 
@@ -39,7 +40,7 @@ _RUNGS = (0.5, 0.67, 0.83, 1.0, 1.33, 1.67, 2.0, 3.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PlanRequest:
+class PlanRequest(Value):
     """Poses that are wanted of a plan."""
 
     #: Poses to fit.

@@ -6,7 +6,7 @@ the choice under the model that the fit will use; poses to validate with; the or
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 
@@ -23,6 +23,8 @@ from calib.design.ordering import Blocked, Route
 from calib.design.route import route
 from calib.design.sensitivity import Sensitivity
 from calib.design.sight import in_cone, in_range, target_positions
+from calib.mappings import keep_read_only
+from calib.pickling import Value
 from calib.regions.region import Region
 from calib.robot.robot import Robot, read_only
 from calib.units import Array
@@ -38,7 +40,7 @@ _USUAL_CHECK = CollisionCheck()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Plan:
+class Plan(Value):
     """Poses to measure, in the order to drive."""
 
     #: The robot.
@@ -78,13 +80,17 @@ class Plan:
     #: Of these, those that can be measured.
     candidates: int
     #: Number of those drawn that were refused, by reason, see `calib.design.candidates.Reason`.
-    refused: dict[str, int]
+    refused: Mapping[str, int]
     #: The sum over all moves of the largest move of a joint [rad] or [m].
     travel: float
     #: The moves whose straight way is not free.
     blocked: tuple[Blocked, ...]
     #: Remarks for the person who measures.
     notes: tuple[Note, ...]
+
+    def __post_init__(self) -> None:
+        """Keep a read-only copy of the mapping."""
+        keep_read_only(self, "refused")
 
     def places(self, q: Array) -> Array:
         """Predict the position of each target in the robot's base, by the nominal robot.

@@ -21,6 +21,7 @@ from calib.estimate.solving import mark_sole_postures
 from calib.estimate.task import PAPER, Task
 from calib.model.kinematics import Kinematics, Samples
 from calib.model.parameters import ErrorModel
+from calib.pickling import Value
 from calib.registration.registration import register, register_held_out
 from calib.registration.rows import Rows
 from calib.registration.setup import Setup
@@ -29,7 +30,7 @@ from calib.units import Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Fitted:
+class Fitted(Value):
     """One fit: the registered start and the estimate from there."""
 
     #: What was fitted

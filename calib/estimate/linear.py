@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from calib.estimate.stop_errors import Stops
 from calib.numerics.likelihood import GaussianPriors, NormalEquations
 from calib.numerics.scores import deleted_norms, point_scores
+from calib.pickling import Value
 from calib.robot.kernel import over_blocks
 from calib.units import Array, Mask
 
@@ -50,7 +51,7 @@ class _Kept(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LinearProblem:
+class LinearProblem(Value):
     """N rows of D scalars linearised at x, by p parameters, in units of each scalar's given sigma."""
 
     #: (p,), x0, where the problem is linearised

@@ -31,6 +31,7 @@ from calib.model.kinematics import Kinematics
 from calib.model.observability import Observability, analyse
 from calib.numerics.errors import LENGTHS
 from calib.numerics.solvers import triangle
+from calib.pickling import Value
 from calib.registration.known_distances import KnownDistance
 from calib.registration.rows import Rows
 from calib.robot.kernel import over_blocks
@@ -50,7 +51,7 @@ _SHORTEST = 1e-12
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Problem:
+class Problem(Value):
     """A calibration as numbers: N rows, p parameters."""
 
     #: The nominal robot under its error model, frames and targets as registered

@@ -10,6 +10,7 @@ from calib.errors import ModelError, choices
 from calib.model.error_model import error_model
 from calib.model.parameters import FRAME, TARGET, ErrorModel, Parameter
 from calib.numerics.solvers import SOLVERS, Solver
+from calib.pickling import Value
 from calib.registration.known_distances import KnownDistance
 from calib.registration.setup import Setup
 from calib.robot.robot import Robot
@@ -19,7 +20,7 @@ PAPER = "paper"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Task:
+class Task(Value):
     """Robot, cell, measurement setup and model of a fit, and its options."""
 
     #: The nominal robot

@@ -19,6 +19,7 @@ from calib.formats.source import Options, Source
 from calib.formats.source_kinds import KINDS, YAML, source_kind
 from calib.formats.universal_robots import read_ur, write_ur_conf, write_ur_yaml
 from calib.model.dh import HAYATI, MODIFIED, STANDARD
+from calib.pickling import Value
 from calib.robot.ranges import random_joint_values
 from calib.robot.readback import check_written
 
@@ -37,7 +38,7 @@ Notes = tuple[Note, ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Conversion:
+class Conversion(Value):
     """A conversion that was done: what was read, and what was written."""
 
     #: What was read.

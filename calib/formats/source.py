@@ -10,6 +10,7 @@ from calib.diagnosis.reasons import Verdict
 from calib.formats.notes import Note
 from calib.formats.ur_arms import UrModel
 from calib.formats.ur_conf import Conf
+from calib.pickling import Value
 from calib.robot.robot import Robot
 from calib.units import Array
 
@@ -45,7 +46,7 @@ class Options:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Source:
+class Source(Value):
     """A robot read from a file, and the same chain with nominal kinematics.
 
     Of Universal Robots' files also the driver's name of the calibration, the arm, and what the file holds.

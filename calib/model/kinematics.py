@@ -16,13 +16,14 @@ from numpy.typing import ArrayLike
 
 from calib.model.joint_errors import joint_displacements
 from calib.model.parameters import ErrorModel
+from calib.pickling import Value
 from calib.robot import kernel
 from calib.robot.robot import Robot, read_only
 from calib.units import Array, Integers, Mask
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Samples:
+class Samples(Value):
     """Joint values in N samples, and the measurement frame and the target of each."""
 
     #: Shape (N, m), values of the measured joints, [rad] or [m], in the order of `Robot.joint_names`.
@@ -61,7 +62,7 @@ SamplesOrValues: TypeAlias = Samples | Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Kinematics:
+class Kinematics(Value):
     """A robot under an error model, seen at targets from measurement frames."""
 
     #: The nominal robot.

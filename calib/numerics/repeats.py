@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from calib.numerics.errors import LENGTHS
+from calib.pickling import Value
 from calib.robot.robot import read_only
 from calib.units import Array, Integers, Mask
 
@@ -28,7 +29,7 @@ _MEANS_FITTED = 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Repeats:
+class Repeats(Value):
     """Scatter within repeats, of lengths and of angles (G = 1 or 2 groups), and the correlation of repeats."""
 
     #: (G,), standard deviation of a component of a repeat, in the residual's unit; NaN without repeats

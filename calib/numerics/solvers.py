@@ -13,6 +13,7 @@ import numpy as np
 from scipy.linalg.lapack import dgeqrf, dtrtrs
 
 from calib.errors import SolverError
+from calib.pickling import Value
 from calib.units import Array
 
 #: Message of a solver that converged.
@@ -54,7 +55,7 @@ class Iteration:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Solution:
+class Solution(Value):
     """Result of a solver."""
 
     #: Shape (p,)

@@ -22,6 +22,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
 from calib.errors import CalibError
+from calib.pickling import Value
+from calib.robot.robot import read_only
 from calib.units import Array, Mask
 
 #: Samples that a smoothed count rests on, in the mean over reached voxels, where the voxel's size is chosen.
@@ -54,7 +56,7 @@ _SPOT_VOXEL = 1e-3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Region:
+class Region(Value):
     """Part of space that a robot is measured in: voxels of a grid in the base frame."""
 
     #: Shape (3,), the grid's least corner [m].
@@ -67,6 +69,13 @@ class Region:
     share: float
     #: Share of the samples that the voxels hold: not less than ``share``.
     held: float
+
+    def __post_init__(self) -> None:
+        """Keep read-only copies of the arrays."""
+        object.__setattr__(self, "origin", read_only(self.origin))
+        cells = np.array(self.cells, dtype=np.bool_)
+        cells.setflags(write=False)
+        object.__setattr__(self, "cells", cells)
 
     @property
     def volume(self) -> float:
@@ -95,7 +104,7 @@ class Region:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Density:
+class Density(Value):
     """Counts of samples in the voxels of a grid in the base frame."""
 
     #: Shape (3,), the grid's least corner [m].

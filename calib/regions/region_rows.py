@@ -13,6 +13,7 @@ from calib.data.cell import Cell
 from calib.data.columns import POINT, name_columns
 from calib.data.measurements import Measurements
 from calib.data.table import Table
+from calib.pickling import Value
 from calib.regions.region import Density, Region
 from calib.robot.chain import rigid_inverse
 from calib.robot.robot import Robot
@@ -31,7 +32,7 @@ class Checked(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RegionView:
+class RegionView(Value):
     """Region of a robot's workspace as it is printed and drawn."""
 
     #: The robot.

@@ -14,12 +14,13 @@ import numpy as np
 
 from calib.model.kinematics import Samples
 from calib.model.parameters import FRAME, TARGET, ErrorModel, Parameter
+from calib.pickling import Value
 from calib.robot.robot import read_only
 from calib.units import Array, Mask
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Setup:
+class Setup(Value):
     """F frames and T targets, in the order of the numbers that rows refer to them with."""
 
     #: Names of the stations, with one frame each

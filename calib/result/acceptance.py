@@ -25,6 +25,8 @@ from calib.diagnosis.coverage import OutsideRow
 from calib.diagnosis.reasons import Reason
 from calib.diagnosis.usual_mistakes import find_usual_mistake
 from calib.errors import CalibError, MeasurementError, choices
+from calib.mappings import keep_read_only
+from calib.pickling import Value
 from calib.result.accuracy import Accuracy, PoseAccuracy, accuracy, fitted_rows
 from calib.result.calibration import CalibrationValues
 from calib.result.evaluation import Evaluation, evaluate, moved_place, registration_rows
@@ -302,7 +304,7 @@ def _check(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Assessment:
+class Assessment(Value):
     """Every robot that a URDF and a result hold, compared with one table."""
 
     #: Errors, by ``"nominal"``, ``"urdf"``, ``"calibration"`` and ``"non_geometric"`` as far as there are such robots
@@ -318,6 +320,10 @@ class Assessment:
     #: An explanation by which the rows would fit far better: a usual mistake, or a frame or target that has moved since
     #: the calibration
     hint: Reason | None
+
+    def __post_init__(self) -> None:
+        """Keep read-only copies of the mappings."""
+        keep_read_only(self, "evaluations", "accuracies")
 
 
 def assess(

@@ -26,6 +26,7 @@ from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.errors import CalibError, MeasurementError
 from calib.numerics.errors import LENGTHS
+from calib.pickling import Value
 from calib.registration.rows import Rows
 from calib.registration.setup import Setup
 from calib.registration.table_rows import rows_and_setup
@@ -48,7 +49,7 @@ _SAME = 1e-7
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PoseAccuracy:
+class PoseAccuracy(Value):
     """Accuracy and repeatability at one pose of one target at one station; NaN for what was not measured."""
 
     #: Numbers of the rows in the table: the repeats of the pose

@@ -24,6 +24,7 @@ from calib.model.observability import Observability
 from calib.numerics.errors import CrossValidation, Errors
 from calib.numerics.repeats import Repeats
 from calib.numerics.solvers import Solution
+from calib.pickling import Value
 from calib.registration.setup import Setup
 from calib.result.prediction import (
     FittedModel,
@@ -83,7 +84,7 @@ class Source:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class FitInMemory:
+class FitInMemory(Value):
     """Measurements and solved problem of a calibration that was made in this process."""
 
     #: All rows

@@ -14,6 +14,7 @@ import numpy as np
 from calib.diagnosis.reasons import NO
 from calib.errors import ModelError
 from calib.numerics.drift import DriftTest
+from calib.pickling import Value
 from calib.result.calibration import CalibrationValues
 from calib.result.calibration_file import read_result
 from calib.result.difference import Differences, Displacement, differences_of
@@ -31,7 +32,7 @@ _FAR = 3.0
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False, kw_only=True)
-class ComparisonValues:
+class ComparisonValues(Value):
     """The result of `compare`."""
 
     #: The first result

@@ -16,6 +16,7 @@ from calib.errors import CalibError, ModelError, choices
 from calib.model.error_model import DIRECTIONS
 from calib.model.kinematics import Samples
 from calib.numerics.errors import Errors
+from calib.pickling import Value
 from calib.registration.registration import nominal_setup, register_held_out
 from calib.registration.rows import Rows
 from calib.registration.setup import Setup
@@ -41,7 +42,7 @@ _SMALL = 1e-4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Evaluation:
+class Evaluation(Value):
     """Errors of a robot as it is."""
 
     #: The robot

@@ -30,6 +30,7 @@ from calib.model.observability import steps
 from calib.numerics.errors import rms
 from calib.numerics.rigid_motion import without_rigid_motion
 from calib.numerics.solvers import levenberg_marquardt
+from calib.pickling import Value
 from calib.result.calibration import CalibrationValues
 from calib.result.prediction import ParameterEstimate
 from calib.robot.ranges import spread_poses
@@ -59,7 +60,7 @@ _TOLERANCE = 1e-4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Bootstrap:
+class Bootstrap(Value):
     """Parameters of many fits to rows drawn with replacement from those of one fit."""
 
     #: That fit, of p parameters

@@ -20,6 +20,7 @@ import numpy as np
 import pinocchio as pin
 
 from calib.errors import UrdfError, choices, did_you_mean
+from calib.pickling import Value
 from calib.robot.full_model import full_model
 from calib.robot.urdf import Urdf, UrdfJoint, read_only
 from calib.units import Array, unit_fault
@@ -32,7 +33,7 @@ _USUAL_TIPS = ("tool0", "tcp", "tool", "flange", "ee_link")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class OriginFactors:
+class OriginFactors(Value):
     """A placement as the product of a URDF joint's ``<origin>`` O and constant poses: before O after.
 
     A placement that no ``<origin>`` holds has none of them, and identities here.

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from calib.errors import ModelError, UrdfError, choices
+from calib.pickling import Value
 from calib.robot import kernel
 from calib.robot.chain import (
     OriginFactors,
@@ -41,7 +42,7 @@ _ROUNDING = 1e-12
 
 
 @dataclass(frozen=True, slots=True)
-class Robot:
+class Robot(Value):
     """A chain of a URDF, immutable: a changed robot is a new one. Lengths [m], angles [rad].
 
     Two are equal when URDF, base, tip and held joints are.

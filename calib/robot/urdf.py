@@ -17,6 +17,7 @@ import pinocchio as pin
 
 from calib.errors import UrdfError, choices, did_you_mean
 from calib.files import check_no_xacro, read_bytes, write_atomically
+from calib.pickling import Value
 from calib.robot.urdf_tree import UrdfJoint, read_only, read_tree
 from calib.robot.urdf_xml import Document
 from calib.robot.xacro_file import XacroCall, flattened, is_xacro
@@ -32,7 +33,7 @@ _VERDICT = "calib verdict: "
 
 
 @dataclass(frozen=True, slots=True)
-class Urdf:
+class Urdf(Value):
     """A URDF: its bytes and the kinematic tree they state. Two are equal when their bytes are."""
 
     #: The file, byte for byte.

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.errors import CalibError, choices
+from calib.pickling import Value
 from calib.robot.robot import read_only
 from calib.simulation.random_streams import stream
 from calib.units import Array, Mask
@@ -72,7 +73,7 @@ class Outliers:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class MovedTarget:
+class MovedTarget(Value):
     """A target that is elsewhere from some row on, as if it had been knocked."""
 
     #: Number of the first row, from 1, that finds it moved.

@@ -21,6 +21,8 @@ from calib.data.columns import SETS
 from calib.data.kinds import Kind
 from calib.data.measurements import Measurements
 from calib.errors import CalibError, choices
+from calib.mappings import keep_read_only
+from calib.pickling import Value
 from calib.robot.ranges import joint_ranges
 from calib.robot.robot import Robot, read_only
 from calib.simulation.disturbances import Encoder, MovedTarget, Outliers
@@ -38,7 +40,7 @@ DEFAULT_MODEL = "placement"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Scenario:
+class Scenario(Value):
     """Specification of virtual cells, before anything is drawn."""
 
     #: The nominal robot
@@ -73,7 +75,7 @@ class Scenario:
     visits: int = 1
 
     def __post_init__(self) -> None:
-        """Refuse a kind that cannot be simulated; keep a read-only copy of the drift."""
+        """Refuse a kind that cannot be simulated; keep read-only copies of the drift and of the sizes."""
         if self.kind.measure is None:
             allowed = [name for name in registry.names() if registry.get(name).measure is not None]
             raise CalibError(
@@ -81,6 +83,7 @@ class Scenario:
                 f"{choices(allowed)}."
             )
         object.__setattr__(self, "drift", read_only(self.drift))
+        keep_read_only(self, "sizes")
 
     @property
     def kind(self) -> Kind:
@@ -156,7 +159,7 @@ class Scenario:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Simulated:
+class Simulated(Value):
     """Measurements of a virtual cell, and the truth of each row."""
 
     #: The table, as `calib calibrate` reads it
@@ -242,7 +245,7 @@ class _Tour:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class VirtualCell:
+class VirtualCell(Value):
     """A robot with known errors, and an instrument that measures it."""
 
     #: What is measured, and what disturbs it
@@ -328,6 +331,7 @@ class VirtualCell:
         if event is not None:
             moved = event.rows([truth.targets[t] for t in tour.target])
             T_tip_target[moved, :3, 3] += event.by
+        moved.setflags(write=False)
         T_base_tip = truth.tip_poses(true_q)[tour.stop]
         return truth.T_frame_base[tour.group] @ T_base_tip @ T_tip_target, moved
 

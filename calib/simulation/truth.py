@@ -26,6 +26,7 @@ from calib.model.error_model import error_model, split_name
 from calib.model.families import FAMILIES, unit_of
 from calib.model.kinematics import Kinematics, Samples
 from calib.model.parameters import ErrorModel, Parameter
+from calib.pickling import Value
 from calib.robot.gravity import gravity_loads
 from calib.robot.payload import Payload
 from calib.robot.ranges import random_joint_values
@@ -57,7 +58,7 @@ NONE = "none"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Truth:
+class Truth(Value):
     """Truth of a virtual cell."""
 
     #: The robot of the nominal URDF
