@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from calib.design.plan import Plan as Plan, plan as plan
     from calib.diagnosis.inspection import inspect as inspect
     from calib.errors import CalibError as CalibError
-    from calib.fleets.fleet import fleet as fleet
+    from calib.fleets.tables import fleet as fleet
     from calib.regions.region import Region as Region
     from calib.regions.workspace import workspace as workspace
     from calib.result.evaluation import Evaluation as Evaluation, evaluate as evaluate
@@ -57,7 +57,7 @@ _NAMES = {
     "calib.regions.workspace": "workspace",
     "calib.errors": "CalibError",
     "calib.diagnosis.inspection": "inspect",
-    "calib.fleets.fleet": "fleet",
+    "calib.fleets.tables": "fleet",
     "calib.result.evaluation": "Evaluation evaluate",
     "calib.result.uncertainty": "bootstrap",
     "calib.robot.robot": "Robot",

@@ -16,6 +16,7 @@ MODULES = sorted(CALIB.rglob("*.py"))
 ORDER = (
     "version",
     "errors",
+    "arguments",
     "pickling",
     "mappings",
     "units",
@@ -28,6 +29,7 @@ ORDER = (
     "numerics",
     "model",
     "data",
+    "inputs",
     "registration",
     "estimate",
     "selection",

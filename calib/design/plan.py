@@ -13,6 +13,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import ArrayLike
 
+from calib.arguments import check_type
 from calib.data.cell import Cell
 from calib.design.candidates import Condition, Pool, draw, planning_ranges
 from calib.design.choice import Choice, PlanRequest, choose_poses
@@ -23,6 +24,7 @@ from calib.design.ordering import Blocked, Route
 from calib.design.route import route
 from calib.design.sensitivity import Sensitivity
 from calib.design.sight import in_cone, in_range, target_positions
+from calib.inputs import CellInput, RobotInput, cell_of, robot_of
 from calib.mappings import keep_read_only
 from calib.pickling import Value
 from calib.regions.region import Region
@@ -116,8 +118,8 @@ class Plan(Value):
 
 
 def plan(
-    robot: Robot,
-    cell: Cell | None = None,
+    robot: RobotInput,
+    cell: CellInput = None,
     request: PlanRequest = _USUAL_REQUEST,
     *,
     region: Region | None = None,
@@ -128,10 +130,11 @@ def plan(
     """Plan the poses of a calibration: which to measure, and in which order to drive.
 
     Args:
-        robot: The nominal robot.
+        robot: The nominal robot; or the path of a URDF or xacro, or a name such as ``"ur3"``, with the cell's base and
+            tip, or the URDF's root and its farthest link.
         cell: What the fit will use, model and priors with it, and what stands around the robot: boxes, tracker,
-            reflector, joint ranges; None: the default cell. The model ``"auto"`` is planned for as ``"placement"``, the
-            largest geometry.
+            reflector, joint ranges; or the path of a cell file; None: the default cell. The model ``"auto"`` is planned
+            for as ``"placement"``, the largest geometry.
         request: Numbers of poses to fit and to validate with, criterion, number of candidates, margin to the limits of
             joints that turn [rad], the robot's joint values before the first move, and the seed.
         region: Voxels of the robot's base frame in which the first target is to lie; None: anywhere.
@@ -147,21 +150,24 @@ def plan(
         that are blocked, and the forecast of the fit.
 
     Raises:
+        ArgumentError: An argument of another type.
         CalibError: Too few poses for the model, no candidate that can be measured, or a cell that does not fit.
     """
-    cell = cell or Cell()
+    known = cell_of(cell)
+    arm = robot_of(robot, known)
+    check_type("request", request, PlanRequest, "a PlanRequest")
+    check_type("region", region, (Region, type(None)), "a Region, or None")
     request.check(request.candidates)
-    measured = np.zeros((0, len(robot.inputs))) if taken is None else np.atleast_2d(taken)
-    measured = read_only(measured)
-    sensitivity = Sensitivity.of(robot, cell)
+    measured = read_only(np.zeros((0, len(arm.inputs))) if taken is None else arm.columns(taken))
+    sensitivity = Sensitivity.of(arm, known)
     body = _collision_model(sensitivity, collisions)
     pool = _draw(sensitivity, request, region, body, _stage(progress, "candidates"))
     choice = choose_poses(sensitivity, pool, request, measured, progress=_stage(progress, "choice"))
     way = _route(sensitivity, request, pool, choice, body)
     is_planned = way.indices < len(choice.planned)
     return Plan(
-        robot=robot,
-        cell=cell,
+        robot=arm,
+        cell=known,
         request=request,
         joints=way.joints,
         sets=tuple(np.where(is_planned, "estimate", "validate").tolist()),
@@ -180,7 +186,7 @@ def plan(
         refused=pool.refused,
         travel=way.length,
         blocked=way.blocked,
-        notes=(*sensitivity.notes, *_notes(cell, body)),
+        notes=(*sensitivity.notes, *_notes(known, body)),
     )
 
 

@@ -353,7 +353,7 @@ def plan_table(plan: Plan) -> dict[str, Any]:
             "taken": len(plan.taken),
         },
         "poses": poses,
-        "candidates": {"drawn": plan.drawn, "kept": plan.candidates, "refused": plan.refused},
+        "candidates": {"drawn": plan.drawn, "kept": plan.candidates, "refused": dict(plan.refused)},
         "forecast": forecast_table(plan.forecast),
         "before": None if plan.before is None else forecast_table(plan.before),
         "at_random": forecast_table(plan.at_random),
@@ -410,6 +410,6 @@ def forecast_table(forecast: Forecast) -> dict[str, Any]:
     return {
         **{name: getattr(forecast, name) for name in counts},
         **{f"{name}_m": getattr(forecast, name) for name in lengths},
-        "indices": forecast.indices,
+        "indices": dict(forecast.indices),
         "parameters": [dict(zip(keys, row, strict=True)) for row in parameters],
     }

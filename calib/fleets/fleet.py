@@ -1,4 +1,4 @@
-"""fleet: calibrate many robots, each from its own data into its own folder, and compare them with each other.
+"""run_fleet: calibrate many robots, each from its own data into its own folder, and compare them with each other.
 
 Robots are read when their turn has come and calibrated in any executor; the process that reads the inputs writes the
 files too, so that workers on other machines need no shared disk. A robot that fails has a row with the reason, and the
@@ -92,7 +92,7 @@ class Fleet:
         }
 
 
-def fleet(
+def run_fleet(
     robots: Sequence[FleetRobot],
     folder: str | Path,
     options: FleetOptions | None = None,
@@ -136,7 +136,7 @@ def fleet(
 
 
 class _Run:
-    """A run of `fleet`: reads the robots, writes their files, and collects their rows in any order."""
+    """A run of `run_fleet`: reads the robots, writes their files, and collects their rows in any order."""
 
     def __init__(
         self,
@@ -145,7 +145,7 @@ class _Run:
         count: int,
         progress: Progress | None,
     ) -> None:
-        """Begin a run; ``count`` is the number of all robots, the others are as of `fleet`."""
+        """Begin a run; ``count`` is the number of all robots, the others are as of `run_fleet`."""
         self._folder = folder
         self._options = options
         self._count = count

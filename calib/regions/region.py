@@ -21,7 +21,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
-from calib.errors import CalibError
+from calib.arguments import finite_numbers, numbers
+from calib.errors import CalibError, ModelError
 from calib.pickling import Value
 from calib.robot.robot import read_only
 from calib.units import Array, Mask
@@ -55,6 +56,10 @@ _SPOT = 1e-9
 _SPOT_VOXEL = 1e-3
 
 
+#: What messages call positions of points.
+_POSITIONS = "positions of shape (N, 3), [m]"
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Region(Value):
     """Part of space that a robot is measured in: voxels of a grid in the base frame."""
@@ -77,6 +82,28 @@ class Region(Value):
         cells.setflags(write=False)
         object.__setattr__(self, "cells", cells)
 
+    @classmethod
+    def of_points(
+        cls, points: ArrayLike, share: float = 0.95, *, voxel: float | None = None
+    ) -> Region:
+        """Make the smallest region that holds a share of points.
+
+        Args:
+            points: Positions in the robot's base frame, shape (N, 3), [m], such as
+                `calib.regions.workspace.workspace_points` samples.
+            share: Share of the points, greater than 0 and at most 1.
+            voxel: Edge of a voxel [m]; None: chosen by the points, see `Density.of`.
+
+        Raises:
+            CalibError: No points, a share outside of that range, or too many voxels.
+        """
+        return Density.of(points, voxel).region(share)
+
+    @property
+    def points(self) -> Array:
+        """Centres of the region's voxels, in the base frame, shape (n, 3), [m]."""
+        return np.asarray(self.origin + self.voxel * (np.argwhere(self.cells) + 0.5))
+
     @property
     def volume(self) -> float:
         """Volume of all voxels of the region [m^3]."""
@@ -93,12 +120,18 @@ class Region(Value):
         """Test which points lie in one of the region's voxels.
 
         Args:
-            points: Positions in the robot's base frame, shape (N, 3), [m].
+            points: Positions in the robot's base frame, shape (N, 3) or (3,), [m].
 
         Returns:
             True inside, shape (N,).
+
+        Raises:
+            ArgumentError: They are no numbers.
+            ModelError: They have another shape, or are not finite.
         """
-        index, in_grid = _voxel_of(np.asarray(points), self.origin, self.voxel, self.cells.shape)
+        positions = np.atleast_2d(numbers("points", points, _POSITIONS))
+        positions = finite_numbers("points", positions, (None, 3), _POSITIONS)
+        index, in_grid = _voxel_of(positions, self.origin, self.voxel, self.cells.shape)
         inside: Mask = in_grid & self.cells[tuple(index.T)]
         return inside
 
@@ -134,7 +167,9 @@ class Density(Value):
         Raises:
             CalibError: The grid would have more than `MOST_VOXELS` voxels.
         """
-        samples = np.asarray(points, dtype=np.float64)
+        samples = finite_numbers("points", points, (None, 3), _POSITIONS)
+        if not len(samples):
+            raise ModelError(f"There are no points; 'points' must be {_POSITIONS}.")
         edge = _chosen_voxel(samples) if voxel is None else float(voxel)
         origin, counts = _count(samples, edge)
         smooth, _ = _smooth(counts)

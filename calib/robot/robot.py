@@ -20,6 +20,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
+from calib.arguments import check_type, numbers
 from calib.errors import ModelError, UrdfError, choices
 from calib.pickling import Value
 from calib.robot import kernel
@@ -96,6 +97,7 @@ class Robot(Value):
                 beside the chain may be among them; they matter for gravity only, and are at zero if not named.
 
         Raises:
+            ArgumentError: It is no path and no name, but of another type.
             FileError: The file cannot be read.
             UrdfError: No such robot, link or joint, a chain that calib cannot take, or a xacro with a fault.
 
@@ -103,6 +105,9 @@ class Robot(Value):
             >>> Robot.load("ur3", base="base", tip="tool0").joint_names[0]
             'shoulder_pan_joint'
         """
+        check_type(
+            "source", source, (str, Path), "the path of a URDF or xacro, or a name such as 'ur3'"
+        )
         return cls.from_urdf(read_urdf(source), base, tip, measured, held)
 
     @classmethod
@@ -126,6 +131,7 @@ class Robot(Value):
         Raises:
             UrdfError: No such link or joint, or a chain that calib cannot take.
         """
+        _check_links(base, tip, held)
         held_values = checked_held(urdf, held)
         if base is None:
             base = urdf.root
@@ -241,6 +247,27 @@ class Robot(Value):
             targets=identity if T_tip_target is None else T_tip_target,
         )
 
+    def columns(self, q: ArrayLike, argument: str = "q") -> Array:
+        """Return joint values as an array, shape (N, m), [rad] or [m], columns in the order of ``joint_names``.
+
+        Args:
+            q: Shape (N, m) or (m,), [rad] or [m].
+            argument: Its name, for messages.
+
+        Raises:
+            ArgumentError: They are no numbers.
+            ModelError: The shape does not fit the chain, or a value is not finite.
+        """
+        names = self.joint_names
+        allowed = f"of shape (N, {len(names)}) or ({len(names)},)"
+        values = np.atleast_2d(numbers(argument, q, f"joint values {allowed}"))
+        if values.ndim != 2 or values.shape[1] != len(names) or not np.isfinite(values).all():
+            raise ModelError(
+                f"The argument '{argument}': joint values of shape {np.shape(q)} were given; the chain '{self.base}' "
+                f"to '{self.tip}' has {len(names)} joints: {choices(names)}, and each value is a finite number."
+            )
+        return values
+
     def chain_values(self, q: ArrayLike) -> Array:
         """Return the values of ``joints``, q_chain = A q + b, shape (N, n), [rad] or [m].
 
@@ -250,14 +277,8 @@ class Robot(Value):
         Raises:
             ModelError: The shape does not fit the chain, or a value is not finite.
         """
-        values = np.atleast_2d(np.asarray(q, dtype=np.float64))
-        names = self.joint_names
-        if values.ndim != 2 or values.shape[1] != len(names) or not np.isfinite(values).all():
-            raise ModelError(
-                f"Joint values of shape {np.shape(q)} were given; the chain '{self.base}' to '{self.tip}' has "
-                f"{len(names)} joints: {choices(names)}, and each value is a finite number."
-            )
-        if tuple(joint.name for joint in self.joints) == names:
+        values = self.columns(q)
+        if tuple(joint.name for joint in self.joints) == self.joint_names:
             return values  # every joint is its own column
         result: Array = values @ self.coupling.T + self._offset
         return result
@@ -317,6 +338,15 @@ class Robot(Value):
             if carrier is not None:
                 origins[carrier] = factors.origin(P)
         return origins
+
+
+def _check_links(base: object, tip: object, held: object) -> None:
+    """Refuse a base, a tip or held values of another type."""
+    for argument, link in (("base", base), ("tip", tip)):
+        check_type(argument, link, (str, type(None)), "the name of a link, or None")
+    check_type(
+        "held", held, (Mapping, type(None)), "a mapping from names of joints to values, or None"
+    )
 
 
 @lru_cache(maxsize=16)

@@ -10,18 +10,22 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 import calib.data.kinds as registry
+from calib.arguments import check_type, check_whole
 from calib.data.cell import Cell, TrackerNoise
 from calib.data.columns import SETS
 from calib.data.kinds import Kind
 from calib.data.measurements import Measurements
 from calib.errors import CalibError, choices
+from calib.inputs import ROBOT, RobotInput, cell_of, robot_of
 from calib.mappings import keep_read_only
+from calib.numerics.geometry import vector
 from calib.pickling import Value
 from calib.robot.ranges import joint_ranges
 from calib.robot.robot import Robot, read_only
@@ -43,9 +47,10 @@ DEFAULT_MODEL = "placement"
 class Scenario(Value):
     """Specification of virtual cells, before anything is drawn."""
 
-    #: The nominal robot
+    #: The nominal robot; may be given as the path of a URDF or xacro, or a name such as ``"ur3"``, with the cell's base
+    #: and tip
     robot: Robot
-    #: Targets, frames, tracker, payload, gravity, kind, and limits of single errors
+    #: Targets, frames, tracker, payload, gravity, kind, and limits of single errors; may be given as the path of a file
     cell: Cell = field(default_factory=Cell)
     #: Errors of the robot, see `draw_truth`
     model: str = DEFAULT_MODEL
@@ -75,14 +80,16 @@ class Scenario(Value):
     visits: int = 1
 
     def __post_init__(self) -> None:
-        """Refuse a kind that cannot be simulated; keep read-only copies of the drift and of the sizes."""
+        """Read robot and cell where paths were given, refuse other kinds, and keep read-only copies."""
+        object.__setattr__(self, "cell", cell_of(self.cell))
+        object.__setattr__(self, "robot", robot_of(self.robot, self.cell))
         if self.kind.measure is None:
             allowed = [name for name in registry.names() if registry.get(name).measure is not None]
             raise CalibError(
                 f"Measurements of the kind '{self.kind.name}' cannot be simulated; choose one of "
                 f"{choices(allowed)}."
             )
-        object.__setattr__(self, "drift", read_only(self.drift))
+        object.__setattr__(self, "drift", vector(self.drift, "drift"))
         keep_read_only(self, "sizes")
 
     @property
@@ -438,17 +445,18 @@ class VirtualCell(Value):
 
 
 def simulate(
-    scenario: Scenario,
+    scenario: Scenario | RobotInput,
     count: int = 30,
     validation: int = 10,
     seed: int = 0,
-    poses: Array | None = None,
+    poses: ArrayLike | None = None,
     sets: tuple[str, ...] = (),
 ) -> Simulated:
     """Simulate measurements of a robot whose errors are drawn by the seed.
 
     Args:
-        scenario: What is measured, and what disturbs it.
+        scenario: What is measured, and what disturbs it. A robot, the path of a URDF or xacro, or a name such as
+            ``"ur3"`` stands for the usual scenario of that robot.
         count: Number of random poses to estimate from.
         validation: Number of random poses to validate with.
         seed: The same seed gives the same measurements.
@@ -457,9 +465,19 @@ def simulate(
 
     Returns:
         The measurements, and the truth.
+
+    Raises:
+        ArgumentError: An argument of another type.
+        ModelError: Poses that are none of this robot, or negative numbers.
     """
-    q, all_sets = scenario.poses(seed, count, validation, poses, sets)
-    return scenario.draw(seed).measure(q, seed, all_sets)
+    check_type("scenario", scenario, (Scenario, Robot, str, Path), f"a Scenario, or {ROBOT}")
+    check_whole("count", count, 0)
+    check_whole("validation", validation, 0)
+    check_whole("seed", seed, 0)
+    made = scenario if isinstance(scenario, Scenario) else Scenario(robot_of(scenario))
+    given = None if poses is None else made.robot.columns(poses, "poses")
+    q, all_sets = made.poses(seed, count, validation, given, sets)
+    return made.draw(seed).measure(q, seed, all_sets)
 
 
 def _partners(sets: Sequence[str], pose: Indices, targets: int) -> Indices:
