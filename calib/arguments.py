@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Collection, Mapping
+
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from calib.errors import ArgumentError, ModelError
 
@@ -57,7 +60,67 @@ def check_whole(argument: str, given: object, least: int) -> None:
         raise ModelError(f"The argument '{argument}' is {given}; it must be {allowed}.")
 
 
-def numbers(argument: str, given: ArrayLike, allowed: str) -> NDArray[np.float64]:
+def check_number(
+    argument: str, given: object, least: float = -np.inf, largest: float = np.inf
+) -> None:
+    """Refuse an argument that is no finite number, or out of a range.
+
+    Args:
+        argument: Its name.
+        given: Its value.
+        least: The least number allowed.
+        largest: The largest number allowed.
+
+    Raises:
+        ArgumentError: It is no number.
+        ModelError: It is NaN, infinite, or out of the range.
+    """
+    allowed = "a finite number"
+    if np.isfinite(least) or np.isfinite(largest):
+        allowed += (
+            f" from {least:g} to {largest:g}" if np.isfinite(largest) else f", {least:g} or more"
+        )
+    if isinstance(given, (bool, np.bool_)) or not isinstance(
+        given, (int, float, np.integer, np.floating)
+    ):
+        raise wrong_type(argument, given, allowed)
+    if not np.isfinite(given) or not least <= given <= largest:
+        raise ModelError(f"The argument '{argument}' is {given}; it must be {allowed}.")
+
+
+def check_flags(**flags: object) -> None:
+    """Refuse arguments that are neither True nor False, by their names."""
+    for argument, given in flags.items():
+        check_type(argument, given, (bool, np.bool_), "True or False")
+
+
+def check_callable(argument: str, given: object) -> None:
+    """Refuse an argument that is neither a function nor None."""
+    if given is not None and not callable(given):
+        raise wrong_type(argument, given, "a function, or None")
+
+
+def check_path(argument: str, given: object) -> None:
+    """Refuse an argument that is no path of a file."""
+    check_type(argument, given, (str, os.PathLike), "the path of a file")
+
+
+def check_names(argument: str, given: object) -> None:
+    """Refuse an argument that is no collection of names; one text alone is none."""
+    allowed = "a sequence of names, which are texts"
+    if isinstance(given, (str, bytes)) or not isinstance(given, Collection):
+        raise wrong_type(argument, given, allowed)
+    for k, name in enumerate(given):
+        check_type(f"{argument}[{k}]", name, str, "a name, which is a text")
+
+
+def check_mapping(argument: str, given: object) -> None:
+    """Refuse an argument that is no mapping from names."""
+    if not isinstance(given, Mapping) or not all(isinstance(name, str) for name in given):
+        raise wrong_type(argument, given, "a mapping from names, which are texts")
+
+
+def numbers(argument: str, given: object, allowed: str) -> NDArray[np.float64]:
     """Return an argument as an array of numbers; they may be NaN or infinite.
 
     Args:
@@ -81,7 +144,7 @@ def numbers(argument: str, given: ArrayLike, allowed: str) -> NDArray[np.float64
 
 
 def finite_numbers(
-    argument: str, given: ArrayLike, shape: tuple[int | None, ...], allowed: str
+    argument: str, given: object, shape: tuple[int | None, ...], allowed: str
 ) -> NDArray[np.float64]:
     """Return an argument as an array of finite numbers of one shape.
 

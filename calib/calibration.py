@@ -11,6 +11,7 @@ from typing import Any, ParamSpec, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.arguments import check_path
 from calib.errors import ModelError, UrdfError, VerdictError, choices
 from calib.model.kinematics import Samples
 from calib.result.calibrate import calibrate as calibrate_values
@@ -142,6 +143,7 @@ class Calibration(CalibrationValues):
             ModelError: Several targets, which one link cannot stand for.
             FileError: The file exists, or cannot be written.
         """
+        check_path("path", path)
         verdict_against = against(self.verdict)
         if verdict_against and not accept:
             raise VerdictError(refusal(f"'{path}'", verdict_against))
@@ -162,6 +164,7 @@ class Calibration(CalibrationValues):
         """
         from calib.result.calibration_file import write_result
 
+        check_path("path", path)
         return write_result(self, path, overwrite=overwrite)
 
     def write_report(self, path: str | Path, *, overwrite: bool = False) -> Path:
@@ -180,6 +183,7 @@ class Calibration(CalibrationValues):
         """
         from calib.report.report import write_report
 
+        check_path("path", path)
         return write_report(self, path, overwrite=overwrite)
 
 
@@ -240,6 +244,7 @@ class Comparison(ComparisonValues):
         """
         from calib.result.calibration_file import write_table
 
+        check_path("path", path)
         return write_table(self.table(), path, overwrite=overwrite)
 
 

@@ -20,7 +20,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from calib.arguments import check_type
+from calib.arguments import check_type, finite_numbers
 from calib.compensation.expected import ExpectedErrors, expected_errors
 from calib.compensation.inverse import (
     AXIS,
@@ -173,6 +173,8 @@ def compensate(
         ModelError: A tool, frame or joint that does not exist, a program of another robot, or no nominal robot.
     """
     check_type("program", program, Program, "a Program, such as Program.of_poses(T)")
+    _check_tolerance(tolerance)
+    check_type("non_geometric", non_geometric, (bool, Payload), "True, False, or a Payload")
     true, controller = _models(calibration, nominal)
     pair = pair_of(true, controller, tool=tool, frame=frame, non_geometric=non_geometric)
     if not accept:
@@ -208,6 +210,12 @@ def _models(
         return true, nominal
     known = true if isinstance(true, Robot) else true.nominal
     return true, robot_of(nominal, _chain_of(known), argument="nominal")
+
+
+def _check_tolerance(tolerance: object) -> None:
+    """Refuse a tolerance that is no pair of finite numbers."""
+    allowed = "an error in position [m] and one in angle [rad], such as (1e-8, 1e-8)"
+    finite_numbers("tolerance", tolerance, (2,), allowed)
 
 
 def _chain_of(robot: object) -> Cell | None:

@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from calib.arguments import numbers
 from calib.errors import ModelError, choices
 from calib.model.error_model import error_model
 from calib.model.families import Factor, JointState
@@ -40,6 +41,9 @@ _SAME = 1e-9
 
 #: Two robots whose tools are typically farther apart than this share of their reach are no calibration of each other.
 _NO_CALIBRATION = 0.1
+
+#: What a tool or a frame may be, in messages.
+_POSE = "a pose (4, 4) or a position (3,)"
 
 #: Poses in which that is looked at.
 _POSES = 64
@@ -409,12 +413,12 @@ def _name(names: Sequence[str], name: str, what: str) -> str:
 def _pose(value: ArrayLike | str | None, what: str) -> Array:
     """Return a pose, shape (4, 4), of a pose or of a position, shape (3,), [m]; the identity of None."""
     T = np.eye(4)
-    values = T if value is None else np.asarray(value, dtype=np.float64)
+    values = T if value is None else numbers(what, value, _POSE)
     if values.shape == (3,):
         T[:3, 3] = values
         values = T
     if values.shape != (4, 4) or not_rotations(values[None, :3, :3]) or np.isnan(values).any():
-        raise ModelError(f"The {what} is a pose (4, 4) or a position (3,), not {values.tolist()}.")
+        raise ModelError(f"The {what} is {_POSE}, not {values.tolist()}.")
     return read_only(values)
 
 

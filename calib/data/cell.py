@@ -8,7 +8,7 @@ the robot's errors, the payload, and which parameters are estimated. All of it c
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 import calib.data.kinds as registry
+from calib.arguments import check_mapping, check_path, check_type
 from calib.data.cell_file import checked, read_cell_file
 from calib.data.kinds import SIGMAS
 from calib.data.priors import PRIOR_STD_RANGE, Priors
@@ -199,6 +200,32 @@ _MAPPINGS: Mapping[str, _Check] = {
 }
 
 
+#: Other attributes of a cell, their types, and what messages call these.
+_TYPES = (
+    ("estimate_target", (bool, np.bool_), "True or False"),
+    ("estimate_frame", (bool, np.bool_), "True or False"),
+    ("scale_certified", (bool, np.bool_), "True or False"),
+    ("model", str, "the name of a model"),
+    ("base", str, "the name of a link, or None"),
+    ("tip", str, "the name of a link, or None"),
+    ("kind", str, "the name of a kind of measurement, or None"),
+    ("priors", Priors, "Priors"),
+    ("payload", Payload, "a Payload, or None"),
+    ("tracker", Tracker, "a Tracker, or None"),
+    ("reflector", Reflector, "a Reflector, or None"),
+)
+
+#: Those of them that may be None.
+_OPTIONAL = ("base", "tip", "kind", "payload", "tracker", "reflector")
+
+#: Attributes with several objects, their type, and what messages call these.
+_SEQUENCES = (
+    ("boxes", Box, "a sequence of Boxes"),
+    ("distances", GroupDistance, "a sequence of GroupDistances"),
+    ("frozen", str, "a sequence of names, which are texts"),
+)
+
+
 def _no_entries() -> Mapping[str, Any]:
     """Return a read-only mapping without entries."""
     return ReadOnlyMapping()
@@ -282,6 +309,7 @@ class Cell(Value):
 
     def __post_init__(self) -> None:
         """Check each value, and that they agree; keep read-only copies."""
+        self._check_types()
         for name, check in _ATTRIBUTES.items():
             value = getattr(self, name)
             if value is not None:
@@ -299,6 +327,19 @@ class Cell(Value):
         check_box_names(self.boxes)
         self._check_target()
         self._check_ties()
+
+    def _check_types(self) -> None:
+        """Refuse values of another type."""
+        for name, types, allowed in _TYPES:
+            given = getattr(self, name)
+            if given is not None or name not in _OPTIONAL:
+                check_type(name, given, types, allowed)
+        for name in _MAPPINGS:
+            check_mapping(name, getattr(self, name))
+        for name, kind, allowed in _SEQUENCES:
+            check_type(name, getattr(self, name), Sequence, allowed)
+            for entry in getattr(self, name):
+                check_type(name, entry, kind, allowed)
 
     def _check_target(self) -> None:
         """Refuse a target that is known and not given."""
@@ -333,6 +374,7 @@ class Cell(Value):
             FileError: The file cannot be read or is not TOML.
             CalibError: It has an unknown key, or a value of the wrong kind.
         """
+        check_path("path", path)
         try:
             values = read_cell_file(path)
             return cls(**_with_classes(values))

@@ -14,9 +14,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 import calib.data.kinds as registry
+from calib.arguments import check_mapping, check_names, check_path, numbers, wrong_type
 from calib.data.checks import (
     RowLabels,
     by_word,
+    check_argument_types,
     check_groups,
     check_joint_names,
     check_pairs,
@@ -111,6 +113,7 @@ class Measurements(Value):
 
     def __post_init__(self) -> None:
         """Copy the arrays, fill in what was not given, and check that all of it fits together."""
+        check_argument_types(self)
         fill = partial(object.__setattr__, self)
         count = len(np.asarray(self.points))
         for name in ("joint_names", "prismatic", "ignored", "unmeasured", "copies"):
@@ -131,7 +134,7 @@ class Measurements(Value):
             has_rotation = self.where(lambda kind: kind.orientation)
             check_rotations(labels, self.rotations, has_rotation)
         if self.torques is not None:
-            fill("torques", read_only(self.torques))
+            fill("torques", read_only(numbers("torques", self.torques, "of shape (N, n)")))
             check_torques(labels, self.torques)
         fill("distances", readings.pop("distance", None))
         fill("readings", ReadOnlyMapping(readings))
@@ -235,8 +238,10 @@ class Measurements(Value):
             The measured rows, in SI units.
 
         Raises:
+            ArgumentError: An argument of another type.
             MeasurementError: The table cannot be read; the text names the file, row and column.
         """
+        _check_reading(path, points, joint_names, joint_types, columns)
         elsewhere = None if points is None else read_points(points, points_unit)
         table = path if isinstance(path, Table) else Table.read(path)
         layout = Layout.find(
@@ -340,6 +345,10 @@ class Measurements(Value):
         Returns:
             The values, shape (N,), in SI units; NaN in rows that do not measure it.
         """
+        if name not in registry.readings():
+            raise MeasurementError(
+                f"There is no reading '{name}'; kinds of measurement read {choices(registry.readings())}."
+            )
         values = self.distances if name == "distance" else self.readings.get(name)
         return np.full(len(self), np.nan) if values is None else values
 
@@ -355,6 +364,7 @@ class Measurements(Value):
         Raises:
             MeasurementError: The table lacks one of the joints.
         """
+        check_names("names", names)
         column = {name: i for i, name in enumerate(self.joint_names)}
         missing = [name for name in names if name not in column]
         if missing:
@@ -375,7 +385,9 @@ class Measurements(Value):
         Returns:
             These rows, in their order.
         """
-        chosen = np.asarray(mask, dtype=np.bool_)
+        chosen = np.asarray(mask)
+        if chosen.shape != (len(self),) or chosen.dtype != np.bool_:
+            raise wrong_type("mask", mask, f"True or False for each of the {len(self)} rows")
         is_chosen = chosen.tolist()
         kept: dict[str, Any] = {}
         for name in (*_WORDS, "rows"):
@@ -464,6 +476,21 @@ class Measurements(Value):
             yield reading.name, reading.quantity, self.reading(reading.name)
         yield "sigma", "length", self.sigma
         yield "sigma_angle", "angle", self.sigma_angle
+
+
+def _check_reading(
+    path: object, points: object, joint_names: object, joint_types: object, columns: object
+) -> None:
+    """Refuse arguments of `Measurements.read` that are of another type."""
+    if not isinstance(path, Table):
+        check_path("path", path)
+    if joint_names is not None:
+        check_names("joint_names", joint_names)
+    if points is not None:
+        check_path("points", points)
+    for argument, mapping in (("joint_types", joint_types), ("columns", columns)):
+        if mapping is not None:
+            check_mapping(argument, mapping)
 
 
 def _cells(values: Array, unit: str) -> list[object]:

@@ -9,6 +9,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from calib.arguments import (
+    check_flags,
+    check_number,
+    check_type,
+    check_whole,
+    finite_numbers,
+    numbers,
+)
 from calib.design.candidates import Pool
 from calib.design.forecast import Forecast, Workspace, information
 from calib.design.optimal import RESTARTS, Basis, Indices, choose, exchange, ranking, short_list
@@ -60,6 +68,18 @@ class PlanRequest(Value):
     ladder: bool = True
     #: The same seed makes the same plan.
     seed: int = 0
+
+    def __post_init__(self) -> None:
+        """Refuse values of another type, and numbers that are none."""
+        for name in ("count", "validation", "candidates"):  # how many is checked in `check`
+            check_type(name, getattr(self, name), (int, np.integer), "a whole number")
+        check_whole("seed", self.seed, 0)
+        check_type("criterion", self.criterion, str, "'V', 'D' or 'A'")
+        check_number("margin", self.margin, 0.0)
+        check_flags(ladder=self.ladder)
+        if self.start is not None:
+            start = numbers("start", self.start, "joint values of shape (m,), [rad] or [m]")
+            finite_numbers("start", start.ravel(), (None,), "finite joint values")
 
     def check(self, candidates: int) -> None:
         """Refuse an unknown criterion, and numbers of poses that cannot be had.

@@ -13,7 +13,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import ArrayLike
 
-from calib.arguments import check_type
+from calib.arguments import check_callable, check_type
 from calib.data.cell import Cell
 from calib.design.candidates import Condition, Pool, draw, planning_ranges
 from calib.design.choice import Choice, PlanRequest, choose_poses
@@ -157,8 +157,12 @@ def plan(
     arm = robot_of(robot, known)
     check_type("request", request, PlanRequest, "a PlanRequest")
     check_type("region", region, (Region, type(None)), "a Region, or None")
+    check_type("collisions", collisions, (CollisionCheck, type(None)), "a CollisionCheck, or None")
+    check_callable("progress", progress)
     request.check(request.candidates)
-    measured = read_only(np.zeros((0, len(arm.inputs))) if taken is None else arm.columns(taken))
+    measured = read_only(
+        np.zeros((0, len(arm.inputs))) if taken is None else arm.columns(taken, "taken")
+    )
     sensitivity = Sensitivity.of(arm, known)
     body = _collision_model(sensitivity, collisions)
     pool = _draw(sensitivity, request, region, body, _stage(progress, "candidates"))

@@ -18,6 +18,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
+from calib.arguments import check_type
 from calib.errors import ModelError, choices
 from calib.model.dh import DHRow, dh_frames, screw
 from calib.model.dh_table import dh_table, zero_poses
@@ -88,6 +89,10 @@ def error_model(
         robot_parameters = _robot_parameters(robot, name, acceleration)
     else:
         set_name = OWN
+        allowed = "the name of a model, or a sequence of Parameters"
+        check_type("model", name, Sequence, allowed)
+        for parameter in name:
+            check_type("model", parameter, Parameter, allowed)
         robot_parameters = tuple(name)
     if set_name == "paper" and any(frame.values()):
         raise ModelError(

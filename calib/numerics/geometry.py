@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
+from calib.arguments import numbers
 from calib.errors import CalibError
 from calib.robot.robot import read_only
 from calib.units import Array, Mask
@@ -38,7 +39,7 @@ def vector(value: ArrayLike, what: str) -> Array:
     Raises:
         CalibError: The shape is another, or a coordinate is not finite or too large.
     """
-    array = np.asarray(value, dtype=np.float64)
+    array = numbers(what, value, "three finite numbers x, y, z")
     in_range = np.abs(array) <= FARTHEST
     if array.shape != (3,) or not in_range.all():
         raise CalibError(

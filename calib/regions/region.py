@@ -21,10 +21,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
-from calib.arguments import finite_numbers, numbers
+from calib.arguments import check_number, check_type, finite_numbers, numbers, wrong_type
 from calib.errors import CalibError, ModelError
+from calib.numerics.geometry import vector
 from calib.pickling import Value
-from calib.robot.robot import read_only
 from calib.units import Array, Mask
 
 #: Samples that a smoothed count rests on, in the mean over reached voxels, where the voxel's size is chosen.
@@ -76,9 +76,15 @@ class Region(Value):
     held: float
 
     def __post_init__(self) -> None:
-        """Keep read-only copies of the arrays."""
-        object.__setattr__(self, "origin", read_only(self.origin))
-        cells = np.array(self.cells, dtype=np.bool_)
+        """Check the values, and keep read-only copies of the arrays."""
+        object.__setattr__(self, "origin", vector(self.origin, "origin"))
+        for name in ("voxel", "share", "held"):
+            check_number(name, getattr(self, name))
+        cells = np.array(self.cells)
+        if cells.dtype != np.bool_ or cells.ndim != 3:
+            raise wrong_type(
+                "cells", self.cells, "True or False for each voxel, shape (nx, ny, nz)"
+            )
         cells.setflags(write=False)
         object.__setattr__(self, "cells", cells)
 
@@ -170,6 +176,8 @@ class Density(Value):
         samples = finite_numbers("points", points, (None, 3), _POSITIONS)
         if not len(samples):
             raise ModelError(f"There are no points; 'points' must be {_POSITIONS}.")
+        if voxel is not None:
+            check_number("voxel", voxel)
         edge = _chosen_voxel(samples) if voxel is None else float(voxel)
         origin, counts = _count(samples, edge)
         smooth, _ = _smooth(counts)
@@ -208,6 +216,7 @@ class Density(Value):
         Raises:
             CalibError: The share is outside of that range.
         """
+        check_type("share", share, (int, float, np.number), "a number greater than 0 and at most 1")
         if not 0.0 < share <= 1.0:
             raise CalibError(
                 f"The share is {share:g}; it must be greater than 0 and at most 1, such as 0.95."

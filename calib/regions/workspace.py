@@ -89,7 +89,7 @@ def workspace_points(
     """
     check_whole("count", count, 1)
     check_whole("seed", seed, 0)
-    p_tip_target = vector(target, "target's position in the tip")
+    p_tip_target = vector(target, "target")
     limits = joint_ranges(robot)
     if ranges is not None:
         m = len(robot.inputs)

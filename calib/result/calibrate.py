@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from calib.arguments import check_callable, check_flags
 from calib.blas import one_blas_thread
 from calib.data.measurements import Measurements
 from calib.diagnosis.coverage import OutsideRow, outside
@@ -98,6 +99,8 @@ def calibrate(
         SolverError: No finite result.
     """
     arm, table, setup = inputs_of(robot, measurements, cell)
+    check_flags(robust=robust, validate=validate)
+    check_callable("progress", progress)
     if isinstance(model, str):
         setup = replace(setup, model=model)
     table = table.without_copies()

@@ -12,12 +12,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from calib.arguments import check_type
 from calib.data.cell import Cell
 from calib.data.columns import SETS
 from calib.data.measurements import Measurements
 from calib.diagnosis.coverage import OutsideRow, outside
 from calib.diagnosis.reasons import Verdict
-from calib.errors import ModelError, choices
+from calib.errors import ArgumentError, ModelError, choices, did_you_mean
 from calib.estimate.fitting import Fitted
 from calib.model.kinematics import Samples
 from calib.model.observability import Observability
@@ -41,6 +42,9 @@ from calib.units import Array, Mask
 
 #: Number of values that stand for all those between the ends of a measured range.
 _BETWEEN = 73
+
+#: What says where a prediction is made, and with which model.
+_WHERE = ("target", "group", "non_geometric")
 
 
 @dataclass(frozen=True, slots=True)
@@ -320,7 +324,8 @@ class CalibrationValues(FittedModel):
         Raises:
             ModelError: There is no such target or station.
         """
-        values = np.atleast_2d(np.asarray(q, dtype=np.float64))
+        values = self.nominal.columns(q)
+        check_type("payload", payload, (Payload, type(None)), "a Payload, or None")
         load = None
         if self.non_geometric is not None:
             load = self.non_geometric.load(self.nominal, values, payload)
@@ -379,6 +384,12 @@ class CalibrationValues(FittedModel):
         Raises:
             ModelError: There is no such target or station.
         """
+        unknown = [name for name in where if name not in _WHERE]
+        if unknown:
+            raise ArgumentError(
+                f"A prediction has no argument {choices(unknown)}{did_you_mean(unknown[0], _WHERE)}; there are "
+                f"{choices(_WHERE)}."
+            )
         return self.predict_poses(q, **where)[:, :3, 3]
 
     def position_std(
@@ -425,7 +436,8 @@ class CalibrationValues(FittedModel):
             shape (N, 4, 4), pose of the tip in the base, [m].
         """
         if self.non_geometric is None:
-            return self.robot.poses(np.atleast_2d(np.asarray(q, dtype=np.float64)))
+            check_type("payload", payload, (Payload, type(None)), "a Payload, or None")
+            return self.robot.poses(q)
         return self.non_geometric.tips(self.samples(q, payload=payload))
 
     def outside_of_measured(self, q: ArrayLike) -> tuple[OutsideRow, ...]:
@@ -441,11 +453,11 @@ class CalibrationValues(FittedModel):
             The rows of ``q`` with a joint outside, each by its index, from 0, with the joints and their distances from
             the range, [rad] or [m]; empty where the fitted ranges are not known.
         """
+        values = self.nominal.columns(q)
         if not np.isfinite(self.ranges).all():
             return ()
         seen = np.linspace(self.ranges[:, 0], self.ranges[:, 1], _BETWEEN)
         types = [joint.type for joint in self.nominal.inputs]
-        values = np.atleast_2d(np.asarray(q, dtype=np.float64))
         return outside(seen, values, self.nominal.joint_names, types)
 
     def corrected(self, robot: Robot) -> Robot:
@@ -491,6 +503,7 @@ def _with_origins_of(source: Robot, robot: Robot) -> Robot:
     Raises:
         UrdfError: It lacks one of the joints.
     """
+    check_type("robot", robot, Robot, "a Robot")
     urdf = robot.urdf.with_origins(source.origins())
     return robot.rebuilt(urdf, source.base, source.tip)
 

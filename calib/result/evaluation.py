@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calib.arguments import check_names, check_type
 from calib.blas import one_blas_thread
 from calib.data.cell import Cell
 from calib.data.columns import DEFAULT_TARGET
@@ -114,6 +115,15 @@ def evaluate(
             is not to be registered.
     """
     arm, table, known_cell = inputs_of(robot, measurements, cell)
+    check_names("which", which)
+    check_type("known", known, (Setup, type(None)), "the setup of a Calibration, or None")
+    check_type(
+        "non_geometric", non_geometric, (NonGeometric, type(None)), "a NonGeometric, or None"
+    )
+    if not set(PLACES) >= set(which):
+        raise ModelError(
+            f"The argument 'which' is {which!r}; it must be some of {choices(PLACES)}."
+        )
     if non_geometric is not None:
         payload = known_cell.payload or non_geometric.payload
         known_cell = replace(known_cell, payload=payload, gravity=non_geometric.gravity)

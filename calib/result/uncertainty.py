@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import fdtri, gammaincinv
 
+from calib.arguments import check_callable, check_type
 from calib.blas import one_blas_thread
 from calib.errors import CalibError, ModelError
 from calib.estimate.fitting import Fitted
@@ -201,6 +202,18 @@ def bootstrap(
         CalibError: Too few or too many draws, or a seed below 0.
         ModelError: The paper's solver made the calibration, or the result was read from a file.
     """
+    check_type(
+        "calibration",
+        calibration,
+        CalibrationValues,
+        "a Calibration that was made here, not read from a file",
+    )
+    for argument, given in (("count", count), ("seed", seed)):
+        check_type(argument, given, (int, np.integer), "a whole number")
+    check_callable("progress", progress)
+    check_type(
+        "executor", executor, (Executor, type(None)), "an Executor of concurrent.futures, or None"
+    )
     if not FEWEST_SAMPLES <= count <= MOST_SAMPLES or seed < 0:
         raise CalibError(
             f"A bootstrap of {count} samples with seed {seed} was asked for; it takes {FEWEST_SAMPLES} to "

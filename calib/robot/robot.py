@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from calib.arguments import check_type, numbers
+from calib.arguments import check_mapping, check_names, check_type, finite_numbers, numbers
 from calib.errors import ModelError, UrdfError, choices
 from calib.pickling import Value
 from calib.robot import kernel
@@ -131,7 +131,7 @@ class Robot(Value):
         Raises:
             UrdfError: No such link or joint, or a chain that calib cannot take.
         """
-        _check_links(base, tip, held)
+        _check_chain(base, tip, measured, held)
         held_values = checked_held(urdf, held)
         if base is None:
             base = urdf.root
@@ -261,10 +261,16 @@ class Robot(Value):
         names = self.joint_names
         allowed = f"of shape (N, {len(names)}) or ({len(names)},)"
         values = np.atleast_2d(numbers(argument, q, f"joint values {allowed}"))
-        if values.ndim != 2 or values.shape[1] != len(names) or not np.isfinite(values).all():
+        if values.ndim != 2 or values.shape[1] != len(names):
             raise ModelError(
                 f"The argument '{argument}': joint values of shape {np.shape(q)} were given; the chain '{self.base}' "
-                f"to '{self.tip}' has {len(names)} joints: {choices(names)}, and each value is a finite number."
+                f"to '{self.tip}' has {len(names)} joints: {choices(names)}, so that they must be {allowed}."
+            )
+        if not np.isfinite(values).all():
+            row, column = np.argwhere(~np.isfinite(values))[0]
+            raise ModelError(
+                f"The argument '{argument}': the joint value of '{names[column]}' in row {row}, from 0, is "
+                f"{values[row, column]}; each must be a finite number."
             )
         return values
 
@@ -308,7 +314,10 @@ class Robot(Value):
         Raises:
             UrdfError: A placement differs but no URDF joint can carry it: the tip's, or that of a moving base.
         """
-        placements = np.array(placements, dtype=np.float64)
+        shape = self.placements.shape
+        placements = finite_numbers(
+            "placements", placements, shape, f"poses of shape {shape}"
+        ).copy()
         for i, carrier in enumerate(self.carriers):
             if carrier is None:
                 self._check_unchanged(i, placements[i])
@@ -340,13 +349,21 @@ class Robot(Value):
         return origins
 
 
-def _check_links(base: object, tip: object, held: object) -> None:
-    """Refuse a base, a tip or held values of another type."""
+def _check_chain(
+    base: str | None,
+    tip: str | None,
+    measured: Collection[str] | None,
+    held: Mapping[str, float] | None,
+) -> None:
+    """Refuse a base, a tip, measured joints or held values of another type."""
     for argument, link in (("base", base), ("tip", tip)):
         check_type(argument, link, (str, type(None)), "the name of a link, or None")
-    check_type(
-        "held", held, (Mapping, type(None)), "a mapping from names of joints to values, or None"
-    )
+    if measured is not None:
+        check_names("measured", measured)
+    if held is not None:
+        check_mapping("held", held)
+        for name, value in held.items():
+            check_type(f"held[{name!r}]", value, (int, float, np.number), "a value [rad] or [m]")
 
 
 @lru_cache(maxsize=16)

@@ -17,14 +17,15 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 import calib.data.kinds as registry
-from calib.arguments import check_type, check_whole
+from calib.arguments import check_mapping, check_names, check_number, check_type, check_whole
 from calib.data.cell import Cell, TrackerNoise
 from calib.data.columns import SETS
 from calib.data.kinds import Kind
 from calib.data.measurements import Measurements
-from calib.errors import CalibError, choices
+from calib.errors import CalibError, ModelError, choices
 from calib.inputs import ROBOT, RobotInput, cell_of, robot_of
 from calib.mappings import keep_read_only
+from calib.model.families import family_of
 from calib.numerics.geometry import vector
 from calib.pickling import Value
 from calib.robot.ranges import joint_ranges
@@ -83,6 +84,7 @@ class Scenario(Value):
         """Read robot and cell where paths were given, refuse other kinds, and keep read-only copies."""
         object.__setattr__(self, "cell", cell_of(self.cell))
         object.__setattr__(self, "robot", robot_of(self.robot, self.cell))
+        _check_scenario(self)
         if self.kind.measure is None:
             allowed = [name for name in registry.names() if registry.get(name).measure is not None]
             raise CalibError(
@@ -134,6 +136,7 @@ class Scenario(Value):
         Returns:
             shape (count, m), [rad] or [m].
         """
+        check_whole("count", count, 0)
         low, high = joint_ranges(self.robot, self.cell.ranges).T
         rng = stream(seed, "validation poses" if validation else "poses")
         return np.asarray(low + (high - low) * rng.uniform(size=(count, len(low))))
@@ -163,6 +166,32 @@ class Scenario(Value):
         estimate, validate = SETS
         all_sets = (sets or (estimate,) * len(q)) + (validate,) * len(extra)
         return np.concatenate([q, extra]), all_sets
+
+
+#: Attributes of a scenario, their types, and what messages call these.
+_TYPES = (
+    ("model", str, "the name of a model"),
+    ("errors", Sequence, "pairs of the name and the value of an error"),
+    ("noise", (TrackerNoise, type(None)), "a TrackerNoise, or None"),
+    ("encoder", Encoder, "an Encoder"),
+    ("outliers", (Outliers, type(None)), "Outliers, or None"),
+    ("moved", (MovedTarget, type(None)), "a MovedTarget, or None"),
+    ("true_robot", (Robot, type(None)), "a Robot, or None"),
+)
+
+
+def _check_scenario(scenario: Scenario) -> None:
+    """Refuse values of another type, and numbers that are none."""
+    for name, types, allowed in _TYPES:
+        check_type(name, getattr(scenario, name), types, allowed)
+    for name in ("target_error", "sigma_angle"):
+        check_number(name, getattr(scenario, name), 0.0)
+    check_whole("visits", scenario.visits, 1)
+    if scenario.sizes is not None:
+        check_mapping("sizes", scenario.sizes)
+        for family, size in scenario.sizes.items():
+            family_of(family)
+            check_number(f"sizes[{family!r}]", size, 0.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -277,8 +306,9 @@ class VirtualCell(Value):
             CalibError: Values that are none of these joints, or a disturbance that does not fit.
         """
         scenario, robot = self.scenario, self.truth.nominal
-        commanded = np.atleast_2d(np.asarray(q, dtype=np.float64))
-        robot.chain_values(commanded)  # refuses what are no values of these joints
+        commanded = robot.columns(q)
+        if sets is not None:
+            check_names("sets", sets)
         sets = (SETS[0],) * len(commanded) if sets is None else tuple(sets)
         tour = _Tour.of(scenario, self.truth, sets)
         sliding = [joint.type == "prismatic" for joint in robot.inputs]
@@ -476,6 +506,11 @@ def simulate(
     check_whole("seed", seed, 0)
     made = scenario if isinstance(scenario, Scenario) else Scenario(robot_of(scenario))
     given = None if poses is None else made.robot.columns(poses, "poses")
+    check_names("sets", sets)
+    if sets and (given is None or len(sets) != len(given)):
+        raise ModelError(
+            f"The argument 'sets' has {len(sets)} names; it must be one for each of 'poses'."
+        )
     q, all_sets = made.poses(seed, count, validation, given, sets)
     return made.draw(seed).measure(q, seed, all_sets)
 
