@@ -1,12 +1,10 @@
-"""calibrate and compare, and their results with methods that write them; what these need is imported when called."""
+"""calibrate, evaluate and compare: results with methods that write them, which import what they need when called."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import fields, replace
-from functools import wraps
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, ParamSpec, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,35 +15,26 @@ from calib.model.kinematics import Samples
 from calib.result.calibrate import calibrate as calibrate_values
 from calib.result.calibration import CalibrationValues
 from calib.result.comparison import ComparisonValues, compare as compare_values
+from calib.result.evaluation import EvaluationValues, evaluate as evaluate_values
 from calib.robot.ranges import random_joint_values
 from calib.robot.readback import check_written
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
 from calib.text.verdict import against, refusal
+from calib.with_methods import as_kind, returning
 
-__all__ = ["TARGET_LINK", "Calibration", "Comparison", "calibrate", "compare"]
-
-P = ParamSpec("P")
-T = TypeVar("T")
+__all__ = [
+    "TARGET_LINK",
+    "Calibration",
+    "Comparison",
+    "Evaluation",
+    "calibrate",
+    "compare",
+    "evaluate",
+]
 
 #: Name of the link that carries the target in a corrected URDF, when asked for.
 TARGET_LINK = "calib_target"
-
-
-def _as(kind: type[T], values: Any) -> T:  # noqa: ANN401  a dataclass that T extends
-    """Return the values of a dataclass as an object of a class that extends it with methods."""
-    return kind(**{field.name: getattr(values, field.name) for field in fields(values)})
-
-
-def _returning(kind: type[T], function: Callable[P, object]) -> Callable[P, T]:
-    """Return a function with its result as an object of a class with more methods, see `_as`."""
-
-    @wraps(function)
-    def call(*args: P.args, **kwargs: P.kwargs) -> T:
-        return _as(kind, function(*args, **kwargs))
-
-    call.__module__ = __name__
-    return call
 
 
 class Calibration(CalibrationValues):
@@ -71,7 +60,19 @@ class Calibration(CalibrationValues):
         """
         from calib.result.calibration_file import read_result
 
-        return _as(cls, read_result(path))
+        return as_kind(cls, read_result(path))
+
+    def __repr__(self) -> str:
+        """One line: the nominal robot, the verdict, rms error before and after on held-out rows, number of rows."""
+        from calib.text.short import calibration_line
+
+        return calibration_line(self)
+
+    def _repr_html_(self) -> str:
+        """A small table for notebooks: the verdict and its first reason, errors before and after."""
+        from calib.text.notebook import calibration_html
+
+        return calibration_html(self)
 
     def summary(self) -> str:
         """Return the result as text, without colours."""
@@ -217,6 +218,12 @@ class Comparison(ComparisonValues):
 
     __slots__ = ()
 
+    def _repr_html_(self) -> str:
+        """A small table for notebooks: the answer, and both results."""
+        from calib.text.notebook import comparison_html
+
+        return comparison_html(self)
+
     def summary(self) -> str:
         """Return the comparison as text, without colours, in 100 columns."""
         from calib.text.comparison import comparison_text
@@ -248,5 +255,30 @@ class Comparison(ComparisonValues):
         return write_table(self.table(), path, overwrite=overwrite)
 
 
-calibrate = _returning(Calibration, calibrate_values)
-compare = _returning(Comparison, compare_values)
+class Evaluation(EvaluationValues):
+    """The result of `evaluate`: the values of `calib.result.evaluation.EvaluationValues`, and what writes them."""
+
+    __slots__ = ()
+
+    def __repr__(self) -> str:
+        """One line: the robot, rms errors, number of rows."""
+        from calib.text.short import evaluation_line
+
+        return evaluation_line(self)
+
+    def _repr_html_(self) -> str:
+        """A small table for notebooks: errors by set."""
+        from calib.text.notebook import evaluation_html
+
+        return evaluation_html(self)
+
+    def summary(self) -> str:
+        """Return the evaluation as text, without colours, in 100 columns, as ``calib evaluate`` prints it."""
+        from calib.text.evaluation import evaluation_text
+
+        return evaluation_text(self)
+
+
+calibrate = returning(Calibration, calibrate_values, __name__)
+compare = returning(Comparison, compare_values, __name__)
+evaluate = returning(Evaluation, evaluate_values, __name__)

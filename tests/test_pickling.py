@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 import calib
-from calib.calibration import Calibration, compare
+from calib.calibration import Calibration, compare, evaluate
 from calib.compensation.commands import compensate
 from calib.compensation.program import Program
 from calib.data import kinds
@@ -26,13 +26,12 @@ from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.data.surroundings import Box, Tracker
 from calib.design.choice import PlanRequest
-from calib.design.plan import plan
 from calib.errors import ModelError
 from calib.mappings import ReadOnlyMapping
 from calib.model.families import FAMILIES, ONE, Factor, Family, JointState, factor_of
 from calib.pickling import Value, packed
+from calib.planning import plan
 from calib.regions.region import Density
-from calib.result.evaluation import evaluate
 from calib.robot.robot import Robot, read_only
 from calib.simulation.scenario import Scenario, simulate
 
@@ -125,6 +124,13 @@ def test_what_a_user_reads_of_a_value_cannot_be_written_to(made, name):
     for field in fields(again):
         array = getattr(again, field.name)
         assert not (isinstance(array, np.ndarray) and array.flags.writeable), field.name
+
+
+@pytest.mark.parametrize("name", MADE)
+def test_a_value_is_shown_in_one_line(made, name):
+    text = repr(made[name])
+    assert "\n" not in text
+    assert len(text) <= 120
 
 
 def test_a_shallow_copy_of_a_value_is_the_value(made):

@@ -51,6 +51,7 @@ from calib.result.comparison import RESULT, is_result_file, result_of
 from calib.robot.payload import Payload
 from calib.robot.ranges import column_limits
 from calib.robot.robot import Robot, read_only, rigid_inverse
+from calib.short import one_line
 from calib.units import Array, Mask
 
 #: A pose that the nominal robot misses by more than this is matched in part [m].
@@ -102,6 +103,15 @@ class Commands(Value):
     reasons: tuple[CommandWarning | None, ...]
     #: Of each row that has one.
     warnings: tuple[tuple[CommandWarning, ...], ...]
+
+    def __repr__(self) -> str:
+        """Return one line: the robot, how many rows have a command, the largest correction of a position."""
+        reached = int(self.reached.sum())
+        largest = ""
+        if reached:
+            largest = f"corrections up to {1e3 * np.nanmax(self.pose_corrections[:, 0]):.3f} mm"
+        counts = f"{reached} of {len(self)} rows with a command"
+        return one_line("Commands", f"'{self.nominal.name}'", counts, largest)
 
     def __len__(self) -> int:
         """Return the number of rows."""

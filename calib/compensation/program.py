@@ -15,6 +15,7 @@ from calib.mappings import keep_read_only
 from calib.numerics.geometry import not_rotations
 from calib.pickling import Value
 from calib.robot.robot import read_only
+from calib.short import one_line
 from calib.units import Array
 
 #: Prefix of columns with corrections, in a table of commands.
@@ -84,6 +85,13 @@ class Program(Value):
                 )
             object.__setattr__(self, name, read_only(values))
         keep_read_only(self, "start")
+
+    def __repr__(self) -> str:
+        """Return one line: the number of rows, and what they give."""
+        what = "joint values"
+        if self.T_wanted is not None:
+            what = "poses" if self.oriented else "positions"
+        return one_line("Program", f"{len(self)} rows of {what}")
 
     def __len__(self) -> int:
         """Return the number of rows."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import MISSING, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +37,7 @@ from calib.pickling import Value
 from calib.robot.gravity import GRAVITY
 from calib.robot.payload import Payload
 from calib.robot.robot import read_only
+from calib.short import one_line
 from calib.units import Array, is_number
 
 __all__ = [
@@ -327,6 +328,20 @@ class Cell(Value):
         check_box_names(self.boxes)
         self._check_target()
         self._check_ties()
+
+    def __repr__(self) -> str:
+        """Return one line: the model, and the names of the other attributes that are not the default ones."""
+        given = []
+        for attribute in fields(self):
+            value = getattr(self, attribute.name)
+            default: Any = attribute.default
+            if attribute.default_factory is not MISSING:
+                default = attribute.default_factory()
+            if attribute.name != "model" and not np.array_equal(value, default):
+                given.append(attribute.name)
+        return one_line(
+            "Cell", f"model '{self.model}'", f"given: {', '.join(given)}" if given else ""
+        )
 
     def _check_types(self) -> None:
         """Refuse values of another type."""

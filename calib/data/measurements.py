@@ -40,6 +40,7 @@ from calib.mappings import ReadOnlyMapping
 from calib.numerics.geometry import FARTHEST, to_quaternions
 from calib.pickling import Value
 from calib.robot.robot import read_only
+from calib.short import one_line
 from calib.units import UNITS, Array, Mask, Quantity
 
 #: Attributes with a word a row, and the word where they are not given.
@@ -283,7 +284,9 @@ class Measurements(Value):
     def __repr__(self) -> str:
         """Return one line, such as ``Measurements(35 rows of 6 joints from ur3_leica.csv)``."""
         origin = f" from {self.source}" if self.source else ""
-        return f"Measurements({len(self)} rows of {len(self.joint_names)} joints{origin})"
+        return one_line(
+            "Measurements", f"{len(self)} rows of {len(self.joint_names)} joints{origin}"
+        )
 
     def __len__(self) -> int:
         """Return the number of rows, N."""
@@ -386,8 +389,9 @@ class Measurements(Value):
             These rows, in their order.
         """
         chosen = np.asarray(mask)
-        if chosen.shape != (len(self),) or chosen.dtype != np.bool_:
+        if chosen.shape != (len(self),) or not np.isin(chosen, (0, 1)).all():
             raise wrong_type("mask", mask, f"True or False for each of the {len(self)} rows")
+        chosen = chosen.astype(np.bool_)
         is_chosen = chosen.tolist()
         kept: dict[str, Any] = {}
         for name in (*_WORDS, "rows"):

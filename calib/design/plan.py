@@ -42,7 +42,7 @@ _USUAL_CHECK = CollisionCheck()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Plan(Value):
+class PlanValues(Value):
     """Poses to measure, in the order to drive."""
 
     #: The robot.
@@ -126,7 +126,7 @@ def plan(
     taken: ArrayLike | None = None,
     collisions: CollisionCheck | None = _USUAL_CHECK,
     progress: Progress | None = None,
-) -> Plan:
+) -> PlanValues:
     """Plan the poses of a calibration: which to measure, and in which order to drive.
 
     Args:
@@ -169,7 +169,7 @@ def plan(
     choice = choose_poses(sensitivity, pool, request, measured, progress=_stage(progress, "choice"))
     way = _route(sensitivity, request, pool, choice, body)
     is_planned = way.indices < len(choice.planned)
-    return Plan(
+    return PlanValues(
         robot=arm,
         cell=known,
         request=request,

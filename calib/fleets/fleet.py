@@ -38,6 +38,7 @@ from calib.fleets.robot_folder import RobotFolder
 from calib.jobs import Progress, run
 from calib.json_files import json_bytes, plain
 from calib.robot.urdf import read_urdf
+from calib.short import one_line
 
 #: The table of a fleet for a spreadsheet; see docs/fleet.md.
 CSV = "fleet.csv"
@@ -64,6 +65,17 @@ class Fleet:
     notes: tuple[str, ...]
     #: Number of robots taken from an earlier run
     kept: int
+
+    def __repr__(self) -> str:
+        """Return one line: numbers of robots, of those that failed, are withheld, are unlike the others, were kept."""
+        counts = {
+            "robots": len(self.rows),
+            "failed": len(self.failed),
+            "withheld": len(self.withheld),
+            "outliers": len({outlier.name for outlier in self.outliers}),
+            "kept": self.kept,
+        }
+        return one_line("Fleet", *(f"{count} {what}" for what, count in counts.items()))
 
     @property
     def failed(self) -> tuple[FleetRow, ...]:

@@ -25,6 +25,7 @@ from calib.arguments import check_number, check_type, finite_numbers, numbers, w
 from calib.errors import CalibError, ModelError
 from calib.numerics.geometry import vector
 from calib.pickling import Value
+from calib.short import one_line
 from calib.units import Array, Mask
 
 #: Samples that a smoothed count rests on, in the mean over reached voxels, where the voxel's size is chosen.
@@ -87,6 +88,12 @@ class Region(Value):
             )
         cells.setflags(write=False)
         object.__setattr__(self, "cells", cells)
+
+    def __repr__(self) -> str:
+        """Return one line: volume, voxels, share of the samples."""
+        volume = f"{1e3 * self.volume:.4g} litres"
+        voxels = f"{np.count_nonzero(self.cells)} voxels of {1e3 * self.voxel:g} mm"
+        return one_line("Region", volume, voxels, f"{100.0 * self.held:.4g} % of the samples")
 
     @classmethod
     def of_points(

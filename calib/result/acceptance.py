@@ -29,7 +29,7 @@ from calib.mappings import keep_read_only
 from calib.pickling import Value
 from calib.result.accuracy import Accuracy, PoseAccuracy, accuracy, fitted_rows
 from calib.result.calibration import CalibrationValues
-from calib.result.evaluation import Evaluation, evaluate, moved_place, registration_rows
+from calib.result.evaluation import EvaluationValues, evaluate, moved_place, registration_rows
 from calib.robot.robot import Robot
 from calib.units import Array, Mask, split_header
 
@@ -184,7 +184,7 @@ def error_of(pose: PoseAccuracy, criterion: str, *, angle: bool) -> float:
 
 
 def acceptance(
-    evaluation: Evaluation,
+    evaluation: EvaluationValues,
     tolerance: float | None = None,
     tolerance_angle: float | None = None,
     *,
@@ -308,7 +308,7 @@ class Assessment(Value):
     """Every robot that a URDF and a result hold, compared with one table."""
 
     #: Errors, by ``"nominal"``, ``"urdf"``, ``"calibration"`` and ``"non_geometric"`` as far as there are such robots
-    evaluations: Mapping[str, Evaluation]
+    evaluations: Mapping[str, EvaluationValues]
     #: Their pose accuracy, by the same names
     accuracies: Mapping[str, Accuracy]
     #: Name of the robot that is judged
@@ -385,7 +385,7 @@ def _evaluations(
     cell: Cell,
     calibration: CalibrationValues | None,
     which: tuple[str, ...],
-) -> dict[str, Evaluation]:
+) -> dict[str, EvaluationValues]:
     """Evaluate each robot that a URDF and a result hold against one table.
 
     Args:
@@ -419,7 +419,7 @@ def _evaluations(
 
 
 def _explanation(
-    evaluations: Mapping[str, Evaluation],
+    evaluations: Mapping[str, EvaluationValues],
     cell: Cell,
     calibration: CalibrationValues | None,
     which: tuple[str, ...],
@@ -445,7 +445,7 @@ def _explanation(
     return moved_place(corrected.robot, corrected.measurements, cell, calibration.setup, which)
 
 
-def _judged_name(judge: str | None, evaluations: Mapping[str, Evaluation]) -> str:
+def _judged_name(judge: str | None, evaluations: Mapping[str, EvaluationValues]) -> str:
     """Return the name of the robot that is judged.
 
     Args:

@@ -21,6 +21,7 @@ from calib.result.calibration import CalibrationValues
 from calib.result.calibration_file import read_result
 from calib.result.difference import Differences, Displacement, differences_of
 from calib.robot.robot import Robot
+from calib.short import one_line
 
 #: A calibration result, or the path of its file.
 ResultInput: TypeAlias = CalibrationValues | str | Path
@@ -69,7 +70,9 @@ class ComparisonValues(Value):
     def __repr__(self) -> str:
         """One line with the ``names`` of both results, the ``outcome``, and the p-value of the ``test``."""
         first, second = self.names
-        return f"Comparison({first!r}, {second!r}, {self.outcome}, p = {self.test.p:.2g})"
+        return one_line(
+            "Comparison", repr(first), repr(second), self.outcome, f"p = {self.test.p:.2g}"
+        )
 
 
 def compare(

@@ -44,7 +44,7 @@ _SMALL = 1e-4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Evaluation(Value):
+class EvaluationValues(Value):
     """Errors of a robot as it is."""
 
     #: The robot
@@ -84,7 +84,7 @@ def evaluate(
     known: Setup | None = None,
     which: tuple[str, ...] = PLACES,
     non_geometric: NonGeometric | None = None,
-) -> Evaluation:
+) -> EvaluationValues:
     """Compare a robot with measurements.
 
     Target and measurement frame are used as the cell gives them; what it does not give is registered to the estimation
@@ -134,7 +134,7 @@ def evaluate(
     T_base_tip = _tip_poses(arm, rows, non_geometric)
     placed = _registered(T_base_tip, rows, setup, registration_rows(table))
     T_frame_target = placed.target_poses(T_base_tip, rows.samples)
-    return Evaluation(
+    return EvaluationValues(
         robot=arm,
         measurements=table,
         setup=placed,

@@ -34,6 +34,7 @@ from calib.robot.chain import (
     rigid_inverse,
 )
 from calib.robot.urdf import Urdf, UrdfJoint, read_only, read_urdf
+from calib.short import one_line
 from calib.units import Array, Mask
 
 __all__ = ["Robot", "read_only", "rigid_inverse"]
@@ -180,7 +181,8 @@ class Robot(Value):
 
     def __repr__(self) -> str:
         """Return one line, such as ``Robot('ur3', base to tool0, 6 joints)``."""
-        return f"Robot('{self.name}', {self.base} to {self.tip}, {len(self.joints)} joints)"
+        chain = f"{self.base} to {self.tip}"
+        return one_line("Robot", f"'{self.name}'", chain, f"{len(self.joints)} joints")
 
     @property
     def name(self) -> str:

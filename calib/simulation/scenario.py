@@ -30,6 +30,7 @@ from calib.numerics.geometry import vector
 from calib.pickling import Value
 from calib.robot.ranges import joint_ranges
 from calib.robot.robot import Robot, read_only
+from calib.short import one_line
 from calib.simulation.disturbances import Encoder, MovedTarget, Outliers
 from calib.simulation.random_streams import stream
 from calib.simulation.truth import TARGET_ERROR, Truth, draw_truth
@@ -93,6 +94,12 @@ class Scenario(Value):
             )
         object.__setattr__(self, "drift", vector(self.drift, "drift"))
         keep_read_only(self, "sizes")
+
+    def __repr__(self) -> str:
+        """Return one line: robot, errors, and kind of measurement."""
+        robot = self.robot
+        chain = f"'{robot.name}', {robot.base} to {robot.tip}"
+        return one_line("Scenario", chain, f"errors of '{self.model}'", f"kind '{self.kind.name}'")
 
     @property
     def kind(self) -> Kind:
@@ -214,6 +221,10 @@ class Simulated(Value):
     moved: Mask
     #: Of the random numbers
     seed: int
+
+    def __repr__(self) -> str:
+        """Return one line: the measurements and the seed."""
+        return one_line("Simulated", repr(self.measurements), f"seed {self.seed}")
 
     @property
     def points(self) -> Array:

@@ -13,9 +13,9 @@ import calib.data.kinds as registry
 from calib.errors import choices
 from calib.numerics.errors import Errors
 from calib.result.acceptance import Acceptance, Assessment, Check
-from calib.result.accuracy import FEWEST_APART, Accuracy, PoseAccuracy
+from calib.result.accuracy import FEWEST_APART, Accuracy, PoseAccuracy, accuracy as accuracy_of
 from calib.result.calibration_file import error_table as stored_errors, pose_table, versions
-from calib.result.evaluation import Evaluation
+from calib.result.evaluation import EvaluationValues
 from calib.text.layout.lines import WIDTH, deg, mm, plural, wrap
 from calib.text.layout.tables import Column, name_column, table_lines
 from calib.text.summary import angle_table, error_table, error_title
@@ -84,6 +84,19 @@ def assessment_text(e: Assessment, result: str, source: str) -> str:
     elif e.hint is not None:
         parts.append(textwrap.fill(reason_text(e.hint), WIDTH, break_on_hyphens=False))
     return "\n\n".join(parts)
+
+
+def evaluation_text(e: EvaluationValues) -> str:
+    """Write the evaluation of one robot: places of targets, errors, and accuracy where poses were repeated."""
+    assessment = Assessment(
+        evaluations={"urdf": e},
+        accuracies={"urdf": accuracy_of(e)},
+        judged="urdf",
+        accepted=None,
+        outside=((), ()),
+        hint=None,
+    )
+    return assessment_text(assessment, "", "as given")
 
 
 def _reasons(e: Assessment, a: Acceptance, robot: str) -> Iterator[str]:
@@ -307,7 +320,7 @@ def _rows_label(pose: PoseAccuracy) -> str:
     return f"{noun} {', '.join(names)}"
 
 
-def _places_text(evaluation: Evaluation, source: str) -> str:
+def _places_text(evaluation: EvaluationValues, source: str) -> str:
     """Word the places of targets and frames, and where these are from."""
     origin = "registered to the rows" if "target" in evaluation.registered else source
     lines, setup = [], evaluation.setup
@@ -322,7 +335,7 @@ def _places_text(evaluation: Evaluation, source: str) -> str:
     return "\n".join(lines)
 
 
-def _errors_text(robots: Mapping[str, Evaluation], result: str) -> str:
+def _errors_text(robots: Mapping[str, EvaluationValues], result: str) -> str:
     """Write the tables of errors, with a block of rows for each robot."""
     names = {who: _LONG_NAMES[who].format(result) for who in robots}
     blocks = {names[who]: evaluation for who, evaluation in robots.items()}
@@ -333,7 +346,9 @@ def _errors_text(robots: Mapping[str, Evaluation], result: str) -> str:
     return "\n\n".join("\n".join(lines) for lines in tables)
 
 
-def _blocks(robots: Mapping[str, Evaluation], count: str) -> Iterator[tuple[str, Errors] | str]:
+def _blocks(
+    robots: Mapping[str, EvaluationValues], count: str
+) -> Iterator[tuple[str, Errors] | str]:
     """Rows of a table of errors: the name of each robot, then its errors by set.
 
     ``count`` names the attribute of `Errors` with the number of rows: ``"n"`` of lengths, ``"n_angle"`` of angles.
@@ -383,7 +398,7 @@ def assessment_table(e: Assessment) -> dict[str, Any]:
     }
 
 
-def _errors_table(evaluation: Evaluation) -> dict[str, Any]:
+def _errors_table(evaluation: EvaluationValues) -> dict[str, Any]:
     """Errors of one robot as nested tables in SI units, by the set of rows: ``estimation``, ``validation``, ``all``."""
     return {name: stored_errors(errors) for name, errors in evaluation.errors.items()}
 

@@ -89,3 +89,7 @@ def test_wrong_arguments_are_named(tables, tmp_path: Path, changes, error, words
     with pytest.raises(error, match=words):
         calib.fleet(**given)
     assert not (tmp_path / "new").exists()
+
+
+def test_a_fleet_in_one_line(fleet: Fleet):
+    assert repr(fleet) == "Fleet(2 robots, 0 failed, 0 withheld, 0 outliers, 0 kept)"

@@ -76,3 +76,7 @@ def test_a_region_s_arrays_cannot_be_written_to():
     cells[:] = False
     assert region.cells.any()
     assert not region.cells.flags.writeable
+
+
+def test_a_region_in_one_line():
+    assert repr(ELL) == "Region(4 litres, 4 voxels of 100 mm, 60 % of the samples)"
