@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 import calib.data.kinds as registry
-from calib.arguments import check_mapping, check_names, check_number, check_type, check_whole
+from calib.arguments import check_names, check_type, check_whole
 from calib.data.cell import Cell, TrackerNoise
 from calib.data.columns import SETS
 from calib.data.kinds import Kind
@@ -25,7 +25,6 @@ from calib.data.measurements import Measurements
 from calib.errors import CalibError, ModelError, choices
 from calib.inputs import ROBOT, RobotInput, cell_of, robot_of
 from calib.mappings import keep_read_only
-from calib.model.families import family_of
 from calib.numerics.geometry import vector
 from calib.pickling import Value
 from calib.robot.ranges import joint_ranges
@@ -33,6 +32,7 @@ from calib.robot.robot import Robot, read_only
 from calib.short import one_line
 from calib.simulation.disturbances import Encoder, MovedTarget, Outliers
 from calib.simulation.random_streams import stream
+from calib.simulation.scenario_checks import check_scenario
 from calib.simulation.truth import TARGET_ERROR, Truth, draw_truth
 from calib.units import Array, Mask
 
@@ -85,7 +85,7 @@ class Scenario(Value):
         """Read robot and cell where paths were given, refuse other kinds, and keep read-only copies."""
         object.__setattr__(self, "cell", cell_of(self.cell))
         object.__setattr__(self, "robot", robot_of(self.robot, self.cell))
-        _check_scenario(self)
+        check_scenario(self)
         if self.kind.measure is None:
             allowed = [name for name in registry.names() if registry.get(name).measure is not None]
             raise CalibError(
@@ -173,32 +173,6 @@ class Scenario(Value):
         estimate, validate = SETS
         all_sets = (sets or (estimate,) * len(q)) + (validate,) * len(extra)
         return np.concatenate([q, extra]), all_sets
-
-
-#: Attributes of a scenario, their types, and what messages call these.
-_TYPES = (
-    ("model", str, "the name of a model"),
-    ("errors", Sequence, "pairs of the name and the value of an error"),
-    ("noise", (TrackerNoise, type(None)), "a TrackerNoise, or None"),
-    ("encoder", Encoder, "an Encoder"),
-    ("outliers", (Outliers, type(None)), "Outliers, or None"),
-    ("moved", (MovedTarget, type(None)), "a MovedTarget, or None"),
-    ("true_robot", (Robot, type(None)), "a Robot, or None"),
-)
-
-
-def _check_scenario(scenario: Scenario) -> None:
-    """Refuse values of another type, and numbers that are none."""
-    for name, types, allowed in _TYPES:
-        check_type(name, getattr(scenario, name), types, allowed)
-    for name in ("target_error", "sigma_angle"):
-        check_number(name, getattr(scenario, name), 0.0)
-    check_whole("visits", scenario.visits, 1)
-    if scenario.sizes is not None:
-        check_mapping("sizes", scenario.sizes)
-        for family, size in scenario.sizes.items():
-            family_of(family)
-            check_number(f"sizes[{family!r}]", size, 0.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
