@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.arguments import check_path
 from calib.errors import ModelError, UrdfError, VerdictError, choices
 from calib.model.kinematics import Samples
 from calib.result.calibrate import calibrate as calibrate_values
@@ -21,7 +20,8 @@ from calib.robot.readback import check_written
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
 from calib.text.verdict import against, refusal
-from calib.with_methods import as_kind, returning
+from calib.values.arguments import check_path
+from calib.values.with_methods import as_kind, returning
 
 __all__ = [
     "TARGET_LINK",
@@ -40,7 +40,69 @@ TARGET_LINK = "calib_target"
 class Calibration(CalibrationValues):
     """The result of `calibrate`: the values of `calib.result.calibration.CalibrationValues`, and what writes them.
 
-    There are two ways to get one: `calib.calibrate`, and `Calibration.read_json` of a file that `write_json` wrote.
+    There are two ways to get one: `calib.calibrate`, and `Calibration.read_json` of a file that `write_json` wrote. It
+    can be pickled and copied, with measurements and fit if it has them. Arrays are read-only. N rows of the table, p
+    parameters of the geometry, m measured joints, D columns of a residual: three of lengths, then of angles.
+
+    The robot:
+
+        nominal              Robot, as given
+        robot                Robot, its URDF corrected: the geometry
+        non_geometric        NonGeometric, the model with errors of the joints' state; None if there is none
+        setup                Setup, frames (T_frame_base) and targets (T_tip_target) as estimated or given [m]
+        nominal_setup        Setup, those of the nominal robot
+        T_frame_base         (4, 4) [m], pose of the base in the first measurement frame
+        target               (3,) [m], position of the first target in the tip
+        frame_estimated      whether the measurement frames were estimated
+
+    Trust:
+
+        verdict              Verdict, its use and its reasons; None without cross-validation
+        errors               errors["nominal" | "calibrated" | "non_geometric"]["estimation" | "validation"]: Errors
+        cross_validation     CrossValidation, errors on held-out rows; None without
+        nominal_cross_validation  the same of the nominal robot
+        new_point            (near the measured poses, over the joint limits), expected error, rms [m]
+        expected_measured    rms standard deviation of predictions at the measured poses [m]
+        expected_everywhere  the same over the joint limits [m]
+        expected_elsewhere   the same with what the model lacks [m]
+        extrapolation        squared error of extrapolated predictions over that by the covariance, 1 or more
+        robustness           Robustness, the fit with and without lowered weights; None without outliers
+        outliers, suspects   Outliers among the fitted rows, and among the validation rows
+        outside              OutsideRows, validation rows outside of the fitted joint values
+
+    The rows:
+
+        rows                 RowNames: numbers, sets, kinds, stations and targets of the N rows
+        source               Source, name and hash of the table
+        residual_nominal     (N, D) [m], [rad], measured minus predicted by the nominal robot
+        residual_calibrated  (N, D) [m], [rad], by the calibrated robot
+        used                 (N, D), True for the scalars that were measured
+        scores, weights      (N,), deleted residual and weight in the fit of each row
+        flag_limit           score above which a row is flagged
+        ranges               (m, 2) [rad] or [m], least and greatest joint values of fitted rows
+        sigma, sigma_angle   noise of one measured length [m], of one angle [rad]; sigma_given, sigma_angle_given as
+                             the cell or the table states it
+        repeats              Repeats, scatter of rows that repeat a pose; None where none does
+        freedom              degrees of freedom left for the noise
+
+    The parameters of the geometry:
+
+        model                ErrorModel: names, units and places of the p parameters
+        parameters           p ParameterEstimates: nominal and calibrated value, standard deviation, interval
+        x                    (p,), their offsets from the nominal robot [m], [rad]
+        covariance           (p, p), of x
+        kinematics           Kinematics, the nominal robot under the model
+        base_motion          (6, p), motion of the base that compensates each; None where rows tell where it stands
+        prior_std            prior standard deviation of each family, in its unit; prior_std_from, its source
+        frozen, ties         parameters that were kept, and those that follow another one
+        observability        Observability, rank and unobservable combinations
+        candidates           Candidates that "auto" chose from
+        solver, solution     name of the solver, and its Solution; seconds, its time [s]
+
+    In memory only (ModelError where the result was read from a file, which does not hold them):
+
+        measurements, cell   as given
+        fitted               Fitted, the fit of the geometry; fit, FitInMemory with all of these, None from a file
     """
 
     __slots__ = ()
@@ -64,13 +126,13 @@ class Calibration(CalibrationValues):
 
     def __repr__(self) -> str:
         """One line: the nominal robot, the verdict, rms error before and after on held-out rows, number of rows."""
-        from calib.text.short import calibration_line
+        from calib.text.shown.short import calibration_line
 
         return calibration_line(self)
 
     def _repr_html_(self) -> str:
         """A small table for notebooks: the verdict and its first reason, errors before and after."""
-        from calib.text.notebook import calibration_html
+        from calib.text.shown.notebook import calibration_html
 
         return calibration_html(self)
 
@@ -220,7 +282,7 @@ class Comparison(ComparisonValues):
 
     def _repr_html_(self) -> str:
         """A small table for notebooks: the answer, and both results."""
-        from calib.text.notebook import comparison_html
+        from calib.text.shown.notebook import comparison_html
 
         return comparison_html(self)
 
@@ -262,13 +324,13 @@ class Evaluation(EvaluationValues):
 
     def __repr__(self) -> str:
         """One line: the robot, rms errors, number of rows."""
-        from calib.text.short import evaluation_line
+        from calib.text.shown.short import evaluation_line
 
         return evaluation_line(self)
 
     def _repr_html_(self) -> str:
         """A small table for notebooks: errors by set."""
-        from calib.text.notebook import evaluation_html
+        from calib.text.shown.notebook import evaluation_html
 
         return evaluation_html(self)
 

@@ -9,13 +9,13 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from calib.arguments import check_type
 from calib.errors import VerdictError, choices
 from calib.formats.convert import FORMATS, Conversion, Options, Source, read_source
 from calib.inputs import ROBOT, RobotInput
 from calib.result.calibration import CalibrationValues
 from calib.robot.robot import Robot
 from calib.text.verdict import against, refusal
+from calib.values.arguments import check_type
 
 __all__ = ["convert"]
 

@@ -11,8 +11,8 @@ import stat
 from collections.abc import Iterable
 from pathlib import Path
 
-from calib.arguments import check_path
 from calib.errors import FileError
+from calib.values.arguments import check_path
 
 #: Bytes read from pipes, by device and inode: a pipe cannot be read twice, and a command looks at a table repeatedly.
 _PIPED: dict[tuple[int, int], bytes] = {}

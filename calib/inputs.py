@@ -10,13 +10,13 @@ from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import TypeAlias
 
-from calib.arguments import check_type
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.data.table import Table
 from calib.errors import CalibError
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf, read_urdf
+from calib.values.arguments import check_type
 
 #: A robot; or the path of its URDF or xacro; or its name in example-robot-data, such as ``"ur3"``.
 RobotInput: TypeAlias = Robot | str | Path

@@ -1,6 +1,6 @@
 """Mappings that cannot be changed, and can be copied, pickled and sent to other processes.
 
-`types.MappingProxyType` can be neither pickled nor deep-copied; the values of calib can, so they hold this instead.
+A ``types.MappingProxyType`` can be neither pickled nor deep-copied; the values of calib can, so they hold this instead.
 """
 
 from __future__ import annotations
@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any, Generic, TypeVar
 
-from calib.pickling import packed
+from calib.values.pickling import packed
 
 Key = TypeVar("Key")
 Value = TypeVar("Value", covariant=True)

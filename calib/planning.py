@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from calib.design.plan import PlanValues, plan as plan_values
-from calib.with_methods import returning
+from calib.values.with_methods import returning
 
 __all__ = ["Plan", "plan"]
 
@@ -15,13 +15,13 @@ class Plan(PlanValues):
 
     def __repr__(self) -> str:
         """One line: the robot, numbers of poses, expected error."""
-        from calib.text.short import plan_line
+        from calib.text.shown.short import plan_line
 
         return plan_line(self)
 
     def _repr_html_(self) -> str:
         """A small table for notebooks: numbers of poses, expected errors."""
-        from calib.text.notebook import plan_html
+        from calib.text.shown.notebook import plan_html
 
         return plan_html(self)
 

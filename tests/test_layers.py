@@ -16,9 +16,7 @@ MODULES = sorted(CALIB.rglob("*.py"))
 ORDER = (
     "version",
     "errors",
-    "arguments",
-    "short",
-    "pickling",
+    "values",
     "mappings",
     "units",
     "files",
@@ -44,7 +42,6 @@ ORDER = (
     "formats",
     "text",
     "report",
-    "with_methods",
     "calibration",
     "planning",
     "conversion",

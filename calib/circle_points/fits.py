@@ -26,9 +26,9 @@ from calib.circle_points.orthogonal_distances import (
     nearest_plane,
 )
 from calib.errors import CalibError
-from calib.pickling import Value
 from calib.robot.robot import read_only
 from calib.units import Array, Mask
+from calib.values.pickling import Value
 
 #: Fewest points: those that determine the figure and one more, or there is nothing to tell the noise from.
 FEWEST = 4

@@ -19,9 +19,9 @@ from calib.data.points_file import PARTS, Points, read_points
 from calib.data.table import Column, Table
 from calib.data.values import read_values
 from calib.errors import MeasurementError, choices
-from calib.pickling import Value
 from calib.robot.robot import read_only
 from calib.units import Array
+from calib.values.pickling import Value
 
 #: Name of the points on the mounting plane.
 PLANE = "plane"

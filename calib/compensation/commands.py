@@ -20,7 +20,6 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from calib.arguments import check_type, finite_numbers
 from calib.compensation.expected import ExpectedErrors, expected_errors
 from calib.compensation.inverse import (
     AXIS,
@@ -45,14 +44,15 @@ from calib.data.cell import Cell
 from calib.diagnosis.reasons import NO
 from calib.errors import VerdictError
 from calib.inputs import ROBOT, RobotInput, robot_of
-from calib.pickling import Value
 from calib.result.calibration import CalibrationValues
 from calib.result.comparison import RESULT, is_result_file, result_of
 from calib.robot.payload import Payload
 from calib.robot.ranges import column_limits
 from calib.robot.robot import Robot, read_only, rigid_inverse
-from calib.short import one_line
 from calib.units import Array, Mask
+from calib.values.arguments import check_type, finite_numbers
+from calib.values.pickling import Value
+from calib.values.short import one_line
 
 #: A pose that the nominal robot misses by more than this is matched in part [m].
 _PARTLY = 1e-6
@@ -185,8 +185,9 @@ def compensate(
     check_type("program", program, Program, "a Program, such as Program.of_poses(T)")
     _check_tolerance(tolerance)
     check_type("non_geometric", non_geometric, (bool, Payload), "True, False, or a Payload")
-    true, controller = _models(calibration, nominal)
-    pair = pair_of(true, controller, tool=tool, frame=frame, non_geometric=non_geometric)
+    pair = pair_of(
+        *_models(calibration, nominal), tool=tool, frame=frame, non_geometric=non_geometric
+    )
     if not accept:
         _check_verdict(pair)
     tolerance = (max(tolerance[0], _EXACT), max(tolerance[1], _EXACT))

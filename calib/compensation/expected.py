@@ -32,11 +32,11 @@ from calib.compensation.pose_covariance import (
 )
 from calib.model.kinematics import Samples
 from calib.numerics.errors import CrossValidation
-from calib.pickling import Value
 from calib.result.calibration import CalibrationValues
 from calib.result.prediction import FittedModel
 from calib.robot.robot import read_only
 from calib.units import Array
+from calib.values.pickling import Value
 
 Source = Literal["model", "parameters", "poses", "tool", "base"]
 """Source of an expected error: what the model lacks; its parameters, at poses like the measured ones; what other

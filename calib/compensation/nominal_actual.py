@@ -17,7 +17,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from calib.arguments import numbers
 from calib.errors import ModelError, choices
 from calib.model.error_model import error_model
 from calib.model.families import Factor, JointState
@@ -25,13 +24,14 @@ from calib.model.joint_errors import axis_twists
 from calib.model.kinematics import Kinematics, Samples
 from calib.model.parameters import TIP, ErrorModel, Parameter
 from calib.numerics.geometry import not_rotations
-from calib.pickling import Value
 from calib.result.calibration import CalibrationValues
 from calib.result.prediction import NonGeometric
 from calib.robot.payload import Payload
 from calib.robot.ranges import spread_poses
 from calib.robot.robot import Robot, read_only
 from calib.units import Array
+from calib.values.arguments import numbers
+from calib.values.pickling import Value
 
 #: The family that moves a measured joint, and with it all joints that follow it.
 _GAIN = "gain"

@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 import calib.data.kinds as registry
-from calib.arguments import check_mapping, check_path, check_type
 from calib.data.cell_file import checked, read_cell_file
 from calib.data.kinds import SIGMAS
 from calib.data.priors import PRIOR_STD_RANGE, Priors
@@ -33,12 +32,13 @@ from calib.errors import CalibError, FileError, choices
 from calib.mappings import ReadOnlyMapping
 from calib.model.error_model import DIRECTIONS
 from calib.numerics.geometry import FARTHEST, pose_of, pose_or_none, rotation_or_none, vector
-from calib.pickling import Value
 from calib.robot.gravity import GRAVITY
 from calib.robot.payload import Payload
 from calib.robot.robot import read_only
-from calib.short import one_line
 from calib.units import Array, is_number
+from calib.values.arguments import check_mapping, check_path, check_type
+from calib.values.pickling import Value
+from calib.values.short import one_line
 
 __all__ = [
     "AUTO",

@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 import calib.data.kinds as registry
-from calib.arguments import check_mapping, check_names, check_type, numbers, wrong_type
 from calib.data.columns import SETS, reserved
 from calib.errors import MeasurementError, choices
 from calib.numerics.geometry import not_rotations
 from calib.robot.robot import read_only
 from calib.units import Array, Integers, Mask
+from calib.values.arguments import check_mapping, check_names, check_type, numbers, wrong_type
 
 #: Two rows of a pair that both give its distance give the same to all digits of a table [m].
 _AGREE_M = 1e-9

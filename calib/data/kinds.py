@@ -25,8 +25,8 @@ from scipy.spatial.transform import Rotation
 from calib.errors import CalibError, MeasurementError, choices
 from calib.model.error_model import DIRECTIONS
 from calib.numerics.geometry import inverse_right_jacobian
-from calib.pickling import Value
 from calib.units import Array, Quantity
+from calib.values.pickling import Value
 
 #: Least and largest standard deviation accepted for a measurement [m or rad]: no instrument is
 #: better or worse, and the squares of numbers beyond leave the range of doubles.

@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 import calib.data.kinds as registry
-from calib.arguments import check_mapping, check_names, check_path, numbers, wrong_type
 from calib.data.checks import (
     RowLabels,
     by_word,
@@ -38,10 +37,11 @@ from calib.errors import MeasurementError, choices
 from calib.files import csv_bytes, write_atomically
 from calib.mappings import ReadOnlyMapping
 from calib.numerics.geometry import FARTHEST, to_quaternions
-from calib.pickling import Value
 from calib.robot.robot import read_only
-from calib.short import one_line
 from calib.units import UNITS, Array, Mask, Quantity
+from calib.values.arguments import check_mapping, check_names, check_path, numbers, wrong_type
+from calib.values.pickling import Value
+from calib.values.short import one_line
 
 #: Attributes with a word a row, and the word where they are not given.
 _WORDS = {"sets": SETS[0], "targets": DEFAULT_TARGET, "groups": "", "kinds": "point", "pairs": ""}

@@ -12,9 +12,9 @@ import numpy as np
 from calib.data.cell_file import checked
 from calib.errors import CalibError, choices
 from calib.numerics.geometry import pose_or_none, vector
-from calib.pickling import Value
 from calib.robot.robot import read_only
 from calib.units import Array
+from calib.values.pickling import Value
 
 Distance = TypeVar("Distance", float, Array)
 

@@ -9,14 +9,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from calib.arguments import (
-    check_flags,
-    check_number,
-    check_type,
-    check_whole,
-    finite_numbers,
-    numbers,
-)
 from calib.design.candidates import Pool
 from calib.design.forecast import Forecast, Workspace, information
 from calib.design.optimal import RESTARTS, Basis, Indices, choose, exchange, ranking, short_list
@@ -24,9 +16,17 @@ from calib.design.sensitivity import Sensitivity
 from calib.errors import ModelError
 from calib.jobs import Progress
 from calib.model.observability import steps
-from calib.pickling import Value
 from calib.robot.robot import read_only
 from calib.units import Array
+from calib.values.arguments import (
+    check_flags,
+    check_number,
+    check_type,
+    check_whole,
+    finite_numbers,
+    numbers,
+)
+from calib.values.pickling import Value
 
 #: For more poses than this one random start is enough: many choices are as good.
 _MANY = 100

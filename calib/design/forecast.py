@@ -26,13 +26,13 @@ from calib.data.measurements import Measurements
 from calib.design.candidates import planning_ranges
 from calib.design.sensitivity import Sensitivity
 from calib.mappings import keep_read_only
-from calib.pickling import Value
 from calib.registration.registration import register
 from calib.registration.table_rows import rows_and_setup
 from calib.robot.kernel import over_blocks
 from calib.robot.ranges import spread_between
 from calib.robot.robot import Robot, read_only
 from calib.units import Array
+from calib.values.pickling import Value
 
 #: Poses over which a forecast without a plan is made.
 _POSES = 4096

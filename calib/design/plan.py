@@ -13,7 +13,6 @@ from functools import partial
 import numpy as np
 from numpy.typing import ArrayLike
 
-from calib.arguments import check_callable, check_type
 from calib.data.cell import Cell
 from calib.design.candidates import Condition, Pool, draw, planning_ranges
 from calib.design.choice import Choice, PlanRequest, choose_poses
@@ -26,10 +25,11 @@ from calib.design.sensitivity import Sensitivity
 from calib.design.sight import in_cone, in_range, target_positions
 from calib.inputs import CellInput, RobotInput, cell_of, robot_of
 from calib.mappings import keep_read_only
-from calib.pickling import Value
 from calib.regions.region import Region
 from calib.robot.robot import Robot, read_only
 from calib.units import Array
+from calib.values.arguments import check_callable, check_type
+from calib.values.pickling import Value
 
 #: Called with the stage of the work, how much of it is done, and all of it.
 Progress = Callable[[str, int, int], None]
@@ -168,13 +168,12 @@ def plan(
     pool = _draw(sensitivity, request, region, body, _stage(progress, "candidates"))
     choice = choose_poses(sensitivity, pool, request, measured, progress=_stage(progress, "choice"))
     way = _route(sensitivity, request, pool, choice, body)
-    is_planned = way.indices < len(choice.planned)
     return PlanValues(
         robot=arm,
         cell=known,
         request=request,
         joints=way.joints,
-        sets=tuple(np.where(is_planned, "estimate", "validate").tolist()),
+        sets=_sets(way, len(choice.planned)),
         taken=measured,
         targets=sensitivity.setup.targets,
         T_tip_target=sensitivity.setup.T_tip_target,
@@ -192,6 +191,11 @@ def plan(
         blocked=way.blocked,
         notes=(*sensitivity.notes, *_notes(known, body)),
     )
+
+
+def _sets(way: Route, count: int) -> tuple[str, ...]:
+    """Return the set of each pose in the order to drive: the first ``count`` poses of the choice are to be fitted."""
+    return tuple(np.where(way.indices < count, "estimate", "validate").tolist())
 
 
 def _stage(progress: Progress | None, stage: str) -> Callable[[int, int], None] | None:

@@ -14,9 +14,9 @@ from calib.mappings import keep_read_only
 from calib.model.parameters import FRAME, TARGET
 from calib.numerics.scores import Limits
 from calib.numerics.solvers import Solution
-from calib.pickling import Value
 from calib.robot.robot import read_only
 from calib.units import Array, Mask
+from calib.values.pickling import Value
 
 #: A change below this is set to zero: weak priors leave such traces on parameters that the target can replace [m, rad].
 _NOTHING = 1e-8

@@ -21,12 +21,12 @@ from calib.estimate.solving import mark_sole_postures
 from calib.estimate.task import PAPER, Task
 from calib.model.kinematics import Kinematics, Samples
 from calib.model.parameters import ErrorModel
-from calib.pickling import Value
 from calib.registration.registration import register, register_held_out
 from calib.registration.rows import Rows
 from calib.registration.setup import Setup
 from calib.robot.robot import read_only
 from calib.units import Array
+from calib.values.pickling import Value
 
 
 @dataclass(frozen=True, slots=True, eq=False)

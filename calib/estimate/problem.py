@@ -31,11 +31,11 @@ from calib.model.kinematics import Kinematics
 from calib.model.observability import Observability, analyse
 from calib.numerics.errors import LENGTHS
 from calib.numerics.solvers import triangle
-from calib.pickling import Value
 from calib.registration.known_distances import KnownDistance
 from calib.registration.rows import Rows
 from calib.robot.kernel import over_blocks
 from calib.units import Array
+from calib.values.pickling import Value
 
 #: Noise below this is no instrument's but rounding [m, rad].
 _SMALLEST_SIGMA = 1e-8

@@ -10,10 +10,10 @@ from calib.errors import ModelError, choices
 from calib.model.error_model import error_model
 from calib.model.parameters import FRAME, TARGET, ErrorModel, Parameter
 from calib.numerics.solvers import SOLVERS, Solver
-from calib.pickling import Value
 from calib.registration.known_distances import KnownDistance
 from calib.registration.setup import Setup
 from calib.robot.robot import Robot
+from calib.values.pickling import Value
 
 #: The paper's algorithm, which is no weighted least-squares solver: it has neither weights nor priors.
 PAPER = "paper"

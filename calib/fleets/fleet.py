@@ -38,7 +38,7 @@ from calib.fleets.robot_folder import RobotFolder
 from calib.jobs import Progress, run
 from calib.json_files import json_bytes, plain
 from calib.robot.urdf import read_urdf
-from calib.short import one_line
+from calib.values.short import one_line
 
 #: The table of a fleet for a spreadsheet; see docs/fleet.md.
 CSV = "fleet.csv"

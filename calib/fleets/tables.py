@@ -8,7 +8,6 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from calib.arguments import check_type, wrong_type
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.errors import ArgumentError, CalibError, choices, did_you_mean
@@ -18,6 +17,7 @@ from calib.fleets.job import FleetOptions
 from calib.inputs import CELL, ROBOT, TABLE, CellInput, RobotInput, TableInput
 from calib.jobs import Progress
 from calib.robot.robot import Robot
+from calib.values.arguments import check_type, wrong_type
 
 #: One robot for all tables, one for each table by its name, or one for each in their order.
 RobotsInput: TypeAlias = RobotInput | Mapping[str, RobotInput] | Sequence[RobotInput]

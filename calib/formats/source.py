@@ -12,9 +12,9 @@ from calib.formats.notes import Note
 from calib.formats.ur_arms import UrModel
 from calib.formats.ur_conf import Conf
 from calib.inputs import RobotInput, robot_of
-from calib.pickling import Value
 from calib.robot.robot import Robot
 from calib.units import Array
+from calib.values.pickling import Value
 
 
 @dataclass(frozen=True, slots=True)

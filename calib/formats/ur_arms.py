@@ -22,10 +22,10 @@ from numpy.typing import ArrayLike
 
 from calib.errors import ModelError, choices
 from calib.model.dh import screw
-from calib.pickling import Value
 from calib.robot.robot import Robot, read_only, rigid_inverse
 from calib.robot.urdf import Urdf
 from calib.units import Array
+from calib.values.pickling import Value
 
 COLUMNS = ("theta", "a", "d", "alpha")
 """The columns of the rows."""

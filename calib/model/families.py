@@ -25,8 +25,8 @@ from typing import Any
 import numpy as np
 
 from calib.errors import ModelError, choices
-from calib.pickling import Value
 from calib.units import Array
+from calib.values.pickling import Value
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,10 +16,10 @@ from numpy.typing import ArrayLike
 
 from calib.model.joint_errors import joint_displacements
 from calib.model.parameters import ErrorModel
-from calib.pickling import Value
 from calib.robot import kernel
 from calib.robot.robot import Robot, read_only
 from calib.units import Array, Integers, Mask
+from calib.values.pickling import Value
 
 
 @dataclass(frozen=True, slots=True, eq=False)

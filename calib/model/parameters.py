@@ -14,9 +14,9 @@ import pinocchio as pin
 
 from calib.errors import ModelError, choices
 from calib.model.families import FAMILIES, Factor
-from calib.pickling import Value
 from calib.robot.robot import Robot, read_only
 from calib.units import Array, Mask
+from calib.values.pickling import Value
 
 #: Place of a measurement frame, with the frame's name behind it: ``"(frame)left"``. No URDF calls a joint so.
 FRAME = "(frame)"

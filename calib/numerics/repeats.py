@@ -17,9 +17,9 @@ from typing import NamedTuple
 import numpy as np
 
 from calib.numerics.errors import LENGTHS
-from calib.pickling import Value
 from calib.robot.robot import read_only
 from calib.units import Array, Integers, Mask
+from calib.values.pickling import Value
 
 #: Degrees of freedom below this are rounding: no pose was repeated.
 _NO_FREEDOM = 1e-9

@@ -13,8 +13,8 @@ import numpy as np
 from scipy.linalg.lapack import dgeqrf, dtrtrs
 
 from calib.errors import SolverError
-from calib.pickling import Value
 from calib.units import Array
+from calib.values.pickling import Value
 
 #: Message of a solver that converged.
 _CONVERGED = "Relative change of cost and parameters below tolerance."

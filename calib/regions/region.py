@@ -21,12 +21,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
-from calib.arguments import check_number, check_type, finite_numbers, numbers, wrong_type
 from calib.errors import CalibError, ModelError
 from calib.numerics.geometry import vector
-from calib.pickling import Value
-from calib.short import one_line
 from calib.units import Array, Mask
+from calib.values.arguments import check_number, check_type, finite_numbers, numbers, wrong_type
+from calib.values.pickling import Value
+from calib.values.short import one_line
 
 #: Samples that a smoothed count rests on, in the mean over reached voxels, where the voxel's size is chosen.
 SAMPLES_PER_VOXEL = 300.0

@@ -13,11 +13,11 @@ from calib.data.cell import Cell
 from calib.data.columns import POINT, name_columns
 from calib.data.measurements import Measurements
 from calib.data.table import Table
-from calib.pickling import Value
 from calib.regions.region import Density, Region
 from calib.robot.chain import rigid_inverse
 from calib.robot.robot import Robot
 from calib.units import Array, Mask
+from calib.values.pickling import Value
 
 
 class Checked(NamedTuple):

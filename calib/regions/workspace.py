@@ -10,13 +10,13 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from numpy.typing import ArrayLike
 
-from calib.arguments import check_whole, finite_numbers
 from calib.inputs import RobotInput, robot_of
 from calib.numerics.geometry import vector
 from calib.regions.region import Region
 from calib.robot.ranges import joint_ranges
 from calib.robot.robot import Robot
 from calib.units import Array
+from calib.values.arguments import check_whole, finite_numbers
 
 #: Samples by default, a power of two.
 COUNT = 2**17

@@ -14,9 +14,9 @@ import numpy as np
 
 from calib.model.kinematics import Samples
 from calib.model.parameters import FRAME, TARGET, ErrorModel, Parameter
-from calib.pickling import Value
 from calib.robot.robot import read_only
 from calib.units import Array, Mask
+from calib.values.pickling import Value
 
 
 @dataclass(frozen=True, slots=True, eq=False)

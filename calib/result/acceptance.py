@@ -26,12 +26,12 @@ from calib.diagnosis.reasons import Reason
 from calib.diagnosis.usual_mistakes import find_usual_mistake
 from calib.errors import CalibError, MeasurementError, choices
 from calib.mappings import keep_read_only
-from calib.pickling import Value
 from calib.result.accuracy import Accuracy, PoseAccuracy, accuracy, fitted_rows
 from calib.result.calibration import CalibrationValues
 from calib.result.evaluation import EvaluationValues, evaluate, moved_place, registration_rows
 from calib.robot.robot import Robot
 from calib.units import Array, Mask, split_header
+from calib.values.pickling import Value
 
 Outcome = Literal["pass", "undecided", "fail"]
 

@@ -26,7 +26,6 @@ from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.errors import CalibError, MeasurementError
 from calib.numerics.errors import LENGTHS
-from calib.pickling import Value
 from calib.registration.rows import Rows
 from calib.registration.setup import Setup
 from calib.registration.table_rows import rows_and_setup
@@ -34,6 +33,7 @@ from calib.result.calibration import CalibrationValues
 from calib.result.evaluation import EvaluationValues, evaluate, registration_rows
 from calib.robot.robot import Robot, read_only
 from calib.units import Array, Integers, Mask
+from calib.values.pickling import Value
 
 #: Rows that are judged: all of a table, its validation rows, or those that nothing was fitted or registered to.
 JudgedRows = Literal["all", "validation", "fresh"]

@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from calib.arguments import check_callable, check_flags
 from calib.blas import one_blas_thread
 from calib.data.measurements import Measurements
 from calib.diagnosis.coverage import OutsideRow, outside
@@ -52,6 +51,7 @@ from calib.selection.candidates import Candidate, alternative_models, mark_chose
 from calib.selection.cross_validation import cross_validation, nominal_cross_validation
 from calib.selection.robustness import Robustness, compare_weights
 from calib.units import Array, Mask
+from calib.values.arguments import check_callable, check_flags
 
 
 @one_blas_thread()

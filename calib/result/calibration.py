@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from calib.arguments import check_type
 from calib.data.cell import Cell
 from calib.data.columns import SETS
 from calib.data.measurements import Measurements
@@ -25,7 +24,6 @@ from calib.model.observability import Observability
 from calib.numerics.errors import CrossValidation, Errors
 from calib.numerics.repeats import Repeats
 from calib.numerics.solvers import Solution
-from calib.pickling import Value
 from calib.registration.setup import Setup
 from calib.result.prediction import (
     FittedModel,
@@ -39,6 +37,8 @@ from calib.robot.robot import Robot, rigid_inverse
 from calib.selection.candidates import Candidate
 from calib.selection.robustness import Robustness
 from calib.units import Array, Mask
+from calib.values.arguments import check_type
+from calib.values.pickling import Value
 
 #: Number of values that stand for all those between the ends of a measured range.
 _BETWEEN = 73
@@ -344,10 +344,10 @@ class CalibrationValues(FittedModel):
         group: str | None = None,
         non_geometric: bool = True,
     ) -> Array:
-        """Predict poses of the target, T_frame_target, in the measurement frame.
+        """Predict calibrated T_frame_target by the non-geometric model if there is one, else by the geometry.
 
-        By ``kinematics`` and parameters ``x`` of the chosen model, with the frames and targets that were estimated or
-        given.
+        T_frame_target is the pose of the target in the measurement frame. By ``kinematics`` and parameters ``x`` of the
+        chosen model, with the frames and targets that were estimated or given.
 
         Args:
             q: shape (N, m) or (m,), joint values in the robot's order, [rad] or [m].
@@ -370,7 +370,9 @@ class CalibrationValues(FittedModel):
         return poses
 
     def predict(self, q: ArrayLike, **where: Any) -> Array:  # noqa: ANN401  as of predict_poses
-        """Predict positions of the target in the measurement frame.
+        """Predict calibrated positions by the non-geometric model if there is one, else by the geometry.
+
+        They are those of the target in the measurement frame.
 
         Args:
             q: shape (N, m) or (m,), joint values in the robot's order, [rad] or [m].
@@ -400,11 +402,11 @@ class CalibrationValues(FittedModel):
         group: str | None = None,
         non_geometric: bool = True,
     ) -> Array:
-        """Return the standard deviation of positions by `predict`, sqrt(trace(J C J^T)).
+        """Return the standard deviation of `predict`, by the non-geometric model if there is one, else the geometry.
 
-        C is the ``covariance`` of the p parameters of the chosen model and J, shape (3, p), the derivative of the
-        position by them. Where only sockets, planes, anchors or pairs were measured, and no group is named, it leaves
-        out what moves all positions as one body. It knows nothing of errors that the model lacks.
+        It is sqrt(trace(J C J^T)). C is the ``covariance`` of the p parameters of the chosen model and J, shape (3, p),
+        the derivative of the position by them. Where only sockets, planes, anchors or pairs were measured, and no group
+        is named, it leaves out what moves all positions as one body. It knows nothing of errors that the model lacks.
 
         Args:
             q: shape (N, m) or (m,), joint values in the robot's order, [rad] or [m].
@@ -425,7 +427,7 @@ class CalibrationValues(FittedModel):
         return part.pose_std(samples, in_base=in_base)[:, 0]
 
     def tip_poses(self, q: ArrayLike, *, payload: Payload | None = None) -> Array:
-        """Return T_base_tip by the non-geometric model if there is one, or by the corrected joint origins of ``robot``.
+        """Predict calibrated T_base_tip by the non-geometric model if there is one, else by the geometry, ``robot``.
 
         Args:
             q: shape (N, m) or (m,), joint values in the robot's order, [rad] or [m].

@@ -11,17 +11,17 @@ from typing import Literal, TypeAlias, TypeGuard
 
 import numpy as np
 
-from calib.arguments import check_type
 from calib.diagnosis.reasons import NO
 from calib.errors import ModelError
 from calib.inputs import ROBOT, RobotInput
 from calib.numerics.drift import DriftTest
-from calib.pickling import Value
 from calib.result.calibration import CalibrationValues
 from calib.result.calibration_file import read_result
 from calib.result.difference import Differences, Displacement, differences_of
 from calib.robot.robot import Robot
-from calib.short import one_line
+from calib.values.arguments import check_type
+from calib.values.pickling import Value
+from calib.values.short import one_line
 
 #: A calibration result, or the path of its file.
 ResultInput: TypeAlias = CalibrationValues | str | Path

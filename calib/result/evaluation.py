@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.arguments import check_names, check_type
 from calib.blas import one_blas_thread
 from calib.data.cell import Cell
 from calib.data.columns import DEFAULT_TARGET
@@ -18,7 +17,6 @@ from calib.inputs import CellInput, RobotInput, TableInput, inputs_of
 from calib.model.error_model import DIRECTIONS
 from calib.model.kinematics import Samples
 from calib.numerics.errors import Errors
-from calib.pickling import Value
 from calib.registration.registration import nominal_setup, register_held_out
 from calib.registration.rows import Rows
 from calib.registration.setup import Setup
@@ -26,6 +24,8 @@ from calib.registration.table_rows import rows_and_setup
 from calib.result.prediction import NonGeometric
 from calib.robot.robot import Robot, read_only
 from calib.units import Array, Mask
+from calib.values.arguments import check_names, check_type
+from calib.values.pickling import Value
 
 #: What may be taken from an earlier result.
 PLACES = ("frame", "target")

@@ -25,12 +25,12 @@ from calib.model.parameters import FRAME, TARGET, ErrorModel
 from calib.numerics.errors import CrossValidation, rms
 from calib.numerics.intervals import interval_factor
 from calib.numerics.rigid_motion import best_motion, displacements_by
-from calib.pickling import Value
 from calib.registration.setup import Setup
 from calib.robot.gravity import gravity_loads
 from calib.robot.payload import Payload
 from calib.robot.robot import Robot, read_only
 from calib.units import Array
+from calib.values.pickling import Value
 
 #: The most poses over which an expected error is averaged.
 _MOST_EXPECTED = 1000

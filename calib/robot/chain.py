@@ -20,10 +20,10 @@ import numpy as np
 import pinocchio as pin
 
 from calib.errors import UrdfError, choices, did_you_mean
-from calib.pickling import Value
 from calib.robot.full_model import full_model
 from calib.robot.urdf import Urdf, UrdfJoint, read_only
 from calib.units import Array, unit_fault
+from calib.values.pickling import Value
 
 MOVING = ("revolute", "continuous", "prismatic")
 """The types of joints that a chain may move by."""

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from calib.errors import ModelError
-from calib.pickling import Value
 from calib.robot.urdf import read_only
 from calib.units import Array
+from calib.values.pickling import Value
 
 
 @dataclass(frozen=True, slots=True, eq=False)

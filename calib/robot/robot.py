@@ -20,9 +20,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from calib.arguments import check_mapping, check_names, check_type, finite_numbers, numbers
 from calib.errors import ModelError, UrdfError, choices
-from calib.pickling import Value
 from calib.robot import kernel
 from calib.robot.chain import (
     OriginFactors,
@@ -34,8 +32,10 @@ from calib.robot.chain import (
     rigid_inverse,
 )
 from calib.robot.urdf import Urdf, UrdfJoint, read_only, read_urdf
-from calib.short import one_line
 from calib.units import Array, Mask
+from calib.values.arguments import check_mapping, check_names, check_type, finite_numbers, numbers
+from calib.values.pickling import Value
+from calib.values.short import one_line
 
 __all__ = ["Robot", "read_only", "rigid_inverse"]
 

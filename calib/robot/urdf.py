@@ -17,11 +17,11 @@ import pinocchio as pin
 
 from calib.errors import UrdfError, choices, did_you_mean
 from calib.files import check_no_xacro, read_bytes, write_atomically
-from calib.pickling import Value
 from calib.robot.urdf_tree import UrdfJoint, read_only, read_tree
 from calib.robot.urdf_xml import Document
 from calib.robot.xacro_file import XacroCall, flattened, is_xacro
 from calib.units import Array
+from calib.values.pickling import Value
 
 __all__ = ["Urdf", "UrdfJoint", "find_urdf", "read_only", "read_urdf", "robot_data_urdfs"]
 

@@ -15,9 +15,9 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from calib.errors import UrdfError, choices, did_you_mean
-from calib.pickling import Value
 from calib.robot.urdf_xml import XACRO_FIX, Document, Element
 from calib.units import NUMBER, Array
+from calib.values.pickling import Value
 
 #: The types of joints of URDF.
 JOINT_TYPES = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")

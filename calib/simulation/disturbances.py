@@ -9,10 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.errors import CalibError, choices
-from calib.pickling import Value
 from calib.robot.robot import read_only
 from calib.simulation.random_streams import stream
 from calib.units import Array, Mask
+from calib.values.pickling import Value
 
 
 @dataclass(frozen=True, slots=True)

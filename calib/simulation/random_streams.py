@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.arguments import check_type
 from calib.errors import CalibError
+from calib.values.arguments import check_type
 
 #: Purposes of random numbers. A new one goes to the end: the numbers of the others then stay.
 STREAMS = (

@@ -17,7 +17,6 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 import calib.data.kinds as registry
-from calib.arguments import check_names, check_type, check_whole
 from calib.data.cell import Cell, TrackerNoise
 from calib.data.columns import SETS
 from calib.data.kinds import Kind
@@ -26,15 +25,16 @@ from calib.errors import CalibError, ModelError, choices
 from calib.inputs import ROBOT, RobotInput, cell_of, robot_of
 from calib.mappings import keep_read_only
 from calib.numerics.geometry import vector
-from calib.pickling import Value
 from calib.robot.ranges import joint_ranges
 from calib.robot.robot import Robot, read_only
-from calib.short import one_line
 from calib.simulation.disturbances import Encoder, MovedTarget, Outliers
 from calib.simulation.random_streams import stream
 from calib.simulation.scenario_checks import check_scenario
 from calib.simulation.truth import TARGET_ERROR, Truth, draw_truth
 from calib.units import Array, Mask
+from calib.values.arguments import check_names, check_type, check_whole
+from calib.values.pickling import Value
+from calib.values.short import one_line
 
 Indices = NDArray[np.int_]
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import partial
 
-from calib.arguments import check_mapping, check_number, check_type, check_whole
 from calib.data.surroundings import TrackerNoise
 from calib.model.families import family_of
 from calib.robot.robot import Robot
 from calib.simulation.disturbances import Encoder, MovedTarget, Outliers
+from calib.values.arguments import check_mapping, check_number, check_type, check_whole
 
 #: Attributes of a scenario, their types, and what messages call these.
 _TYPES = (

@@ -26,7 +26,6 @@ from calib.model.error_model import error_model, split_name
 from calib.model.families import FAMILIES, unit_of
 from calib.model.kinematics import Kinematics, Samples
 from calib.model.parameters import ErrorModel, Parameter
-from calib.pickling import Value
 from calib.robot.gravity import gravity_loads
 from calib.robot.payload import Payload
 from calib.robot.ranges import random_joint_values
@@ -34,6 +33,7 @@ from calib.robot.readback import check_written
 from calib.robot.robot import Robot, read_only, rigid_inverse
 from calib.simulation.random_streams import stream
 from calib.units import Array, parse_amount
+from calib.values.pickling import Value
 
 #: Stated place of the target in the tip, if nothing else is given [m]: off the last axis, so that all is seen.
 DEFAULT_PLACE = read_only((0.05, 0.05, 0.05))

@@ -30,13 +30,13 @@ from tornado.web import Application, RequestHandler
 from tornado.websocket import WebSocketHandler
 
 import calib.viewer.scene as stage
-from calib.arguments import check_type
 from calib.data.cell import Cell
 from calib.errors import CalibError, ModelError, choices
 from calib.inputs import ROBOT, RobotInput, robot_of
 from calib.result.calibration import CalibrationValues
 from calib.result.comparison import RESULT, is_result_file, result_of
 from calib.robot.robot import Robot
+from calib.values.arguments import check_type
 from calib.viewer.html_page import floats
 from calib.viewer.page import puppets, view_page
 from calib.viewer.puppet import packed, read_visuals

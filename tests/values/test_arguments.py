@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.arguments import check_type, check_whole, finite_numbers, numbers
 from calib.errors import ArgumentError, CalibError, ModelError
+from calib.values.arguments import check_type, check_whole, finite_numbers, numbers
 
 
 def test_a_wrong_type_is_both_a_type_error_and_one_of_calib():

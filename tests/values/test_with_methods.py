@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from calib.with_methods import as_kind, returning
+from calib.values.with_methods import as_kind, returning
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,7 +12,7 @@ from calib.data.cell import Cell
 from calib.design.choice import PlanRequest
 from calib.planning import plan
 from calib.text.comparison import sentence
-from calib.text.short import rms_text
+from calib.text.shown.short import rms_text
 from calib.text.verdict import reason_text
 
 

@@ -13,7 +13,7 @@ from calib.result.evaluation import EvaluationValues
 from calib.robot.robot import Robot
 from calib.text.comparison import sentence
 from calib.text.layout.lines import mm
-from calib.text.short import before_and_after, rms_text
+from calib.text.shown.short import before_and_after, rms_text
 from calib.text.verdict import reason_text
 
 

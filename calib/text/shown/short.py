@@ -7,8 +7,8 @@ from calib.numerics.errors import Errors
 from calib.result.calibration import CalibrationValues
 from calib.result.evaluation import EvaluationValues
 from calib.robot.robot import Robot
-from calib.short import one_line
 from calib.text.layout.lines import deg, mm, plural
+from calib.values.short import one_line
 
 
 def calibration_line(c: CalibrationValues) -> str:

@@ -29,11 +29,11 @@ from calib.design.choice import PlanRequest
 from calib.errors import ModelError
 from calib.mappings import ReadOnlyMapping
 from calib.model.families import FAMILIES, ONE, Factor, Family, JointState, factor_of
-from calib.pickling import Value, packed
 from calib.planning import plan
 from calib.regions.region import Density
 from calib.robot.robot import Robot, read_only
 from calib.simulation.scenario import Scenario, simulate
+from calib.values.pickling import Value, packed
 
 MADE = (
     "robot", "measurements", "cell", "calibration", "non_geometric", "of_rows", "evaluation", "comparison", "program",

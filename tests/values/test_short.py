@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from calib.short import one_line
+from calib.values.short import one_line
 
 
 def test_parts_that_are_empty_are_left_out():

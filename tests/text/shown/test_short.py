@@ -10,7 +10,7 @@ import pytest
 from calib.calibration import Calibration, evaluate
 from calib.data.cell import Cell
 from calib.numerics.errors import Errors
-from calib.text.short import before_and_after, rms_text
+from calib.text.shown.short import before_and_after, rms_text
 
 
 def test_a_calibration_says_verdict_errors_and_rows(default_result: Calibration):
