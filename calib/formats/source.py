@@ -12,6 +12,7 @@ from calib.formats.notes import Note
 from calib.formats.ur_arms import UrModel
 from calib.formats.ur_conf import Conf
 from calib.inputs import RobotInput, robot_of
+from calib.mappings import keep_read_only
 from calib.robot.robot import Robot
 from calib.units import Array
 from calib.values.pickling import Value
@@ -41,6 +42,10 @@ class Options:
     held: Mapping[str, float] | None = None
     #: Whether a file that exists is replaced.
     overwrite: bool = False
+
+    def __post_init__(self) -> None:
+        """Keep a read-only copy of the held values."""
+        keep_read_only(self, "held")
 
     def load(self, source: RobotInput) -> Robot:
         """Return a robot, given or by its URDF, xacro or name, between the links of these options."""

@@ -138,6 +138,12 @@ def test_a_shallow_copy_of_a_value_is_the_value(made):
         assert copy.copy(value) is value
 
 
+def test_a_robot_is_pickled_without_models_of_pinocchio(made):
+    made["robot"].poses(made["measurements"].joints)
+    assert len(pickle.dumps(made["robot"])) < 50_000
+    assert b"pinocchio" not in pickle.dumps(made["robot"])
+
+
 def test_one_robot_in_many_places_is_pickled_once(made):
     result = made["calibration"]
     again = pickle.loads(pickle.dumps(result))
