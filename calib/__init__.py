@@ -18,8 +18,10 @@ if TYPE_CHECKING:
     from calib.calibration import (
         Calibration as Calibration,
         Comparison as Comparison,
+        Evaluation as Evaluation,
         calibrate as calibrate,
         compare as compare,
+        evaluate as evaluate,
     )
     from calib.circle_points.survey import base_frame as base_frame
     from calib.compensation.commands import Commands as Commands, compensate as compensate
@@ -28,13 +30,12 @@ if TYPE_CHECKING:
     from calib.data.cell import Cell as Cell
     from calib.data.measurements import Measurements as Measurements
     from calib.design.choice import PlanRequest as PlanRequest
-    from calib.design.plan import Plan as Plan, plan as plan
     from calib.diagnosis.inspection import inspect as inspect
     from calib.errors import CalibError as CalibError
-    from calib.fleets.fleet import fleet as fleet
+    from calib.fleets.tables import fleet as fleet
+    from calib.planning import Plan as Plan, plan as plan
     from calib.regions.region import Region as Region
     from calib.regions.workspace import workspace as workspace
-    from calib.result.evaluation import Evaluation as Evaluation, evaluate as evaluate
     from calib.result.uncertainty import bootstrap as bootstrap
     from calib.robot.robot import Robot as Robot
     from calib.simulation.scenario import Scenario as Scenario, simulate as simulate
@@ -44,7 +45,7 @@ from calib.version import __version__ as __version__
 
 #: Where each public name is defined; the functions have the names of the command line's verbs.
 _NAMES = {
-    "calib.calibration": "Calibration Comparison calibrate compare",
+    "calib.calibration": "Calibration Comparison Evaluation calibrate compare evaluate",
     "calib.circle_points.survey": "base_frame",
     "calib.compensation.commands": "Commands compensate",
     "calib.compensation.program": "Program",
@@ -52,13 +53,12 @@ _NAMES = {
     "calib.data.cell": "Cell",
     "calib.data.measurements": "Measurements",
     "calib.design.choice": "PlanRequest",
-    "calib.design.plan": "Plan plan",
     "calib.regions.region": "Region",
     "calib.regions.workspace": "workspace",
     "calib.errors": "CalibError",
     "calib.diagnosis.inspection": "inspect",
-    "calib.fleets.fleet": "fleet",
-    "calib.result.evaluation": "Evaluation evaluate",
+    "calib.fleets.tables": "fleet",
+    "calib.planning": "Plan plan",
     "calib.result.uncertainty": "bootstrap",
     "calib.robot.robot": "Robot",
     "calib.simulation.scenario": "Scenario simulate",

@@ -1,12 +1,10 @@
-"""calibrate and compare, and their results with methods that write them; what these need is imported when called."""
+"""calibrate, evaluate and compare: results with methods that write them, which import what they need when called."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import fields, replace
-from functools import wraps
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, ParamSpec, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,41 +14,95 @@ from calib.model.kinematics import Samples
 from calib.result.calibrate import calibrate as calibrate_values
 from calib.result.calibration import CalibrationValues
 from calib.result.comparison import ComparisonValues, compare as compare_values
+from calib.result.evaluation import EvaluationValues, evaluate as evaluate_values
 from calib.robot.ranges import random_joint_values
 from calib.robot.readback import check_written
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
 from calib.text.verdict import against, refusal
+from calib.values.arguments import check_path
+from calib.values.with_methods import as_kind, returning
 
-__all__ = ["TARGET_LINK", "Calibration", "Comparison", "calibrate", "compare"]
-
-P = ParamSpec("P")
-T = TypeVar("T")
+__all__ = [
+    "TARGET_LINK",
+    "Calibration",
+    "Comparison",
+    "Evaluation",
+    "calibrate",
+    "compare",
+    "evaluate",
+]
 
 #: Name of the link that carries the target in a corrected URDF, when asked for.
 TARGET_LINK = "calib_target"
 
 
-def _as(kind: type[T], values: Any) -> T:  # noqa: ANN401  a dataclass that T extends
-    """Return the values of a dataclass as an object of a class that extends it with methods."""
-    return kind(**{field.name: getattr(values, field.name) for field in fields(values)})
-
-
-def _returning(kind: type[T], function: Callable[P, object]) -> Callable[P, T]:
-    """Return a function with its result as an object of a class with more methods, see `_as`."""
-
-    @wraps(function)
-    def call(*args: P.args, **kwargs: P.kwargs) -> T:
-        return _as(kind, function(*args, **kwargs))
-
-    call.__module__ = __name__
-    return call
-
-
 class Calibration(CalibrationValues):
     """The result of `calibrate`: the values of `calib.result.calibration.CalibrationValues`, and what writes them.
 
-    There are two ways to get one: `calib.calibrate`, and `Calibration.read_json` of a file that `write_json` wrote.
+    There are two ways to get one: `calib.calibrate`, and `Calibration.read_json` of a file that `write_json` wrote. It
+    can be pickled and copied, with measurements and fit if it has them. Arrays are read-only. N rows of the table, p
+    parameters of the geometry, m measured joints, D columns of a residual: three of lengths, then of angles.
+
+    The robot:
+
+        nominal              Robot, as given
+        robot                Robot, its URDF corrected: the geometry
+        non_geometric        NonGeometric, the model with errors of the joints' state; None if there is none
+        setup                Setup, frames (T_frame_base) and targets (T_tip_target) as estimated or given [m]
+        nominal_setup        Setup, those of the nominal robot
+        T_frame_base         (4, 4) [m], pose of the base in the first measurement frame
+        target               (3,) [m], position of the first target in the tip
+        frame_estimated      whether the measurement frames were estimated
+
+    Trust:
+
+        verdict              Verdict, its use and its reasons; None without cross-validation
+        errors               errors["nominal" | "calibrated" | "non_geometric"]["estimation" | "validation"]: Errors
+        cross_validation     CrossValidation, errors on held-out rows; None without
+        nominal_cross_validation  the same of the nominal robot
+        new_point            (near the measured poses, over the joint limits), expected error, rms [m]
+        expected_measured    rms standard deviation of predictions at the measured poses [m]
+        expected_everywhere  the same over the joint limits [m]
+        expected_elsewhere   the same with what the model lacks [m]
+        extrapolation        squared error of extrapolated predictions over that by the covariance, 1 or more
+        robustness           Robustness, the fit with and without lowered weights; None without outliers
+        outliers, suspects   Outliers among the fitted rows, and among the validation rows
+        outside              OutsideRows, validation rows outside of the fitted joint values
+
+    The rows:
+
+        rows                 RowNames: numbers, sets, kinds, stations and targets of the N rows
+        source               Source, name and hash of the table
+        residual_nominal     (N, D) [m], [rad], measured minus predicted by the nominal robot
+        residual_calibrated  (N, D) [m], [rad], by the calibrated robot
+        used                 (N, D), True for the scalars that were measured
+        scores, weights      (N,), deleted residual and weight in the fit of each row
+        flag_limit           score above which a row is flagged
+        ranges               (m, 2) [rad] or [m], least and greatest joint values of fitted rows
+        sigma, sigma_angle   noise of one measured length [m], of one angle [rad]; sigma_given, sigma_angle_given as
+                             the cell or the table states it
+        repeats              Repeats, scatter of rows that repeat a pose; None where none does
+        freedom              degrees of freedom left for the noise
+
+    The parameters of the geometry:
+
+        model                ErrorModel: names, units and places of the p parameters
+        parameters           p ParameterEstimates: nominal and calibrated value, standard deviation, interval
+        x                    (p,), their offsets from the nominal robot [m], [rad]
+        covariance           (p, p), of x
+        kinematics           Kinematics, the nominal robot under the model
+        base_motion          (6, p), motion of the base that compensates each; None where rows tell where it stands
+        prior_std            prior standard deviation of each family, in its unit; prior_std_from, its source
+        frozen, ties         parameters that were kept, and those that follow another one
+        observability        Observability, rank and unobservable combinations
+        candidates           Candidates that "auto" chose from
+        solver, solution     name of the solver, and its Solution; seconds, its time [s]
+
+    In memory only (ModelError where the result was read from a file, which does not hold them):
+
+        measurements, cell   as given
+        fitted               Fitted, the fit of the geometry; fit, FitInMemory with all of these, None from a file
     """
 
     __slots__ = ()
@@ -70,7 +122,19 @@ class Calibration(CalibrationValues):
         """
         from calib.result.calibration_file import read_result
 
-        return _as(cls, read_result(path))
+        return as_kind(cls, read_result(path))
+
+    def __repr__(self) -> str:
+        """One line: the nominal robot, the verdict, rms error before and after on held-out rows, number of rows."""
+        from calib.text.shown.short import calibration_line
+
+        return calibration_line(self)
+
+    def _repr_html_(self) -> str:
+        """A small table for notebooks: the verdict and its first reason, errors before and after."""
+        from calib.text.shown.notebook import calibration_html
+
+        return calibration_html(self)
 
     def summary(self) -> str:
         """Return the result as text, without colours."""
@@ -142,6 +206,7 @@ class Calibration(CalibrationValues):
             ModelError: Several targets, which one link cannot stand for.
             FileError: The file exists, or cannot be written.
         """
+        check_path("path", path)
         verdict_against = against(self.verdict)
         if verdict_against and not accept:
             raise VerdictError(refusal(f"'{path}'", verdict_against))
@@ -162,6 +227,7 @@ class Calibration(CalibrationValues):
         """
         from calib.result.calibration_file import write_result
 
+        check_path("path", path)
         return write_result(self, path, overwrite=overwrite)
 
     def write_report(self, path: str | Path, *, overwrite: bool = False) -> Path:
@@ -180,6 +246,7 @@ class Calibration(CalibrationValues):
         """
         from calib.report.report import write_report
 
+        check_path("path", path)
         return write_report(self, path, overwrite=overwrite)
 
 
@@ -213,6 +280,12 @@ class Comparison(ComparisonValues):
 
     __slots__ = ()
 
+    def _repr_html_(self) -> str:
+        """A small table for notebooks: the answer, and both results."""
+        from calib.text.shown.notebook import comparison_html
+
+        return comparison_html(self)
+
     def summary(self) -> str:
         """Return the comparison as text, without colours, in 100 columns."""
         from calib.text.comparison import comparison_text
@@ -240,8 +313,34 @@ class Comparison(ComparisonValues):
         """
         from calib.result.calibration_file import write_table
 
+        check_path("path", path)
         return write_table(self.table(), path, overwrite=overwrite)
 
 
-calibrate = _returning(Calibration, calibrate_values)
-compare = _returning(Comparison, compare_values)
+class Evaluation(EvaluationValues):
+    """The result of `evaluate`: the values of `calib.result.evaluation.EvaluationValues`, and what writes them."""
+
+    __slots__ = ()
+
+    def __repr__(self) -> str:
+        """One line: the robot, rms errors, number of rows."""
+        from calib.text.shown.short import evaluation_line
+
+        return evaluation_line(self)
+
+    def _repr_html_(self) -> str:
+        """A small table for notebooks: errors by set."""
+        from calib.text.shown.notebook import evaluation_html
+
+        return evaluation_html(self)
+
+    def summary(self) -> str:
+        """Return the evaluation as text, without colours, in 100 columns, as ``calib evaluate`` prints it."""
+        from calib.text.evaluation import evaluation_text
+
+        return evaluation_text(self)
+
+
+calibrate = returning(Calibration, calibrate_values, __name__)
+compare = returning(Comparison, compare_values, __name__)
+evaluate = returning(Evaluation, evaluate_values, __name__)

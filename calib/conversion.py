@@ -9,52 +9,87 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from calib.errors import VerdictError
+from calib.errors import VerdictError, choices
 from calib.formats.convert import FORMATS, Conversion, Options, Source, read_source
+from calib.inputs import ROBOT, RobotInput
+from calib.result.calibration import CalibrationValues
+from calib.robot.robot import Robot
 from calib.text.verdict import against, refusal
+from calib.values.arguments import check_type
 
 __all__ = ["convert"]
 
 
 def convert(
-    source: str,
+    source: CalibrationValues | RobotInput,
     path: str | Path,
-    options: Options | None = None,
     *,
+    to: str | None = None,
+    robot: RobotInput | None = None,
+    options: Options | None = None,
+    overwrite: bool = False,
     accept: bool = False,
 ) -> Conversion:
-    """Read a file or the name of a robot, and write it in another format.
+    """Write a calibration or a robot in the format of a controller, of ROS or of another program.
 
     What is written is read back and compared with the robot before it appears.
 
     Args:
-        source: A result, a controller's file, an origins file, a URDF or xacro, or the name of a robot.
+        source: A calibration; a robot; or the path of a result, a controller's file, an origins file, a URDF or a
+            xacro; or the name of a robot.
         path: The file to write.
-        options: What goes with the conversion, such as ``to``, the format; None: the file's ending
-            says the format, and nothing goes with it.
+        to: Name of the format, such as ``"dh"``, one of `calib.formats.convert.FORMATS`; None: by the file's ending.
+        robot: The nominal robot, or its URDF, xacro or name; None: that of the calibration.
+        options: What else goes with the conversion, such as ``hash_from``; None: nothing. Arguments beside it win.
+        overwrite: Whether a file that exists is replaced.
         accept: Whether to write even where the verdict is ``do not use``; a URDF then states it in a comment.
 
     Returns:
         What was read and written, and what there is to say about it.
 
     Raises:
+        ArgumentError: An argument of another type.
         VerdictError: The verdict on the source is ``do not use``, and ``accept`` is not given.
         FileError: A file cannot be read or written.
         UrdfError: A URDF cannot be read, or, read back, is not the robot.
         ModelError: The robot has no form in this format, or things do not fit each other.
         CalibError: Something that the format needs was not given.
     """
-    options = options or Options()
+    check_type(
+        "source",
+        source,
+        (CalibrationValues, Robot, str, Path),
+        f"a Calibration; {ROBOT}; or another file",
+    )
+    check_type("path", path, (str, Path), "the path of the file to write")
+    check_type("to", to, (str, type(None)), f"one of {choices(FORMATS)}, or None")
+    check_type(
+        "options", options, (Options, type(None)), "Options, or None; the format's name is 'to'"
+    )
+    asked = _with_arguments(options or Options(), to, robot, overwrite=overwrite)
     path = Path(path)
-    content, format_name = read_source(source, path, options)
+    content, format_name = read_source(source, path, asked)
     verdict_against = _verdict_against(content)
     if verdict_against and not accept:
-        raise VerdictError(refusal(f"'{source}'", verdict_against))
+        named = f"'{source}'" if isinstance(source, (str, Path)) else "the calibration"
+        raise VerdictError(refusal(named, verdict_against))
     urdf = content.robot.urdf.with_verdict(verdict_against)
     if urdf != content.robot.urdf:
         content = replace(content, robot=replace(content.robot, urdf=urdf))
-    notes = FORMATS[format_name].write(content, path, options)
+    notes = FORMATS[format_name].write(content, path, asked)
     return Conversion(content, format_name, path, notes, verdict_against)
+
+
+def _with_arguments(
+    options: Options, to: str | None, robot: RobotInput | None, *, overwrite: bool
+) -> Options:
+    """Return options with the arguments of `convert` that are among them, where these are given."""
+    return replace(
+        options,
+        to=options.to if to is None else to,
+        robot=options.robot if robot is None else robot,
+        overwrite=overwrite or options.overwrite,
+    )
 
 
 def _verdict_against(source: Source) -> str:

@@ -38,6 +38,10 @@ class CalibError(Exception):
         super().__init__(text)
 
 
+class ArgumentError(CalibError, TypeError):
+    """An argument of a function has a wrong type; the text names it, what was given, and what is allowed."""
+
+
 class UrdfError(CalibError):
     """A URDF cannot be read, has no such link or joint, or cannot be written back faithfully."""
 

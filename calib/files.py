@@ -12,6 +12,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from calib.errors import FileError
+from calib.values.arguments import check_path
 
 #: Bytes read from pipes, by device and inode: a pipe cannot be read twice, and a command looks at a table repeatedly.
 _PIPED: dict[tuple[int, int], bytes] = {}
@@ -27,6 +28,7 @@ def read_bytes(path: str | os.PathLike[str], what: str) -> bytes:
     Raises:
         FileError: It does not exist, is a folder, or cannot be read.
     """
+    check_path("path", path)
     name = "/dev/stdin" if os.fspath(path) == "-" else path
     try:
         status = os.stat(name)  # noqa: PTH116  a name as it is
@@ -99,6 +101,7 @@ def check_writable(path: str | os.PathLike[str], *, overwrite: bool = True) -> N
     Raises:
         FileError: As `write_atomically` would raise.
     """
+    check_path("path", path)
     try:
         target = Path(path).resolve()
         exists = target.exists()
@@ -123,6 +126,7 @@ def check_writable(path: str | os.PathLike[str], *, overwrite: bool = True) -> N
 
 def check_no_xacro(path: str | os.PathLike[str]) -> None:
     """Refuse the name of a xacro for a file that is to be written as a URDF, with macros and arguments expanded."""
+    check_path("path", path)
     if Path(path).name.lower().endswith(".xacro"):
         raise FileError(
             f"'{path}' is the name of a xacro, and what is written is a URDF; name it .urdf. A xacro stays one if it "

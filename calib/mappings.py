@@ -1,12 +1,14 @@
 """Mappings that cannot be changed, and can be copied, pickled and sent to other processes.
 
-`types.MappingProxyType` can be neither pickled nor deep-copied; the values of calib can, so they hold this instead.
+A ``types.MappingProxyType`` can be neither pickled nor deep-copied; the values of calib can, so they hold this instead.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from typing import Any, Generic, TypeVar
+
+from calib.values.pickling import packed
 
 Key = TypeVar("Key")
 Value = TypeVar("Value", covariant=True)
@@ -46,5 +48,22 @@ class ReadOnlyMapping(Mapping[Key, Value], Generic[Key, Value]):
         return repr(self._entries)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle and copy by the entries."""
-        return ReadOnlyMapping, (self._entries,)
+        """Pickle and copy by the entries; arrays among them stay read-only."""
+        return ReadOnlyMapping, (packed(self._entries),)
+
+    def __copy__(self) -> ReadOnlyMapping[Key, Value]:
+        """Return the mapping itself: it cannot be changed."""
+        return self
+
+
+def keep_read_only(value: object, *names: str) -> None:
+    """Replace mappings that a frozen dataclass was made with by read-only copies, as its ``__post_init__`` does.
+
+    Args:
+        value: The dataclass.
+        names: Names of its mappings; one that is None stays None.
+    """
+    for name in names:
+        entries = getattr(value, name)
+        if entries is not None:
+            object.__setattr__(value, name, ReadOnlyMapping(entries))

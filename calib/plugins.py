@@ -135,15 +135,13 @@ def load_installed() -> tuple[Plugin, ...]:
 
 
 def load_sent(plugins: Sequence[Plugin]) -> None:
-    """Load in a worker the plugins of the process that sends the jobs, in the same order.
-
-    Kinds of measurement are numbered by their order, so a worker that has loaded others first is refused.
+    """Load in a worker the plugins of the process that sends the jobs.
 
     Args:
         plugins: `loaded` of that process.
 
     Raises:
-        PluginError: One cannot be loaded, differs from the one sent, or the worker has others.
+        PluginError: One cannot be loaded, or differs from the one sent.
     """
     where = f"A worker on '{platform.node()}'"
     for plugin in plugins:
@@ -156,13 +154,6 @@ def load_sent(plugins: Sequence[Plugin]) -> None:
                 f"{where} has other contents of the plugin '{plugin.source}'. Give all machines the same file, and "
                 "start the workers anew."
             )
-    sources = [plugin.source for plugin in plugins]
-    if [plugin.source for plugin in _LOADED[: len(plugins)]] != sources:
-        has = choices(plugin.source for plugin in _LOADED)
-        raise PluginError(
-            f"{where} has loaded the plugins {has}, the jobs need {choices(sources)} in this order. Start the workers "
-            "anew."
-        )
 
 
 # Names

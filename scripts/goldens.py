@@ -88,9 +88,10 @@ def api_workspace() -> dict[str, Any]:
     """Sample a workspace and find its densest part."""
     import calib
     from calib.regions.region import Density
+    from calib.regions.workspace import workspace_points
 
     robot = calib.Robot.load("robot.urdf", base="base", tip="tool0")
-    points = calib.workspace(robot, [-0.07, 0.07, 0.022], count=2**13)
+    points = workspace_points(robot, [-0.07, 0.07, 0.022], count=2**13)
     volume = Density.of(points).region(0.9).volume
     return {"volume": volume, "points": json_content(np.asarray(points).tolist())}
 

@@ -22,7 +22,7 @@ from calib.data.measurements import Measurements
 from calib.design.candidates import draw, planning_ranges
 from calib.design.choice import PlanRequest
 from calib.design.forecast import Forecast, Workspace
-from calib.design.plan import Plan, plan
+from calib.design.plan import PlanValues, plan
 from calib.design.sensitivity import Sensitivity
 from calib.example import PAPER_TARGET, paper_measurements, paper_urdf
 from calib.numerics.geometry import pose_of
@@ -58,7 +58,7 @@ def surroundings() -> Cell:
 
 def free_plan(
     count: int, candidates: int, criterion: str = "V", model: str = "hayati"
-) -> tuple[Plan, float]:
+) -> tuple[PlanValues, float]:
     """Plan poses among free candidates.
 
     Args:

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+import inspect
+import re
+from dataclasses import fields, replace
 from pathlib import Path
 
 import pytest
 
+import calib
 from calib.calibration import Calibration, calibrate
 from calib.diagnosis.reasons import CARE, NO, USE, Reason, Verdict, Why
 from calib.errors import CalibError, VerdictError
+from calib.result.acceptance import assess
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
 from calib.simulation.scenario import Scenario
+from calib.text.evaluation import assessment_text
 from tests.fleets.arms import CELL
 
 LOST = Reason.of(Why.PARAMETER_FAR, largest=0.2)
@@ -65,3 +70,28 @@ def test_what_an_earlier_calibration_stated_does_not_stay(result: Calibration, t
     again = judged(later, NO).write_urdf(tmp_path / "b.urdf", accept=True)
     assert again.read_bytes().count(b"calib verdict") == 1
     assert "parameter_far" in Urdf.read(again).verdict
+
+
+def test_the_summary_of_an_evaluation_is_what_the_command_line_prints(ur3: Robot, table):
+    evaluation = calib.evaluate(ur3, table, CELL)
+    assessment = assess(ur3, table, CELL)
+    assert assessment_text(assessment, "", "as given").startswith(evaluation.summary())
+
+
+def test_help_lists_every_attribute_of_a_calibration():
+    text = inspect.getdoc(Calibration)
+    names = {field.name for field in fields(Calibration)}
+    names |= {
+        name
+        for kind in Calibration.__mro__
+        for name, value in vars(kind).items()
+        if isinstance(value, property) and not name.startswith("_")
+    }
+    missing = {name for name in names if not re.search(rf"\b{name}\b", text)}
+    assert missing <= {"fit_in_memory", "tells_place"}
+
+
+@pytest.mark.parametrize("name", ["predict", "predict_poses", "position_std", "tip_poses"])
+def test_the_first_line_of_a_prediction_says_by_which_model(name: str):
+    first = inspect.getdoc(getattr(Calibration, name)).splitlines()[0]
+    assert "non-geometric model if there is one, else" in first

@@ -9,7 +9,7 @@ import pytest
 
 from calib.conversion import convert
 from calib.diagnosis.reasons import CARE, NO, Reason, Verdict, Why
-from calib.errors import VerdictError
+from calib.errors import FileError, VerdictError
 from calib.formats.convert import FORMATS, Options
 from calib.result.calibration_file import read_result, write_result
 from calib.robot.urdf import Urdf
@@ -37,9 +37,9 @@ def test_no_format_is_written_of_what_is_not_to_be_used(shop: Path, tmp_path: Pa
     path = tmp_path / f"made{ENDINGS.get(name, '.csv')}"
     options = Options(to=name, hash_from=shop / "calibration.conf", ur_model="UR3")
     with pytest.raises(VerdictError, match="parameter_far"):
-        convert(str(shop / "bad.json"), path, options)
+        convert(str(shop / "bad.json"), path, options=options)
     assert not path.exists()
-    done = convert(str(shop / "bad.json"), path, options, accept=True)
+    done = convert(str(shop / "bad.json"), path, options=options, accept=True)
     assert done.against.startswith("do not use (parameter_far): ")
     assert path.exists()
 
@@ -56,16 +56,16 @@ def test_a_urdf_that_states_it_is_refused_like_the_result(shop: Path, tmp_path: 
     for to in ("origins", "urdf"):
         path = tmp_path / f"made{ENDINGS[to]}"
         with pytest.raises(VerdictError, match="parameter_far"):
-            convert(source, path, replace(options, to=to))
+            convert(source, path, options=replace(options, to=to))
         assert not path.exists()
     nominal = replace(options, robot=str(shop / "robot.urdf"))
-    convert(source, tmp_path / "again.urdf", nominal, accept=True)
+    convert(source, tmp_path / "again.urdf", options=nominal, accept=True)
     assert Urdf.read(tmp_path / "again.urdf").verdict == Urdf.read(source).verdict
 
 
 def test_a_file_on_a_urdf_that_states_an_earlier_verdict_does_not_inherit_it(shop, tmp_path):
     options = Options(robot=str(shop / "bad.urdf"), base="base", tip="tool0")
-    convert(str(shop / "origins.yaml"), tmp_path / "made.urdf", options)
+    convert(str(shop / "origins.yaml"), tmp_path / "made.urdf", options=options)
     assert Urdf.read(tmp_path / "made.urdf").verdict == ""
 
 
@@ -74,6 +74,29 @@ def test_a_file_on_a_urdf_that_states_an_earlier_verdict_does_not_inherit_it(sho
     [("care.json", "use with care"), ("none.json", "none, the result was not validated")],
 )
 def test_the_verdict_is_printed(shop: Path, tmp_path: Path, source: str, said: str):
-    done = convert(str(shop / source), tmp_path / "made.csv", Options(to="dh"))
+    done = convert(str(shop / source), tmp_path / "made.csv", to="dh")
     assert done.against == ""
     assert f"Verdict on {source}: {said}" in " ".join(text(done, source).split())
+
+
+def test_a_calibration_and_a_robot_are_written_as_their_files_are(shop: Path, tmp_path: Path):
+    result = read_result(shop / "care.json")
+    expected = convert(shop / "care.json", tmp_path / "expected.csv", to="hayati").path.read_bytes()
+    made = convert(result, tmp_path / "made.csv", to="hayati")
+    assert made.path.read_bytes() == expected
+    assert made.source.kind == "result"
+    of_robot = convert(result.robot, tmp_path / "robot.csv", to="hayati", robot=result.nominal)
+    assert of_robot.path.read_bytes() == expected
+    assert (
+        convert(result.robot, tmp_path / "robot.urdf").path.read_bytes() == result.robot.urdf.data
+    )
+    with pytest.raises(FileError, match=r"made\.csv"):
+        convert(result, tmp_path / "made.csv", to="hayati")
+    convert(result, tmp_path / "made.csv", to="hayati", overwrite=True)
+
+
+def test_a_calibration_that_is_not_to_be_used_is_refused(shop: Path, tmp_path: Path):
+    result = read_result(shop / "bad.json")
+    with pytest.raises(VerdictError, match="parameter_far"):
+        convert(result, tmp_path / "made.csv", to="dh")
+    assert convert(result, tmp_path / "made.csv", to="dh", accept=True).against

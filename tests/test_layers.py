@@ -16,6 +16,7 @@ MODULES = sorted(CALIB.rglob("*.py"))
 ORDER = (
     "version",
     "errors",
+    "values",
     "mappings",
     "units",
     "channels",
@@ -29,6 +30,7 @@ ORDER = (
     "numerics",
     "model",
     "data",
+    "inputs",
     "registration",
     "estimate",
     "selection",
@@ -43,6 +45,7 @@ ORDER = (
     "text",
     "report",
     "calibration",
+    "planning",
     "conversion",
     "fleets",
     "viewer",

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 ROOT = Path(__file__).parents[1]
@@ -153,3 +155,28 @@ def test_what_five_more_poses_are_worth_is_so():
     assert [float(one) for one in said.groups()] == pytest.approx(
         [1e3 * one.rms for one in found if one is not None], rel=0.02
     )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", ["workspace.md", "convert.md", "quick-start.md"])
+def test_the_python_of_a_page_runs_on_files_of_its_names(page, tmp_path, monkeypatch):
+    import calib
+    from calib.regions.region import Density
+    from calib.regions.region_file import write_region
+    from calib.regions.region_rows import RegionView
+    from calib.regions.workspace import workspace_points
+    from calib.robot.ranges import joint_ranges
+
+    monkeypatch.chdir(tmp_path)
+    shutil.copy(ROOT / "urdf" / "ur3.urdf", "robot.urdf")
+    shutil.copy(ROOT / "calib" / "example" / "ur3_leica.csv", "data.csv")
+    cell = calib.Cell(base="base", tip="tool0", model="zeros")
+    result = calib.calibrate("robot.urdf", "data.csv", cell=cell, validate=False)
+    density = Density.of(workspace_points(result.nominal, count=2**12))
+    ranges = joint_ranges(result.nominal)
+    view = RegionView(result.nominal, np.zeros(3), ranges, density, density.region(), None)
+    write_region(view, "region.json", 0)
+    names = {"calib": calib, "result": result, "q": result.measurements.joints}
+    text = (ROOT / "docs" / page).read_text(encoding="utf-8")
+    for code in re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL):
+        exec(compile(code, page, "exec"), names)

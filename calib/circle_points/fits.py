@@ -28,6 +28,7 @@ from calib.circle_points.orthogonal_distances import (
 from calib.errors import CalibError
 from calib.robot.robot import read_only
 from calib.units import Array, Mask
+from calib.values.pickling import Value
 
 #: Fewest points: those that determine the figure and one more, or there is nothing to tell the noise from.
 FEWEST = 4
@@ -49,7 +50,7 @@ _VAGUE = 0.25
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Plane:
+class Plane(Value):
     """Plane through N points."""
 
     #: On the plane, the points' weighted mean, shape (3,) [m]

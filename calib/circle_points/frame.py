@@ -30,6 +30,7 @@ from calib.errors import CalibError, UrdfError
 from calib.model.dh_table import zero_poses
 from calib.robot.robot import Robot, read_only, rigid_inverse
 from calib.units import Array
+from calib.values.pickling import Value
 
 #: Axis 1 at a smaller angle than this to the plane does not meet it anywhere near [rad].
 SLANT_RAD = float(np.radians(30.0))
@@ -86,7 +87,7 @@ def nominal_axes(robot: Robot) -> tuple[Line, ...]:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class BaseFrame:
+class BaseFrame(Value):
     """Base frame and its uncertainty."""
 
     #: Pose of the base in the tracker's frame, shape (4, 4) [m]

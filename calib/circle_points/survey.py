@@ -36,9 +36,12 @@ from calib.circle_points.frame import (
 )
 from calib.circle_points.sweeps import Sweeps
 from calib.errors import CalibError, MeasurementError, choices
+from calib.inputs import RobotInput, robot_of
 from calib.json_files import JsonLayout
 from calib.robot.robot import Robot, read_only, rigid_inverse
 from calib.units import Array
+from calib.values.arguments import check_flags, check_number, check_type
+from calib.values.pickling import Value
 
 #: Kind and version of the table for JSON.
 SCHEMA = "base-frame 2"
@@ -54,7 +57,7 @@ _SIGMAS = 6.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class JointAxis:
+class JointAxis(Value):
     """Axis of a joint, from its sweep."""
 
     #: Name of the joint
@@ -92,7 +95,7 @@ class AxisPair:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Survey:
+class Survey(Value):
     """Results of all sweeps."""
 
     #: The base frame
@@ -113,7 +116,7 @@ class Survey:
 
 def base_frame(
     sweeps: Sweeps,
-    robot: Robot | None = None,
+    robot: RobotInput | None = None,
     *,
     plane_offset: float = 0.0,
     robust: bool = True,
@@ -122,7 +125,8 @@ def base_frame(
 
     Args:
         sweeps: Of the plane, of the joints 1 and 2, and of others if they were swept.
-        robot: Its URDF places the base frame on the axes; None: z is axis 1, y axis 2.
+        robot: Its URDF places the base frame on the axes; or the path of a URDF or xacro, or a name such as ``"ur3"``;
+            None: z is axis 1, y axis 2.
         plane_offset: Distance of the plane's points from it, towards the robot: the radius of the ball [m].
         robust: True to reject outliers, and to name them in the findings.
 
@@ -133,9 +137,15 @@ def base_frame(
         MeasurementError: A sweep is missing, is not that of its joint, or no figure fits it.
         UrdfError: The robot's chain is not one of turning joints.
     """
+    check_type(
+        "sweeps", sweeps, Sweeps, "Sweeps, such as calib.circle_points.sweeps.read_sweeps reads"
+    )
+    check_number("plane_offset", plane_offset)
+    check_flags(robust=robust)
+    arm = None if robot is None else robot_of(robot)
     _check_sweeps(sweeps)
     plane, circles = _fitted_figures(sweeps, robust=robust)
-    nominal = None if robot is None else nominal_axes(robot)
+    nominal = None if arm is None else nominal_axes(arm)
     values = _mean_joint_values(sweeps)
     T_axes_base = _pose_of_base(nominal, values)
     with _at(f"{sweeps.source}, plane and sweeps of the joints 1 and 2"):
@@ -146,8 +156,8 @@ def base_frame(
     geometry = _geometry_of_axes(lines, [plane, *circles], values, T_axes_base)
     joints = _joint_axes(sweeps, circles, geometry)
     pairs = _axis_pairs(joints, geometry, nominal)
-    if robot is not None:
-        _check_pairs(pairs, robot)
+    if arm is not None:
+        _check_pairs(pairs, arm)
     return Survey(frame, plane, joints, pairs, _all_findings(sweeps, [plane, *circles]))
 
 

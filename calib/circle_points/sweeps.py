@@ -21,6 +21,7 @@ from calib.data.values import read_values
 from calib.errors import MeasurementError, choices
 from calib.robot.robot import read_only
 from calib.units import Array
+from calib.values.pickling import Value
 
 #: Name of the points on the mounting plane.
 PLANE = "plane"
@@ -33,7 +34,7 @@ _POINT_NAME = re.compile(r"(.*?)[ _\-.:]*[0-9]+")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sweep:
+class Sweep(Value):
     """Points of one sweep, in the order in which they were measured."""
 
     #: The joint of the chain that turns, from 0; None for the plane
@@ -61,7 +62,7 @@ class Sweep:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sweeps:
+class Sweeps(Value):
     """Sweeps of a file."""
 
     #: The plane first, then the joints in the order of the chain; one of each at most

@@ -14,6 +14,7 @@ calibration, 1987 ("compensation").
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
@@ -39,13 +40,19 @@ from calib.compensation.warnings import (
     warnings_of,
     within,
 )
+from calib.data.cell import Cell
 from calib.diagnosis.reasons import NO
 from calib.errors import VerdictError
+from calib.inputs import ROBOT, RobotInput, robot_of
 from calib.result.calibration import CalibrationValues
+from calib.result.comparison import RESULT, is_result_file, result_of
 from calib.robot.payload import Payload
 from calib.robot.ranges import column_limits
 from calib.robot.robot import Robot, read_only, rigid_inverse
 from calib.units import Array, Mask
+from calib.values.arguments import check_type, finite_numbers
+from calib.values.pickling import Value
+from calib.values.short import one_line
 
 #: A pose that the nominal robot misses by more than this is matched in part [m].
 _PARTLY = 1e-6
@@ -65,7 +72,7 @@ _CORRECTIONS = 6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Commands:
+class Commands(Value):
     """Commands that bring the true robot to the poses of a program; rows that cannot be reached are NaN."""
 
     #: The robot as its controller has it and the actual one, their tools, the frame of the poses.
@@ -96,6 +103,15 @@ class Commands:
     reasons: tuple[CommandWarning | None, ...]
     #: Of each row that has one.
     warnings: tuple[tuple[CommandWarning, ...], ...]
+
+    def __repr__(self) -> str:
+        """Return one line: the robot, how many rows have a command, the largest correction of a position."""
+        reached = int(self.reached.sum())
+        largest = ""
+        if reached:
+            largest = f"corrections up to {1e3 * np.nanmax(self.pose_corrections[:, 0]):.3f} mm"
+        counts = f"{reached} of {len(self)} rows with a command"
+        return one_line("Commands", f"'{self.nominal.name}'", counts, largest)
 
     def __len__(self) -> int:
         """Return the number of rows."""
@@ -131,10 +147,10 @@ class Commands:
 
 
 def compensate(
-    calibration: CalibrationValues | Robot,
+    calibration: CalibrationValues | RobotInput,
     program: Program,
     *,
-    nominal: Robot | None = None,
+    nominal: RobotInput | None = None,
     tool: ArrayLike | str | None = None,
     frame: ArrayLike | str | None = None,
     tolerance: tuple[float, float] = (1e-8, 1e-8),
@@ -144,9 +160,11 @@ def compensate(
     """Compute commands that bring the true robot to the poses of a program.
 
     Args:
-        calibration: The model of the true robot: a result, or a corrected robot.
+        calibration: The model of the true robot: a result, or the path of its file (.json); or a corrected robot, the
+            path of its URDF or xacro, or its name.
         program: The poses to reach.
-        nominal: The model that its controller has; None: the nominal robot of the result.
+        nominal: The model that its controller has, or the path of its URDF or xacro, or its name; None: the nominal
+            robot of the result.
         tool: What is to arrive: a pose in the tip, shape (4, 4) [m], or a position, shape (3,); or the name of a target
             of the calibration ("" for the only one), where the calibrated model has it; None: the tip itself.
         frame: The base in the frame that poses are given and sent in, shape (4, 4) [m], or the name of a group of the
@@ -160,10 +178,16 @@ def compensate(
         The commands, a row for each of the program.
 
     Raises:
+        ArgumentError: An argument of another type.
         VerdictError: That verdict is ``do not use``, or a corrected robot's URDF states it, and it is not accepted.
         ModelError: A tool, frame or joint that does not exist, a program of another robot, or no nominal robot.
     """
-    pair = pair_of(calibration, nominal, tool=tool, frame=frame, non_geometric=non_geometric)
+    check_type("program", program, Program, "a Program, such as Program.of_poses(T)")
+    _check_tolerance(tolerance)
+    check_type("non_geometric", non_geometric, (bool, Payload), "True, False, or a Payload")
+    pair = pair_of(
+        *_models(calibration, nominal), tool=tool, frame=frame, non_geometric=non_geometric
+    )
     if not accept:
         _check_verdict(pair)
     tolerance = (max(tolerance[0], _EXACT), max(tolerance[1], _EXACT))
@@ -174,6 +198,42 @@ def compensate(
     solution = solve(pair.actual, T_wanted, nominal_solution.q, matching, limits)
     solved = _SolvedProgram(pair, matching, T_wanted, nominal_solution, solution)
     return _assemble(program, solved, tolerance)
+
+
+def _models(
+    calibration: CalibrationValues | RobotInput, nominal: RobotInput | None
+) -> tuple[CalibrationValues | Robot, Robot | None]:
+    """Return the models of the true robot and of the controller, read where paths or names were given.
+
+    One that is read has the chain of the other one, if that is known.
+    """
+    allowed = f"{RESULT}; or {ROBOT}"
+    check_type("calibration", calibration, (CalibrationValues, Robot, str, Path), allowed)
+    check_type("nominal", nominal, (Robot, str, Path, type(None)), f"{ROBOT}, or None")
+    true: CalibrationValues | Robot
+    if isinstance(calibration, (CalibrationValues, Robot)):
+        true = calibration
+    elif is_result_file(calibration):
+        true = result_of(calibration)
+    else:
+        true = robot_of(calibration, _chain_of(nominal), argument="calibration")
+    if nominal is None or isinstance(nominal, Robot):
+        return true, nominal
+    known = true if isinstance(true, Robot) else true.nominal
+    return true, robot_of(nominal, _chain_of(known), argument="nominal")
+
+
+def _check_tolerance(tolerance: object) -> None:
+    """Refuse a tolerance that is no pair of finite numbers."""
+    allowed = "an error in position [m] and one in angle [rad], such as (1e-8, 1e-8)"
+    finite_numbers("tolerance", tolerance, (2,), allowed)
+
+
+def _chain_of(robot: object) -> Cell | None:
+    """Return the base, the tip and the held joints of a robot, as a cell; None if it is not known."""
+    if not isinstance(robot, Robot):
+        return None
+    return Cell(base=robot.base, tip=robot.tip, held=robot.held)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

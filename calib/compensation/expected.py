@@ -36,6 +36,7 @@ from calib.result.calibration import CalibrationValues
 from calib.result.prediction import FittedModel
 from calib.robot.robot import read_only
 from calib.units import Array
+from calib.values.pickling import Value
 
 Source = Literal["model", "parameters", "poses", "tool", "base"]
 """Source of an expected error: what the model lacks; its parameters, at poses like the measured ones; what other
@@ -66,7 +67,7 @@ class Contribution(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ExpectedErrors:
+class ExpectedErrors(Value):
     """Expected errors of N commands, in the frame of the program."""
 
     #: shape (N, 2), mean distance [m] and angle [rad] of the tool from its wanted pose.

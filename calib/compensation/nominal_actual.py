@@ -30,6 +30,8 @@ from calib.robot.payload import Payload
 from calib.robot.ranges import spread_poses
 from calib.robot.robot import Robot, read_only
 from calib.units import Array
+from calib.values.arguments import numbers
+from calib.values.pickling import Value
 
 #: The family that moves a measured joint, and with it all joints that follow it.
 _GAIN = "gain"
@@ -40,12 +42,15 @@ _SAME = 1e-9
 #: Two robots whose tools are typically farther apart than this share of their reach are no calibration of each other.
 _NO_CALIBRATION = 0.1
 
+#: What a tool or a frame may be, in messages.
+_POSE = "a pose (4, 4) or a position (3,)"
+
 #: Poses in which that is looked at.
 _POSES = 64
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Arm:
+class Arm(Value):
     """Robot whose errors are known, with a tool; made by `of` or `of_non_geometric`."""
 
     #: With the placements as they are.
@@ -78,15 +83,7 @@ class Arm:
             load: Load on each joint at joint values, (N, m) to (N, n), [Nm, N]; None: no error needs it.
         """
         of_terms = np.asarray(values, dtype=np.float64)
-
-        def motion(state: JointState) -> Array:
-            """Return the motion of a joint per change of its value: 1, and the slopes of its errors."""
-            per_value = np.ones(len(state.values))
-            for term, value in zip(terms, of_terms, strict=True):
-                if term.place == state.joint and term.factor and term.factor.slope:
-                    per_value += value * term.factor.slope(state)
-            return per_value
-
+        motion = partial(_motion_per_value, terms, of_terms)
         motions = _motions(robot, Factor("motion", motion, slope=None))
         places = error_model(robot, "frames", target=False).places
         model = ErrorModel("motion", places, (*terms, *motions))
@@ -155,6 +152,24 @@ def _displaced(nominal: Robot, non_geometric: NonGeometric) -> Robot:
     return nominal.with_placements(nominal.placements @ displacements[order])
 
 
+def _motion_per_value(terms: Sequence[Parameter], values: Array, state: JointState) -> Array:
+    """Return the motion of a joint per change of its value: 1, and the slopes of its errors.
+
+    Args:
+        terms: Errors of the joints that change with their state.
+        values: The value of each, in its unit, shape (terms,).
+        state: The joint, and the state of all joints in N samples.
+
+    Returns:
+        Shape (N,).
+    """
+    per_value = np.ones(len(state.values))
+    for term, value in zip(terms, values, strict=True):
+        if term.place == state.joint and term.factor and term.factor.slope:
+            per_value += value * term.factor.slope(state)
+    return per_value
+
+
 def _motions(robot: Robot, factor: Factor) -> list[Parameter]:
     """Return a parameter for each measured joint that moves it, and those that follow it.
 
@@ -177,7 +192,7 @@ def _load(non_geometric: NonGeometric, nominal: Robot, payload: Payload | None, 
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Pair:
+class Pair(Value):
     """Tool on the nominal robot and on the actual one; made by `pair_of`."""
 
     #: The robot as its controller has it, with the tool that the controller is to be set to.
@@ -398,12 +413,12 @@ def _name(names: Sequence[str], name: str, what: str) -> str:
 def _pose(value: ArrayLike | str | None, what: str) -> Array:
     """Return a pose, shape (4, 4), of a pose or of a position, shape (3,), [m]; the identity of None."""
     T = np.eye(4)
-    values = T if value is None else np.asarray(value, dtype=np.float64)
+    values = T if value is None else numbers(what, value, _POSE)
     if values.shape == (3,):
         T[:3, 3] = values
         values = T
     if values.shape != (4, 4) or not_rotations(values[None, :3, :3]) or np.isnan(values).any():
-        raise ModelError(f"The {what} is a pose (4, 4) or a position (3,), not {values.tolist()}.")
+        raise ModelError(f"The {what} is {_POSE}, not {values.tolist()}.")
     return read_only(values)
 
 

@@ -10,9 +10,13 @@ from numpy.typing import ArrayLike
 
 from calib.compensation.inverse import MATCHES, POSITION
 from calib.errors import ModelError, choices
+from calib.mappings import keep_read_only
 from calib.numerics.geometry import not_rotations
 from calib.robot.robot import read_only
 from calib.units import Array
+from calib.values.arguments import check_mapping, check_names, check_type, finite_numbers, numbers
+from calib.values.pickling import Value
+from calib.values.short import one_line
 
 #: Prefix of columns with corrections, in a table of commands.
 CORRECTION = "correction "
@@ -20,9 +24,13 @@ CORRECTION = "correction "
 #: Column of the expected position error of each row of a table of commands.
 EXPECTED = "expected error"
 
+#: What messages call joint values, and poses.
+_VALUES = "joint values of shape (N, m) or (m,), [rad] or [m]"
+_POSES = "poses of shape (N, 4, 4) or (4, 4), [m]"
+
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Program:
+class Program(Value):
     """N rows that a robot is to run through: joint values, poses of the tool, or both.
 
     Raises:
@@ -51,6 +59,10 @@ class Program:
 
     def __post_init__(self) -> None:
         """Check the values, and make the arrays read-only copies."""
+        check_names("labels", self.labels)
+        check_type("match", self.match, (str, type(None)), f"one of {choices(MATCHES)}, or None")
+        if self.start is not None:
+            check_mapping("start", self.start)
         if not self.labels or (self.q is None and self.T_wanted is None):
             raise ModelError("A program has rows of joint values, of poses, or of both.")
         allowed = MATCHES if self.oriented else (POSITION,)
@@ -63,10 +75,23 @@ class Program:
         for name, values in (("q", self.q), ("T_wanted", self.T_wanted)):
             if values is None:
                 continue
-            rotations = values[:, :3, :3] if values.ndim == 3 else np.eye(3)[None]
-            if not np.isfinite(values).all() or not_rotations(rotations).any():
-                raise ModelError(f"{name} of a program has a number or a pose that is none.")
+            count = len(self.labels)
+            shape: tuple[int | None, ...] = (count, None) if name == "q" else (count, 4, 4)
+            what = f"{_VALUES if name == 'q' else _POSES}, one for each of the {count} labels"
+            given = finite_numbers(name, values, shape, what)
+            if name == "T_wanted" and not_rotations(given[:, :3, :3]).any():
+                raise ModelError(
+                    "T_wanted of a program has a pose that is none: its rotation is not orthonormal."
+                )
             object.__setattr__(self, name, read_only(values))
+        keep_read_only(self, "start")
+
+    def __repr__(self) -> str:
+        """Return one line: the number of rows, and what they give."""
+        what = "joint values"
+        if self.T_wanted is not None:
+            what = "poses" if self.oriented else "positions"
+        return one_line("Program", f"{len(self)} rows of {what}")
 
     def __len__(self) -> int:
         """Return the number of rows."""
@@ -75,7 +100,7 @@ class Program:
     @classmethod
     def of_joints(cls, q: ArrayLike) -> Program:
         """Make a program of joint values for the nominal robot, shape (N, m) or (m,), [rad] or [m]."""
-        values = np.atleast_2d(np.asarray(q, dtype=np.float64))
+        values = np.atleast_2d(numbers("q", q, _VALUES))
         return cls(_labels(len(values)), q=values)
 
     @classmethod
@@ -86,8 +111,10 @@ class Program:
             T_wanted: shape (N, 4, 4) or (4, 4), [m].
             q: Joint values at which the search starts, shape (N, m), [rad] or [m]; None: not given.
         """
-        poses = np.reshape(np.asarray(T_wanted, dtype=np.float64), (-1, 4, 4))
-        starts = None if q is None else np.atleast_2d(np.asarray(q, dtype=np.float64))
+        given = numbers("T_wanted", T_wanted, _POSES)
+        poses = given[None] if given.ndim == 2 else given
+        finite_numbers("T_wanted", poses, (None, 4, 4), _POSES)
+        starts = None if q is None else np.atleast_2d(numbers("q", q, _VALUES))
         return cls(_labels(len(poses)), starts, poses)
 
     @classmethod
@@ -98,7 +125,9 @@ class Program:
             points: shape (N, 3) or (3,), [m].
             q: Joint values at which the search starts, shape (N, m), [rad] or [m]; None: not given.
         """
-        positions = np.reshape(np.asarray(points, dtype=np.float64), (-1, 3))
+        allowed = "positions of shape (N, 3) or (3,), [m]"
+        given = np.atleast_2d(numbers("points", points, allowed))
+        positions = finite_numbers("points", given, (None, 3), allowed)
         return replace(cls.of_poses(poses_at(positions), q), oriented=False)
 
 

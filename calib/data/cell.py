@@ -8,8 +8,8 @@ the robot's errors, the payload, and which parameters are estimated. All of it c
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import MISSING, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +37,9 @@ from calib.robot.gravity import GRAVITY
 from calib.robot.payload import Payload
 from calib.robot.robot import read_only
 from calib.units import Array, is_number
+from calib.values.arguments import check_mapping, check_path, check_type
+from calib.values.pickling import Value
+from calib.values.short import one_line
 
 __all__ = [
     "AUTO",
@@ -211,13 +214,39 @@ _MAPPINGS: Mapping[str, _Check] = {
 }
 
 
+#: Other attributes of a cell, their types, and what messages call these.
+_TYPES = (
+    ("estimate_target", (bool, np.bool_), "True or False"),
+    ("estimate_frame", (bool, np.bool_), "True or False"),
+    ("scale_certified", (bool, np.bool_), "True or False"),
+    ("model", str, "the name of a model"),
+    ("base", str, "the name of a link, or None"),
+    ("tip", str, "the name of a link, or None"),
+    ("kind", str, "the name of a kind of measurement, or None"),
+    ("priors", Priors, "Priors"),
+    ("payload", Payload, "a Payload, or None"),
+    ("tracker", Tracker, "a Tracker, or None"),
+    ("reflector", Reflector, "a Reflector, or None"),
+)
+
+#: Those of them that may be None.
+_OPTIONAL = ("base", "tip", "kind", "payload", "tracker", "reflector")
+
+#: Attributes with several objects, their type, and what messages call these.
+_SEQUENCES = (
+    ("boxes", Box, "a sequence of Boxes"),
+    ("distances", GroupDistance, "a sequence of GroupDistances"),
+    ("frozen", str, "a sequence of names, which are texts"),
+)
+
+
 def _no_entries() -> Mapping[str, Any]:
     """Return a read-only mapping without entries."""
     return ReadOnlyMapping()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Cell:
+class Cell(Value):
     """The measurement setup of a calibration: frames, targets, instrument, priors and surroundings.
 
     Parameters are named as `calib inspect` prints them. A change is what is added to a parameter's nominal value, in
@@ -293,6 +322,7 @@ class Cell:
 
     def __post_init__(self) -> None:
         """Check each value, and that they agree; keep read-only copies."""
+        self._check_types()
         for name, check in _ATTRIBUTES.items():
             value = getattr(self, name)
             if value is not None:
@@ -310,6 +340,33 @@ class Cell:
         check_box_names(self.boxes)
         self._check_target()
         self._check_ties()
+
+    def __repr__(self) -> str:
+        """Return one line: the model, and the names of the other attributes that are not the default ones."""
+        given = []
+        for attribute in fields(self):
+            value = getattr(self, attribute.name)
+            default: Any = attribute.default
+            if attribute.default_factory is not MISSING:
+                default = attribute.default_factory()
+            if attribute.name != "model" and not np.array_equal(value, default):
+                given.append(attribute.name)
+        return one_line(
+            "Cell", f"model '{self.model}'", f"given: {', '.join(given)}" if given else ""
+        )
+
+    def _check_types(self) -> None:
+        """Refuse values of another type."""
+        for name, types, allowed in _TYPES:
+            given = getattr(self, name)
+            if given is not None or name not in _OPTIONAL:
+                check_type(name, given, types, allowed)
+        for name in _MAPPINGS:
+            check_mapping(name, getattr(self, name))
+        for name, kind, allowed in _SEQUENCES:
+            check_type(name, getattr(self, name), Sequence, allowed)
+            for entry in getattr(self, name):
+                check_type(name, entry, kind, allowed)
 
     def _check_target(self) -> None:
         """Refuse a target that is known and not given."""
@@ -344,6 +401,7 @@ class Cell:
             FileError: The file cannot be read or is not TOML.
             CalibError: It has an unknown key, or a value of the wrong kind.
         """
+        check_path("path", path)
         try:
             values = read_cell_file(path)
             return cls(**_with_classes(values))

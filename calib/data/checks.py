@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import NoReturn
 
 import numpy as np
@@ -16,6 +17,7 @@ from calib.errors import MeasurementError, choices
 from calib.numerics.geometry import not_rotations
 from calib.robot.robot import read_only
 from calib.units import Array, Integers, Mask
+from calib.values.arguments import check_mapping, check_names, check_type, numbers, wrong_type
 
 #: Two rows of a pair that both give its distance give the same to all digits of a table [m].
 _AGREE_M = 1e-9
@@ -167,7 +169,9 @@ def checked_numbers(
     if values is None:
         i = int(np.argmax(rows))
         labels.fail(i, f"a row of the kind '{labels.kinds[i]}' needs '{name}', and there are none")
-    array = np.array(values, dtype=np.float64)
+    array = numbers(
+        name, values, f"an array with an entry a row, shape {(len(rows), *tail)}"
+    ).copy()
     shape = (len(rows), *tail)
     if array.shape != shape:
         raise MeasurementError(
@@ -300,3 +304,37 @@ def check_groups(labels: RowLabels, kind: str, groups: Mapping[str, Sequence[int
         if len(indices) < fewest:
             fix = f"it takes {fewest} rows or more. Measure more, or correct the group's name."
             labels.fail_on(f"the group '{group}' of the kind '{kind}'", indices, fix)
+
+
+def check_argument_types(given: object) -> None:
+    """Refuse arguments of `Measurements` that are of another type.
+
+    Args:
+        given: The measurements, as they were given.
+
+    Raises:
+        ArgumentError: One of them is.
+    """
+    value = partial(getattr, given)
+    for name in (
+        "joint_names",
+        "prismatic",
+        "ignored",
+        "sets",
+        "targets",
+        "groups",
+        "kinds",
+        "pairs",
+    ):
+        check_names(name, value(name))
+    for name in ("rows", "unmeasured", "copies"):
+        check_type(name, value(name), (Sequence, np.ndarray), "row numbers")
+        for number in value(name):
+            check_type(name, number, (int, np.integer), "whole numbers")
+    check_mapping("readings", value("readings"))
+    for name in ("joints", "rotations", "distances", "sigma", "sigma_angle", "torques"):
+        if value(name) is not None:
+            numbers(name, value(name), "an array of numbers with an entry a row")
+    numbers("points", value("points"), "positions of shape (N, 3), [m]")
+    if not np.ndim(value("points")):
+        raise wrong_type("points", value("points"), "positions of shape (N, 3), [m]")

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -27,6 +28,7 @@ from calib.errors import CalibError, MeasurementError, choices
 from calib.model.error_model import DIRECTIONS
 from calib.numerics.geometry import inverse_right_jacobian
 from calib.units import Array, Quantity
+from calib.values.pickling import Value
 
 #: Least and largest standard deviation accepted for a measurement [m, rad or px]: no instrument is
 #: better or worse, and the squares of numbers beyond leave the range of doubles.
@@ -55,7 +57,7 @@ class Reading:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Kind:
+class Kind(Value):
     """A kind of measurement: what its rows measure, and the prediction with its derivative.
 
     The functions of a kind take and return arrays over n rows, in SI units, not whitened:
@@ -140,6 +142,12 @@ class Kind:
             raise CalibError(
                 f"The kind '{self.name}' measures a position: its first three units are those of x, y and z, 'm'."
             )
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle a registered kind by its name: the process that reads it must have registered it, in any order."""
+        if _KINDS.get(self.name) is self:
+            return get, (self.name,)
+        return Value.__reduce__(self)
 
     @property
     def depends_on_orientation(self) -> bool:

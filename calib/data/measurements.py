@@ -18,6 +18,7 @@ from calib.channels import RESIDUAL_UNITS, residual_unit
 from calib.data.checks import (
     RowLabels,
     by_word,
+    check_argument_types,
     check_groups,
     check_joint_names,
     check_pairs,
@@ -39,6 +40,9 @@ from calib.mappings import ReadOnlyMapping
 from calib.numerics.geometry import FARTHEST, to_quaternions
 from calib.robot.robot import read_only
 from calib.units import UNITS, Array, Mask, Quantity
+from calib.values.arguments import check_mapping, check_names, check_path, numbers, wrong_type
+from calib.values.pickling import Value
+from calib.values.short import one_line
 
 #: Attributes with a word a row, and the word where they are not given.
 _WORDS = {"sets": SETS[0], "targets": DEFAULT_TARGET, "groups": "", "kinds": "point", "pairs": ""}
@@ -57,7 +61,7 @@ _NumberColumn = tuple[str, Quantity | None, Array | None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Measurements:
+class Measurements(Value):
     """N rows: the joint values of the robot and what was measured of the target there.
 
     What a row measures is its kind, one of `calib.data.kinds`: ``point``, ``pose``, ``distance``, ``pair``, ``fixed``,
@@ -113,6 +117,7 @@ class Measurements:
 
     def __post_init__(self) -> None:
         """Copy the arrays, fill in what was not given, and check that all of it fits together."""
+        check_argument_types(self)
         fill = partial(object.__setattr__, self)
         count = len(np.asarray(self.points))
         for name in ("joint_names", "prismatic", "ignored", "unmeasured", "copies"):
@@ -133,7 +138,7 @@ class Measurements:
             has_rotation = self.where(lambda kind: kind.orientation)
             check_rotations(labels, self.rotations, has_rotation)
         if self.torques is not None:
-            fill("torques", read_only(self.torques))
+            fill("torques", read_only(numbers("torques", self.torques, "of shape (N, n)")))
             check_torques(labels, self.torques)
         fill("distances", readings.pop("distance", None))
         fill("readings", ReadOnlyMapping(readings))
@@ -246,8 +251,10 @@ class Measurements:
             The measured rows, in SI units.
 
         Raises:
+            ArgumentError: An argument of another type.
             MeasurementError: The table cannot be read; the text names the file, row and column.
         """
+        _check_reading(path, points, joint_names, joint_types, columns)
         elsewhere = None if points is None else read_points(points, points_unit)
         table = path if isinstance(path, Table) else Table.read(path)
         layout = Layout.find(
@@ -289,7 +296,9 @@ class Measurements:
     def __repr__(self) -> str:
         """Return one line, such as ``Measurements(35 rows of 6 joints from ur3_leica.csv)``."""
         origin = f" from {self.source}" if self.source else ""
-        return f"Measurements({len(self)} rows of {len(self.joint_names)} joints{origin})"
+        return one_line(
+            "Measurements", f"{len(self)} rows of {len(self.joint_names)} joints{origin}"
+        )
 
     def __len__(self) -> int:
         """Return the number of rows, N."""
@@ -351,6 +360,10 @@ class Measurements:
         Returns:
             The values, shape (N,), in SI units; NaN in rows that do not measure it.
         """
+        if name not in registry.readings():
+            raise MeasurementError(
+                f"There is no reading '{name}'; kinds of measurement read {choices(registry.readings())}."
+            )
         values = self.distances if name == "distance" else self.readings.get(name)
         return np.full(len(self), np.nan) if values is None else values
 
@@ -366,6 +379,7 @@ class Measurements:
         Raises:
             MeasurementError: The table lacks one of the joints.
         """
+        check_names("names", names)
         column = {name: i for i, name in enumerate(self.joint_names)}
         missing = [name for name in names if name not in column]
         if missing:
@@ -386,7 +400,10 @@ class Measurements:
         Returns:
             These rows, in their order.
         """
-        chosen = np.asarray(mask, dtype=np.bool_)
+        chosen = np.asarray(mask)
+        if chosen.shape != (len(self),) or not np.isin(chosen, (0, 1)).all():
+            raise wrong_type("mask", mask, f"True or False for each of the {len(self)} rows")
+        chosen = chosen.astype(np.bool_)
         is_chosen = chosen.tolist()
         kept: dict[str, Any] = {}
         for name in (*_WORDS, "rows"):
@@ -477,6 +494,21 @@ class Measurements:
         for symbol, values in self.sigma.items():
             unit = RESIDUAL_UNITS[symbol]
             yield unit.sigma_name, unit.quantity, values
+
+
+def _check_reading(
+    path: object, points: object, joint_names: object, joint_types: object, columns: object
+) -> None:
+    """Refuse arguments of `Measurements.read` that are of another type."""
+    if not isinstance(path, Table):
+        check_path("path", path)
+    if joint_names is not None:
+        check_names("joint_names", joint_names)
+    if points is not None:
+        check_path("points", points)
+    for argument, mapping in (("joint_types", joint_types), ("columns", columns)):
+        if mapping is not None:
+            check_mapping(argument, mapping)
 
 
 def _cells(values: Array, unit: str) -> list[object]:

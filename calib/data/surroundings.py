@@ -14,6 +14,7 @@ from calib.errors import CalibError, choices
 from calib.numerics.geometry import pose_or_none, vector
 from calib.robot.robot import read_only
 from calib.units import Array
+from calib.values.pickling import Value
 
 Distance = TypeVar("Distance", float, Array)
 
@@ -60,7 +61,7 @@ class TrackerNoise:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Box:
+class Box(Value):
     """A box that the robot must not touch and the tracker's beam must not cross."""
 
     #: For messages; each box of a cell has its own.
@@ -97,7 +98,7 @@ def check_box_names(boxes: Iterable[Box]) -> None:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Tracker:
+class Tracker(Value):
     """A laser tracker: its position, its range and its noise."""
 
     #: Shape (3,), point that its beam turns about, in the robot's base [m].
@@ -120,7 +121,7 @@ class Tracker:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Reflector:
+class Reflector(Value):
     """A reflector that is fixed to the tip and is seen from within a cone only."""
 
     #: shape (3,), direction in the tip that the reflector's opening faces; kept as a unit vector.

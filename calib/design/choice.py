@@ -18,6 +18,15 @@ from calib.jobs import Progress
 from calib.model.observability import steps
 from calib.robot.robot import read_only
 from calib.units import Array
+from calib.values.arguments import (
+    check_flags,
+    check_number,
+    check_type,
+    check_whole,
+    finite_numbers,
+    numbers,
+)
+from calib.values.pickling import Value
 
 #: For more poses than this one random start is enough: many choices are as good.
 _MANY = 100
@@ -39,7 +48,7 @@ _RUNGS = (0.5, 0.67, 0.83, 1.0, 1.33, 1.67, 2.0, 3.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PlanRequest:
+class PlanRequest(Value):
     """Poses that are wanted of a plan."""
 
     #: Poses to fit.
@@ -59,6 +68,18 @@ class PlanRequest:
     ladder: bool = True
     #: The same seed makes the same plan.
     seed: int = 0
+
+    def __post_init__(self) -> None:
+        """Refuse values of another type, and numbers that are none."""
+        for name in ("count", "validation", "candidates"):  # how many is checked in `check`
+            check_type(name, getattr(self, name), (int, np.integer), "a whole number")
+        check_whole("seed", self.seed, 0)
+        check_type("criterion", self.criterion, str, "'V', 'D' or 'A'")
+        check_number("margin", self.margin, 0.0)
+        check_flags(ladder=self.ladder)
+        if self.start is not None:
+            start = numbers("start", self.start, "joint values of shape (m,), [rad] or [m]")
+            finite_numbers("start", start.ravel(), (None,), "finite joint values")
 
     def check(self, candidates: int) -> None:
         """Refuse an unknown criterion, and numbers of poses that cannot be had.

@@ -11,6 +11,7 @@ eigenvalues of C B. It knows nothing of errors that the model lacks.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import NamedTuple
@@ -24,12 +25,14 @@ from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.design.candidates import planning_ranges
 from calib.design.sensitivity import Sensitivity
+from calib.mappings import keep_read_only
 from calib.registration.registration import register
 from calib.registration.table_rows import rows_and_setup
 from calib.robot.kernel import over_blocks
 from calib.robot.ranges import spread_between
 from calib.robot.robot import Robot, read_only
 from calib.units import Array
+from calib.values.pickling import Value
 
 #: Poses over which a forecast without a plan is made.
 _POSES = 4096
@@ -69,7 +72,7 @@ class Workspace(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Forecast:
+class Forecast(Value):
     """Accuracy that a calibration at some poses will reach.
 
     The variances are of what is measured over the workspace, as the calibrated robot predicts it, in variances of the
@@ -107,7 +110,11 @@ class Forecast:
     #: Largest over the workspace, likewise.
     worst_variance: float
     #: Observability indices by name, ``"O1"`` to ``"O5"``.
-    indices: dict[str, float]
+    indices: Mapping[str, float]
+
+    def __post_init__(self) -> None:
+        """Keep a read-only copy of the mapping."""
+        keep_read_only(self, "indices")
 
     @classmethod
     def of(cls, sensitivity: Sensitivity, workspace: Workspace, q: Array) -> Forecast:

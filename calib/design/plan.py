@@ -6,7 +6,7 @@ the choice under the model that the fit will use; poses to validate with; the or
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 
@@ -23,9 +23,13 @@ from calib.design.ordering import Blocked, Route
 from calib.design.route import route
 from calib.design.sensitivity import Sensitivity
 from calib.design.sight import in_cone, in_range, target_positions
+from calib.inputs import CellInput, RobotInput, cell_of, robot_of
+from calib.mappings import keep_read_only
 from calib.regions.region import Region
 from calib.robot.robot import Robot, read_only
 from calib.units import Array
+from calib.values.arguments import check_callable, check_type
+from calib.values.pickling import Value
 
 #: Called with the stage of the work, how much of it is done, and all of it.
 Progress = Callable[[str, int, int], None]
@@ -38,7 +42,7 @@ _USUAL_CHECK = CollisionCheck()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Plan:
+class PlanValues(Value):
     """Poses to measure, in the order to drive."""
 
     #: The robot.
@@ -78,13 +82,17 @@ class Plan:
     #: Of these, those that can be measured.
     candidates: int
     #: Number of those drawn that were refused, by reason, see `calib.design.candidates.Reason`.
-    refused: dict[str, int]
+    refused: Mapping[str, int]
     #: The sum over all moves of the largest move of a joint [rad] or [m].
     travel: float
     #: The moves whose straight way is not free.
     blocked: tuple[Blocked, ...]
     #: Remarks for the person who measures.
     notes: tuple[Note, ...]
+
+    def __post_init__(self) -> None:
+        """Keep a read-only copy of the mapping."""
+        keep_read_only(self, "refused")
 
     def places(self, q: Array) -> Array:
         """Predict the position of each target in the robot's base, by the nominal robot.
@@ -110,22 +118,23 @@ class Plan:
 
 
 def plan(
-    robot: Robot,
-    cell: Cell | None = None,
+    robot: RobotInput,
+    cell: CellInput = None,
     request: PlanRequest = _USUAL_REQUEST,
     *,
     region: Region | None = None,
     taken: ArrayLike | None = None,
     collisions: CollisionCheck | None = _USUAL_CHECK,
     progress: Progress | None = None,
-) -> Plan:
+) -> PlanValues:
     """Plan the poses of a calibration: which to measure, and in which order to drive.
 
     Args:
-        robot: The nominal robot.
+        robot: The nominal robot; or the path of a URDF or xacro, or a name such as ``"ur3"``, with the cell's base and
+            tip, or the URDF's root and its farthest link.
         cell: What the fit will use, model and priors with it, and what stands around the robot: boxes, tracker,
-            reflector, joint ranges; None: the default cell. The model ``"auto"`` is planned for as ``"placement"``, the
-            largest geometry.
+            reflector, joint ranges; or the path of a cell file; None: the default cell. The model ``"auto"`` is planned
+            for as ``"placement"``, the largest geometry.
         request: Numbers of poses to fit and to validate with, criterion, number of candidates, margin to the limits of
             joints that turn [rad], the robot's joint values before the first move, and the seed.
         region: Voxels of the robot's base frame in which the first target is to lie; None: anywhere.
@@ -141,24 +150,30 @@ def plan(
         that are blocked, and the forecast of the fit.
 
     Raises:
+        ArgumentError: An argument of another type.
         CalibError: Too few poses for the model, no candidate that can be measured, or a cell that does not fit.
     """
-    cell = cell or Cell()
+    known = cell_of(cell)
+    arm = robot_of(robot, known)
+    check_type("request", request, PlanRequest, "a PlanRequest")
+    check_type("region", region, (Region, type(None)), "a Region, or None")
+    check_type("collisions", collisions, (CollisionCheck, type(None)), "a CollisionCheck, or None")
+    check_callable("progress", progress)
     request.check(request.candidates)
-    measured = np.zeros((0, len(robot.inputs))) if taken is None else np.atleast_2d(taken)
-    measured = read_only(measured)
-    sensitivity = Sensitivity.of(robot, cell)
+    measured = read_only(
+        np.zeros((0, len(arm.inputs))) if taken is None else arm.columns(taken, "taken")
+    )
+    sensitivity = Sensitivity.of(arm, known)
     body = _collision_model(sensitivity, collisions)
     pool = _draw(sensitivity, request, region, body, _stage(progress, "candidates"))
     choice = choose_poses(sensitivity, pool, request, measured, progress=_stage(progress, "choice"))
     way = _route(sensitivity, request, pool, choice, body)
-    is_planned = way.indices < len(choice.planned)
-    return Plan(
-        robot=robot,
-        cell=cell,
+    return PlanValues(
+        robot=arm,
+        cell=known,
         request=request,
         joints=way.joints,
-        sets=tuple(np.where(is_planned, "estimate", "validate").tolist()),
+        sets=_sets(way, len(choice.planned)),
         taken=measured,
         targets=sensitivity.setup.targets,
         T_tip_target=sensitivity.setup.T_tip_target,
@@ -174,8 +189,13 @@ def plan(
         refused=pool.refused,
         travel=way.length,
         blocked=way.blocked,
-        notes=(*sensitivity.notes, *_notes(cell, body)),
+        notes=(*sensitivity.notes, *_notes(known, body)),
     )
+
+
+def _sets(way: Route, count: int) -> tuple[str, ...]:
+    """Return the set of each pose in the order to drive: the first ``count`` poses of the choice are to be fitted."""
+    return tuple(np.where(way.indices < count, "estimate", "validate").tolist())
 
 
 def _stage(progress: Progress | None, stage: str) -> Callable[[int, int], None] | None:

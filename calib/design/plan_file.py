@@ -23,7 +23,7 @@ from calib.data.measurements import Measurements
 from calib.data.table import Table
 from calib.data.values import read_values
 from calib.design.forecast import Forecast
-from calib.design.plan import Plan
+from calib.design.plan import PlanValues
 from calib.errors import MeasurementError
 from calib.files import csv_bytes, write_atomically
 from calib.robot.robot import Robot, read_only
@@ -46,7 +46,7 @@ _WITHOUT_CELLS = ("fixed", "plane")
 
 
 def write_plan(
-    plan: Plan,
+    plan: PlanValues,
     path: str | Path,
     *,
     overwrite: bool = False,
@@ -128,7 +128,7 @@ class _Columns:
     measured: list[int]
 
     @classmethod
-    def of(cls, plan: Plan) -> _Columns:
+    def of(cls, plan: PlanValues) -> _Columns:
         """Return the columns for a plan's robot and kind of measurement.
 
         Args:
@@ -166,7 +166,7 @@ def _joint_columns(robot: Robot) -> list[_Column]:
     return columns
 
 
-def _rows(plan: Plan, number: int) -> Iterator[dict[str, str]]:
+def _rows(plan: PlanValues, number: int) -> Iterator[dict[str, str]]:
     """Yield the rows of a plan's table: one for each target at each pose, in the order to drive.
 
     Args:
@@ -321,7 +321,7 @@ def _first_of_each_pose(rows: Measurements, chosen: Mask) -> list[int]:
 # Nested tables
 
 
-def plan_table(plan: Plan) -> dict[str, Any]:
+def plan_table(plan: PlanValues) -> dict[str, Any]:
     """Return a plan as nested tables for a JSON file, in SI units; docs/planning.md describes them.
 
     Args:
@@ -353,7 +353,7 @@ def plan_table(plan: Plan) -> dict[str, Any]:
             "taken": len(plan.taken),
         },
         "poses": poses,
-        "candidates": {"drawn": plan.drawn, "kept": plan.candidates, "refused": plan.refused},
+        "candidates": {"drawn": plan.drawn, "kept": plan.candidates, "refused": dict(plan.refused)},
         "forecast": forecast_table(plan.forecast),
         "before": None if plan.before is None else forecast_table(plan.before),
         "at_random": forecast_table(plan.at_random),
@@ -410,6 +410,6 @@ def forecast_table(forecast: Forecast) -> dict[str, Any]:
     return {
         **{name: getattr(forecast, name) for name in counts},
         **{f"{name}_m": getattr(forecast, name) for name in lengths},
-        "indices": forecast.indices,
+        "indices": dict(forecast.indices),
         "parameters": [dict(zip(keys, row, strict=True)) for row in parameters],
     }

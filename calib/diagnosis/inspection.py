@@ -12,6 +12,7 @@ from calib.data.measurements import Measurements
 from calib.errors import ModelError
 from calib.estimate.problem import Problem
 from calib.estimate.task import Task
+from calib.inputs import CellInput, RobotInput, TableInput, cell_of, inputs_of, robot_of
 from calib.model.kinematics import Kinematics
 from calib.model.observability import Observability
 from calib.model.parameters import ErrorModel
@@ -50,35 +51,47 @@ class Inspection:
     assumed: tuple[str, ...] = ()
 
 
-def inspect(robot: Robot, cell: Cell, measurements: Measurements | None = None) -> Inspection:
+def inspect(
+    robot: RobotInput,
+    cell: CellInput = None,
+    measurements: TableInput | None = None,
+) -> Inspection:
     """Analyse which combinations of the cell's model a table, or poses over the joint limits, determine.
 
     Args:
-        robot: The nominal robot.
-        cell: Its model is analysed; ``"auto"`` as ``"dh"``.
-        measurements: Their estimation rows are analysed, with frames and targets registered. None: 200 poses over the
+        robot: The nominal robot; or the path of a URDF or xacro, or a name such as ``"ur3"``, with the cell's base and
+            tip, or those that the table's joint columns tell.
+        cell: Its model is analysed, ``"auto"`` as ``"dh"``; or the path of a cell file; None: the default cell.
+        measurements: Their estimation rows are analysed, with frames and targets registered; or the path of their
+            table. None: 200 poses over the
             joint limits, with a target or anchor that the cell does not give at a generic place.
 
     Raises:
+        ArgumentError: Robot, cell or measurements are of another type.
         ModelError: An unknown model or parameter, or a kind of rows that poses alone do not make.
         MeasurementError: Too few rows for the registration.
     """
     assumed: tuple[str, ...] = ()
+    source: str | None = None
     if measurements is None:
-        rows, setup, assumed = _rows_over_joint_limits(robot, cell)
+        known = cell_of(cell)
+        arm = robot_of(robot, known)
+        rows, setup, assumed = _rows_over_joint_limits(arm, known)
     else:
-        rows, setup = rows_and_setup(robot, measurements, cell)
-        rows = rows.select(measurements.estimation)
-        setup = register(robot.poses(rows.joints), setup, rows)
-    name = _MODEL if cell.model == AUTO else cell.model
-    model = setup.aligned(Task(robot, cell, setup, name).error_model())
-    kinematics = Kinematics(robot, model, setup.T_frame_base, setup.T_tip_target)
-    problem = Problem.initial(kinematics, rows, known_distances(cell, setup))
+        arm, table, known = inputs_of(robot, measurements, cell)
+        rows, setup = rows_and_setup(arm, table, known)
+        rows = rows.select(table.estimation)
+        setup = register(arm.poses(rows.joints), setup, rows)
+        source = table.source
+    name = _MODEL if known.model == AUTO else known.model
+    model = setup.aligned(Task(arm, known, setup, name).error_model())
+    kinematics = Kinematics(arm, model, setup.T_frame_base, setup.T_tip_target)
+    problem = Problem.initial(kinematics, rows, known_distances(known, setup))
     return Inspection(
         model=model,
         observability=problem.observability(np.zeros(len(model))),
         poses=len(rows),
-        source=None if measurements is None else measurements.source,
+        source=source,
         assumed=assumed,
     )
 

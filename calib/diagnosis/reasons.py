@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Any
 
+from calib.mappings import keep_read_only
 from calib.numerics.errors import Errors
 
 #: Verdict that the corrected robot is better, which held-out rows prove.
@@ -55,6 +56,10 @@ class Reason:
     why: Why
     #: The numbers and names of its sentence, in SI units
     values: Mapping[str, Any]
+
+    def __post_init__(self) -> None:
+        """Keep a read-only copy of the mapping."""
+        keep_read_only(self, "values")
 
     @classmethod
     def of(cls, why: Why, **values: Any) -> Reason:  # noqa: ANN401

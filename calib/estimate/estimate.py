@@ -10,11 +10,13 @@ import numpy as np
 from calib.estimate.linear import LinearProblem
 from calib.estimate.problem import Problem
 from calib.estimate.stages import Stage
+from calib.mappings import keep_read_only
 from calib.model.parameters import FRAME, TARGET
 from calib.numerics.scores import Limits
 from calib.numerics.solvers import Solution
 from calib.robot.robot import read_only
 from calib.units import Array, Mask
+from calib.values.pickling import Value
 
 #: A change below this is set to zero: weak priors leave such traces on parameters that the target can replace [m, rad].
 _NOTHING = 1e-8
@@ -28,7 +30,7 @@ _RANK_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Estimate:
+class Estimate(Value):
     """Estimated parameters of one fit to N rows."""
 
     #: (p,), offsets from the nominal robot and the registered setup [m, rad, ...]
@@ -55,6 +57,10 @@ class Estimate:
     log_likelihood: float
     #: Indices of the parameters that are held at a bound, from 0
     at_bound: tuple[int, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Keep a read-only copy of the mapping."""
+        keep_read_only(self, "prior_std")
 
     @property
     def outliers(self) -> Mask:

@@ -26,10 +26,11 @@ from calib.registration.rows import Rows
 from calib.registration.setup import Setup
 from calib.robot.robot import read_only
 from calib.units import Array
+from calib.values.pickling import Value
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Fitted:
+class Fitted(Value):
     """One fit: the registered start and the estimate from there."""
 
     #: What was fitted

@@ -21,6 +21,7 @@ from calib.numerics.likelihood import GaussianPriors, NormalEquations
 from calib.numerics.scores import deleted_norms, point_scores
 from calib.robot.kernel import over_blocks
 from calib.units import Array, Mask
+from calib.values.pickling import Value
 
 #: Normal equations that are kept, because stages ask for the same ones again.
 _KEPT = 3
@@ -51,7 +52,7 @@ class _Kept(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LinearProblem:
+class LinearProblem(Value):
     """N rows of D scalars linearised at x, by p parameters, in units of each scalar's given sigma."""
 
     #: (p,), x0, where the problem is linearised

@@ -34,6 +34,7 @@ from calib.registration.known_distances import KnownDistance
 from calib.registration.rows import Rows
 from calib.robot.kernel import over_blocks
 from calib.units import Array
+from calib.values.pickling import Value
 
 #: Noise below this is no instrument's but rounding [m, rad].
 _SMALLEST_SIGMA = 1e-8
@@ -49,7 +50,7 @@ _SHORTEST = 1e-12
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Problem:
+class Problem(Value):
     """A calibration as numbers: N rows, p parameters."""
 
     #: The nominal robot under its error model, frames and targets as registered

@@ -13,10 +13,11 @@ from calib.numerics.solvers import PAPER as PAPER, Solver, check_name
 from calib.registration.known_distances import KnownDistance
 from calib.registration.setup import Setup
 from calib.robot.robot import Robot
+from calib.values.pickling import Value
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Task:
+class Task(Value):
     """Robot, cell, measurement setup and model of a fit, and its options."""
 
     #: The nominal robot

@@ -1,4 +1,4 @@
-"""fleet: calibrate many robots, each from its own data into its own folder, and compare them with each other.
+"""run_fleet: calibrate many robots, each from its own data into its own folder, and compare them with each other.
 
 Robots are read when their turn has come and calibrated in any executor; the process that reads the inputs writes the
 files too, so that workers on other machines need no shared disk. A robot that fails has a row with the reason, and the
@@ -38,6 +38,7 @@ from calib.fleets.robot_folder import RobotFolder
 from calib.jobs import Progress, run
 from calib.json_files import json_bytes, plain
 from calib.robot.urdf import read_urdf
+from calib.values.short import one_line
 
 #: The table of a fleet for a spreadsheet; see docs/fleet.md.
 CSV = "fleet.csv"
@@ -64,6 +65,17 @@ class Fleet:
     notes: tuple[str, ...]
     #: Number of robots taken from an earlier run
     kept: int
+
+    def __repr__(self) -> str:
+        """Return one line: numbers of robots, of those that failed, are withheld, are unlike the others, were kept."""
+        counts = {
+            "robots": len(self.rows),
+            "failed": len(self.failed),
+            "withheld": len(self.withheld),
+            "outliers": len({outlier.name for outlier in self.outliers}),
+            "kept": self.kept,
+        }
+        return one_line("Fleet", *(f"{count} {what}" for what, count in counts.items()))
 
     @property
     def failed(self) -> tuple[FleetRow, ...]:
@@ -92,7 +104,7 @@ class Fleet:
         }
 
 
-def fleet(
+def run_fleet(
     robots: Sequence[FleetRobot],
     folder: str | Path,
     options: FleetOptions | None = None,
@@ -136,7 +148,7 @@ def fleet(
 
 
 class _Run:
-    """A run of `fleet`: reads the robots, writes their files, and collects their rows in any order."""
+    """A run of `run_fleet`: reads the robots, writes their files, and collects their rows in any order."""
 
     def __init__(
         self,
@@ -145,7 +157,7 @@ class _Run:
         count: int,
         progress: Progress | None,
     ) -> None:
-        """Begin a run; ``count`` is the number of all robots, the others are as of `fleet`."""
+        """Begin a run; ``count`` is the number of all robots, the others are as of `run_fleet`."""
         self._folder = folder
         self._options = options
         self._count = count

@@ -5,12 +5,14 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.data.table import Table
 from calib.errors import CalibError
+from calib.inputs import CellInput, RobotInput, TableInput, inputs_of
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
 
@@ -82,6 +84,27 @@ class FleetRobot:
             return nominal, measurements, setup
 
         return cls(name, load)
+
+    @classmethod
+    def of_values(
+        cls, name: str, robot: RobotInput, table: TableInput, cell: CellInput = None
+    ) -> FleetRobot:
+        """Return a robot of values, or of the paths and names that they are read from when its turn has come.
+
+        Args:
+            name: Unique name of the robot and its folder.
+            robot: The nominal robot, the path of its URDF or xacro, or its name such as ``"ur3"``.
+            table: Its measurements, or the path of their table.
+            cell: Its measurement setup, or the path of a cell file; None: the default `Cell`.
+        """
+        return cls(name, partial(_inputs, robot, table, cell))
+
+
+def _inputs(
+    robot: RobotInput, table: TableInput, cell: CellInput, read_robot: UrdfReader
+) -> FleetInputs:
+    """Return the inputs of a robot; what is named by a path is read."""
+    return inputs_of(robot, table, cell, read=read_robot)
 
 
 def check_names(names: Iterable[tuple[str, str]]) -> None:

@@ -18,6 +18,7 @@ from calib.errors import CalibError
 from calib.fleets.fingerprint import fingerprint
 from calib.fleets.record import FAILED, WITHHELD, FleetRow
 from calib.fleets.robot_folder import SCHEMA, URDF
+from calib.mappings import keep_read_only
 from calib.report.report import write_report
 from calib.robot.robot import Robot
 from calib.version import __version__
@@ -86,6 +87,10 @@ class FleetJobResult:
     row: FleetRow
     #: Content of each file, by name; none if the robot failed
     files: Mapping[str, bytes] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Keep a read-only copy of the files."""
+        keep_read_only(self, "files")
 
 
 def calibrate_job(options: FleetOptions, job: FleetJob) -> FleetJobResult:

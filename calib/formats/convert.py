@@ -17,11 +17,15 @@ from calib.formats.dh_files import ENDINGS, DHTables, write_dh
 from calib.formats.notes import Note
 from calib.formats.origins import write_origins
 from calib.formats.source import Options, Source
-from calib.formats.source_kinds import KINDS, YAML, source_kind
+from calib.formats.source_kinds import KINDS, YAML, result_source, robot_source, source_kind
 from calib.formats.universal_robots import read_ur, write_ur_conf, write_ur_yaml
+from calib.inputs import RobotInput
 from calib.model.dh import HAYATI, MODIFIED, STANDARD
+from calib.result.calibration import CalibrationValues
 from calib.robot.ranges import random_joint_values
 from calib.robot.readback import check_written
+from calib.robot.robot import Robot
+from calib.values.pickling import Value
 
 __all__ = [
     "FORMATS",
@@ -39,7 +43,7 @@ Notes = tuple[Note, ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Conversion:
+class Conversion(Value):
     """A conversion that was done: what was read, and what was written."""
 
     #: What was read.
@@ -54,11 +58,13 @@ class Conversion:
     against: str = ""
 
 
-def read_source(source: str, path: Path, options: Options) -> tuple[Source, str]:
-    """Read a file or the name of a robot, and choose the format that it is to be written in.
+def read_source(
+    source: CalibrationValues | RobotInput, path: Path, options: Options
+) -> tuple[Source, str]:
+    """Read what is to be converted, unless it is there already, and choose the format that it is written in.
 
     Args:
-        source: A file that `KINDS` has a row for, or the name of a robot.
+        source: A result; a robot; a file that `KINDS` has a row for; or the name of a robot.
         path: The file to write.
         options: What goes with the conversion.
 
@@ -71,9 +77,15 @@ def read_source(source: str, path: Path, options: Options) -> tuple[Source, str]
         ModelError: Things do not fit each other.
         CalibError: Something was not given that is needed.
     """
-    kind = source_kind(source)
+    if isinstance(source, CalibrationValues):
+        name = chosen_format(path, options.to, "result")
+        return result_source(source, options, "The calibration"), name
+    if isinstance(source, Robot):
+        name = chosen_format(path, options.to, "robot")
+        return robot_source(source, options), name
+    kind = source_kind(str(source))
     name = chosen_format(path, options.to, kind)
-    return KINDS[kind].read(source, options), name
+    return KINDS[kind].read(str(source), options), name
 
 
 def chosen_format(path: Path, given: str | None, kind: str) -> str:

@@ -6,12 +6,16 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from calib.data.cell import Cell
 from calib.diagnosis.reasons import Verdict
 from calib.formats.notes import Note
 from calib.formats.ur_arms import UrModel
 from calib.formats.ur_conf import Conf
+from calib.inputs import RobotInput, robot_of
+from calib.mappings import keep_read_only
 from calib.robot.robot import Robot
 from calib.units import Array
+from calib.values.pickling import Value
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,16 +24,16 @@ class Options:
 
     #: Name of the format to write; None: by the ending of the file.
     to: str | None = None
-    #: The nominal robot: URDF, xacro or name; None: that of a result, or a bare one of ``ur_model``.
-    robot: str | None = None
+    #: The nominal robot, or its URDF, xacro or name; None: that of a result, or a bare one of ``ur_model``.
+    robot: RobotInput | None = None
     #: Name of an arm of Universal Robots; None: found from the robot.
     ur_model: str | None = None
     #: The arm's file with the nominal rows of a ``calibration.conf``; None: those of the robot or of ``ur_model``.
-    urcontrol: Path | None = None
+    urcontrol: str | Path | None = None
     #: The robot's own ``kinematics.yaml`` or ``calibration.conf``, whose hash a new ``kinematics.yaml`` keeps.
-    hash_from: Path | None = None
+    hash_from: str | Path | None = None
     #: A ``calibration.conf`` whose other lines a new one keeps.
-    update: Path | None = None
+    update: str | Path | None = None
     #: First link of the chain; None: that of the source.
     base: str | None = None
     #: Last link of the chain; None: that of the source.
@@ -39,13 +43,23 @@ class Options:
     #: Whether a file that exists is replaced.
     overwrite: bool = False
 
-    def load(self, source: str) -> Robot:
-        """Return a robot, by its URDF, xacro or name, between the links of these options."""
-        return Robot.load(source, self.base, self.tip, held=self.held)
+    def __post_init__(self) -> None:
+        """Keep a read-only copy of the held values."""
+        keep_read_only(self, "held")
+
+    def load(self, source: RobotInput) -> Robot:
+        """Return a robot, given or by its URDF, xacro or name, between the links of these options."""
+        if not isinstance(source, Robot):
+            return robot_of(source, Cell(base=self.base, tip=self.tip, held=self.held or {}))
+        held = source.held if self.held is None else self.held
+        base, tip = self.base or source.base, self.tip or source.tip
+        if (base, tip, held) == (source.base, source.tip, source.held):
+            return source
+        return Robot.from_urdf(source.urdf, base, tip, held=held)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Source:
+class Source(Value):
     """A robot read from a file, and the same chain with nominal kinematics.
 
     Of Universal Robots' files also the driver's name of the calibration, the arm, and what the file holds.

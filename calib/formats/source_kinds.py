@@ -19,6 +19,8 @@ from calib.formats.source import Options, Source
 from calib.formats.universal_robots import read_ur
 from calib.formats.ur_arms import UrModel, ur_model, ur_robot
 from calib.formats.ur_mount import Mount, the_mount
+from calib.inputs import RobotInput
+from calib.result.calibration import CalibrationValues
 from calib.result.calibration_file import read_result
 from calib.robot.robot import Robot
 from calib.robot.xacro_file import is_xacro
@@ -87,8 +89,21 @@ def _on_chain(robot: Robot, options: Options) -> Robot:
 
 
 def _result(source: str, options: Options) -> Source:
-    """Read a result, on the given robot, nominal or corrected, or on the URDF that it holds."""
-    result = read_result(source)
+    """Read the file of a result, see `result_source`."""
+    return result_source(read_result(source), options, source)
+
+
+def result_source(result: CalibrationValues, options: Options, name: str) -> Source:
+    """Return a result as a source, on the given robot, nominal or corrected, or on the URDF that it holds.
+
+    Args:
+        result: The result.
+        options: What goes with the conversion.
+        name: What messages call the result.
+
+    Raises:
+        CalibError: The options name another chain.
+    """
     nominal = result.nominal
     robot = result.robot
     links = (options.base or nominal.base, options.tip or nominal.tip)
@@ -96,10 +111,11 @@ def _result(source: str, options: Options) -> Source:
     has_other_held = options.held and options.held != nominal.held
     if has_other_links or has_other_held:
         raise CalibError(
-            f"{source} holds base, tip and held joints; leave out --base, --tip and --hold."
+            f"{name} holds base, tip and held joints; leave out --base, --tip and --hold."
         )
     if options.robot is not None:
-        arm = Robot.load(options.robot, nominal.base, nominal.tip, held=nominal.held)
+        links_of_result = replace(options, base=nominal.base, tip=nominal.tip, held=nominal.held)
+        arm = links_of_result.load(options.robot)
         if is_corrected(result, arm):
             nominal, robot = result.uncorrected(arm), arm
         else:
@@ -127,8 +143,13 @@ def _origins(source: str, options: Options) -> Source:
 
 
 def _robot(source: str, options: Options) -> Source:
-    """Read a URDF, a xacro or the name of a robot, beside the given nominal one."""
-    robot = options.load(source)
+    """Read a URDF, a xacro or the name of a robot, see `robot_source`."""
+    return robot_source(source, options)
+
+
+def robot_source(given: RobotInput, options: Options) -> Source:
+    """Return a robot, or what its URDF, xacro or name means, as a source beside the given nominal one."""
+    robot = options.load(given)
     nominal = _nominal_of(robot, options)
     model = None if nominal is None else _arm(nominal, options)
     return Source("robot", robot, nominal, model=model)

@@ -25,6 +25,7 @@ from calib.model.dh import screw
 from calib.robot.robot import Robot, read_only, rigid_inverse
 from calib.robot.urdf import Urdf
 from calib.units import Array
+from calib.values.pickling import Value
 
 COLUMNS = ("theta", "a", "d", "alpha")
 """The columns of the rows."""
@@ -89,7 +90,7 @@ _JointRow = tuple[str, str, str, tuple[float, ...], tuple[float, ...]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class UrModel:
+class UrModel(Value):
     """One type of arm, with its nominal kinematics."""
 
     #: ``"UR5e"``; of an arm that calib does not know ``"arm of urcontrol.conf"``.

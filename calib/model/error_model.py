@@ -29,6 +29,7 @@ from calib.robot.gravity import GRAVITY
 from calib.robot.robot import Robot, read_only, rigid_inverse
 from calib.robot.urdf import UrdfJoint
 from calib.units import Array
+from calib.values.arguments import check_type
 
 #: The six directions of a frame or a placement: along, then about its axes.
 DIRECTIONS = ("x", "y", "z", "rx", "ry", "rz")
@@ -92,6 +93,7 @@ def error_model(
         robot_parameters = _robot_parameters(robot, name, acceleration)
     else:
         set_name = OWN
+        _check_parameters(name)
         robot_parameters = tuple(name)
     if set_name == "paper" and any(frame.values()):
         raise ModelError(
@@ -108,6 +110,14 @@ def error_model(
     if set_name == "zeros":
         return model.tied(_follower_ties(robot))
     return model
+
+
+def _check_parameters(given: Sequence[Parameter]) -> None:
+    """Refuse what is no sequence of parameters."""
+    allowed = "the name of a model, or a sequence of Parameters"
+    check_type("model", given, Sequence, allowed)
+    for parameter in given:
+        check_type("model", parameter, Parameter, allowed)
 
 
 @lru_cache(maxsize=64)

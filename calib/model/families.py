@@ -20,12 +20,14 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
 import calib.plugins as plugins
 from calib.errors import ModelError, choices
 from calib.units import Array
+from calib.values.pickling import Value
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,7 +166,7 @@ class JointState:
 
 
 @dataclass(frozen=True, slots=True)
-class Factor:
+class Factor(Value):
     """The known number of the joints' state that multiplies one parameter of a joint."""
 
     #: Names the parameter, ``<joint>.<name>``.
@@ -180,9 +182,15 @@ class Factor:
     #: The name of that point; "" where ``later`` is False or the point is not chosen yet.
     point: str = ""
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle a factor of a registered family by its name, which the reading process must have registered too."""
+        if _factors().get(_split(self.name)[0]) is not None and factor_of(self.name) == self:
+            return factor_of, (self.name,)
+        return Value.__reduce__(self)
+
 
 @dataclass(frozen=True, slots=True)
-class Family:
+class Family(Value):
     """A family of errors, whose parameters share the standard deviation of a prior."""
 
     #: As a model names it behind a "+": ``"gain"``.
@@ -205,6 +213,12 @@ class Family:
     positive: bool = False
     #: A sliding joint's typical error over that of a turning one.
     lever: float = 1.0
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle a registered family by its name, which the reading process must have registered too."""
+        if _REGISTRY.get(self.name) is self:
+            return family_of, (self.name,)
+        return Value.__reduce__(self)
 
     @property
     def geometric(self) -> bool:
@@ -274,7 +288,7 @@ def register(family: Family) -> None:
     Raises:
         ModelError: It has no factors, or its name or that of a factor is taken.
     """
-    taken = [factor.name for row in FAMILIES.values() for factor in row.factors]
+    taken = [*_factors()]
     doubled = [factor.name for factor in family.factors if factor.name in taken]
     if family.name in FAMILIES or doubled or not family.factors:
         raise ModelError(
@@ -291,17 +305,32 @@ def family_of(name: str) -> Family:
 
 
 def factor_of(name: str) -> Factor:
-    """Return a factor of any family by its name; KeyError if there is none.
+    """Return a factor of any family by its name; ModelError if no registered family has it.
 
     Args:
         name: Such as ``"gain"``; or with a point of the chain, as in ``"gravity[elbow_joint]"``.
     """
-    factor_name, _, point = name.removesuffix("]").partition("[")
-    factors = {factor.name: factor for row in FAMILIES.values() for factor in row.factors}
+    factor_name, point = _split(name)
+    factors = _factors()
+    if factor_name not in factors:
+        raise ModelError(
+            f"No family of errors has the factor '{factor_name}'; there are {choices(factors)}."
+        )
     factor = factors[factor_name]
     if point:
         return replace(factor, name=name, point=point)
     return factor
+
+
+def _split(name: str) -> tuple[str, str]:
+    """Return the name of a factor without its point, and that point; empty if it has none."""
+    factor_name, _, point = name.removesuffix("]").partition("[")
+    return factor_name, point
+
+
+def _factors() -> dict[str, Factor]:
+    """Return the factors of all registered families by name."""
+    return {factor.name: factor for row in FAMILIES.values() for factor in row.factors}
 
 
 def joint_families() -> tuple[str, ...]:

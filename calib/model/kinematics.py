@@ -19,10 +19,11 @@ from calib.model.parameters import ErrorModel
 from calib.robot import kernel
 from calib.robot.robot import Robot, read_only
 from calib.units import Array, Integers, Mask
+from calib.values.pickling import Value
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Samples:
+class Samples(Value):
     """Joint values in N samples, and the measurement frame and the target of each."""
 
     #: Shape (N, m), values of the measured joints, [rad] or [m], in the order of `Robot.joint_names`.
@@ -61,7 +62,7 @@ SamplesOrValues: TypeAlias = Samples | Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Kinematics:
+class Kinematics(Value):
     """A robot under an error model, seen at targets from measurement frames."""
 
     #: The nominal robot.

@@ -6,15 +6,17 @@ can be compared, and the result does not change with the units.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.mappings import keep_read_only
 from calib.model.families import unit_of
 from calib.robot.robot import read_only
 from calib.units import Array
+from calib.values.pickling import Value
 
 #: Directions with less than this share of the strongest one's effect cannot be identified: 1 mm moves points by < 1 um.
 _NEGLIGIBLE = 1e-3
@@ -48,7 +50,7 @@ class Combination:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Observability:
+class Observability(Value):
     """The result of `analyse`."""
 
     #: Number of parameters
@@ -60,11 +62,15 @@ class Observability:
     #: Shape (columns,), of the scaled Jacobian, descending, [m per step]
     singular_values: Array
     #: O1 to O5 of the determined part
-    indices: dict[str, float]
+    indices: Mapping[str, float]
     #: One combination for each missing rank
     unidentifiable: tuple[Combination, ...]
     #: Shape (columns,), True for a parameter that takes part in none of them
     identifiable: NDArray[np.bool_]
+
+    def __post_init__(self) -> None:
+        """Keep a read-only copy of the mapping."""
+        keep_read_only(self, "indices")
 
 
 def steps(units: Sequence[str]) -> Array:

@@ -16,6 +16,7 @@ from calib.errors import ModelError, choices
 from calib.model.families import FAMILIES, Factor
 from calib.robot.robot import Robot, read_only
 from calib.units import Array, Mask
+from calib.values.pickling import Value
 
 #: Place of a measurement frame, with the frame's name behind it: ``"(frame)left"``. No URDF calls a joint so.
 FRAME = "(frame)"
@@ -31,7 +32,7 @@ _UNMOVED = 1e-12
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Parameter:
+class Parameter(Value):
     """One error: a direction at a place."""
 
     #: Unique, such as ``"d1"``, ``"elbow_joint.rx"`` or ``"target_x"``.
@@ -51,7 +52,7 @@ class Parameter:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ErrorModel:
+class ErrorModel(Value):
     """A named list of parameters for one chain, and the terms of the equation that they move."""
 
     #: The set's name, such as ``"dh"``.

@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 from calib.errors import CalibError
 from calib.robot.robot import read_only
 from calib.units import Array, Mask
+from calib.values.arguments import numbers
 
 #: Largest coordinate [m] or joint value [m or rad] accepted: no robot gets there, and beyond it
 #: doubles are further apart than the accuracy that calib computes to.
@@ -38,7 +39,7 @@ def vector(value: ArrayLike, what: str) -> Array:
     Raises:
         CalibError: The shape is another, or a coordinate is not finite or too large.
     """
-    array = np.asarray(value, dtype=np.float64)
+    array = numbers(what, value, "three finite numbers x, y, z")
     in_range = np.abs(array) <= FARTHEST
     if array.shape != (3,) or not in_range.all():
         raise CalibError(

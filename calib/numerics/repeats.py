@@ -20,6 +20,7 @@ import numpy as np
 from calib.channels import Channels
 from calib.mappings import ReadOnlyMapping
 from calib.units import Array, Integers
+from calib.values.pickling import Value
 
 #: Degrees of freedom below this are rounding: no pose was repeated.
 _NO_FREEDOM = 1e-9
@@ -29,7 +30,7 @@ _MEANS_FITTED = 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Repeats:
+class Repeats(Value):
     """Scatter within repeats in each unit that was measured, and the correlation of repeats."""
 
     #: Standard deviation of a scalar of a repeat by its unit, in that unit; NaN without repeats

@@ -15,6 +15,7 @@ from scipy.linalg.lapack import dgeqrf, dtrtrs
 import calib.plugins as plugins
 from calib.errors import ModelError, SolverError, choices
 from calib.units import Array
+from calib.values.pickling import Value
 
 #: Name of the paper's algorithm, which is no weighted least-squares solver: it has neither weights nor priors.
 PAPER = "paper"
@@ -58,7 +59,7 @@ class Iteration:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Solution:
+class Solution(Value):
     """Result of a solver."""
 
     #: Shape (p,)

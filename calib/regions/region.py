@@ -21,8 +21,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
-from calib.errors import CalibError
+from calib.errors import CalibError, ModelError
+from calib.numerics.geometry import vector
 from calib.units import Array, Mask
+from calib.values.arguments import check_number, check_type, finite_numbers, numbers, wrong_type
+from calib.values.pickling import Value
+from calib.values.short import one_line
 
 #: Samples that a smoothed count rests on, in the mean over reached voxels, where the voxel's size is chosen.
 SAMPLES_PER_VOXEL = 300.0
@@ -53,8 +57,12 @@ _SPOT = 1e-9
 _SPOT_VOXEL = 1e-3
 
 
+#: What messages call positions of points.
+_POSITIONS = "positions of shape (N, 3), [m]"
+
+
 @dataclass(frozen=True, slots=True, eq=False)
-class Region:
+class Region(Value):
     """Part of space that a robot is measured in: voxels of a grid in the base frame."""
 
     #: Shape (3,), the grid's least corner [m].
@@ -67,6 +75,47 @@ class Region:
     share: float
     #: Share of the samples that the voxels hold: not less than ``share``.
     held: float
+
+    def __post_init__(self) -> None:
+        """Check the values, and keep read-only copies of the arrays."""
+        object.__setattr__(self, "origin", vector(self.origin, "origin"))
+        for name in ("voxel", "share", "held"):
+            check_number(name, getattr(self, name))
+        cells = np.array(self.cells)
+        if cells.dtype != np.bool_ or cells.ndim != 3:
+            raise wrong_type(
+                "cells", self.cells, "True or False for each voxel, shape (nx, ny, nz)"
+            )
+        cells.setflags(write=False)
+        object.__setattr__(self, "cells", cells)
+
+    def __repr__(self) -> str:
+        """Return one line: volume, voxels, share of the samples."""
+        volume = f"{1e3 * self.volume:.4g} litres"
+        voxels = f"{np.count_nonzero(self.cells)} voxels of {1e3 * self.voxel:g} mm"
+        return one_line("Region", volume, voxels, f"{100.0 * self.held:.4g} % of the samples")
+
+    @classmethod
+    def of_points(
+        cls, points: ArrayLike, share: float = 0.95, *, voxel: float | None = None
+    ) -> Region:
+        """Make the smallest region that holds a share of points.
+
+        Args:
+            points: Positions in the robot's base frame, shape (N, 3), [m], such as
+                `calib.regions.workspace.workspace_points` samples.
+            share: Share of the points, greater than 0 and at most 1.
+            voxel: Edge of a voxel [m]; None: chosen by the points, see `Density.of`.
+
+        Raises:
+            CalibError: No points, a share outside of that range, or too many voxels.
+        """
+        return Density.of(points, voxel).region(share)
+
+    @property
+    def points(self) -> Array:
+        """Centres of the region's voxels, in the base frame, shape (n, 3), [m]."""
+        return np.asarray(self.origin + self.voxel * (np.argwhere(self.cells) + 0.5))
 
     @property
     def volume(self) -> float:
@@ -84,18 +133,24 @@ class Region:
         """Test which points lie in one of the region's voxels.
 
         Args:
-            points: Positions in the robot's base frame, shape (N, 3), [m].
+            points: Positions in the robot's base frame, shape (N, 3) or (3,), [m].
 
         Returns:
             True inside, shape (N,).
+
+        Raises:
+            ArgumentError: They are no numbers.
+            ModelError: They have another shape, or are not finite.
         """
-        index, in_grid = _voxel_of(np.asarray(points), self.origin, self.voxel, self.cells.shape)
+        positions = np.atleast_2d(numbers("points", points, _POSITIONS))
+        positions = finite_numbers("points", positions, (None, 3), _POSITIONS)
+        index, in_grid = _voxel_of(positions, self.origin, self.voxel, self.cells.shape)
         inside: Mask = in_grid & self.cells[tuple(index.T)]
         return inside
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Density:
+class Density(Value):
     """Counts of samples in the voxels of a grid in the base frame."""
 
     #: Shape (3,), the grid's least corner [m].
@@ -125,7 +180,11 @@ class Density:
         Raises:
             CalibError: The grid would have more than `MOST_VOXELS` voxels.
         """
-        samples = np.asarray(points, dtype=np.float64)
+        samples = finite_numbers("points", points, (None, 3), _POSITIONS)
+        if not len(samples):
+            raise ModelError(f"There are no points; 'points' must be {_POSITIONS}.")
+        if voxel is not None:
+            check_number("voxel", voxel)
         edge = _chosen_voxel(samples) if voxel is None else float(voxel)
         origin, counts = _count(samples, edge)
         smooth, _ = _smooth(counts)
@@ -164,6 +223,7 @@ class Density:
         Raises:
             CalibError: The share is outside of that range.
         """
+        check_type("share", share, (int, float, np.number), "a number greater than 0 and at most 1")
         if not 0.0 < share <= 1.0:
             raise CalibError(
                 f"The share is {share:g}; it must be greater than 0 and at most 1, such as 0.95."

@@ -17,6 +17,7 @@ from calib.regions.region import Density, Region
 from calib.robot.chain import rigid_inverse
 from calib.robot.robot import Robot
 from calib.units import Array, Mask
+from calib.values.pickling import Value
 
 
 class Checked(NamedTuple):
@@ -31,7 +32,7 @@ class Checked(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RegionView:
+class RegionView(Value):
     """Region of a robot's workspace as it is printed and drawn."""
 
     #: The robot.

@@ -1,4 +1,7 @@
-"""Workspace: where a target lies when the joints take all their values equally often (the paper, section 4.3)."""
+"""Workspace: where a target lies when the joints take all their values equally often (the paper, section 4.3).
+
+`workspace_points` samples the positions; `workspace` finds the smallest region that holds a share of them.
+"""
 
 from __future__ import annotations
 
@@ -7,10 +10,13 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from numpy.typing import ArrayLike
 
+from calib.inputs import RobotInput, robot_of
 from calib.numerics.geometry import vector
+from calib.regions.region import Region
 from calib.robot.ranges import joint_ranges
 from calib.robot.robot import Robot
 from calib.units import Array
+from calib.values.arguments import check_whole, finite_numbers
 
 #: Samples by default, a power of two.
 COUNT = 2**17
@@ -20,6 +26,44 @@ _CHUNK = 2**15
 
 
 def workspace(
+    robot: RobotInput,
+    target: ArrayLike = (0.0, 0.0, 0.0),
+    ranges: ArrayLike | None = None,
+    *,
+    share: float = 0.95,
+    voxel: float | None = None,
+    count: int = COUNT,
+    seed: int = 0,
+) -> Region:
+    """Return the smallest part of space that holds a target with a given probability.
+
+    The joints take all their values equally often, see `workspace_points`; the positions of the target are counted in
+    voxels, see `Density`.
+
+    Args:
+        robot: The robot, with m measured joints; or the path of its URDF or xacro, or its name such as ``"ur3"``, from
+            the URDF's root to its farthest link.
+        target: Position of the target in the tip, shape (3,), [m].
+        ranges: Lowest and highest value of each joint, shape (m, 2), [rad] or for sliding joints [m], in the order of
+            ``robot.joint_names``; None: those of `calib.robot.ranges.joint_ranges`.
+        share: Probability that the target is in the region, greater than 0 and at most 1.
+        voxel: Edge of a voxel [m]; None: chosen by the samples.
+        count: Number of samples; a power of two is spread the most evenly.
+        seed: Seed of the samples: the same one gives the same region.
+
+    Returns:
+        The region, voxels of the robot's base frame.
+
+    Raises:
+        ArgumentError: An argument of another type.
+        CalibError: Ranges of another shape, a share outside of that range, or too many voxels.
+    """
+    arm = robot_of(robot)
+    points = workspace_points(arm, target, ranges, count, seed)
+    return Region.of_points(points, share, voxel=voxel)
+
+
+def workspace_points(
     robot: Robot,
     target: ArrayLike = (0.0, 0.0, 0.0),
     ranges: ArrayLike | None = None,
@@ -43,8 +87,13 @@ def workspace(
     Returns:
         Positions of the target in the base frame, shape (count, 3), [m], read-only.
     """
-    p_tip_target = vector(target, "target's position in the tip")
-    limits = joint_ranges(robot) if ranges is None else np.asarray(ranges)
+    check_whole("count", count, 1)
+    check_whole("seed", seed, 0)
+    p_tip_target = vector(target, "target")
+    limits = joint_ranges(robot)
+    if ranges is not None:
+        m = len(robot.inputs)
+        limits = finite_numbers("ranges", ranges, (m, 2), f"of shape ({m}, 2), [rad] or [m]")
     points = np.empty((count, 3))
     done = 0
     for q in _even_joint_values(limits, count, seed):

@@ -16,10 +16,11 @@ from calib.model.kinematics import Samples
 from calib.model.parameters import FRAME, TARGET, ErrorModel, Parameter
 from calib.robot.robot import read_only
 from calib.units import Array, Mask
+from calib.values.pickling import Value
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Setup:
+class Setup(Value):
     """F frames and T targets, in the order of the numbers that rows refer to them with."""
 
     #: Names of the stations, with one frame each

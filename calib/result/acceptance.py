@@ -26,12 +26,13 @@ from calib.diagnosis.coverage import OutsideRow
 from calib.diagnosis.reasons import Reason
 from calib.diagnosis.usual_mistakes import find_usual_mistake
 from calib.errors import CalibError, MeasurementError, choices
-from calib.mappings import ReadOnlyMapping
+from calib.mappings import ReadOnlyMapping, keep_read_only
 from calib.result.accuracy import Accuracy, PoseAccuracy, accuracy, fitted_rows
 from calib.result.calibration import CalibrationValues
-from calib.result.evaluation import Evaluation, evaluate, moved_place, registration_rows
+from calib.result.evaluation import EvaluationValues, evaluate, moved_place, registration_rows
 from calib.robot.robot import Robot
 from calib.units import Array, Mask, split_header
+from calib.values.pickling import Value
 
 Outcome = Literal["pass", "undecided", "fail"]
 
@@ -175,7 +176,7 @@ def error_of(pose: PoseAccuracy, criterion: str, unit: str) -> float:
 
 
 def acceptance(
-    evaluation: Evaluation,
+    evaluation: EvaluationValues,
     tolerance: Mapping[str, float],
     *,
     uncertainty: Mapping[str, float] | None = None,
@@ -287,11 +288,11 @@ def _check(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Assessment:
+class Assessment(Value):
     """Every robot that a URDF and a result hold, compared with one table."""
 
     #: Errors, by ``"nominal"``, ``"urdf"``, ``"calibration"`` and ``"non_geometric"`` as far as there are such robots
-    evaluations: Mapping[str, Evaluation]
+    evaluations: Mapping[str, EvaluationValues]
     #: Their pose accuracy, by the same names
     accuracies: Mapping[str, Accuracy]
     #: Name of the robot that is judged
@@ -303,6 +304,10 @@ class Assessment:
     #: An explanation by which the rows would fit far better: a usual mistake, or a frame or target that has moved since
     #: the calibration
     hint: Reason | None
+
+    def __post_init__(self) -> None:
+        """Keep read-only copies of the mappings."""
+        keep_read_only(self, "evaluations", "accuracies")
 
 
 def assess(
@@ -364,7 +369,7 @@ def _evaluations(
     cell: Cell,
     calibration: CalibrationValues | None,
     which: tuple[str, ...],
-) -> dict[str, Evaluation]:
+) -> dict[str, EvaluationValues]:
     """Evaluate each robot that a URDF and a result hold against one table.
 
     Args:
@@ -398,7 +403,7 @@ def _evaluations(
 
 
 def _explanation(
-    evaluations: Mapping[str, Evaluation],
+    evaluations: Mapping[str, EvaluationValues],
     cell: Cell,
     calibration: CalibrationValues | None,
     which: tuple[str, ...],
@@ -424,7 +429,7 @@ def _explanation(
     return moved_place(corrected.robot, corrected.measurements, cell, calibration.setup, which)
 
 
-def _judged_name(judge: str | None, evaluations: Mapping[str, Evaluation]) -> str:
+def _judged_name(judge: str | None, evaluations: Mapping[str, EvaluationValues]) -> str:
     """Return the name of the robot that is judged.
 
     Args:

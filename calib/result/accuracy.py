@@ -32,9 +32,10 @@ from calib.registration.rows import Rows
 from calib.registration.setup import Setup
 from calib.registration.table_rows import rows_and_setup
 from calib.result.calibration import CalibrationValues
-from calib.result.evaluation import Evaluation, evaluate, registration_rows
+from calib.result.evaluation import EvaluationValues, evaluate, registration_rows
 from calib.robot.robot import Robot, read_only
 from calib.units import Array, Integers, Mask
+from calib.values.pickling import Value
 
 #: Rows that are judged: all of a table, its validation rows, or those that nothing was fitted or registered to.
 JudgedRows = Literal["all", "validation", "fresh"]
@@ -50,7 +51,7 @@ _SAME = 1e-7
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PoseFigures:
+class PoseFigures(Value):
     """Accuracy and repeatability at one pose in one unit; NaN for what was not measured."""
 
     #: Pose accuracy: norm of the mean error
@@ -72,7 +73,7 @@ _NOTHING = PoseFigures(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PoseAccuracy:
+class PoseAccuracy(Value):
     """Accuracy and repeatability at one pose of one target at one station."""
 
     #: Numbers of the rows in the table: the repeats of the pose
@@ -182,7 +183,7 @@ class Accuracy:
         return min(counts), max(counts)
 
 
-def accuracy(evaluation: Evaluation, *, seen: bool | Mask = False) -> Accuracy:
+def accuracy(evaluation: EvaluationValues, *, seen: bool | Mask = False) -> Accuracy:
     """Return pose accuracy and repeatability of an evaluated robot.
 
     Where a target or a frame was registered to the estimation rows, the validation rows are judged alone, if there are
@@ -298,7 +299,7 @@ def _name_of(judged: Mask, measured: Mask, validation: Mask) -> JudgedRows:
     return "fresh"
 
 
-def _poses(evaluation: Evaluation, rows: Rows, judged: Mask) -> tuple[PoseAccuracy, ...]:
+def _poses(evaluation: EvaluationValues, rows: Rows, judged: Mask) -> tuple[PoseAccuracy, ...]:
     """Return accuracy and repeatability at each pose of the judged rows.
 
     Args:
@@ -320,7 +321,7 @@ def _poses(evaluation: Evaluation, rows: Rows, judged: Mask) -> tuple[PoseAccura
     return tuple(_of_pose(evaluation, residual, indices) for indices in repeats)
 
 
-def _in_base_axes(evaluation: Evaluation, rows: Rows) -> Array:
+def _in_base_axes(evaluation: EvaluationValues, rows: Rows) -> Array:
     """Return residuals along the axes of the robot's base: e_base = R^T e_frame, with the rotation R of T_frame_base.
 
     Args:
@@ -343,7 +344,9 @@ def _in_base_axes(evaluation: Evaluation, rows: Rows) -> Array:
     return np.asarray(residual)
 
 
-def _of_pose(evaluation: Evaluation, residual: Array, repeats: NDArray[np.intp]) -> PoseAccuracy:
+def _of_pose(
+    evaluation: EvaluationValues, residual: Array, repeats: NDArray[np.intp]
+) -> PoseAccuracy:
     """Return accuracy and repeatability at one pose, as ISO 9283 defines them.
 
     Args:

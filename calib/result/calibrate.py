@@ -22,6 +22,7 @@ from calib.diagnosis.reasons import NO, Verdict
 from calib.diagnosis.verdict import verdict
 from calib.estimate.fitting import Fitted, fit
 from calib.estimate.task import PAPER
+from calib.inputs import CellInput, RobotInput, TableInput, inputs_of
 from calib.jobs import Progress
 from calib.model.kinematics import Samples
 from calib.model.observability import Observability
@@ -47,19 +48,20 @@ from calib.result.prediction import (
 )
 from calib.robot.gravity import gravity_loads
 from calib.robot.ranges import spread_poses
-from calib.robot.robot import Robot, read_only
+from calib.robot.robot import read_only
 from calib.selection.candidates import Candidate, alternative_models, mark_chosen
 from calib.selection.cross_validation import cross_validation, nominal_cross_validation
 from calib.selection.robustness import Robustness, compare_weights
 from calib.units import Array, Mask
+from calib.values.arguments import check_callable, check_flags
 
 
 @one_blas_thread()
 def calibrate(
-    robot: Robot,
-    measurements: Measurements,
+    robot: RobotInput,
+    measurements: TableInput,
     *,
-    cell: Cell | None = None,
+    cell: CellInput = None,
     model: str | Sequence[Parameter] | None = None,
     solver: str | Solver = "lm",
     robust: bool = True,
@@ -69,11 +71,15 @@ def calibrate(
     """Calibrate a robot from measurements of a target on its tip.
 
     Args:
-        robot: The nominal robot, a chain of the URDF from base to tip.
-        measurements: Rows of joint values and of what was measured of the target there. Rows of the set ``estimate``
-            are fitted, those of ``validate`` only predicted; rows that are copies of others are left out.
-        cell: What is known of targets, frames, noise and priors; default: the measurements are in the base frame, the
-            target is estimated. Measurements in a tracker's own frame: ``Cell(estimate_frame=True)``.
+        robot: The nominal robot, a chain of the URDF from base to tip; or the path of a URDF or xacro, or a name such
+            as ``"ur3"``: base and tip are then the cell's, or the URDF's root and the end of the longest chain whose
+            joints are all in the table.
+        measurements: Rows of joint values and of what was measured of the target there, or the path of their table.
+            Rows of the set ``estimate`` are fitted, those of ``validate`` only predicted; rows that are copies of
+            others are left out.
+        cell: What is known of targets, frames, noise and priors, or the path of a cell file; None: the measurements are
+            in the base frame, the target is estimated. Measurements in a tracker's own frame:
+            ``Cell(estimate_frame=True)``.
         model: Name of the parameter set, with families behind it: ``"auto"`` (the data choose), ``"dh"``, ``"paper"``,
             ``"hayati"``, ``"placement"``, ``"zeros"`` or ``"frames"``, such as ``"dh+compliance"``; default the cell's.
             See docs/parameters.md. Or the robot's parameters themselves, each a twist at a placement.
@@ -89,20 +95,23 @@ def calibrate(
         with a verdict if it was cross-validated or a usual mistake explains the measurements better.
 
     Raises:
+        ArgumentError: Robot, measurements or cell are of another type.
         ModelError: An unknown parameter set, parameter or solver, or measurements that the model does not cover.
         MeasurementError: Too few rows, or columns that the robot needs are missing.
         SolverError: No finite result.
     """
-    cell = Cell() if cell is None else cell
+    arm, table, setup = inputs_of(robot, measurements, cell)
+    check_flags(robust=robust, validate=validate)
+    check_callable("progress", progress)
     if isinstance(model, str):
-        cell = replace(cell, model=model)
-    measurements = measurements.without_copies()
-    fits = fit_table(robot, measurements, cell, model=model, solver=solver, robust=robust)
+        setup = replace(setup, model=model)
+    table = table.without_copies()
+    fits = fit_table(arm, table, setup, model=model, solver=solver, robust=robust)
     if fits.mistake:
-        return _assembled(measurements, fits, verdict=Verdict(NO, (fits.mistake,)))
+        return _assembled(table, fits, verdict=Verdict(NO, (fits.mistake,)))
     if not validate:
-        return _assembled(measurements, fits)
-    return _validated(measurements, fits, progress)
+        return _assembled(table, fits)
+    return _validated(table, fits, progress)
 
 
 # Cross-validation and verdict

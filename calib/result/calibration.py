@@ -18,7 +18,7 @@ from calib.data.columns import SETS
 from calib.data.measurements import Measurements
 from calib.diagnosis.coverage import OutsideRow, outside
 from calib.diagnosis.reasons import Verdict
-from calib.errors import ModelError, choices
+from calib.errors import ArgumentError, ModelError, choices, did_you_mean
 from calib.estimate.fitting import Fitted
 from calib.model.kinematics import Samples
 from calib.model.observability import Observability
@@ -38,9 +38,14 @@ from calib.robot.robot import Robot, rigid_inverse
 from calib.selection.candidates import Candidate
 from calib.selection.robustness import Robustness
 from calib.units import Array, Mask
+from calib.values.arguments import check_type
+from calib.values.pickling import Value
 
 #: Number of values that stand for all those between the ends of a measured range.
 _BETWEEN = 73
+
+#: What says where a prediction is made, and with which model.
+_WHERE = ("target", "group", "non_geometric")
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +89,7 @@ class Source:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class FitInMemory:
+class FitInMemory(Value):
     """Measurements and solved problem of a calibration that was made in this process."""
 
     #: All rows
@@ -322,7 +327,8 @@ class CalibrationValues(FittedModel):
         Raises:
             ModelError: There is no such target or station.
         """
-        values = np.atleast_2d(np.asarray(q, dtype=np.float64))
+        values = self.nominal.columns(q)
+        check_type("payload", payload, (Payload, type(None)), "a Payload, or None")
         load = None
         if self.non_geometric is not None:
             load = self.non_geometric.load(self.nominal, values, payload)
@@ -341,10 +347,10 @@ class CalibrationValues(FittedModel):
         group: str | None = None,
         non_geometric: bool = True,
     ) -> Array:
-        """Predict poses of the target, T_frame_target, in the measurement frame.
+        """Predict calibrated T_frame_target by the non-geometric model if there is one, else by the geometry.
 
-        By ``kinematics`` and parameters ``x`` of the chosen model, with the frames and targets that were estimated or
-        given.
+        T_frame_target is the pose of the target in the measurement frame. By ``kinematics`` and parameters ``x`` of the
+        chosen model, with the frames and targets that were estimated or given.
 
         Args:
             q: shape (N, m) or (m,), joint values in the robot's order, [rad] or [m].
@@ -367,7 +373,9 @@ class CalibrationValues(FittedModel):
         return poses
 
     def predict(self, q: ArrayLike, **where: Any) -> Array:  # noqa: ANN401  as of predict_poses
-        """Predict positions of the target in the measurement frame.
+        """Predict calibrated positions by the non-geometric model if there is one, else by the geometry.
+
+        They are those of the target in the measurement frame.
 
         Args:
             q: shape (N, m) or (m,), joint values in the robot's order, [rad] or [m].
@@ -381,6 +389,12 @@ class CalibrationValues(FittedModel):
         Raises:
             ModelError: There is no such target or station.
         """
+        unknown = [name for name in where if name not in _WHERE]
+        if unknown:
+            raise ArgumentError(
+                f"A prediction has no argument {choices(unknown)}{did_you_mean(unknown[0], _WHERE)}; there are "
+                f"{choices(_WHERE)}."
+            )
         return self.predict_poses(q, **where)[:, :3, 3]
 
     def position_std(
@@ -391,11 +405,11 @@ class CalibrationValues(FittedModel):
         group: str | None = None,
         non_geometric: bool = True,
     ) -> Array:
-        """Return the standard deviation of positions by `predict`, sqrt(trace(J C J^T)).
+        """Return the standard deviation of `predict`, by the non-geometric model if there is one, else the geometry.
 
-        C is the ``covariance`` of the p parameters of the chosen model and J, shape (3, p), the derivative of the
-        position by them. Where only sockets, planes, anchors or pairs were measured, and no group is named, it leaves
-        out what moves all positions as one body. It knows nothing of errors that the model lacks.
+        It is sqrt(trace(J C J^T)). C is the ``covariance`` of the p parameters of the chosen model and J, shape (3, p),
+        the derivative of the position by them. Where only sockets, planes, anchors or pairs were measured, and no group
+        is named, it leaves out what moves all positions as one body. It knows nothing of errors that the model lacks.
 
         Args:
             q: shape (N, m) or (m,), joint values in the robot's order, [rad] or [m].
@@ -416,7 +430,7 @@ class CalibrationValues(FittedModel):
         return part.pose_std(samples, in_base=in_base)[:, 0]
 
     def tip_poses(self, q: ArrayLike, *, payload: Payload | None = None) -> Array:
-        """Return T_base_tip by the non-geometric model if there is one, or by the corrected joint origins of ``robot``.
+        """Predict calibrated T_base_tip by the non-geometric model if there is one, else by the geometry, ``robot``.
 
         Args:
             q: shape (N, m) or (m,), joint values in the robot's order, [rad] or [m].
@@ -427,7 +441,8 @@ class CalibrationValues(FittedModel):
             shape (N, 4, 4), pose of the tip in the base, [m].
         """
         if self.non_geometric is None:
-            return self.robot.poses(np.atleast_2d(np.asarray(q, dtype=np.float64)))
+            check_type("payload", payload, (Payload, type(None)), "a Payload, or None")
+            return self.robot.poses(q)
         return self.non_geometric.tips(self.samples(q, payload=payload))
 
     def outside_of_measured(self, q: ArrayLike) -> tuple[OutsideRow, ...]:
@@ -443,11 +458,11 @@ class CalibrationValues(FittedModel):
             The rows of ``q`` with a joint outside, each by its index, from 0, with the joints and their distances from
             the range, [rad] or [m]; empty where the fitted ranges are not known.
         """
+        values = self.nominal.columns(q)
         if not np.isfinite(self.ranges).all():
             return ()
         seen = np.linspace(self.ranges[:, 0], self.ranges[:, 1], _BETWEEN)
         types = [joint.type for joint in self.nominal.inputs]
-        values = np.atleast_2d(np.asarray(q, dtype=np.float64))
         return outside(seen, values, self.nominal.joint_names, types)
 
     def corrected(self, robot: Robot) -> Robot:
@@ -493,6 +508,7 @@ def _with_origins_of(source: Robot, robot: Robot) -> Robot:
     Raises:
         UrdfError: It lacks one of the joints.
     """
+    check_type("robot", robot, Robot, "a Robot")
     urdf = robot.urdf.with_origins(source.origins())
     return robot.rebuilt(urdf, source.base, source.tip)
 

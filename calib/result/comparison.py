@@ -7,17 +7,27 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Literal, TypeAlias, TypeGuard
 
 import numpy as np
 
 from calib.diagnosis.reasons import NO
 from calib.errors import ModelError
+from calib.inputs import ROBOT, RobotInput
 from calib.numerics.drift import DriftTest
 from calib.result.calibration import CalibrationValues
 from calib.result.calibration_file import read_result
 from calib.result.difference import Differences, Displacement, differences_of
 from calib.robot.robot import Robot
+from calib.values.arguments import check_type
+from calib.values.pickling import Value
+from calib.values.short import one_line
+
+#: A calibration result, or the path of its file.
+ResultInput: TypeAlias = CalibrationValues | str | Path
+
+#: What messages call it.
+RESULT = "a Calibration, or the path of a result file (.json)"
 
 Outcome = Literal["drift", "no drift shown", "cannot tell"]
 #: Reason why nothing can be told; empty otherwise.
@@ -31,7 +41,7 @@ _FAR = 3.0
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False, kw_only=True)
-class ComparisonValues:
+class ComparisonValues(Value):
     """The result of `compare`."""
 
     #: The first result
@@ -60,13 +70,15 @@ class ComparisonValues:
     def __repr__(self) -> str:
         """One line with the ``names`` of both results, the ``outcome``, and the p-value of the ``test``."""
         first, second = self.names
-        return f"Comparison({first!r}, {second!r}, {self.outcome}, p = {self.test.p:.2g})"
+        return one_line(
+            "Comparison", repr(first), repr(second), self.outcome, f"p = {self.test.p:.2g}"
+        )
 
 
 def compare(
-    a: CalibrationValues | str | Path,
-    b: CalibrationValues | str | Path,
-    robot: Robot | str | Path | None = None,
+    a: ResultInput,
+    b: ResultInput,
+    robot: RobotInput | None = None,
 ) -> ComparisonValues:
     """Compare two calibrations of one robot: did it drift?
 
@@ -80,6 +92,7 @@ def compare(
         predictions; and the displacement of the target from a to b [m], without what frame and target compensate.
 
     Raises:
+        ArgumentError: An argument of another type.
         FileError: A file cannot be read or is no result.
         ModelError: The results are of different chains.
         UrdfError: The URDF cannot be read, or lacks a joint.
@@ -110,9 +123,27 @@ def compare(
     )
 
 
-def _result_and_name(
-    given: CalibrationValues | str | Path, letter: str
-) -> tuple[CalibrationValues, str]:
+def result_of(given: ResultInput, argument: str = "calibration") -> CalibrationValues:
+    """Return a calibration result: as given, or read from its file.
+
+    Args:
+        given: As a user gave it.
+        argument: Its name, for messages.
+
+    Raises:
+        ArgumentError: It is neither.
+        FileError: The file cannot be read or is no result.
+    """
+    check_type(argument, given, (CalibrationValues, str, Path), RESULT)
+    return given if isinstance(given, CalibrationValues) else read_result(given)
+
+
+def is_result_file(given: object) -> TypeGuard[str | Path]:
+    """Test whether a path means a result, by its ending ``.json``; other paths and names mean robots."""
+    return isinstance(given, (str, Path)) and Path(given).suffix.lower() == ".json"
+
+
+def _result_and_name(given: ResultInput, letter: str) -> tuple[CalibrationValues, str]:
     """Return a calibration result and its name.
 
     Args:
@@ -125,9 +156,8 @@ def _result_and_name(
     Raises:
         FileError: The file cannot be read or is no result.
     """
-    if isinstance(given, CalibrationValues):
-        return given, letter
-    return read_result(given), Path(given).name
+    result = result_of(given, letter)
+    return result, letter if isinstance(given, CalibrationValues) else Path(given).name
 
 
 def _check_same_chain(
@@ -155,7 +185,7 @@ def _check_same_chain(
         )
 
 
-def _robot_to_show(given: Robot | str | Path | None, nominal: Robot) -> Robot:
+def _robot_to_show(given: RobotInput | None, nominal: Robot) -> Robot:
     """Return the robot to show, with base and tip of the results' nominal one.
 
     Args:
@@ -171,6 +201,7 @@ def _robot_to_show(given: Robot | str | Path | None, nominal: Robot) -> Robot:
     """
     if given is None:
         return nominal
+    check_type("robot", given, (Robot, str, Path), f"{ROBOT}, or None")
     if isinstance(given, Robot):
         return given.rebuilt(base=nominal.base, tip=nominal.tip)
     return Robot.load(given, nominal.base, nominal.tip, held=nominal.held)

@@ -14,6 +14,7 @@ from calib.data.columns import DEFAULT_TARGET
 from calib.data.measurements import Measurements
 from calib.diagnosis.reasons import Reason, Why
 from calib.errors import CalibError, ModelError, choices
+from calib.inputs import CellInput, RobotInput, TableInput, inputs_of
 from calib.model.error_model import DIRECTIONS
 from calib.model.kinematics import Samples
 from calib.numerics.errors import Errors
@@ -24,6 +25,8 @@ from calib.registration.table_rows import rows_and_setup
 from calib.result.prediction import NonGeometric
 from calib.robot.robot import Robot, read_only
 from calib.units import Array, Mask
+from calib.values.arguments import check_names, check_type
+from calib.values.pickling import Value
 
 #: What may be taken from an earlier result.
 PLACES = ("frame", "target")
@@ -42,7 +45,7 @@ _SMALL = 1e-4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Evaluation:
+class EvaluationValues(Value):
     """Errors of a robot as it is."""
 
     #: The robot
@@ -81,24 +84,26 @@ class Evaluation:
 
 @one_blas_thread()
 def evaluate(
-    robot: Robot,
-    measurements: Measurements,
-    cell: Cell | None = None,
+    robot: RobotInput,
+    measurements: TableInput,
+    cell: CellInput = None,
     *,
     known: Setup | None = None,
     which: tuple[str, ...] = PLACES,
     non_geometric: NonGeometric | None = None,
-) -> Evaluation:
+) -> EvaluationValues:
     """Compare a robot with measurements.
 
     Target and measurement frame are used as the cell gives them; what it does not give is registered to the estimation
     rows, or to all rows if there are none; to the others where no estimation row sees it.
 
     Args:
-        robot: The robot, nominal or corrected.
-        measurements: The N rows.
-        cell: What is known of target and frame, payload and gravity; None: nothing, and the measurements are in the
-            base frame.
+        robot: The robot, nominal or corrected; or the path of a URDF or xacro, or a name such as ``"ur3"``: base and
+            tip are then the cell's, or the URDF's root and the end of the longest chain whose joints are all in the
+            table.
+        measurements: The N rows, or the path of their table.
+        cell: What is known of target and frame, payload and gravity, or the path of a cell file; None: nothing, and the
+            measurements are in the base frame.
         known: Frames and targets of an earlier result, which win over the cell's: `Calibration.setup`, or its
             ``nominal_setup`` for the nominal robot; None: there are none.
         which: What of ``known`` is taken: its ``"frame"``, its ``"target"`` or both.
@@ -111,24 +116,34 @@ def evaluate(
         that were used.
 
     Raises:
+        ArgumentError: Robot, measurements or cell are of another type.
         MeasurementError: Too few rows to register what was not given, or a joint's column is missing.
         ModelError: Frames are taken from the earlier result, and the table has a station that it lacks and whose frame
             is not to be registered.
     """
-    cell = Cell() if cell is None else cell
+    arm, table, known_cell = inputs_of(robot, measurements, cell)
+    check_names("which", which)
+    check_type("known", known, (Setup, type(None)), "the setup of a Calibration, or None")
+    check_type(
+        "non_geometric", non_geometric, (NonGeometric, type(None)), "a NonGeometric, or None"
+    )
+    if not set(PLACES) >= set(which):
+        raise ModelError(
+            f"The argument 'which' is {which!r}; it must be some of {choices(PLACES)}."
+        )
     if non_geometric is not None:
-        payload = cell.payload or non_geometric.payload
-        cell = replace(cell, payload=payload, gravity=non_geometric.gravity)
+        payload = known_cell.payload or non_geometric.payload
+        known_cell = replace(known_cell, payload=payload, gravity=non_geometric.gravity)
         known = non_geometric.setup
-    rows, setup = rows_and_setup(robot, measurements, cell)
+    rows, setup = rows_and_setup(arm, table, known_cell)
     if known is not None:
         setup = _with_known(setup, known, which)
-    T_base_tip = _tip_poses(robot, rows, non_geometric)
-    placed = _registered(T_base_tip, rows, setup, registration_rows(measurements))
+    T_base_tip = _tip_poses(arm, rows, non_geometric)
+    placed = _registered(T_base_tip, rows, setup, registration_rows(table))
     T_frame_target = placed.target_poses(T_base_tip, rows.samples)
-    return Evaluation(
-        robot=robot,
-        measurements=measurements,
+    return EvaluationValues(
+        robot=arm,
+        measurements=table,
         setup=placed,
         registered=_not_given(setup),
         residual=read_only(rows.residual(T_frame_target)),

@@ -18,6 +18,7 @@ import calib.data.kinds as registry
 from calib.diagnosis.reasons import Verdict
 from calib.estimate.fitting import Fitted
 from calib.estimate.task import PAPER
+from calib.mappings import keep_read_only
 from calib.model.kinematics import Kinematics, Samples
 from calib.model.observability import Observability
 from calib.model.parameters import FRAME, TARGET, ErrorModel
@@ -29,6 +30,7 @@ from calib.robot.gravity import gravity_loads
 from calib.robot.payload import Payload
 from calib.robot.robot import Robot, read_only
 from calib.units import Array
+from calib.values.pickling import Value
 
 #: The most poses over which an expected error is averaged.
 _MOST_EXPECTED = 1000
@@ -82,7 +84,7 @@ class Outlier:
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class FittedModel:
+class FittedModel(Value):
     """One fitted error model: its parameters, their covariance, and what it predicts."""
 
     #: The nominal robot, with frames and targets where ``x`` counts from
@@ -109,6 +111,10 @@ class FittedModel:
     expected_everywhere: float
     #: Squared error of extrapolated predictions over that by the covariance, 1 or more
     extrapolation: float = 1.0
+
+    def __post_init__(self) -> None:
+        """Keep a read-only copy of the mapping."""
+        keep_read_only(self, "prior_std")
 
     @property
     def expected_elsewhere(self) -> float:

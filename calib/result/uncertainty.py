@@ -35,6 +35,8 @@ from calib.result.prediction import ParameterEstimate
 from calib.robot.ranges import spread_poses
 from calib.robot.robot import read_only
 from calib.units import Array, Integers
+from calib.values.arguments import check_callable, check_type
+from calib.values.pickling import Value
 
 #: With fewer samples the ends of a 95 % interval lie beyond them.
 FEWEST_SAMPLES = 40
@@ -59,7 +61,7 @@ _TOLERANCE = 1e-4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Bootstrap:
+class Bootstrap(Value):
     """Parameters of many fits to rows drawn with replacement from those of one fit."""
 
     #: That fit, of p parameters
@@ -200,6 +202,7 @@ def bootstrap(
         CalibError: Too few or too many draws, or a seed below 0.
         ModelError: The paper's solver made the calibration, or the result was read from a file.
     """
+    _check_arguments(calibration, count, seed, progress, executor)
     if not FEWEST_SAMPLES <= count <= MOST_SAMPLES or seed < 0:
         raise CalibError(
             f"A bootstrap of {count} samples with seed {seed} was asked for; it takes {FEWEST_SAMPLES} to "
@@ -216,6 +219,24 @@ def bootstrap(
         if progress is not None:
             progress(done, count)
     return Bootstrap(fitted, calibration.parameters, read_only(x), seed, stopped)
+
+
+def _check_arguments(
+    calibration: object, count: object, seed: object, progress: object, executor: object
+) -> None:
+    """Refuse arguments of `bootstrap` that are of another type."""
+    check_type(
+        "calibration",
+        calibration,
+        CalibrationValues,
+        "a Calibration that was made here, not read from a file",
+    )
+    for argument, given in (("count", count), ("seed", seed)):
+        check_type(argument, given, (int, np.integer), "a whole number")
+    check_callable("progress", progress)
+    check_type(
+        "executor", executor, (Executor, type(None)), "an Executor of concurrent.futures, or None"
+    )
 
 
 def _draws(problem: Problem, count: int, seed: int) -> Iterator[tuple[Array, Array]]:

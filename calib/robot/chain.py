@@ -23,6 +23,7 @@ from calib.errors import UrdfError, choices, did_you_mean
 from calib.robot.full_model import full_model
 from calib.robot.urdf import Urdf, UrdfJoint, read_only
 from calib.units import Array, unit_fault
+from calib.values.pickling import Value
 
 MOVING = ("revolute", "continuous", "prismatic")
 """The types of joints that a chain may move by."""
@@ -32,7 +33,7 @@ _USUAL_TIPS = ("tool0", "tcp", "tool", "flange", "ee_link")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class OriginFactors:
+class OriginFactors(Value):
     """A placement as the product of a URDF joint's ``<origin>`` O and constant poses: before O after.
 
     A placement that no ``<origin>`` holds has none of them, and identities here.

@@ -10,10 +10,11 @@ from numpy.typing import ArrayLike
 from calib.errors import ModelError
 from calib.robot.urdf import read_only
 from calib.units import Array
+from calib.values.pickling import Value
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Payload:
+class Payload(Value):
     """A point mass that the tip carries and that the URDF does not hold."""
 
     #: [kg], 0 or more.

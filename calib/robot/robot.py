@@ -33,6 +33,9 @@ from calib.robot.chain import (
 )
 from calib.robot.urdf import Urdf, UrdfJoint, read_only, read_urdf
 from calib.units import Array, Mask
+from calib.values.arguments import check_mapping, check_names, check_type, finite_numbers, numbers
+from calib.values.pickling import Value
+from calib.values.short import one_line
 
 __all__ = ["Robot", "read_only", "rigid_inverse"]
 
@@ -41,7 +44,7 @@ _ROUNDING = 1e-12
 
 
 @dataclass(frozen=True, slots=True)
-class Robot:
+class Robot(Value):
     """A chain of a URDF, immutable: a changed robot is a new one. Lengths [m], angles [rad].
 
     Two are equal when URDF, base, tip and held joints are.
@@ -95,6 +98,7 @@ class Robot:
                 beside the chain may be among them; they matter for gravity only, and are at zero if not named.
 
         Raises:
+            ArgumentError: It is no path and no name, but of another type.
             FileError: The file cannot be read.
             UrdfError: No such robot, link or joint, a chain that calib cannot take, or a xacro with a fault.
 
@@ -102,6 +106,9 @@ class Robot:
             >>> Robot.load("ur3", base="base", tip="tool0").joint_names[0]
             'shoulder_pan_joint'
         """
+        check_type(
+            "source", source, (str, Path), "the path of a URDF or xacro, or a name such as 'ur3'"
+        )
         return cls.from_urdf(read_urdf(source), base, tip, measured, held)
 
     @classmethod
@@ -125,6 +132,7 @@ class Robot:
         Raises:
             UrdfError: No such link or joint, or a chain that calib cannot take.
         """
+        _check_chain(base, tip, measured, held)
         held_values = checked_held(urdf, held)
         if base is None:
             base = urdf.root
@@ -173,7 +181,8 @@ class Robot:
 
     def __repr__(self) -> str:
         """Return one line, such as ``Robot('ur3', base to tool0, 6 joints)``."""
-        return f"Robot('{self.name}', {self.base} to {self.tip}, {len(self.joints)} joints)"
+        chain = f"{self.base} to {self.tip}"
+        return one_line("Robot", f"'{self.name}'", chain, f"{len(self.joints)} joints")
 
     @property
     def name(self) -> str:
@@ -240,6 +249,33 @@ class Robot:
             targets=identity if T_tip_target is None else T_tip_target,
         )
 
+    def columns(self, q: ArrayLike, argument: str = "q") -> Array:
+        """Return joint values as an array, shape (N, m), [rad] or [m], columns in the order of ``joint_names``.
+
+        Args:
+            q: Shape (N, m) or (m,), [rad] or [m].
+            argument: Its name, for messages.
+
+        Raises:
+            ArgumentError: They are no numbers.
+            ModelError: The shape does not fit the chain, or a value is not finite.
+        """
+        names = self.joint_names
+        allowed = f"of shape (N, {len(names)}) or ({len(names)},)"
+        values = np.atleast_2d(numbers(argument, q, f"joint values {allowed}"))
+        if values.ndim != 2 or values.shape[1] != len(names):
+            raise ModelError(
+                f"The argument '{argument}': joint values of shape {np.shape(q)} were given; the chain '{self.base}' "
+                f"to '{self.tip}' has {len(names)} joints: {choices(names)}, so that they must be {allowed}."
+            )
+        if not np.isfinite(values).all():
+            row, column = np.argwhere(~np.isfinite(values))[0]
+            raise ModelError(
+                f"The argument '{argument}': the joint value of '{names[column]}' in row {row}, from 0, is "
+                f"{values[row, column]}; each must be a finite number."
+            )
+        return values
+
     def chain_values(self, q: ArrayLike) -> Array:
         """Return the values of ``joints``, q_chain = A q + b, shape (N, n), [rad] or [m].
 
@@ -249,14 +285,8 @@ class Robot:
         Raises:
             ModelError: The shape does not fit the chain, or a value is not finite.
         """
-        values = np.atleast_2d(np.asarray(q, dtype=np.float64))
-        names = self.joint_names
-        if values.ndim != 2 or values.shape[1] != len(names) or not np.isfinite(values).all():
-            raise ModelError(
-                f"Joint values of shape {np.shape(q)} were given; the chain '{self.base}' to '{self.tip}' has "
-                f"{len(names)} joints: {choices(names)}, and each value is a finite number."
-            )
-        if tuple(joint.name for joint in self.joints) == names:
+        values = self.columns(q)
+        if tuple(joint.name for joint in self.joints) == self.joint_names:
             return values  # every joint is its own column
         result: Array = values @ self.coupling.T + self._offset
         return result
@@ -286,7 +316,10 @@ class Robot:
         Raises:
             UrdfError: A placement differs but no URDF joint can carry it: the tip's, or that of a moving base.
         """
-        placements = np.array(placements, dtype=np.float64)
+        shape = self.placements.shape
+        placements = finite_numbers(
+            "placements", placements, shape, f"poses of shape {shape}"
+        ).copy()
         for i, carrier in enumerate(self.carriers):
             if carrier is None:
                 self._check_unchanged(i, placements[i])
@@ -316,6 +349,23 @@ class Robot:
             if carrier is not None:
                 origins[carrier] = factors.origin(P)
         return origins
+
+
+def _check_chain(
+    base: str | None,
+    tip: str | None,
+    measured: Collection[str] | None,
+    held: Mapping[str, float] | None,
+) -> None:
+    """Refuse a base, a tip, measured joints or held values of another type."""
+    for argument, link in (("base", base), ("tip", tip)):
+        check_type(argument, link, (str, type(None)), "the name of a link, or None")
+    if measured is not None:
+        check_names("measured", measured)
+    if held is not None:
+        check_mapping("held", held)
+        for name, value in held.items():
+            check_type(f"held[{name!r}]", value, (int, float, np.number), "a value [rad] or [m]")
 
 
 @lru_cache(maxsize=16)

@@ -21,6 +21,7 @@ from calib.robot.urdf_tree import UrdfJoint, read_only, read_tree
 from calib.robot.urdf_xml import Document
 from calib.robot.xacro_file import XacroCall, flattened, is_xacro
 from calib.units import Array
+from calib.values.pickling import Value
 
 __all__ = ["Urdf", "UrdfJoint", "find_urdf", "read_only", "read_urdf", "robot_data_urdfs"]
 
@@ -32,7 +33,7 @@ _VERDICT = "calib verdict: "
 
 
 @dataclass(frozen=True, slots=True)
-class Urdf:
+class Urdf(Value):
     """A URDF: its bytes and the kinematic tree they state. Two are equal when their bytes are."""
 
     #: The file, byte for byte.

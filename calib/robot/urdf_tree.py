@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 from calib.errors import UrdfError, choices, did_you_mean
 from calib.robot.urdf_xml import XACRO_FIX, Document, Element
 from calib.units import NUMBER, Array
+from calib.values.pickling import Value
 
 #: The types of joints of URDF.
 JOINT_TYPES = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
@@ -54,7 +55,7 @@ def read_only(values: ArrayLike) -> Array:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class UrdfJoint:
+class UrdfJoint(Value):
     """A joint as the URDF states it."""
 
     #: Name of the joint.

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.estimate.fitting import Fitted
+from calib.mappings import keep_read_only
 from calib.model.families import family_of
 from calib.numerics.errors import CrossValidation, Errors
 from calib.selection.ladder import LADDER, model_name
@@ -50,11 +51,15 @@ class Candidate:
     #: On the linearised problem; as outliers count the rows to which the reference fit gives no weight
     cross_validation: CrossValidation
     #: Estimated std of the errors of each family, in its unit; empty without priors
-    prior_std: dict[str, float]
+    prior_std: Mapping[str, float]
     #: Penalised log-likelihood; without priors the fall of held-out errors, in steps
     evidence: float
     #: ``"geometry"``, ``"non_geometric"`` or ``""``
     chosen: str = ""
+
+    def __post_init__(self) -> None:
+        """Keep a read-only copy of the mapping."""
+        keep_read_only(self, "prior_std")
 
 
 def candidate_of(fitted: Fitted) -> Candidate:

@@ -12,6 +12,7 @@ from calib.errors import CalibError, choices
 from calib.robot.robot import read_only
 from calib.simulation.random_streams import stream
 from calib.units import Array, Mask
+from calib.values.pickling import Value
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +73,7 @@ class Outliers:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class MovedTarget:
+class MovedTarget(Value):
     """A target that is elsewhere from some row on, as if it had been knocked."""
 
     #: Number of the first row, from 1, that finds it moved.

@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from calib.errors import CalibError
+from calib.values.arguments import check_type
 
 #: Purposes of random numbers. A new one goes to the end: the numbers of the others then stay.
 STREAMS = (
@@ -36,6 +37,7 @@ def stream(seed: int, purpose: str) -> np.random.Generator:
     Raises:
         CalibError: The seed is negative.
     """
+    check_type("seed", seed, (int, np.integer), "a whole number, 0 or more")
     if seed < 0:
         raise CalibError(f"The seed is {seed}; it must be a whole number, 0 or more.")
     sequence = np.random.SeedSequence(int(seed), spawn_key=(STREAMS.index(purpose),))

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,14 +22,20 @@ from calib.data.cell import Cell, TrackerNoise
 from calib.data.columns import SETS
 from calib.data.kinds import Kind
 from calib.data.measurements import Measurements
-from calib.errors import CalibError, choices
-from calib.mappings import ReadOnlyMapping
+from calib.errors import CalibError, ModelError, choices
+from calib.inputs import ROBOT, RobotInput, cell_of, robot_of
+from calib.mappings import keep_read_only
+from calib.numerics.geometry import vector
 from calib.robot.ranges import joint_ranges
 from calib.robot.robot import Robot, read_only
 from calib.simulation.disturbances import Encoder, MovedTarget, Outliers
 from calib.simulation.random_streams import stream
+from calib.simulation.scenario_checks import check_scenario
 from calib.simulation.truth import TARGET_ERROR, Truth, draw_truth
 from calib.units import Array, Mask
+from calib.values.arguments import check_names, check_type, check_whole
+from calib.values.pickling import Value
+from calib.values.short import one_line
 
 Indices = NDArray[np.int_]
 
@@ -40,12 +47,13 @@ DEFAULT_MODEL = "placement"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Scenario:
+class Scenario(Value):
     """Specification of virtual cells, before anything is drawn."""
 
-    #: The nominal robot
+    #: The nominal robot; may be given as the path of a URDF or xacro, or a name such as ``"ur3"``, with the cell's base
+    #: and tip
     robot: Robot
-    #: Targets, frames, tracker, payload, gravity, kind, and limits of single errors
+    #: Targets, frames, tracker, payload, gravity, kind, and limits of single errors; may be given as the path of a file
     cell: Cell = field(default_factory=Cell)
     #: Errors of the robot, see `draw_truth`
     model: str = DEFAULT_MODEL
@@ -76,15 +84,24 @@ class Scenario:
     visits: int = 1
 
     def __post_init__(self) -> None:
-        """Refuse a kind that cannot be simulated; keep a read-only copy of the drift."""
+        """Read robot and cell where paths were given, refuse other kinds, and keep read-only copies."""
+        object.__setattr__(self, "cell", cell_of(self.cell))
+        object.__setattr__(self, "robot", robot_of(self.robot, self.cell))
+        check_scenario(self)
         if self.kind.measure is None:
             allowed = [name for name in registry.names() if registry.get(name).measure is not None]
             raise CalibError(
                 f"Measurements of the kind '{self.kind.name}' cannot be simulated; choose one of "
                 f"{choices(allowed)}."
             )
-        object.__setattr__(self, "drift", read_only(self.drift))
-        object.__setattr__(self, "sigma", ReadOnlyMapping(self.sigma))
+        object.__setattr__(self, "drift", vector(self.drift, "drift"))
+        keep_read_only(self, "sizes", "sigma")
+
+    def __repr__(self) -> str:
+        """Return one line: robot, errors, and kind of measurement."""
+        robot = self.robot
+        chain = f"'{robot.name}', {robot.base} to {robot.tip}"
+        return one_line("Scenario", chain, f"errors of '{self.model}'", f"kind '{self.kind.name}'")
 
     @property
     def kind(self) -> Kind:
@@ -128,6 +145,7 @@ class Scenario:
         Returns:
             shape (count, m), [rad] or [m].
         """
+        check_whole("count", count, 0)
         low, high = joint_ranges(self.robot, self.cell.ranges).T
         rng = stream(seed, "validation poses" if validation else "poses")
         return np.asarray(low + (high - low) * rng.uniform(size=(count, len(low))))
@@ -160,7 +178,7 @@ class Scenario:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Simulated:
+class Simulated(Value):
     """Measurements of a virtual cell, and the truth of each row."""
 
     #: The table, as `calib calibrate` reads it
@@ -179,6 +197,10 @@ class Simulated:
     moved: Mask
     #: Of the random numbers
     seed: int
+
+    def __repr__(self) -> str:
+        """Return one line: the measurements and the seed."""
+        return one_line("Simulated", repr(self.measurements), f"seed {self.seed}")
 
     @property
     def points(self) -> Array:
@@ -246,7 +268,7 @@ class _Tour:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class VirtualCell:
+class VirtualCell(Value):
     """A robot with known errors, and an instrument that measures it."""
 
     #: What is measured, and what disturbs it
@@ -271,8 +293,9 @@ class VirtualCell:
             CalibError: Values that are none of these joints, or a disturbance that does not fit.
         """
         scenario, robot = self.scenario, self.truth.nominal
-        commanded = np.atleast_2d(np.asarray(q, dtype=np.float64))
-        robot.chain_values(commanded)  # refuses what are no values of these joints
+        commanded = robot.columns(q)
+        if sets is not None:
+            check_names("sets", sets)
         sets = (SETS[0],) * len(commanded) if sets is None else tuple(sets)
         tour = _Tour.of(scenario, self.truth, sets)
         sliding = [joint.type == "prismatic" for joint in robot.inputs]
@@ -332,6 +355,7 @@ class VirtualCell:
         if event is not None:
             moved = event.rows([truth.targets[t] for t in tour.target])
             T_tip_target[moved, :3, 3] += event.by
+        moved.setflags(write=False)
         T_base_tip = truth.tip_poses(true_q)[tour.stop]
         return truth.T_frame_base[tour.group] @ T_base_tip @ T_tip_target, moved
 
@@ -467,17 +491,18 @@ class VirtualCell:
 
 
 def simulate(
-    scenario: Scenario,
+    scenario: Scenario | RobotInput,
     count: int = 30,
     validation: int = 10,
     seed: int = 0,
-    poses: Array | None = None,
+    poses: ArrayLike | None = None,
     sets: tuple[str, ...] = (),
 ) -> Simulated:
     """Simulate measurements of a robot whose errors are drawn by the seed.
 
     Args:
-        scenario: What is measured, and what disturbs it.
+        scenario: What is measured, and what disturbs it. A robot, the path of a URDF or xacro, or a name such as
+            ``"ur3"`` stands for the usual scenario of that robot.
         count: Number of random poses to estimate from.
         validation: Number of random poses to validate with.
         seed: The same seed gives the same measurements.
@@ -486,9 +511,24 @@ def simulate(
 
     Returns:
         The measurements, and the truth.
+
+    Raises:
+        ArgumentError: An argument of another type.
+        ModelError: Poses that are none of this robot, or negative numbers.
     """
-    q, all_sets = scenario.poses(seed, count, validation, poses, sets)
-    return scenario.draw(seed).measure(q, seed, all_sets)
+    check_type("scenario", scenario, (Scenario, Robot, str, Path), f"a Scenario, or {ROBOT}")
+    check_whole("count", count, 0)
+    check_whole("validation", validation, 0)
+    check_whole("seed", seed, 0)
+    made = scenario if isinstance(scenario, Scenario) else Scenario(robot_of(scenario))
+    given = None if poses is None else made.robot.columns(poses, "poses")
+    check_names("sets", sets)
+    if sets and (given is None or len(sets) != len(given)):
+        raise ModelError(
+            f"The argument 'sets' has {len(sets)} names; it must be one for each of 'poses'."
+        )
+    q, all_sets = made.poses(seed, count, validation, given, sets)
+    return made.draw(seed).measure(q, seed, all_sets)
 
 
 def _partners(sets: Sequence[str], pose: Indices, targets: int) -> Indices:

@@ -33,6 +33,7 @@ from calib.robot.readback import check_written
 from calib.robot.robot import Robot, read_only, rigid_inverse
 from calib.simulation.random_streams import stream
 from calib.units import Array, parse_amount
+from calib.values.pickling import Value
 
 #: Stated place of the target in the tip, if nothing else is given [m]: off the last axis, so that all is seen.
 DEFAULT_PLACE = read_only((0.05, 0.05, 0.05))
@@ -57,7 +58,7 @@ NONE = "none"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Truth:
+class Truth(Value):
     """Truth of a virtual cell."""
 
     #: The robot of the nominal URDF

@@ -14,9 +14,9 @@ from calib.channels import RESIDUAL_UNITS
 from calib.errors import choices
 from calib.numerics.errors import Errors
 from calib.result.acceptance import Acceptance, Assessment, Check
-from calib.result.accuracy import FEWEST_APART, Accuracy, PoseAccuracy
+from calib.result.accuracy import FEWEST_APART, Accuracy, PoseAccuracy, accuracy as accuracy_of
 from calib.result.calibration_file import error_table as stored_errors, pose_table, versions
-from calib.result.evaluation import Evaluation
+from calib.result.evaluation import EvaluationValues
 from calib.text.layout.lines import WIDTH, mm, plural, wrap
 from calib.text.layout.sizes import shown, with_unit
 from calib.text.layout.tables import Column, name_column, table_lines
@@ -86,6 +86,19 @@ def assessment_text(e: Assessment, result: str, source: str) -> str:
     elif e.hint is not None:
         parts.append(textwrap.fill(reason_text(e.hint), WIDTH, break_on_hyphens=False))
     return "\n\n".join(parts)
+
+
+def evaluation_text(e: EvaluationValues) -> str:
+    """Write the evaluation of one robot: places of targets, errors, and accuracy where poses were repeated."""
+    assessment = Assessment(
+        evaluations={"urdf": e},
+        accuracies={"urdf": accuracy_of(e)},
+        judged="urdf",
+        accepted=None,
+        outside=((), ()),
+        hint=None,
+    )
+    return assessment_text(assessment, "", "as given")
 
 
 def _reasons(e: Assessment, a: Acceptance, robot: str) -> Iterator[str]:
@@ -310,7 +323,7 @@ def _rows_label(pose: PoseAccuracy) -> str:
     return f"{noun} {', '.join(names)}"
 
 
-def _places_text(evaluation: Evaluation, source: str) -> str:
+def _places_text(evaluation: EvaluationValues, source: str) -> str:
     """Word the places of targets and frames, and where these are from."""
     origin = "registered to the rows" if "target" in evaluation.registered else source
     lines, setup = [], evaluation.setup
@@ -325,7 +338,7 @@ def _places_text(evaluation: Evaluation, source: str) -> str:
     return "\n".join(lines)
 
 
-def _errors_text(robots: Mapping[str, Evaluation], result: str) -> str:
+def _errors_text(robots: Mapping[str, EvaluationValues], result: str) -> str:
     """Write the tables of errors, with a block of rows for each robot."""
     names = {who: _LONG_NAMES[who].format(result) for who in robots}
     blocks = {names[who]: evaluation for who, evaluation in robots.items()}
@@ -337,7 +350,9 @@ def _errors_text(robots: Mapping[str, Evaluation], result: str) -> str:
     return "\n\n".join(tables)
 
 
-def _blocks(robots: Mapping[str, Evaluation], unit: str) -> Iterator[tuple[str, Errors] | str]:
+def _blocks(
+    robots: Mapping[str, EvaluationValues], unit: str
+) -> Iterator[tuple[str, Errors] | str]:
     """Rows of a table of errors in one unit: the name of each robot, then its errors by set."""
     for name, evaluation in robots.items():
         yield textwrap.shorten(name, WIDTH - 1, placeholder="...") + ":"
@@ -384,7 +399,7 @@ def assessment_table(e: Assessment) -> dict[str, Any]:
     }
 
 
-def _errors_table(evaluation: Evaluation) -> dict[str, Any]:
+def _errors_table(evaluation: EvaluationValues) -> dict[str, Any]:
     """Errors of one robot as nested tables in SI units, by the set of rows: ``estimation``, ``validation``, ``all``."""
     return {name: stored_errors(errors) for name, errors in evaluation.errors.items()}
 

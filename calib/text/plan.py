@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from calib.design.forecast import Forecast
     from calib.design.notes import Code, Note
     from calib.design.ordering import Blocked
-    from calib.design.plan import Plan
+    from calib.design.plan import PlanValues
     from calib.regions.region_rows import Checked, RegionView
     from calib.robot.robot import Robot
     from calib.units import Array
@@ -57,7 +57,7 @@ _PLAN_LABEL = 15
 _REGION_LABEL = 12
 
 
-def plan_text(plan: Plan) -> str:
+def plan_text(plan: PlanValues) -> str:
     """Write a plan: its head, the forecasts, notes."""
     notes = [*map(note_text, plan.notes), *_blocked(plan)]
     return _paragraphs(_head(plan), _forecasts(plan), [f"Note: {note}" for note in notes])
@@ -92,7 +92,7 @@ def _mm(value: float) -> str:
     return f"{1e3 * value:.{digits}f} mm"
 
 
-def _head(plan: Plan) -> Iterator[str]:
+def _head(plan: PlanValues) -> Iterator[str]:
     """Write the robot, the numbers of poses and candidates, and the model."""
     robot, forecast, count = plan.robot, plan.forecast, len(plan.estimation)
     taken = f" beside {len(plan.taken)} measured already" if len(plan.taken) else ""
@@ -117,7 +117,7 @@ def _head(plan: Plan) -> Iterator[str]:
         yield labelled(label, text, _PLAN_LABEL, "  ")
 
 
-def _forecasts(plan: Plan) -> Iterator[str]:
+def _forecasts(plan: PlanValues) -> Iterator[str]:
     """Write the table of expected errors: of the plan, of random poses, of those taken, of other numbers of poses."""
     forecast, count, taken = plan.forecast, len(plan.estimation), len(plan.taken)
     planned, random, beside = f"these {count} poses", f"{count} random ones", ""
@@ -156,14 +156,14 @@ def _forecast_row(label: str, forecast: Forecast) -> tuple[str, str, str, str]:
     return f"  {label}", _mm(forecast.rms), span, _mm(forecast.max)
 
 
-def _blocked(plan: Plan) -> Iterator[str]:
+def _blocked(plan: PlanValues) -> Iterator[str]:
     """Word the moves whose straight way collides, each with a pose to move through, if one was found."""
     moves = [_blocked_move(plan, blocked) for blocked in plan.blocked]
     if moves:
         yield f"The straight way in joint space collides from {', '.join(moves)}."
 
 
-def _blocked_move(plan: Plan, blocked: Blocked) -> str:
+def _blocked_move(plan: PlanValues, blocked: Blocked) -> str:
     """Word a move by the rows at its ends: pose k has one row for each target."""
     rows = len(plan.targets)
     start = f"row {rows * (blocked.start - 1) + 1}" if blocked.start else "the start"

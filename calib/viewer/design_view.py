@@ -15,7 +15,7 @@ import meshcat
 import numpy as np
 from meshcat import geometry as mc
 
-from calib.design.plan import Plan
+from calib.design.plan import PlanValues
 from calib.regions.region_rows import RegionView
 from calib.report.figure_base import BEAM, ESTIMATION, LITTLE_TO_MUCH, NOMINAL, VALIDATION
 from calib.report.figure_region import headings
@@ -78,7 +78,7 @@ class _Dots(NamedTuple):
     points: Array
 
 
-def plan_page(plan: Plan) -> Page:
+def plan_page(plan: PlanValues) -> Page:
     """Make the page of a plan, with the robot at its first pose."""
     places = plan.places(plan.joints)
     taken = plan.places(plan.taken).reshape(-1, 3)
@@ -105,7 +105,7 @@ def plan_page(plan: Plan) -> Page:
     )
 
 
-def _plan_dots(plan: Plan, places: Array, taken: Array) -> tuple[_Dots, ...]:
+def _plan_dots(plan: PlanValues, places: Array, taken: Array) -> tuple[_Dots, ...]:
     """Return the targets of a plan by set.
 
     Args:
@@ -123,7 +123,7 @@ def _plan_dots(plan: Plan, places: Array, taken: Array) -> tuple[_Dots, ...]:
     )
 
 
-def _draw_boxes_of(scene: meshcat.Visualizer, plan: Plan) -> list[Key]:
+def _draw_boxes_of(scene: meshcat.Visualizer, plan: PlanValues) -> list[Key]:
     """Draw the boxes of the cell, if there are any; return their entry of the legend."""
     boxes = plan.cell.boxes
     if not boxes:
@@ -134,7 +134,9 @@ def _draw_boxes_of(scene: meshcat.Visualizer, plan: Plan) -> list[Key]:
     return [Key(", ".join(box.name for box in boxes), _BOXES_COLOUR, "around")]
 
 
-def _draw_sight(scene: meshcat.Visualizer, plan: Plan, points: Array, longest: float) -> list[Key]:
+def _draw_sight(
+    scene: meshcat.Visualizer, plan: PlanValues, points: Array, longest: float
+) -> list[Key]:
     """Draw the last piece of each line of sight from the tracker, if there is one.
 
     Args:
@@ -156,7 +158,7 @@ def _draw_sight(scene: meshcat.Visualizer, plan: Plan, points: Array, longest: f
     return [Key("towards the tracker", BEAM, "sight")]
 
 
-def _box_ends(plan: Plan) -> Array:
+def _box_ends(plan: PlanValues) -> Array:
     """Return two points of each box of the cell, shape (K, 3), in the base [m], that the camera sees."""
     ends = []
     for box in plan.cell.boxes:

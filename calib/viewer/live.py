@@ -30,13 +30,17 @@ from tornado.web import Application, RequestHandler
 from tornado.websocket import WebSocketHandler
 
 import calib.viewer.scene as stage
+from calib.data.cell import Cell
 from calib.errors import CalibError, ModelError, choices
+from calib.inputs import ROBOT, RobotInput, robot_of
 from calib.result.calibration import CalibrationValues
+from calib.result.comparison import RESULT, is_result_file, result_of
 from calib.robot.robot import Robot
+from calib.values.arguments import check_type
 from calib.viewer.html_page import floats
 from calib.viewer.page import puppets, view_page
 from calib.viewer.puppet import packed, read_visuals
-from calib.viewer.view import View, view_of, view_of_robots
+from calib.viewer.view import View, view_of, view_of_result, view_of_robots
 
 #: The only address listened on: other computers cannot reach it.
 HOST = "127.0.0.1"
@@ -274,37 +278,37 @@ def serve(view: View, *, port: int, browser: bool, say: Callable[[str], object])
     say("Stopped.")
 
 
-Shown = CalibrationValues | Robot
+#: A calibration, or the path of its file (.json); a robot, the path of its URDF or xacro, or its name.
+Shown = CalibrationValues | RobotInput
 
 
 @overload
-def view(shown: Shown, other: Robot | None = None, *, live: Literal[False] = False) -> Path: ...
+def view(
+    shown: Shown, other: RobotInput | None = None, *, live: Literal[False] = False
+) -> Path: ...
 
 
 @overload
-def view(shown: Shown, other: Robot | None = None, *, live: Literal[True]) -> Viewer: ...
+def view(shown: Shown, other: RobotInput | None = None, *, live: Literal[True]) -> Viewer: ...
 
 
-def view(shown: Shown, other: Robot | None = None, *, live: bool = False) -> Path | Viewer:
+def view(shown: Shown, other: RobotInput | None = None, *, live: bool = False) -> Path | Viewer:
     """Open the picture of a calibration, of a robot or of two robots in the browser.
 
     Args:
-        shown: A calibration or a robot.
-        other: A second robot with the same joints.
+        shown: A calibration, or the path of its file; or a robot, the path of its URDF or xacro, or its name such as
+            ``"ur3"``. A result that was read from a file is shown without measurements.
+        other: A second robot with the same joints, likewise.
         live: Serve the page by this program, which can move the robots and draw more, until the viewer is closed.
 
     Returns:
         The viewer of a live page; else the page, a file in a temporary folder of its own.
 
     Raises:
+        ArgumentError: An argument of another type.
         ModelError: The robots have different joints.
     """
-    if isinstance(shown, CalibrationValues):
-        content = view_of(shown)
-    else:
-        second = other or shown
-        names = (("First", shown.urdf.source), ("Second", second.urdf.source))
-        content = view_of_robots(shown, other, names=names)
+    content = _content(shown, other)
     if live:
         viewer = Viewer(content)
         webbrowser.open(viewer.url)
@@ -313,3 +317,18 @@ def view(shown: Shown, other: Robot | None = None, *, live: bool = False) -> Pat
     page = view_page(content).write(folder / "view.html")
     webbrowser.open(page.as_uri())
     return page
+
+
+def _content(shown: Shown, other: RobotInput | None) -> View:
+    """Return what `view` shows."""
+    allowed = f"{RESULT}; or {ROBOT}"
+    check_type("shown", shown, (CalibrationValues, Robot, str, Path), allowed)
+    if isinstance(shown, CalibrationValues) or is_result_file(shown):
+        result = result_of(shown, "shown")
+        return view_of_result(result, result.nominal) if result.fit is None else view_of(result)
+    first = robot_of(shown, argument="shown")
+    second = None
+    if other is not None:
+        second = robot_of(other, Cell(base=first.base, tip=first.tip), argument="other")
+    names = (("First", first.urdf.source), ("Second", (second or first).urdf.source))
+    return view_of_robots(first, second, names=names)

@@ -22,7 +22,7 @@ from calib.report.row_values import (
 )
 from calib.result.calibration import CalibrationValues
 from calib.result.comparison import ComparisonValues
-from calib.result.evaluation import PLACES, Evaluation, evaluate
+from calib.result.evaluation import PLACES, EvaluationValues, evaluate
 from calib.robot.ranges import column_ranges, spread_poses
 from calib.robot.robot import Robot, rigid_inverse
 from calib.text.comparison import sentence
@@ -149,8 +149,8 @@ def view_of(calibration: CalibrationValues) -> View:
     """Return the view of a calibration: every row a pose."""
     c = calibration
     m = c.measurements
-    before = Evaluation(c.nominal, m, c.nominal_setup, (), c.residual_nominal, c.channels)
-    after = Evaluation(c.robot, m, c.setup, (), c.residual_calibrated, c.channels)
+    before = EvaluationValues(c.nominal, m, c.nominal_setup, (), c.residual_nominal, c.channels)
+    after = EvaluationValues(c.robot, m, c.setup, (), c.residual_calibrated, c.channels)
     view = _at_rows(before, after, flagged_rows(c))
     view = replace(view, title=f"{c.nominal.name or 'Robot'}: nominal and calibrated")
     return _with_verdict(view, c)
@@ -282,7 +282,7 @@ def _with_verdict(view: View, c: CalibrationValues) -> View:
     return replace(view, verdict=c.verdict.use, note=note)
 
 
-def _at_rows(first: Evaluation, second: Evaluation | None, flagged: Mask) -> View:
+def _at_rows(first: EvaluationValues, second: EvaluationValues | None, flagged: Mask) -> View:
     """Return the view of one or two robots at the rows of a table.
 
     Args:
@@ -370,7 +370,7 @@ def _shown_rows(start: int, flagged: Mask) -> Integers:
     return np.unique([start, *first_flagged, *evenly])
 
 
-def _bases_of_first(first: Evaluation, last: Evaluation) -> Array:
+def _bases_of_first(first: EvaluationValues, last: EvaluationValues) -> Array:
     """Return the base of the first robot in the last one's, shape (N, 4, 4), [m].
 
     Both are seen from the same station, so that the errors in the picture are those of the tables. Where no row

@@ -15,7 +15,7 @@ from calib.errors import ModelError
     ("make", "said"),
     [
         (lambda: Program(("row 1",)), "joint values, of poses, or of both"),
-        (lambda: Program.of_joints([[0.0, np.nan]]), "q of a program"),
+        (lambda: Program.of_joints([[0.0, np.nan]]), "'q' has a number that is NaN"),
         (lambda: Program.of_poses([np.eye(4), 2.0 * np.eye(4)]), "T_wanted of a program"),
         (lambda: replace(Program.of_points(np.ones(3)), match="pose"), "cannot be matched"),
         (lambda: replace(Program.of_joints([0.0]), start={"a": 0.1}), "leave out the start"),

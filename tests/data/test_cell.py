@@ -83,3 +83,9 @@ def test_the_star_stands_for_the_same_text(
     first: str, second: str, groups: list[str], pairs: tuple[tuple[str, str], ...]
 ):
     assert GroupDistance(first, second, 1.0, 1e-3).pairs(groups) == pairs
+
+
+def test_a_cell_in_one_line():
+    assert repr(Cell()) == "Cell(model 'auto')"
+    cell = Cell(model="dh", target=(0.1, 0.0, 0.0), held={"a": 0.1})
+    assert repr(cell) == "Cell(model 'dh', given: target, held)"

@@ -91,4 +91,8 @@ def test_columns_are_renamed_and_given_units(table):
     ],
 )
 def test_headers_that_are_refused(table, header, joint_names, says):
-    refused(table(header, "1,2,3,4,5"), joint_names=joint_names, says=["data.csv", *says])
+    refused(
+        table(header, "1,2,3,4,5"),
+        joint_names=joint_names and [*joint_names],
+        says=["data.csv", *says],
+    )

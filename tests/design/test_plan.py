@@ -12,7 +12,7 @@ from calib.data.cell import Box, Cell, Priors, Reflector, Tracker
 from calib.design.choice import PlanRequest
 from calib.design.collision import CollisionCheck
 from calib.design.notes import Note
-from calib.design.plan import Plan, plan
+from calib.design.plan import PlanValues, plan
 from calib.errors import CalibError
 from calib.example import PAPER_TARGET
 from calib.regions.region import Region
@@ -46,12 +46,12 @@ REGION = Region(np.full(3, -0.8), 0.05, (_AWAY > 0.25) & (_AWAY < 0.6), 0.95, 0.
 
 
 @pytest.fixture(scope="module")
-def full(ur3) -> Plan:
+def full(ur3) -> PlanValues:
     return plan(ur3, FULL, PlanRequest(15, 4, candidates=300, seed=1), region=REGION)
 
 
 @pytest.fixture(scope="module")
-def bare(ur3) -> Plan:
+def bare(ur3) -> PlanValues:
     return plan(ur3, BARE, PlanRequest(15, 4, candidates=300), collisions=None)
 
 

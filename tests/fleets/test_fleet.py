@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from calib.errors import CalibError
-from calib.fleets.fleet import fleet
+from calib.fleets.fleet import run_fleet
 from calib.fleets.fleet_robot import FleetRobot
 from calib.fleets.job import FleetOptions
 from calib.fleets.record import ACCEPTED, DONE, FAILED, WITHHELD, WRITTEN
@@ -30,7 +30,7 @@ MADE = {"corrected.urdf", "made.json", "result.json", "summary.txt"}
 def shop(tmp_path_factory, ur3):
     """A folder with four arms, and the results of a serial run in its folder ``serial``."""
     folder = tmp_path_factory.mktemp("fleet")
-    fleet(arms(folder, ur3, range(4)), folder / "serial", QUICK)
+    run_fleet(arms(folder, ur3, range(4)), folder / "serial", QUICK)
     return folder
 
 
@@ -69,7 +69,7 @@ def test_each_robot_has_a_folder_and_the_fleet_its_tables(shop):
 @pytest.mark.slow
 def test_processes_make_the_same(shop, tmp_path):
     with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as executor:
-        calibrated = fleet(robots_of(shop), tmp_path / "out", QUICK, executor=executor)
+        calibrated = run_fleet(robots_of(shop), tmp_path / "out", QUICK, executor=executor)
     assert not calibrated.failed
     assert numbers(tmp_path / "out") == numbers(shop / "serial")
 
@@ -82,32 +82,32 @@ def test_dask_makes_the_same(shop, tmp_path):
         distributed.Client(cluster) as client,
         client.get_executor() as executor,
     ):
-        calibrated = fleet(robots_of(shop), tmp_path / "out", QUICK, executor=executor)
+        calibrated = run_fleet(robots_of(shop), tmp_path / "out", QUICK, executor=executor)
     assert not calibrated.failed
     assert numbers(tmp_path / "out") == numbers(shop / "serial")
 
 
 def test_only_what_has_changed_is_done_again(tmp_path, ur3):
     out, robots = tmp_path / "out", arms(tmp_path, ur3, range(3))
-    assert fleet(robots, out, QUICK).kept == 0
+    assert run_fleet(robots, out, QUICK).kept == 0
     stamps = {path: path.stat().st_mtime_ns for path in out.rglob("result.json")}
     counts = []
-    assert fleet(robots, out, QUICK, progress=lambda *count: counts.append(count)).kept == 3
+    assert run_fleet(robots, out, QUICK, progress=lambda *count: counts.append(count)).kept == 3
     assert counts == [(1, 3), (2, 3), (3, 3)]
     assert {path: path.stat().st_mtime_ns for path in out.rglob("result.json")} == stamps
-    assert fleet(robots, out, QUICK, force=True).kept == 0
-    assert fleet(robots, out, replace(QUICK, command="calib fleet")).kept == 3
+    assert run_fleet(robots, out, QUICK, force=True).kept == 0
+    assert run_fleet(robots, out, replace(QUICK, command="calib fleet")).kept == 3
     data = tmp_path / "arm-1.csv"
     data.write_bytes(data.read_bytes().replace(b"estimate", b"validate", 1))
-    assert fleet(robots, out, QUICK).kept == 2
+    assert run_fleet(robots, out, QUICK).kept == 2
     (out / "arm-2" / "summary.txt").unlink()
-    assert fleet(robots, out, QUICK).kept == 2
-    assert fleet(robots, out, replace(QUICK, robust=False)).kept == 0
+    assert run_fleet(robots, out, QUICK).kept == 2
+    assert run_fleet(robots, out, replace(QUICK, robust=False)).kept == 0
 
 
 def test_robots_that_fail_are_named_and_the_others_finished(tmp_path, ur3):
     out, robots = tmp_path / "out", arms(tmp_path, ur3, range(3))
-    fleet(robots[:2], out, QUICK)
+    run_fleet(robots[:2], out, QUICK)
     before = files(out / "arm-0")
     (tmp_path / "arm-0.csv").write_text("what,is,this\n")
     (out / "arm-2").mkdir()
@@ -116,7 +116,7 @@ def test_robots_that_fail_are_named_and_the_others_finished(tmp_path, ur3):
         arm(tmp_path, "gone"),
         FleetRobot("faulty", lambda _: 1 / 0),
     ]
-    calibrated = fleet(robots, out, QUICK)
+    calibrated = run_fleet(robots, out, QUICK)
     assert {row.name: row.status for row in calibrated.rows} == {
         "arm-0": FAILED,
         "arm-1": DONE,
@@ -140,7 +140,7 @@ def test_robots_that_fail_are_named_and_the_others_finished(tmp_path, ur3):
 def test_names_that_are_no_folders_are_refused(name, shop, tmp_path):
     robots = [replace(robots_of(shop, 1)[0], name=name)]
     with pytest.raises(CalibError, match=r"Robot 1: .* cannot be the name of a robot's folder"):
-        fleet(robots, tmp_path / "out", QUICK)
+        run_fleet(robots, tmp_path / "out", QUICK)
     assert not (tmp_path / "out").exists()
 
 
@@ -181,22 +181,22 @@ JUDGED = FleetOptions(reports=False)
 
 def test_a_robot_that_is_not_to_be_used_gets_no_urdf_unless_it_is_accepted(right, tmp_path):
     out = tmp_path / "out"
-    calibrated = fleet(right, out, JUDGED)
+    calibrated = run_fleet(right, out, JUDGED)
     assert [row.urdf for row in calibrated.rows] == [WRITTEN, WITHHELD]
     assert [row.name for row in calibrated.withheld] == ["right"]
     assert not calibrated.failed
     assert set(files(out / "right")) == MADE - {"corrected.urdf"}
     assert set(files(out / "arm-0")) == MADE
-    assert fleet(right, out, JUDGED).kept == 2
+    assert run_fleet(right, out, JUDGED).kept == 2
     # Only the robot that there is something to accept of is made again.
-    accepted = fleet(right, out, replace(JUDGED, accept=True))
+    accepted = run_fleet(right, out, replace(JUDGED, accept=True))
     assert accepted.kept == 1
     assert [row.urdf for row in accepted.rows] == [WRITTEN, ACCEPTED]
     assert Urdf.read(out / "right" / "corrected.urdf").verdict.startswith("do not use (")
     assert Urdf.read(out / "arm-0" / "corrected.urdf").verdict == ""
-    assert fleet(right, out, replace(JUDGED, accept=True)).kept == 2
+    assert run_fleet(right, out, replace(JUDGED, accept=True)).kept == 2
     # And without it the URDF is gone again.
-    assert fleet(right, out, JUDGED).kept == 1
+    assert run_fleet(right, out, JUDGED).kept == 1
     assert set(files(out / "right")) == MADE - {"corrected.urdf"}
 
 
@@ -205,23 +205,23 @@ def test_a_urdf_of_an_earlier_result_does_not_stay(right, tmp_path):
     good = (tmp_path / "arm-0.csv").read_bytes()
     bad = data.read_bytes()
     data.write_bytes(good)
-    fleet(right, out, replace(JUDGED, reports=True))
+    run_fleet(right, out, replace(JUDGED, reports=True))
     (out / "right" / "notes.txt").write_text("somebody's own")
     assert set(files(out / "right")) == {*MADE, "report.html", "notes.txt"}
     data.write_bytes(bad)
-    fleet(right, out, JUDGED)
+    run_fleet(right, out, JUDGED)
     assert set(files(out / "right")) == {*MADE - {"corrected.urdf"}, "notes.txt"}
 
 
 def test_a_list_of_files_that_was_changed_removes_nothing_elsewhere(right, tmp_path):
     out = tmp_path / "out"
-    fleet(right[1:], out, replace(JUDGED, accept=True))
+    run_fleet(right[1:], out, replace(JUDGED, accept=True))
     made = out / "right" / "made.json"
     table = json.loads(made.read_text())
     (tmp_path / "precious.txt").write_text("keep me")
     table["files"] += ["../../precious.txt", str(tmp_path / "precious.txt"), "made.json", 3]
     made.write_text(json.dumps(table))
-    fleet(right[1:], out, JUDGED)
+    run_fleet(right[1:], out, JUDGED)
     assert (tmp_path / "precious.txt").read_text() == "keep me"
     assert set(files(out / "right")) == MADE - {"corrected.urdf"}
 
@@ -230,6 +230,6 @@ def test_somebody_s_urdf_is_not_left_beside_a_result_that_has_none(right, tmp_pa
     folder = tmp_path / "out" / "right"
     folder.mkdir(parents=True)
     (folder / "corrected.urdf").write_text("somebody's")
-    calibrated = fleet(right[1:], tmp_path / "out", JUDGED)
+    calibrated = run_fleet(right[1:], tmp_path / "out", JUDGED)
     assert "corrected.urdf exists already" in calibrated.failed[0].message
     assert set(files(folder)) == {"corrected.urdf"}

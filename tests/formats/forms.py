@@ -29,7 +29,7 @@ def write_forms(folder: Path) -> Path:
     write_result(found, folder / "result.json")
     found.robot.urdf.write(folder / "corrected.urdf")
     write_deltas(folder / "calibration.conf", rows(UR3["delta"]))
-    convert(str(folder / "result.json"), folder / "origins.yaml", Options(to="origins"))
+    convert(str(folder / "result.json"), folder / "origins.yaml", to="origins")
     ur3 = Options(ur_model="UR3")
-    convert(str(folder / "calibration.conf"), folder / "kinematics.yaml", ur3)
+    convert(str(folder / "calibration.conf"), folder / "kinematics.yaml", options=ur3)
     return folder

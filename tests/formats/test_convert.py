@@ -178,7 +178,7 @@ def test_a_calibration_of_the_ends_alone_is_not_lost(tmp_path):
     ends = np.zeros((6, 4))
     ends[0, 0], ends[5, 0], ends[0, 2], ends[5, 2] = 0.01, 0.02, 1e-3, 2e-3
     conf = write_deltas(tmp_path / "ends.conf", ends)
-    convert(str(conf), tmp_path / "mid.urdf", Options(ur_model="UR5e"))
+    convert(str(conf), tmp_path / "mid.urdf", options=Options(ur_model="UR5e"))
     wanted = chain_poses(chain_of_rows(ur_model("UR5e").rows + ends), Q)
     alone = read_source(str(tmp_path / "mid.urdf"), CHAIN)
     assert (alone.nominal, alone.model) == (None, None)
@@ -216,7 +216,7 @@ def test_the_format_of_a_file(name, asked, kind, format):
 )
 def test_formats_and_options_that_are_refused(shop, tmp_path, name, options, said):
     with pytest.raises(CalibError, match=said):
-        convert(str(shop / "result.json"), tmp_path / name, Options(**options))
+        convert(str(shop / "result.json"), tmp_path / name, options=Options(**options))
     assert list(tmp_path.iterdir()) == []
 
 

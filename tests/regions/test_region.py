@@ -61,3 +61,22 @@ def test_shares_and_grids_that_cannot_be_are_refused():
             density.region(share)
     with pytest.raises(CalibError, match=f"{MOST_VOXELS:,}"):
         Density.of(np.array([[0.0, 0.0, 0.0], [1.0, 1.0, 1.0]]), 1e-4)
+
+
+def test_the_points_of_a_region_are_the_centres_of_its_voxels():
+    points = ELL.points
+    assert points.shape == (4, 3)
+    np.testing.assert_allclose(points[0], [1.05, 2.05, 3.05])
+    assert ELL.contains(points).all()
+
+
+def test_a_region_s_arrays_cannot_be_written_to():
+    cells = CELLS.copy()
+    region = Region(np.zeros(3), 0.1, cells, 0.5, 0.6)
+    cells[:] = False
+    assert region.cells.any()
+    assert not region.cells.flags.writeable
+
+
+def test_a_region_in_one_line():
+    assert repr(ELL) == "Region(4 litres, 4 voxels of 100 mm, 60 % of the samples)"

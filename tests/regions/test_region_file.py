@@ -13,7 +13,7 @@ from calib.errors import CalibError, FileError
 from calib.regions.region import Density, Region
 from calib.regions.region_file import read_region, write_region
 from calib.regions.region_rows import RegionView
-from calib.regions.workspace import workspace
+from calib.regions.workspace import workspace_points
 from calib.robot.ranges import joint_ranges
 
 TARGET = np.array(example.PAPER_TARGET)
@@ -22,7 +22,7 @@ TARGET = np.array(example.PAPER_TARGET)
 @pytest.fixture(scope="module")
 def stored(ur3):
     ranges = joint_ranges(ur3, {"elbow_joint": (0.1, 1.2)})
-    density = Density.of(workspace(ur3, TARGET, ranges, 2**13, 4))
+    density = Density.of(workspace_points(ur3, TARGET, ranges, 2**13, 4))
     return RegionView(ur3, TARGET, ranges, density, density.region(0.9))
 
 

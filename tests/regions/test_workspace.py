@@ -8,7 +8,7 @@ import pytest
 from calib import example
 from calib.data.measurements import Measurements
 from calib.regions.region import MOST_VOXELS, Density
-from calib.regions.workspace import workspace
+from calib.regions.workspace import workspace, workspace_points
 from calib.robot.ranges import joint_ranges
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
@@ -61,7 +61,7 @@ def density_values(density: Density) -> np.ndarray:
 def test_the_paper_s_region_holds_rows_31_to_33_and_not_34_and_35(ur3, paper):
     rows = paper.joints_for(ur3.joint_names)[paper.estimation]
     ranges = joint_ranges(ur3, like=rows, margin=np.radians(5.0))
-    region = Density.of(workspace(ur3, TARGET, ranges, 2**17)).region(0.95)
+    region = Density.of(workspace_points(ur3, TARGET, ranges, 2**17)).region(0.95)
     inside = region.contains(paper.points)
     assert inside[30:].tolist() == [True, True, True, False, False]
     assert inside[:30].all()
@@ -71,7 +71,7 @@ def test_the_paper_s_region_holds_rows_31_to_33_and_not_34_and_35(ur3, paper):
 
 
 def test_a_planar_arm_has_the_radial_density_of_the_formula(planar):
-    points = workspace(planar, count=2**16, seed=3)
+    points = workspace_points(planar, count=2**16, seed=3)
     np.testing.assert_allclose(points[:, 2], 0.1, atol=1e-12)
     radius = np.hypot(points[:, 0], points[:, 1])
     for r in (0.15, 0.3, 0.5, 0.6, 0.69):
@@ -95,7 +95,7 @@ def test_a_planar_arm_has_the_radial_density_of_the_formula(planar):
 @pytest.mark.parametrize("share", [0.25, 1.0])
 def test_a_gantry_s_density_is_even_and_its_region_has_the_share_of_the_volume(share):
     robot, size = gantry(200.0), 200.0
-    density = Density.of(workspace(robot, count=2**17), size / 16)
+    density = Density.of(workspace_points(robot, count=2**17), size / 16)
     assert density.counts.shape == (16, 16, 16)
     np.testing.assert_allclose(density_values(density) * size**3, 1.0, atol=0.15)
     region = density.region(share)
@@ -114,11 +114,23 @@ def robots():
 
 @pytest.mark.parametrize(("name", "robot", "target"), [pytest.param(*r, id=r[0]) for r in robots()])
 def test_any_robot_has_a_workspace(name, robot, target):
-    density = Density.of(workspace(robot, target, count=2**14))
+    density = Density.of(workspace_points(robot, target, count=2**14))
     assert density.counts.size <= MOST_VOXELS
     region = density.region(0.9)
     if name != "one point":  # a single voxel holds all of it
         assert 0.9 <= region.held < 0.95
-    new = workspace(robot, target, count=2**13, seed=5)
+    new = workspace_points(robot, target, count=2**13, seed=5)
     assert np.mean(region.contains(new)) == pytest.approx(region.held, abs=0.03)
     assert region.volume > 0
+
+
+# The region
+
+
+def test_the_region_of_a_workspace_is_that_of_its_points(ur3):
+    region = workspace(ur3, TARGET, share=0.9, count=2**13, seed=2)
+    points = workspace_points(ur3, TARGET, count=2**13, seed=2)
+    expected = Density.of(points).region(0.9)
+    assert np.array_equal(region.cells, expected.cells)
+    assert (region.share, region.voxel) == (0.9, expected.voxel)
+    assert region.held == pytest.approx(region.contains(points).mean())

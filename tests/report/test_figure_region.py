@@ -13,7 +13,7 @@ from calib.data.measurements import Measurements
 from calib.errors import FileError
 from calib.regions.region import Density
 from calib.regions.region_rows import Checked, RegionView
-from calib.regions.workspace import workspace
+from calib.regions.workspace import workspace_points
 from calib.report.figure_region import draw_region, headings, write_picture
 from calib.robot.ranges import joint_ranges
 
@@ -27,7 +27,7 @@ def rows(ur3):
 def density(ur3, rows):
     q = rows.joints_for(ur3.joint_names)[rows.estimation]
     ranges = joint_ranges(ur3, like=q, margin=np.radians(5.0))
-    return Density.of(workspace(ur3, example.PAPER_TARGET, ranges, 2**15))
+    return Density.of(workspace_points(ur3, example.PAPER_TARGET, ranges, 2**15))
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,7 @@ from calib.errors import CalibError, MeasurementError
 from calib.json_files import plain
 from calib.result.acceptance import Acceptance, Check, acceptance, assess
 from calib.result.accuracy import accuracy
-from calib.result.evaluation import Evaluation, evaluate
+from calib.result.evaluation import EvaluationValues, evaluate
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 from calib.text.evaluation import acceptance_table, accuracy_table, accuracy_text, assessment_text
@@ -45,7 +45,7 @@ KNOWN = Cell(target=(0.0, 0.0, 0.0), estimate_target=False)
 
 def evaluation(
     robot: Robot, lengths: list[float], *args: object, cell: Cell = KNOWN, **columns: object
-) -> Evaluation:
+) -> EvaluationValues:
     return evaluate(robot, table_of(robot, lengths, *args, **columns), cell)
 
 

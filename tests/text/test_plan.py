@@ -12,21 +12,21 @@ from calib.data.cell import Cell
 from calib.design.choice import PlanRequest
 from calib.design.notes import Code, Note
 from calib.design.ordering import Blocked
-from calib.design.plan import Plan, plan
+from calib.design.plan import PlanValues, plan
 from calib.text.plan import note_text, plan_text
 
 
 @pytest.fixture(scope="module")
-def planned(ur3) -> Plan:
+def planned(ur3) -> PlanValues:
     cell = Cell(model="zeros", target=np.array([0.05, 0.07, 0.03]))
     return plan(ur3, cell, PlanRequest(8, 2, candidates=100), collisions=None)
 
 
-def said(one: Plan) -> str:
+def said(one: PlanValues) -> str:
     return " ".join(plan_text(one).split())
 
 
-def test_moves_that_collide_are_named_with_poses_to_drive_by(planned: Plan):
+def test_moves_that_collide_are_named_with_poses_to_drive_by(planned: PlanValues):
     degrees = ", ".join(f"{d:.1f} deg" for d in np.degrees(planned.joints[3]))
     blocked = Blocked(0, 1, None), Blocked(1, 5, planned.joints[3]), Blocked(1, 2, None)
     many = replace(planned, blocked=blocked)
@@ -37,7 +37,7 @@ def test_moves_that_collide_are_named_with_poses_to_drive_by(planned: Plan):
     assert "collides" not in said(planned)
 
 
-def test_parameters_of_which_none_is_known_by_itself(planned: Plan):
+def test_parameters_of_which_none_is_known_by_itself(planned: PlanValues):
     unknown = replace(planned.forecast, identifiable=(False,) * len(planned.forecast.names))
     count = len(unknown.names)
     text = said(replace(planned, forecast=unknown))

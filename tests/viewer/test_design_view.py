@@ -15,7 +15,7 @@ from calib.design.choice import PlanRequest
 from calib.design.plan import plan
 from calib.regions.region import Density
 from calib.regions.region_rows import Checked, RegionView
-from calib.regions.workspace import workspace
+from calib.regions.workspace import workspace_points
 from calib.robot.ranges import joint_ranges, random_joint_values
 from calib.viewer.design_view import plan_page, region_page
 from tests.viewer.conftest import scene_of
@@ -88,7 +88,7 @@ def view(ur3):
     rows = Measurements.read(example.paper_measurements(), ur3.joint_names, ur3.joint_types)
     q = rows.joints_for(ur3.joint_names)
     ranges = joint_ranges(ur3, like=q[rows.estimation], margin=np.radians(5.0))
-    density = Density.of(workspace(ur3, TARGET, ranges, 2**16))
+    density = Density.of(workspace_points(ur3, TARGET, ranges, 2**16))
     checked = Checked(rows, rows.points, np.ones(len(rows), dtype=bool))
     return RegionView(ur3, TARGET, ranges, density, density.region(0.95), checked)
 
@@ -117,7 +117,7 @@ def test_many_voxels_are_thinned_out_and_a_share_has_its_bands(view, ur3):
     small = region_page(replace(view, region=view.density.region(0.3)))
     assert b"the densest 30 %" in small.html
     assert b"band1" not in small.html
-    density = Density.of(workspace(ur3, count=2**18), 0.02)
+    density = Density.of(workspace_points(ur3, count=2**18), 0.02)
     big = replace(view, density=density, region=density.region(1.0), checked=None)
     assert np.count_nonzero(big.region.cells) > 70_000
     scene = scene_of(region_page(big))

@@ -116,7 +116,7 @@ def convert(
         held=parse_held(arm.hold or []),
         overwrite=force,
     )
-    conversion = convert_robot(source, output, options, accept=accept)
+    conversion = convert_robot(source, output, options=options, accept=accept)
     if not quiet:
         typer.echo(text(conversion, source))
     say_accepted(f"'{source}'", conversion.against)

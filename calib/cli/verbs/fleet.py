@@ -125,14 +125,14 @@ def _calibrate(
     quiet: bool,
 ) -> Fleet:
     """Calibrate the robots into a folder; an interruption says how to go on."""
-    from calib.fleets.fleet import fleet as calibrate_fleet
+    from calib.fleets.fleet import run_fleet
 
     try:
         with (
             executor_of(jobs.workers, jobs.dask, len(robots)) as executor,
             progress_bar("robots", quiet=quiet) as progress,
         ):
-            return calibrate_fleet(
+            return run_fleet(
                 robots, folder, options, executor=executor, progress=progress, force=force
             )
     except KeyboardInterrupt as error:

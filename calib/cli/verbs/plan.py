@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from calib.data.cell import Cell
     from calib.design.choice import PlanRequest
     from calib.design.collision import CollisionCheck
-    from calib.design.plan import Plan
+    from calib.design.plan import PlanValues
     from calib.regions.region import Region
     from calib.robot.robot import Robot
 
@@ -167,7 +167,7 @@ def _plan(
     collisions: CollisionCheck | None,
     *,
     quiet: bool,
-) -> tuple[Plan, int]:
+) -> tuple[PlanValues, int]:
     """Plan the poses.
 
     Returns:
@@ -195,7 +195,7 @@ def _plan(
     return planned, first_row
 
 
-def _write(planned: Plan, outputs: PlanOutputs, first_row: int) -> None:
+def _write(planned: PlanValues, outputs: PlanOutputs, first_row: int) -> None:
     """Write the files that were asked for."""
     from calib.design.plan_file import plan_table, write_plan
     from calib.result.calibration_file import write_table

@@ -137,7 +137,7 @@ def _region_view(
     """Sample the workspace, find the region, and check the rows of a table, if there is one."""
     from calib.regions.region import Density
     from calib.regions.region_rows import RegionView
-    from calib.regions.workspace import workspace as sample_workspace
+    from calib.regions.workspace import workspace_points
     from calib.units import LENGTH, parse_amount
 
     voxel = None
@@ -147,7 +147,7 @@ def _region_view(
     limits = _joint_ranges(arm, cell, ranges, tables)
     target = _target(cell)
     with progress_bar("workspace", quiet=quiet) as progress:
-        points = sample_workspace(arm, target, limits, sampling.samples, sampling.seed, progress)
+        points = workspace_points(arm, target, limits, sampling.samples, sampling.seed, progress)
     density = Density.of(points, voxel)
     checked = _checked_rows(arm, cell, ranges, tables)
     region = density.region(sampling.share)

@@ -1,0 +1,189 @@
+"""Checks of what users give to functions: the message names the argument, what was given, and what is allowed."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Collection, Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.errors import ArgumentError, ModelError
+
+#: The most characters of a wrong value that are shown.
+_SHOWN = 60
+
+
+def check_type(argument: str, given: object, types: type | tuple[type, ...], allowed: str) -> None:
+    """Refuse an argument of another type.
+
+    Args:
+        argument: Its name.
+        given: Its value.
+        types: The types that it may have.
+        allowed: What it may be, for the message: ``"a Robot, or the path or the name of one"``.
+
+    Raises:
+        ArgumentError: It has none of these types.
+    """
+    if not isinstance(given, types):
+        raise wrong_type(argument, given, allowed)
+
+
+def wrong_type(argument: str, given: object, allowed: str) -> ArgumentError:
+    """Return the error of an argument of a wrong type.
+
+    Args:
+        argument: Its name.
+        given: Its value.
+        allowed: What it may be.
+    """
+    return ArgumentError(f"The argument '{argument}' is {_words(given)}; it must be {allowed}.")
+
+
+def check_whole(argument: str, given: object, least: int) -> None:
+    """Refuse an argument that is no whole number, or less than the least one.
+
+    Args:
+        argument: Its name.
+        given: Its value.
+        least: The least number allowed.
+
+    Raises:
+        ArgumentError: It is no whole number.
+        ModelError: It is too small.
+    """
+    allowed = f"a whole number, {least} or more"
+    if isinstance(given, bool) or not isinstance(given, (int, np.integer)):
+        raise wrong_type(argument, given, allowed)
+    if given < least:
+        raise ModelError(f"The argument '{argument}' is {given}; it must be {allowed}.")
+
+
+def check_number(
+    argument: str, given: object, least: float = -np.inf, largest: float = np.inf
+) -> None:
+    """Refuse an argument that is no finite number, or out of a range.
+
+    Args:
+        argument: Its name.
+        given: Its value.
+        least: The least number allowed.
+        largest: The largest number allowed.
+
+    Raises:
+        ArgumentError: It is no number.
+        ModelError: It is NaN, infinite, or out of the range.
+    """
+    allowed = "a finite number"
+    if np.isfinite(least) or np.isfinite(largest):
+        allowed += (
+            f" from {least:g} to {largest:g}" if np.isfinite(largest) else f", {least:g} or more"
+        )
+    if isinstance(given, (bool, np.bool_)) or not isinstance(
+        given, (int, float, np.integer, np.floating)
+    ):
+        raise wrong_type(argument, given, allowed)
+    if not np.isfinite(given) or not least <= given <= largest:
+        raise ModelError(f"The argument '{argument}' is {given}; it must be {allowed}.")
+
+
+def check_flags(**flags: object) -> None:
+    """Refuse arguments that are neither True nor False, by their names."""
+    for argument, given in flags.items():
+        check_type(argument, given, (bool, np.bool_), "True or False")
+
+
+def check_callable(argument: str, given: object) -> None:
+    """Refuse an argument that is neither a function nor None."""
+    if given is not None and not callable(given):
+        raise wrong_type(argument, given, "a function, or None")
+
+
+def check_path(argument: str, given: object) -> None:
+    """Refuse an argument that is no path of a file."""
+    check_type(argument, given, (str, os.PathLike), "the path of a file")
+
+
+def check_names(argument: str, given: object) -> None:
+    """Refuse an argument that is no collection of names; one text alone is none."""
+    allowed = "a sequence of names, which are texts"
+    if isinstance(given, (str, bytes)) or not isinstance(given, Collection):
+        raise wrong_type(argument, given, allowed)
+    for k, name in enumerate(given):
+        check_type(f"{argument}[{k}]", name, str, "a name, which is a text")
+
+
+def check_mapping(argument: str, given: object) -> None:
+    """Refuse an argument that is no mapping from names."""
+    if not isinstance(given, Mapping) or not all(isinstance(name, str) for name in given):
+        raise wrong_type(argument, given, "a mapping from names, which are texts")
+
+
+def numbers(argument: str, given: object, allowed: str) -> NDArray[np.float64]:
+    """Return an argument as an array of numbers; they may be NaN or infinite.
+
+    Args:
+        argument: Its name.
+        given: Its value.
+        allowed: What it may be, for the message: ``"joint values of shape (N, 6) or (6,)"``.
+
+    Returns:
+        The numbers, of any shape; the array itself where it is one of ``float64``.
+
+    Raises:
+        ArgumentError: It is not made of numbers, or of rows of different lengths.
+    """
+    try:
+        array = np.asarray(given)
+    except ValueError:  # rows of different lengths
+        raise wrong_type(argument, given, allowed) from None
+    if array.dtype.kind not in "fiu":
+        raise wrong_type(argument, given, allowed)
+    return np.asarray(array, dtype=np.float64)
+
+
+def finite_numbers(
+    argument: str, given: object, shape: tuple[int | None, ...], allowed: str
+) -> NDArray[np.float64]:
+    """Return an argument as an array of finite numbers of one shape.
+
+    Args:
+        argument: Its name.
+        given: Its value.
+        shape: The lengths; None: any.
+        allowed: What it may be, for the message.
+
+    Returns:
+        The numbers.
+
+    Raises:
+        ArgumentError: It is not made of numbers.
+        ModelError: It has another shape, or a number is NaN or infinite.
+    """
+    array = numbers(argument, given, allowed)
+    has_shape = array.ndim == len(shape) and all(
+        length in (None, actual) for length, actual in zip(shape, array.shape, strict=True)
+    )
+    if not has_shape:
+        raise ModelError(
+            f"The argument '{argument}' has the shape {array.shape}; it must be {allowed}."
+        )
+    if not np.isfinite(array).all():
+        raise ModelError(
+            f"The argument '{argument}' has a number that is NaN or infinite; it must be {allowed}, all finite."
+        )
+    return array
+
+
+def _words(given: object) -> str:
+    """Return a value of a wrong type in words, in one line: None, or its type and its value if that is short."""
+    if given is None:
+        return "None"
+    text = "" if isinstance(given, np.ndarray) else repr(given)
+    if not text or len(text) > _SHOWN or "\n" in text or text.startswith("<"):
+        text = ""
+    if isinstance(given, np.ndarray):
+        text = f"shape {given.shape}"
+    kind = type(given).__name__
+    return f"of the type {kind} ({text})" if text else f"of the type {kind}"
