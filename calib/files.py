@@ -12,10 +12,18 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from calib.errors import FileError
-from calib.values.arguments import check_path
 
 #: Bytes read from pipes, by device and inode: a pipe cannot be read twice, and a command looks at a table repeatedly.
 _PIPED: dict[tuple[int, int], bytes] = {}
+
+
+def _check_path(path: object) -> None:
+    """Refuse what is no path of a file."""
+    if not isinstance(path, (str, os.PathLike)):
+        # NumPy is imported with it, which files alone do not need.
+        from calib.values.arguments import wrong_type
+
+        raise wrong_type("path", path, "the path of a file")
 
 
 def read_bytes(path: str | os.PathLike[str], what: str) -> bytes:
@@ -28,7 +36,7 @@ def read_bytes(path: str | os.PathLike[str], what: str) -> bytes:
     Raises:
         FileError: It does not exist, is a folder, or cannot be read.
     """
-    check_path("path", path)
+    _check_path(path)
     name = "/dev/stdin" if os.fspath(path) == "-" else path
     try:
         status = os.stat(name)  # noqa: PTH116  a name as it is
@@ -101,7 +109,7 @@ def check_writable(path: str | os.PathLike[str], *, overwrite: bool = True) -> N
     Raises:
         FileError: As `write_atomically` would raise.
     """
-    check_path("path", path)
+    _check_path(path)
     try:
         target = Path(path).resolve()
         exists = target.exists()
@@ -126,7 +134,7 @@ def check_writable(path: str | os.PathLike[str], *, overwrite: bool = True) -> N
 
 def check_no_xacro(path: str | os.PathLike[str]) -> None:
     """Refuse the name of a xacro for a file that is to be written as a URDF, with macros and arguments expanded."""
-    check_path("path", path)
+    _check_path(path)
     if Path(path).name.lower().endswith(".xacro"):
         raise FileError(
             f"'{path}' is the name of a xacro, and what is written is a URDF; name it .urdf. A xacro stays one if it "

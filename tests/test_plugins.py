@@ -286,14 +286,14 @@ def test_without_a_plugin_that_is_known_the_name_is_said(fitted, tmp_path):
         read_result(tmp_path / "result.json")
 
 
-def test_workers_load_the_same_plugins_in_the_same_order(tmp_path):
+def test_workers_load_the_same_plugins(tmp_path):
     first = plugins.load(write_plugin(tmp_path, SOLVER, "first.py"))
     second = plugins.load(write_plugin(tmp_path, "", "second.py"))
     plugins.load_sent([first, second])
     sent = pickle.loads(pickle.dumps([first]))
     plugins.load_sent(sent)
-    with pytest.raises(PluginError, match=r"A worker on '.*' has loaded the plugins .*Start"):
-        plugins.load_sent([second])
+    # In whatever order: kinds and families go by their names.
+    plugins.load_sent([second])
     with pytest.raises(PluginError, match="has other contents of the plugin"):
         plugins.load_sent([replace(first, sha256="0")])
     with pytest.raises(

@@ -332,7 +332,10 @@ def check_argument_types(given: object) -> None:
         for number in value(name):
             check_type(name, number, (int, np.integer), "whole numbers")
     check_mapping("readings", value("readings"))
-    for name in ("joints", "rotations", "distances", "sigma", "sigma_angle", "torques"):
+    check_mapping("sigma", value("sigma"))
+    for unit, std in value("sigma").items():
+        numbers(f"sigma[{unit!r}]", std, "an array of standard deviations with an entry a row")
+    for name in ("joints", "rotations", "distances", "torques"):
         if value(name) is not None:
             numbers(name, value(name), "an array of numbers with an entry a row")
     numbers("points", value("points"), "positions of shape (N, 3), [m]")

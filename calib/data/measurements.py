@@ -40,7 +40,7 @@ from calib.mappings import ReadOnlyMapping
 from calib.numerics.geometry import FARTHEST, to_quaternions
 from calib.robot.robot import read_only
 from calib.units import UNITS, Array, Mask, Quantity
-from calib.values.arguments import check_mapping, check_names, check_path, numbers, wrong_type
+from calib.values.arguments import check_mapping, check_names, check_path, numbers
 from calib.values.pickling import Value
 from calib.values.short import one_line
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import partial
 
+from calib.channels import residual_unit
 from calib.data.surroundings import TrackerNoise
 from calib.model.families import family_of
 from calib.robot.robot import Robot
@@ -32,12 +33,15 @@ def check_scenario(scenario: object) -> None:
     Raises:
         ArgumentError: A value is of another type.
         ModelError: A number is out of range, or there is no such family of errors.
+        CalibError: There is no such unit.
     """
     value = partial(getattr, scenario)
     for name, types, allowed in _TYPES:
         check_type(name, value(name), types, allowed)
-    for name in ("target_error", "sigma_angle"):
-        check_number(name, value(name), 0.0)
+    check_number("target_error", value("target_error"), 0.0)
+    check_mapping("sigma", value("sigma"))
+    for unit, std in value("sigma").items():
+        check_number(f"sigma[{residual_unit(unit).symbol!r}]", std, 0.0)
     check_whole("visits", value("visits"), 1)
     if value("sizes") is not None:
         check_mapping("sizes", value("sizes"))
