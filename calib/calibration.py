@@ -42,7 +42,7 @@ class Calibration(CalibrationValues):
 
     There are two ways to get one: `calib.calibrate`, and `Calibration.read_json` of a file that `write_json` wrote. It
     can be pickled and copied, with measurements and fit if it has them. Arrays are read-only. N rows of the table, p
-    parameters of the geometry, m measured joints, D columns of a residual: three of lengths, then of angles.
+    parameters of the geometry, m measured joints, D columns of a residual, each in the unit of ``channels``.
 
     The robot:
 
@@ -58,7 +58,7 @@ class Calibration(CalibrationValues):
     Trust:
 
         verdict              Verdict, its use and its reasons; None without cross-validation
-        errors               errors["nominal" | "calibrated" | "non_geometric"]["estimation" | "validation"]: Errors
+        errors               errors["nominal" | "calibrated" | "non_geometric"]["estimation" | "validation"]: Errors, such as ["m"].rms
         cross_validation     CrossValidation, errors on held-out rows; None without
         nominal_cross_validation  the same of the nominal robot
         new_point            (near the measured poses, over the joint limits), expected error, rms [m]
@@ -74,14 +74,15 @@ class Calibration(CalibrationValues):
 
         rows                 RowNames: numbers, sets, kinds, stations and targets of the N rows
         source               Source, name and hash of the table
-        residual_nominal     (N, D) [m], [rad], measured minus predicted by the nominal robot
-        residual_calibrated  (N, D) [m], [rad], by the calibrated robot
+        residual_nominal     (N, D), measured minus predicted by the nominal robot
+        residual_calibrated  (N, D), by the calibrated robot
+        channels             unit of each entry of the residuals: "m", "rad" or "px"
         used                 (N, D), True for the scalars that were measured
         scores, weights      (N,), deleted residual and weight in the fit of each row
         flag_limit           score above which a row is flagged
         ranges               (m, 2) [rad] or [m], least and greatest joint values of fitted rows
-        sigma, sigma_angle   noise of one measured length [m], of one angle [rad]; sigma_given, sigma_angle_given as
-                             the cell or the table states it
+        sigma                noise of one scalar by its unit, such as sigma["m"] [m]; sigma_given as the cell or the
+                             table states it
         repeats              Repeats, scatter of rows that repeat a pose; None where none does
         freedom              degrees of freedom left for the noise
 

@@ -95,7 +95,7 @@ def did_you_mean(name: str, names: Iterable[str]) -> str:
         Such as ``" (did you mean 'elbow_joint'?)"``; empty if no name is like it.
     """
     by_folded = {known.casefold(): known for known in names}
-    matches = difflib.get_close_matches(name.casefold(), by_folded, n=3)
+    matches = difflib.get_close_matches(str(name).casefold(), by_folded, n=3)
     if not matches:
         return ""
     quoted = [repr(by_folded[match]) for match in matches]

@@ -58,7 +58,7 @@ ROWS = [
     (
         'calib.Measurements(robot.joint_names, q, q[:,:3], sigma={"m": "a"})',
         ArgumentError,
-        "'sigma'",
+        "sigma['m']",
     ),
     (
         'calib.Measurements(robot.joint_names, q, q[:,:3], sigma={"m": [1,2,nan]})',
@@ -231,7 +231,9 @@ ROWS = [
     ('calib.Scenario(robot, target_error="a")', ArgumentError, "'target_error'"),
     ("calib.Scenario(robot, target_error=nan)", ModelError, "'target_error'"),
     ("calib.Scenario(robot, noise=3)", ArgumentError, "'noise'"),
-    ('calib.Scenario(robot, sigma_angle="a")', ArgumentError, "'sigma_angle'"),
+    ('calib.Scenario(robot, sigma="a")', ArgumentError, "'sigma'"),
+    ('calib.Scenario(robot, sigma={"rad": nan})', ModelError, "sigma['rad']"),
+    ('calib.Scenario(robot, sigma={"deg": 1.0})', CalibError, "'deg' is no unit of residuals"),
     ("calib.Scenario(robot, encoder=3)", ArgumentError, "'encoder'"),
     ("calib.Scenario(robot, outliers=3)", ArgumentError, "'outliers'"),
     ("calib.Scenario(robot, moved=3)", ArgumentError, "'moved'"),

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import NoReturn
+
+import numpy as np
 
 import calib.data.kinds as registry
 from calib.channels import RESIDUAL_UNITS
 from calib.data.table import Column, Table
 from calib.errors import MeasurementError, choices, did_you_mean
-from calib.units import Quantity, split_header, symbols
+from calib.units import UNITS, Array, Quantity, split_header, symbols
 
 #: Columns of a position.
 POINT = ("x", "y", "z")
@@ -202,3 +205,18 @@ def with_unit(
         f"{where}: {fault}. Write the header '{header}', or --columns \"{mapping}\"; allowed are "
         f"{choices(symbols(quantity))}."
     )
+
+
+def cells_of(values: Array, unit: str) -> list[object]:
+    """Return the cells of a column of numbers, empty where nothing was measured.
+
+    Args:
+        values: Numbers in SI units, shape (N,), NaN where nothing was measured.
+        unit: Symbol of the unit to write them in; empty: none.
+    """
+    to_si = UNITS[unit].to_si if unit else 1.0
+    exact = values / to_si
+    # Fifteen digits, as a table had them, where they give the number back to the last bit.
+    short = np.array([float(f"{number:.15g}") for number in exact])
+    written = np.where(short * to_si == values, short, exact).tolist()
+    return ["" if math.isnan(number) else number for number in written]

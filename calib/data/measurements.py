@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -28,7 +27,15 @@ from calib.data.checks import (
     checked_numbers,
     shared_by_pairs,
 )
-from calib.data.columns import COMMON, DEFAULT_TARGET, POINT, QUATERNION, SETS, TORQUE
+from calib.data.columns import (
+    COMMON,
+    DEFAULT_TARGET,
+    POINT,
+    QUATERNION,
+    SETS,
+    TORQUE,
+    cells_of,
+)
 from calib.data.kinds import SIGMAS, Kind
 from calib.data.layout import Layout
 from calib.data.points_file import read_points
@@ -39,8 +46,8 @@ from calib.files import csv_bytes, write_atomically
 from calib.mappings import ReadOnlyMapping
 from calib.numerics.geometry import FARTHEST, to_quaternions
 from calib.robot.robot import read_only
-from calib.units import UNITS, Array, Mask, Quantity
-from calib.values.arguments import check_mapping, check_names, check_path, numbers
+from calib.units import Array, Mask, Quantity
+from calib.values.arguments import check_mapping, check_names, check_path, mask_of_rows, numbers
 from calib.values.pickling import Value
 from calib.values.short import one_line
 
@@ -168,7 +175,7 @@ class Measurements(Value):
 
     def _checked_sigma(self, labels: RowLabels) -> dict[str, Array]:
         """Return the checked standard deviations by unit, NaN in rows that measure nothing in it."""
-        result: dict[str, Array] = {}
+        result = {}
         for symbol, values in self.sigma.items():
             unit = residual_unit(symbol)
             has_unit = self.where(lambda kind, symbol=symbol: symbol in kind.units)  # type: ignore[misc]
@@ -400,10 +407,7 @@ class Measurements(Value):
         Returns:
             These rows, in their order.
         """
-        chosen = np.asarray(mask)
-        if chosen.shape != (len(self),) or not np.isin(chosen, (0, 1)).all():
-            raise wrong_type("mask", mask, f"True or False for each of the {len(self)} rows")
-        chosen = chosen.astype(np.bool_)
+        chosen = mask_of_rows("mask", mask, len(self))
         is_chosen = chosen.tolist()
         kept: dict[str, Any] = {}
         for name in (*_WORDS, "rows"):
@@ -459,7 +463,7 @@ class Measurements(Value):
                 continue
             unit = "" if quantity is None else COMMON[quantity]
             header = f"{name} [{unit}]" if unit else name
-            columns[header] = _cells(values, unit)
+            columns[header] = cells_of(values, unit)
         rows = [columns, *zip(*columns.values(), strict=True)]
         write_atomically(path, csv_bytes(rows), overwrite=overwrite)
 
@@ -509,21 +513,6 @@ def _check_reading(
     for argument, mapping in (("joint_types", joint_types), ("columns", columns)):
         if mapping is not None:
             check_mapping(argument, mapping)
-
-
-def _cells(values: Array, unit: str) -> list[object]:
-    """Return the cells of a column of numbers, empty where nothing was measured.
-
-    Args:
-        values: Numbers in SI units, shape (N,), NaN where nothing was measured.
-        unit: Symbol of the unit to write them in; empty: none.
-    """
-    to_si = UNITS[unit].to_si if unit else 1.0
-    exact = values / to_si
-    # Fifteen digits, as a table had them, where they give the number back to the last bit.
-    short = np.array([float(f"{number:.15g}") for number in exact])
-    written = np.where(short * to_si == values, short, exact).tolist()
-    return ["" if math.isnan(number) else number for number in written]
 
 
 def _mask(words: Sequence[str], *chosen: str) -> Mask:

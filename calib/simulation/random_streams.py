@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from calib.channels import RESIDUAL_UNITS
 from calib.errors import CalibError
 from calib.values.arguments import check_type
 
@@ -23,7 +24,8 @@ STREAMS = (
     "outlier directions",
     "poses",
     "validation poses",
-    "pixel noise",
+    # The noise of units of residuals that came later, each behind those before it.
+    *(f"{unit.quantity} noise" for unit in tuple(RESIDUAL_UNITS.values())[2:]),
 )
 
 

@@ -19,7 +19,7 @@ from calib.simulation.truth import Truth
 from calib.units import Array
 
 #: Kind and version of the file.
-SCHEMA = "truth 1"
+SCHEMA = "truth 2"
 
 #: Keys of a noise.
 _NOISE = ("constant_m", "per_length_m_per_m", "repeatability_m")

@@ -17,7 +17,7 @@ from calib.text.layout.lines import deg, mm, wrap
 from calib.version import __version__
 
 #: The layout of `comparison_table`; a word, so that it is not taken for a result.
-COMPARISON_SCHEMA = "comparison 4"
+COMPARISON_SCHEMA = "comparison 5"
 
 #: A p-value below this is shown as such: its digits mean nothing.
 _SMALLEST_P = 1e-12

@@ -189,17 +189,19 @@ def measured_lengths(*channels: Channels) -> str:
         channels: Units of the scalars of one or several sets of rows.
 
     Returns:
-        ``"coordinate"``, ``"length"`` where rows measure a single length, or ``"coordinate or length"``.
+        ``"coordinate"``, ``"length"`` where these are no coordinates of a position, or ``"coordinate or length"``.
     """
-    counts: set[int] = set()
+    are_vectors = set()
     for of_rows in channels:
-        counts |= set(np.sum(of_rows.where("m"), axis=1).tolist())
-    names = []
-    if max(counts, default=0) > 1:
-        names.append("coordinate")
-    if 1 in counts:
-        names.append("length")
-    return " or ".join(names) or "coordinate"
+        occurring = set(np.unique(of_rows.index).tolist())
+        for c, unit in enumerate(of_rows.units):
+            if unit == "m" and c in occurring:
+                are_vectors.add(of_rows.vectors[c])
+    names = {True: "coordinate", False: "length"}
+    return (
+        " or ".join(name for is_vector, name in names.items() if is_vector in are_vectors)
+        or "coordinate"
+    )
 
 
 def error_title(unit: str, *channels: Channels) -> str:

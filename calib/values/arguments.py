@@ -176,6 +176,26 @@ def finite_numbers(
     return array
 
 
+def mask_of_rows(argument: str, given: object, count: int) -> NDArray[np.bool_]:
+    """Return an argument as a mask of rows.
+
+    Args:
+        argument: Its name.
+        given: Its value.
+        count: Number N of rows.
+
+    Returns:
+        True for the rows that are marked, shape (N,).
+
+    Raises:
+        ArgumentError: It is not True or False for each row.
+    """
+    mask = np.asarray(given)
+    if mask.shape != (count,) or not np.isin(mask, (0, 1)).all():
+        raise wrong_type(argument, given, f"True or False for each of the {count} rows")
+    return mask.astype(np.bool_)
+
+
 def _words(given: object) -> str:
     """Return a value of a wrong type in words, in one line: None, or its type and its value if that is short."""
     if given is None:

@@ -19,7 +19,7 @@ def test_the_example_of_the_document(examples, folder: Path):
     assert done.lines[4] == "No drift that these data could show."
     assert done.lines[-1] == "Written: compared.json"
     written = json.loads((folder / "compared.json").read_text(encoding="utf-8"))
-    assert (written["schema"], written["outcome"]) == ("comparison 4", "no drift shown")
+    assert (written["schema"], written["outcome"]) == ("comparison 5", "no drift shown")
     assert [one["name"] for one in written["results"]] == ["first.json", "later.json"]
     assert len(written["moves"]) == 2
 

@@ -53,7 +53,9 @@ def test_a_fleet_is_calibrated_compared_and_kept(call, arms_shop: Path):
     keys |= {f"robots[].{key}" for key in keys_of("parameters", table["robots"][0])}
     said = set(
         re.findall(
-            r"^\| `([a-z_\[\].]+)` \| [a-z]+(?:, null| of texts)? \|", DOC.read_text(), re.MULTILINE
+            r"^\| `([a-z_\[\].]+)` \| [a-z]+(?:, null| of texts| by unit)? \|",
+            DOC.read_text(),
+            re.MULTILINE,
         )
     )
     # There may be no outliers here.

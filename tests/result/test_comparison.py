@@ -251,7 +251,7 @@ def test_text_and_table(drifted: Comparison, unchanged: Comparison, tmp_path: Pa
         assert all(line == line.rstrip() and line.isprintable() for line in lines)
     assert "The robot drifted (" in drifted.summary().split("\n\n")[1]
     written = json.loads(drifted.write_json(tmp_path / "c.json").read_text(encoding="utf-8"))
-    assert written["schema"] == "comparison 4"
+    assert written["schema"] == "comparison 5"
     assert written["outcome"] == "drift"
     assert written["moves"][0]["rms_m"] == drifted.moves[0].rms
     with pytest.raises(FileError, match="exists"):

@@ -111,7 +111,7 @@ def test_another_reader_finds_every_true_position(ur3, path, made):
 
 def test_events_and_instrument(path, made):
     said = json.loads(path.read_text())
-    assert said["schema"] == SCHEMA == "truth 1"
+    assert said["schema"] == SCHEMA == "truth 2"
     assert said["seed"] == 4
     events = said["events"]
     assert tuple(one["row"] for one in events["outliers"]) == made.outlier_rows

@@ -8,8 +8,9 @@ import pytest
 
 import calib
 from calib.calibration import Calibration, calibrate
-from calib.channels import Channels
+from calib.channels import channels_of
 from calib.data.cell import Cell
+from calib.data.kinds import get
 from calib.text.summary import (
     EXPECTED,
     error_title,
@@ -90,16 +91,18 @@ def test_the_parameters_are_those_of_the_result(text: str, default_result: Calib
 
 
 @pytest.mark.parametrize(
-    ("numbers", "of", "title"),
+    ("kinds", "of", "title"),
     [
-        ([3, 3], "coordinate", "Position error"),
-        ([1, 0], "length", "Length error"),
-        ([3, 1], "coordinate or length", "Position or length error"),
-        ([0], "coordinate", "Position error"),
+        (["point", "fixed"], "coordinate", "Position error"),
+        (["distance", "plane"], "length", "Length error"),
+        (["pose", "pair"], "coordinate or length", "Position or length error"),
+        ([], "coordinate", "Position error"),
     ],
 )
-def test_an_error_of_a_length_is_none_of_a_position(numbers: list[int], of: str, title: str):
-    channels = Channels.of_unit(np.arange(3) < np.array(numbers)[:, None])
+def test_an_error_of_a_length_is_none_of_a_position(kinds: list[str], of: str, title: str):
+    units = [get(kind).units for kind in kinds]
+    vector_units = [get(kind).vector_units for kind in kinds]
+    channels = channels_of(units, vector_units, np.arange(len(kinds)))
     assert measured_lengths(channels) == of
     assert error_title("m", channels) == title
     assert error_title("rad", channels) == "Orientation error"
