@@ -58,7 +58,7 @@ class Calibration(CalibrationValues):
     Trust:
 
         verdict              Verdict, its use and its reasons; None without cross-validation
-        errors               errors["nominal" | "calibrated" | "non_geometric"]["estimation" | "validation"]: Errors, such as ["m"].rms
+        errors               errors["nominal" | "calibrated" | "non_geometric"]["estimation" | "validation"]["m"].rms
         cross_validation     CrossValidation, errors on held-out rows; None without
         nominal_cross_validation  the same of the nominal robot
         new_point            (near the measured poses, over the joint limits), expected error, rms [m]

@@ -91,6 +91,17 @@ def by_word(words: Sequence[str], rows: Mask) -> dict[str, list[int]]:
 # Words and names
 
 
+def mask_of_words(words: Sequence[str], *chosen: str) -> Mask:
+    """Mark the words that are among those chosen, shape (N,), read-only."""
+    present = set(words)  # mostly one word, and then no loop over the rows
+    if present <= set(chosen) or present.isdisjoint(chosen):
+        mask = np.full(len(words), not present.isdisjoint(chosen), dtype=np.bool_)
+    else:
+        mask = np.array([word in chosen for word in words], dtype=np.bool_)
+    mask.setflags(write=False)
+    return mask
+
+
 def check_words(labels: RowLabels, words: Mapping[str, Sequence[str]], count: int) -> None:
     """Check the words and the numbers of rows.
 

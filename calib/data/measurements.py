@@ -25,6 +25,7 @@ from calib.data.checks import (
     check_torques,
     check_words,
     checked_numbers,
+    mask_of_words,
     shared_by_pairs,
 )
 from calib.data.columns import (
@@ -314,12 +315,12 @@ class Measurements(Value):
     @property
     def estimation(self) -> Mask:
         """True for the rows to estimate from, shape (N,), read-only."""
-        return _mask(self.sets, "estimate")
+        return mask_of_words(self.sets, "estimate")
 
     @property
     def validation(self) -> Mask:
         """True for the validation rows, shape (N,), read-only."""
-        return _mask(self.sets, "validate")
+        return mask_of_words(self.sets, "validate")
 
     @property
     def paired(self) -> Mask:
@@ -352,11 +353,11 @@ class Measurements(Value):
         Returns:
             True for these rows, shape (N,), read-only.
         """
-        return _mask(self.kinds, *(n for n in registry.names() if test(registry.get(n))))
+        return mask_of_words(self.kinds, *(n for n in registry.names() if test(registry.get(n))))
 
     def of_kind(self, *kinds: str) -> Mask:
         """Mark the rows of kinds, by their names; shape (N,), read-only."""
-        return _mask(self.kinds, *kinds)
+        return mask_of_words(self.kinds, *kinds)
 
     def reading(self, name: str) -> Array:
         """Return the values of a reading column.
@@ -513,14 +514,3 @@ def _check_reading(
     for argument, mapping in (("joint_types", joint_types), ("columns", columns)):
         if mapping is not None:
             check_mapping(argument, mapping)
-
-
-def _mask(words: Sequence[str], *chosen: str) -> Mask:
-    """Mark the words that are among those chosen, shape (N,), read-only."""
-    present = set(words)  # mostly one word, and then no loop over the rows
-    if present <= set(chosen) or present.isdisjoint(chosen):
-        mask = np.full(len(words), not present.isdisjoint(chosen), dtype=np.bool_)
-    else:
-        mask = np.array([word in chosen for word in words], dtype=np.bool_)
-    mask.setflags(write=False)
-    return mask
