@@ -97,8 +97,8 @@ class Forecast(Value):
     rms_high: float
     #: Largest standard deviation of a predicted position over the workspace [m].
     max: float
-    #: Noise of one measured coordinate, rms over the poses [m].
-    sigma: float
+    #: Noise of one scalar, rms over the poses, by the units that are measured: ``"m"`` [m] and so on.
+    sigma: Mapping[str, float]
     #: Number of parameters, or combinations, that the poses determine.
     rank: int
     #: Number of parameters.
@@ -133,7 +133,7 @@ class Forecast(Value):
         Returns:
             Expected standard deviations of the parameters, in their units, and which of them the N poses determine; rms
             with its range of 90 %, and largest standard deviation, of predicted positions (x, y, z together) over the
-            workspace [m]; the noise [m]; ranks and observability indices.
+            workspace [m]; the noise by unit; ranks and observability indices.
         """
         measured = sensitivity.measured(q)
         root = covariance_root(measured, sensitivity.precision)
@@ -150,7 +150,7 @@ class Forecast(Value):
             rms_low=rms_low,
             rms_high=rms_high,
             max=float(np.sqrt(np.max(variance))),
-            sigma=float(np.sqrt(np.mean(sensitivity.noise(q) ** 2))),
+            sigma=sensitivity.sigma_by_unit(q),
             rank=observability.rank,
             columns=len(sensitivity.names),
             workspace_rank=workspace.rank,

@@ -7,7 +7,6 @@ JSON file. See docs/planning.md.
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -17,6 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import calib.data.kinds as registry
+from calib.channels import RESIDUAL_UNITS
 from calib.data.columns import DEFAULT_TARGET, EXPECTED, POINT, QUATERNION, name_columns
 from calib.data.layout import Layout
 from calib.data.measurements import Measurements
@@ -27,16 +27,16 @@ from calib.design.plan import PlanValues
 from calib.errors import MeasurementError
 from calib.files import csv_bytes, write_atomically
 from calib.robot.robot import Robot, read_only
-from calib.units import Array, Mask
+from calib.units import Array, Mask, Quantity
 from calib.version import __version__
 
-SCHEMA = "plan 1"
+SCHEMA = "plan 2"
 
 #: Digits of degrees and millimetres: those that planned joint values have, and a tracker's last.
 _DIGITS = 3
 
 #: Units that values are written in, and their number in one SI unit.
-_WRITTEN = {"length": ("mm", 1e3), "angle": ("deg", 180.0 / math.pi)}
+_WRITTEN = {unit.quantity: (unit.shown, unit.to_shown) for unit in RESIDUAL_UNITS.values()}
 
 #: Kinds whose rows measure something without a cell of their own.
 _WITHOUT_CELLS = ("fixed", "plane")
@@ -83,12 +83,12 @@ class _Column(NamedTuple):
     scale: float
 
     @classmethod
-    def of(cls, name: str, quantity: str) -> _Column:
-        """Return the column of a quantity, in the unit that tables are written in: mm or deg.
+    def of(cls, name: str, quantity: Quantity) -> _Column:
+        """Return the column of a quantity, in the unit that tables are written in: mm, deg or px.
 
         Args:
             name: Name of the column, without a unit.
-            quantity: ``"length"`` or ``"angle"``.
+            quantity: ``"length"``, ``"angle"`` or ``"pixel"``.
 
         Returns:
             The column: its header, such as ``"x [mm]"``, and the number of its unit in one SI unit, 1000 or 180 / pi.
@@ -161,7 +161,7 @@ def _joint_columns(robot: Robot) -> list[_Column]:
     """Return the columns of the m joint values, degrees or for sliding joints millimetres, as ``robot.joint_names``."""
     columns = []
     for name, joint_type in robot.joint_types.items():
-        quantity = "length" if joint_type == "prismatic" else "angle"
+        quantity: Quantity = "length" if joint_type == "prismatic" else "angle"
         columns.append(_Column.of(name, quantity))
     return columns
 
@@ -393,12 +393,12 @@ def forecast_table(forecast: Forecast) -> dict[str, Any]:
 
     Returns:
         The counts ``poses``, ``rank``, ``workspace_rank`` and ``columns`` (parameters); ``rms_m``, ``rms_low_m``,
-        ``rms_high_m`` and ``max_m``, errors of a predicted position over the workspace, and ``sigma_m``, the noise of a
-        coordinate, all in [m]; ``indices``, the observability indices by name; and ``parameters``, for each its
+        ``rms_high_m`` and ``max_m``, errors of a predicted position over the workspace [m]; ``sigma``, the noise of one
+        scalar by its unit; ``indices``, the observability indices by name; and ``parameters``, for each its
         ``name``, ``unit``, ``std`` (standard deviation in that unit) and whether it is ``identifiable``.
     """
     counts = ("poses", "rank", "workspace_rank", "columns")
-    lengths = ("rms", "rms_low", "rms_high", "max", "sigma")
+    lengths = ("rms", "rms_low", "rms_high", "max")
     parameters = zip(
         forecast.names,
         forecast.units,
@@ -410,6 +410,7 @@ def forecast_table(forecast: Forecast) -> dict[str, Any]:
     return {
         **{name: getattr(forecast, name) for name in counts},
         **{f"{name}_m": getattr(forecast, name) for name in lengths},
+        "sigma": dict(forecast.sigma),
         "indices": dict(forecast.indices),
         "parameters": [dict(zip(keys, row, strict=True)) for row in parameters],
     }

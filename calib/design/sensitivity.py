@@ -256,6 +256,23 @@ class Sensitivity:
             distance = np.linalg.norm(T_base_target[:, :3, 3] - tracker.position, axis=1)
         return np.asarray((tracker or _USUAL).noise.std(distance))
 
+    def sigma_by_unit(self, q: Array) -> dict[str, float]:
+        """Return the standard deviation of one scalar, rms over the poses, in each unit that ``kind`` measures.
+
+        Of lengths that of `noise`; of other units ``cell.sigma``, or that which is assumed.
+
+        Args:
+            q: Joint values of n poses, shape (n, m), [rad] or for sliding joints [m], columns as ``robot.joint_names``.
+        """
+        measured_units = registry.get(self.kind).units
+        sigma = {}
+        for symbol, unit in RESIDUAL_UNITS.items():
+            if symbol in measured_units:
+                sigma[symbol] = self.cell.sigma.get(symbol, unit.assumed_sigma)
+        if "m" in sigma:
+            sigma["m"] = float(np.sqrt(np.mean(self.noise(q) ** 2)))
+        return sigma
+
     def analysed(self, q: Array, measured: Array) -> Observability:
         """Analyse which of the p parameters some poses determine.
 

@@ -7,13 +7,15 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 import pinocchio as pin
 
+from calib.channels import RESIDUAL_UNITS
 from calib.design.forecast import Forecast
 from calib.diagnosis.inspection import GENERIC_ANCHOR, GENERIC_TARGET, Inspection
 from calib.model.dh import DHRow
 from calib.model.dh_table import dh_table
 from calib.robot.robot import Robot
 from calib.robot.urdf import UrdfJoint
-from calib.text.layout.lines import fill, number, wrap
+from calib.text.layout.lines import fill, listed, number, wrap
+from calib.text.layout.sizes import with_unit
 from calib.text.layout.tables import Column, name_column, table_lines
 from calib.text.summary import combination_text
 from calib.units import Array, Mask
@@ -44,13 +46,16 @@ def inspection_text(robot: Robot, inspection: Inspection, forecast: Forecast | N
 
 def _forecast(f: Forecast) -> str:
     """Word a forecast, beside the error that the best poses would leave."""
-    best_rms = f.sigma * (f.workspace_rank / f.poses) ** 0.5
-    return (
-        f"Forecast for a fit of these {f.poses} poses with a noise of {_mm(f.sigma)} mm per coordinate: position error "
-        f"{_mm(f.rms)} mm rms over the joint limits (90 % of calibrations: {_mm(f.rms_low)} to {_mm(f.rms_high)}), "
-        f"{_mm(f.max)} mm where it is worst. The best {f.poses} poses would give about {_mm(best_rms)} mm rms; calib "
-        "plan finds such poses."
+    noise = [f"{with_unit(std, unit)} {RESIDUAL_UNITS[unit].per}" for unit, std in f.sigma.items()]
+    text = (
+        f"Forecast for a fit of these {f.poses} poses with a noise of {listed(noise)}: position error {_mm(f.rms)} mm "
+        f"rms over the joint limits (90 % of calibrations: {_mm(f.rms_low)} to {_mm(f.rms_high)}), {_mm(f.max)} mm "
+        "where it is worst."
     )
+    if "m" not in f.sigma:
+        return f"{text} calib plan finds better poses."
+    best_rms = f.sigma["m"] * (f.workspace_rank / f.poses) ** 0.5
+    return f"{text} The best {f.poses} poses would give about {_mm(best_rms)} mm rms; calib plan finds such poses."
 
 
 def _mm(length: float) -> str:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from calib.channels import RESIDUAL_UNITS
 from calib.robot.ranges import range_text
 from calib.text.layout.lines import fill, row_ranges
 from calib.text.layout.tables import Column, labelled, name_column, table_lines
@@ -142,12 +143,26 @@ def _forecasts(plan: PlanValues) -> Iterator[str]:
     cells = [_forecast_row(label, f) for label, f in rows if f is not None]
     yield "Expected error of a predicted position after the calibration, over the workspace:"
     yield from table_lines(columns, cells)
-    yield (
-        f"Noise of one measured coordinate: {_mm(forecast.sigma)}. Unmodelled errors are not included."
-    )
+    yield f"{noise_text(forecast.sigma)}. Unmodelled errors are not included."
     unknown = forecast.columns - sum(map(bool, forecast.identifiable))
     if unknown:
         yield f"{unknown} parameters are known in combinations only."
+
+
+def noise_text(sigma: Mapping[str, float]) -> str:
+    """Word the noise of a forecast, without a full stop.
+
+    Args:
+        sigma: Standard deviation of one scalar by its unit.
+    """
+    parts = []
+    for symbol, std in sigma.items():
+        unit = RESIDUAL_UNITS[symbol]
+        size = f"{unit.to_shown * std:.4f} {unit.shown}"
+        parts.append(
+            f"of one measured coordinate: {size}" if symbol == "m" else f"{unit.per}: {size}"
+        )
+    return f"Noise {', '.join(parts)}"
 
 
 def _forecast_row(label: str, forecast: Forecast) -> tuple[str, str, str, str]:

@@ -119,7 +119,7 @@ def _disturbances(scenario: Scenario, simulated: Simulated) -> Iterator[tuple[st
     """Label and text of noise, encoder steps, outliers, a moved target and drift; the text is empty without one."""
     kind = scenario.kind
     if "m" in kind.units:
-        noisy = "length" if kind.units.count("m") == 1 else "coordinate"
+        noisy = "coordinate" if "m" in kind.vector_units else "length"
         yield f"Noise of a {noisy}", _noise(scenario, simulated)
     if "rad" in kind.units:
         angle = np.degrees(scenario.sigma.get("rad", 0.0))

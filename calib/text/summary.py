@@ -17,7 +17,7 @@ from calib.model.parameters import FRAME, TARGET
 from calib.numerics.errors import Errors
 from calib.result.calibration import CalibrationValues
 from calib.result.prediction import Outlier, ParameterEstimate
-from calib.text.layout.lines import mm, number, wrap
+from calib.text.layout.lines import listed, mm, number, wrap
 from calib.text.layout.sizes import shown, with_unit
 from calib.text.layout.tables import Column, name_column, table_lines
 from calib.text.places import frame_sentences, target_sentences
@@ -149,7 +149,7 @@ def _noise(c: CalibrationValues) -> str:
     source = "mostly assumed: too few rows"
     if c.freedom >= _ENOUGH_FREEDOM:
         source = f"from residuals, {c.freedom:.0f} d.o.f."
-    return f"{' and '.join(noise)} (1 sigma, {source})."
+    return f"{listed(noise)} (1 sigma, {source})."
 
 
 def _per(channels: Channels, unit: str) -> str:
@@ -382,15 +382,15 @@ def _flagged(c: CalibrationValues) -> str:
 
 def _outliers(outliers: Sequence[Outlier]) -> str:
     """List rows with residual and score."""
-    listed = []
+    rows = []
     for outlier in outliers[:_MOST_ROWS]:
         unit, residual = next(iter(outlier.residual.items()))
         size = f"{shown(residual, unit, 2)} {RESIDUAL_UNITS[unit].shown}"
-        listed.append(f"row {outlier.row} ({size}, {outlier.score:.1f} sigma)")
+        rows.append(f"row {outlier.row} ({size}, {outlier.score:.1f} sigma)")
     more = len(outliers) - _MOST_ROWS
     if more > 0:
-        listed.append(f"and {more} more")
-    return "; ".join(listed)
+        rows.append(f"and {more} more")
+    return "; ".join(rows)
 
 
 def _models(c: CalibrationValues) -> str:

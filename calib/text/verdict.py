@@ -12,7 +12,7 @@ from calib.channels import RESIDUAL_UNITS
 from calib.diagnosis.coverage import Beyond, OutsideRow
 from calib.diagnosis.reasons import NO, Reason, Verdict, Why
 from calib.selection.robustness import Robustness
-from calib.text.layout.lines import mm, plural
+from calib.text.layout.lines import listed, mm, plural
 from calib.text.layout.sizes import absurd_size, shown, sizes_of
 
 #: Rows outside of the measured range that are named one by one; a sentence with more is hard to read.
@@ -215,8 +215,8 @@ def _words(values: Mapping[str, Any]) -> dict[str, str]:
     before = sizes_of(values, "before")
     after = sizes_of(values, "after")
     words = {
-        "before": f"{' and '.join(before)} rms",
-        "after": f"{' and '.join(after)} rms",
+        "before": f"{listed(before)} rms",
+        "after": f"{listed(after)} rms",
         "change": _change(before, after),
         "measured": _measured(values),
         "beyond": "".join(sizes_of(values, "by", ".3g")),
@@ -255,10 +255,10 @@ def _words(values: Mapping[str, Any]) -> dict[str, str]:
 
 def _change(before: Sequence[str], after: Sequence[str]) -> str:
     """Word a change of errors; the unit of a single one stands once: ``from 2.350 to 0.208 mm rms``."""
-    start = " and ".join(before)
+    start = listed(before)
     if len(before) == 1:
         start = before[0].split()[0]
-    return f"from {start} to {' and '.join(after)} rms"
+    return f"from {start} to {listed(after)} rms"
 
 
 def _measured(values: Mapping[str, Any]) -> str:

@@ -102,7 +102,7 @@ def test_what_stands_around_the_robot(call, shop: Path):
     refused = table["candidates"]["refused"]
     assert {reason for reason, n in refused.items() if n} >= {"collision", "reflector_cone", "beam"}
     # 20 um + 5 um/m at some 2.3 m, and the robot's own 20 um.
-    assert 3.2e-5 < table["forecast"]["sigma_m"] < 4.2e-5
+    assert 3.2e-5 < table["forecast"]["sigma"]["m"] < 4.2e-5
     plan = Measurements.read(shop / "plan.csv", kind="fixed")
     assert np.abs(np.degrees(plan.joints_for(["elbow_joint"]))).max() <= 120.0
 

@@ -144,7 +144,7 @@ def test_tables_of_every_kind_count(table, arm):
 def test_the_forecast_as_json(planned, tmp_path):
     path = write_table(plan_table(planned), tmp_path / "plan.json")
     table = json.loads(path.read_text(encoding="utf-8"))
-    assert table["schema"] == SCHEMA == "plan 1"
+    assert table["schema"] == SCHEMA == "plan 2"
     f = planned.forecast
     assert table["forecast"]["rms_m"] == f.rms
     assert table["forecast"]["parameters"][0] == {

@@ -266,7 +266,7 @@ def test_the_forecast_is_what_a_calibration_then_says_of_itself(ur3, name):
     located = sensitivity.located(where)
     rms = np.sqrt(np.einsum("nij,jk,nik->", located, found.covariance, located) / len(where))
     assert f.rms == pytest.approx(rms, rel=0.15)
-    assert f.sigma == pytest.approx(SIGMA)
+    assert f.sigma["m"] == pytest.approx(SIGMA)
 
 
 @pytest.mark.parametrize(

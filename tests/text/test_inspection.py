@@ -70,10 +70,10 @@ def test_parameters_and_rank(ur3: Robot, inspection: Inspection):
 
 def test_a_forecast(ur3: Robot, inspection: Inspection, forecast: Forecast):
     text = " ".join(inspection_text(ur3, inspection, forecast).split())
-    values = (forecast.sigma, forecast.rms, forecast.rms_low, forecast.rms_high, forecast.max)
+    values = (forecast.sigma["m"], forecast.rms, forecast.rms_low, forecast.rms_high, forecast.max)
     for value in values:
         assert f"{1e3 * value:.3f}" in text
-    best = 1e3 * forecast.sigma * np.sqrt(forecast.workspace_rank / forecast.poses)
+    best = 1e3 * forecast.sigma["m"] * np.sqrt(forecast.workspace_rank / forecast.poses)
     assert f"about {best:.3f} mm rms" in text
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import textwrap
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 #: Columns of a line, at most: what a terminal beside an editor shows without breaking lines.
 WIDTH = 100
@@ -83,6 +83,12 @@ def _row_range(first: int, last: int) -> str:
     if last == first + 1:
         return f"{first}, {last}"
     return f"{first} to {last}"
+
+
+def listed(parts: Sequence[str]) -> str:
+    """Join parts of a sentence: ``a``, ``a and b``, ``a, b and c``."""
+    *first, last = parts or [""]
+    return f"{', '.join(first)} and {last}" if first else last
 
 
 def number(value: float, digits: int = 3, sign: str = "-") -> str:

@@ -7,7 +7,7 @@ from calib.numerics.errors import Errors
 from calib.result.calibration import CalibrationValues
 from calib.result.evaluation import EvaluationValues
 from calib.robot.robot import Robot
-from calib.text.layout.lines import mm, plural
+from calib.text.layout.lines import listed, mm, plural
 from calib.text.layout.sizes import with_unit
 from calib.values.short import one_line
 
@@ -56,7 +56,7 @@ def before_and_after(c: CalibrationValues) -> tuple[str, Errors, Errors]:
 
 def rms_text(errors: Errors) -> str:
     """Word the rms error of some rows in each unit that was measured; a dash without any."""
-    return " and ".join(with_unit(errors[unit].rms, unit) for unit in errors.units) or "-"
+    return listed([with_unit(errors[unit].rms, unit) for unit in errors.units]) or "-"
 
 
 def _chain(robot: Robot) -> str:
