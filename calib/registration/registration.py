@@ -11,6 +11,7 @@ import numpy as np
 from calib.errors import MeasurementError
 from calib.model.error_model import DIRECTIONS
 from calib.registration.closed_form import linear_setup, with_measured_target_rotations
+from calib.registration.frame_search import sought_frames, with_frame_found
 from calib.registration.refinement import refined, sum_of_squares
 from calib.registration.rows import NONE, Rows
 from calib.registration.setup import Setup
@@ -83,9 +84,43 @@ def register_all_rows(
     only_points = np.all(rows.where(lambda kind: kind.position and kind.size == 3))
     if linear is not None and only_points:
         return linear  # it is the least-squares solution itself
-    starts = [linear] if linear is not None else starts_of(setup, T_base_tip, rows)
+    if linear is not None:
+        starts = [linear]
+    elif sought_frames(setup, rows):
+        starts = [_with_frames_found(setup, T_base_tip, rows, tolerance)]
+    else:
+        starts = starts_of(setup, T_base_tip, rows)
     best = _best_refined(starts, T_base_tip, rows, tolerance)
     return _settled(best, rows)
+
+
+def _with_frames_found(setup: Setup, T_base_tip: Array, rows: Rows, tolerance: float) -> Setup:
+    """The setup with frames of which nothing is known found one by one, after all else that rows of others determine.
+
+    Args:
+        setup: Frames and targets, with what is estimated of them; some frames have to be sought.
+        T_base_tip: shape (N, 4, 4), pose of the tip at each row [m].
+        rows: N rows.
+        tolerance: Relative fall of the sum of squares at which a refinement ends.
+    """
+    sought = sought_frames(setup, rows)
+    is_sought = np.isin(np.arange(len(setup.groups)), sought)
+    no_target = np.zeros(len(setup.targets), dtype=bool)
+    others = rows.with_partners(~is_sought[rows.samples.frame])
+    of_others = setup.with_fixed(is_sought, no_target)
+    placed = register_all_rows(
+        T_base_tip[others], of_others, rows.select(others), tolerance=tolerance
+    )
+    _, known_targets = setup.seen_by(rows.samples.select(others))
+    for f in sought:
+        of_frame = rows.with_partners(rows.samples.frame == f)
+        part = rows.select(of_frame)
+        other_frames = np.arange(len(setup.groups)) != f
+        start = setup.placed(placed.T_frame_base, placed.T_tip_target)
+        start = start.with_fixed(other_frames, known_targets)
+        placed = with_frame_found(start, f, T_base_tip[of_frame], part)
+        known_targets = known_targets | setup.seen_by(part.samples)[1]
+    return setup.placed(placed.T_frame_base, placed.T_tip_target)
 
 
 def _best_refined(starts: list[Setup], T_base_tip: Array, rows: Rows, tolerance: float) -> Setup:
