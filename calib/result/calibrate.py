@@ -86,7 +86,8 @@ def calibrate(
 
     Returns:
         The calibration: parameters with covariance, corrected robot, frames and targets, and residuals of all rows;
-        with a verdict if it was cross-validated or a usual mistake explains the measurements better.
+        with a verdict if it was cross-validated, a usual mistake explains the measurements better, or a measurement
+        frame was sought and not found.
 
     Raises:
         ModelError: An unknown parameter set, parameter or solver, or measurements that the model does not cover.
@@ -98,7 +99,7 @@ def calibrate(
         cell = replace(cell, model=model)
     measurements = measurements.without_copies()
     fits = fit_table(robot, measurements, cell, model=model, solver=solver, robust=robust)
-    if fits.mistake:
+    if fits.mistake:  # or a frame that was not found: errors of either robot mean nothing
         return _assembled(measurements, fits, verdict=Verdict(NO, (fits.mistake,)))
     if not validate:
         return _assembled(measurements, fits)
