@@ -1,7 +1,8 @@
 """Registration: frames and targets fitted on given poses of the robot's tip, before its errors are estimated.
 
 By plain least squares, for a robust fit from a wrong start takes every row for an outlier: in closed form where the
-equations are linear, else by Levenberg-Marquardt from several starts.
+equations are linear, else by Levenberg-Marquardt from several starts. Frames of which nothing is known are sought first
+(`calib.registration.frame_search`).
 """
 
 from __future__ import annotations
@@ -95,7 +96,7 @@ def register_all_rows(
 
 
 def _with_frames_found(setup: Setup, T_base_tip: Array, rows: Rows, tolerance: float) -> Setup:
-    """The setup with frames of which nothing is known found one by one, after all else that rows of others determine.
+    """The setup with frames of which nothing is known found one by one, after all that rows of the others determine.
 
     Args:
         setup: Frames and targets, with what is estimated of them; some frames have to be sought.
@@ -104,23 +105,21 @@ def _with_frames_found(setup: Setup, T_base_tip: Array, rows: Rows, tolerance: f
         tolerance: Relative fall of the sum of squares at which a refinement ends.
     """
     sought = sought_frames(setup, rows)
-    is_sought = np.isin(np.arange(len(setup.groups)), sought)
-    no_target = np.zeros(len(setup.targets), dtype=bool)
-    others = rows.with_partners(~is_sought[rows.samples.frame])
-    of_others = setup.with_fixed(is_sought, no_target)
-    placed = register_all_rows(
+    numbers = np.arange(len(setup.groups))
+    others = rows.with_partners(~np.isin(rows.samples.frame, sought))
+    of_others = setup.with_fixed(np.isin(numbers, sought), np.zeros_like(setup.target_unknown))
+    found = register_all_rows(
         T_base_tip[others], of_others, rows.select(others), tolerance=tolerance
     )
     _, known_targets = setup.seen_by(rows.samples.select(others))
     for f in sought:
         of_frame = rows.with_partners(rows.samples.frame == f)
         part = rows.select(of_frame)
-        other_frames = np.arange(len(setup.groups)) != f
-        start = setup.placed(placed.T_frame_base, placed.T_tip_target)
-        start = start.with_fixed(other_frames, known_targets)
-        placed = with_frame_found(start, f, T_base_tip[of_frame], part)
+        start = setup.placed(found.T_frame_base, found.T_tip_target)
+        start = start.with_fixed(numbers != f, known_targets)
+        found = with_frame_found(start, f, T_base_tip[of_frame], part)
         known_targets = known_targets | setup.seen_by(part.samples)[1]
-    return setup.placed(placed.T_frame_base, placed.T_tip_target)
+    return setup.placed(found.T_frame_base, found.T_tip_target)
 
 
 def _best_refined(starts: list[Setup], T_base_tip: Array, rows: Rows, tolerance: float) -> Setup:
