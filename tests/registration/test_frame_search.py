@@ -19,7 +19,8 @@ from calib.registration.frame_search import (
     sought_frames,
     with_frame_found,
 )
-from calib.registration.registration import register
+from calib.registration.registration import _with_frames_found, register
+from calib.registration.rows import NONE
 from calib.registration.table_rows import rows_and_setup
 from tests.sought_frames import KINDS, TARGET, measured, sought_kinds, unstated
 
@@ -197,6 +198,69 @@ def test_several_frames_are_found_beside_one_that_is_located(ur3):
     np.testing.assert_allclose(found.T_frame_base[2], T_frame_base[2], atol=1e-6)
 
 
+def test_what_other_rows_tell_of_a_target_is_kept(ur3):
+    """Five rows do not tell a line and a target, but they tell the line where an anchor's rows tell the target."""
+    table, cell = measured(ur3, "line", seed=5, count=60)
+    rows, setup = rows_and_setup(ur3, table, replace(unstated(cell), target=None))
+    of_line = np.arange(60) < 5
+    rows = replace(
+        rows,
+        kinds=(*rows.kinds, get("distance")),
+        kind=np.where(of_line, 0, 1),
+        samples=replace(rows.samples, frame=np.where(of_line, 0, 1)),
+    )
+    setup = replace(
+        setup.placed(np.tile(np.eye(4), (2, 1, 1)), setup.T_tip_target),
+        groups=("edge", "anchor"),
+        unknown=(*setup.unknown, ("x", "y", "z")),
+        frame_given=np.zeros(2, dtype=bool),
+        own_axes=np.array([True, False]),
+    )
+    T_base_tip = ur3.poses(rows.joints)
+    T_frame_base = np.tile(cell.T_frame_base, (2, 1, 1))
+    T_frame_base[1, :3, :3] = np.eye(3)
+    T_tip_target = np.eye(4)[None].copy()
+    T_tip_target[0, :3, 3] = 0.1, -0.2, 0.1
+    truth = setup.placed(T_frame_base, T_tip_target)
+    exact = rows.as_measured_at(truth.target_poses(T_base_tip, rows.samples))
+    found = _with_frames_found(setup, T_base_tip, exact, 1e-12)
+    np.testing.assert_allclose(found.T_tip_target, T_tip_target, atol=1e-9)
+    assert rms(found, T_base_tip, exact) < 1e-4
+
+
+def test_pairs_in_a_sought_frame_tell_nothing_of_it_and_stay_whole(ur3):
+    rows, setup, *_ = scene(ur3, count=150)
+    kind, partner = rows.kind.copy(), rows.partner.copy()
+    kind[:100:2], kind[1:100:2] = 1, NONE
+    partner[:100:2] = np.arange(1, 100, 2)
+    mixed = replace(rows, kinds=(*rows.kinds, get("pair")), kind=kind, partner=partner)
+    assert sought_frames(setup, mixed) == [0]
+    chosen = _rows_of_search(mixed)
+    assert np.sum(chosen & (kind != NONE)) == 60
+    np.testing.assert_array_equal(chosen[:100:2], chosen[1:100:2])
+    apart = replace(mixed, samples=replace(mixed.samples, frame=1 * (np.arange(150) < 100)))
+    two = replace(
+        setup.placed(np.tile(np.eye(4), (2, 1, 1)), setup.T_tip_target),
+        groups=("edge", "nothing"),
+        unknown=setup.unknown * 2,
+    )
+    assert sought_frames(two, apart) == [0]
+
+
+def test_few_starts_are_enough_where_they_agree(ur3):
+    line, calls = KINDS["line"], []
+
+    def counting(T):
+        calls.append(len(T))
+        return line.measure(T)
+
+    rows, setup, T_base_tip, _ = scene(ur3)
+    counted = replace(rows, kinds=(replace(line, measure=counting),))
+    with_frame_found(setup, 0, T_base_tip, counted)
+    assert len(calls) < 150
+    assert set(calls) == {60}
+
+
 def test_starts_lie_about_the_poses_and_are_the_same_each_time(ur3):
     rows, setup, T_base_tip, _ = scene(ur3, "wires")
     starts = list(_starts(setup, 0, T_base_tip, rows))
@@ -281,7 +345,7 @@ def test_starts_at_which_a_residual_is_not_finite_are_left_out(ur3):
     camera = KINDS["camera"]
 
     def unguarded(T):
-        return np.where(T[:, 2:3, 3] > 0.0, camera.measure(T), np.nan)
+        return camera.measure(T) * np.sqrt(np.sign(T[:, 2:3, 3]))  # and warns
 
     rows, setup, T_base_tip, registered = scene(ur3, "camera")
     rows = replace(rows, kinds=(replace(camera, measure=unguarded),))
