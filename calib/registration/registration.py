@@ -1,25 +1,22 @@
 """Registration: frames and targets fitted on given poses of the robot's tip, before its errors are estimated.
 
 By plain least squares, for a robust fit from a wrong start takes every row for an outlier: in closed form where the
-equations are linear, else by Levenberg-Marquardt from several starts.
+equations are linear, else by Levenberg-Marquardt from several starts. Frames of which nothing is known are sought first
+(`calib.registration.frame_search`).
 """
 
 from __future__ import annotations
 
-from functools import partial
-
 import numpy as np
 
 from calib.errors import MeasurementError
-from calib.model.error_model import DIRECTIONS, frame_and_target_model
-from calib.model.observability import steps
-from calib.model.parameters import ErrorModel
-from calib.numerics.solvers import levenberg_marquardt
+from calib.model.error_model import DIRECTIONS
 from calib.registration.closed_form import linear_setup, with_measured_target_rotations
+from calib.registration.frame_search import sought_frames, with_frame_found
+from calib.registration.refinement import refined, sum_of_squares
 from calib.registration.rows import NONE, Rows
 from calib.registration.setup import Setup
 from calib.registration.starts import starts_of
-from calib.robot import kernel
 from calib.units import Array, Mask
 
 #: The most starts that are refined: those with the lowest cost.
@@ -88,9 +85,41 @@ def register_all_rows(
     only_points = np.all(rows.where(lambda kind: kind.position and kind.size == 3))
     if linear is not None and only_points:
         return linear  # it is the least-squares solution itself
-    starts = [linear] if linear is not None else starts_of(setup, T_base_tip, rows)
+    if linear is not None:
+        starts = [linear]
+    elif sought_frames(setup, rows):
+        starts = [_with_frames_found(setup, T_base_tip, rows, tolerance)]
+    else:
+        starts = starts_of(setup, T_base_tip, rows)
     best = _best_refined(starts, T_base_tip, rows, tolerance)
     return _settled(best, rows)
+
+
+def _with_frames_found(setup: Setup, T_base_tip: Array, rows: Rows, tolerance: float) -> Setup:
+    """The setup with frames of which nothing is known found one by one, after all that rows of the others determine.
+
+    Args:
+        setup: Frames and targets, with what is estimated of them; some frames have to be sought.
+        T_base_tip: shape (N, 4, 4), pose of the tip at each row [m].
+        rows: N rows.
+        tolerance: Relative fall of the sum of squares at which a refinement ends.
+    """
+    sought = sought_frames(setup, rows)
+    numbers = np.arange(len(setup.groups))
+    others = rows.with_partners(~np.isin(rows.samples.frame, sought))
+    of_others = setup.with_fixed(np.isin(numbers, sought), np.zeros_like(setup.target_unknown))
+    found = register_all_rows(
+        T_base_tip[others], of_others, rows.select(others), tolerance=tolerance
+    )
+    _, known_targets = setup.seen_by(rows.samples.select(others))
+    for f in sought:
+        of_frame = rows.with_partners(rows.samples.frame == f)
+        part = rows.select(of_frame)
+        start = setup.placed(found.T_frame_base, found.T_tip_target)
+        start = start.with_fixed(numbers != f, known_targets)
+        found = with_frame_found(start, f, T_base_tip[of_frame], part)
+        known_targets = known_targets | setup.seen_by(part.samples)[1]
+    return setup.placed(found.T_frame_base, found.T_tip_target)
 
 
 def _best_refined(starts: list[Setup], T_base_tip: Array, rows: Rows, tolerance: float) -> Setup:
@@ -103,47 +132,11 @@ def _best_refined(starts: list[Setup], T_base_tip: Array, rows: Rows, tolerance:
         tolerance: Relative fall of the sum of squares at which a refinement ends.
     """
     starts = [with_measured_target_rotations(start, T_base_tip, rows) for start in starts]
-    lowest_first = sorted(starts, key=lambda start: _sum_of_squares(start, T_base_tip, rows))
+    lowest_first = sorted(starts, key=lambda start: sum_of_squares(start, T_base_tip, rows))
     promising = lowest_first[:_REFINED]
-    refined = [_refined(start, T_base_tip, rows, tolerance) for start in promising]
-    _, best = min(refined, key=lambda solution: solution[0])
+    minima = [refined(start, T_base_tip, rows, tolerance) for start in promising]
+    _, best = min(minima, key=lambda solution: solution[0])
     return best
-
-
-def _sum_of_squares(setup: Setup, T_base_tip: Array, rows: Rows) -> float:
-    """Sum of squared residuals of a setup, in units of each scalar's sigma.
-
-    Args:
-        setup: Frames and targets.
-        T_base_tip: shape (N, 4, 4), pose of the tip at each row [m].
-        rows: N rows.
-    """
-    T_frame_target = setup.target_poses(T_base_tip, rows.samples)
-    residual = rows.residual(T_frame_target) / rows.scales
-    return float(np.sum(residual[rows.used] ** 2))
-
-
-def _refined(start: Setup, T_base_tip: Array, rows: Rows, tolerance: float) -> tuple[float, Setup]:
-    """Minimise the sum of squares from a start, by Levenberg-Marquardt.
-
-    Args:
-        start: Frames and targets, with what is estimated of them.
-        T_base_tip: shape (N, 4, 4), pose of the tip at each row [m].
-        rows: N rows.
-        tolerance: Relative fall of the sum of squares at which the refinement ends.
-
-    Returns:
-        Half the sum of squared residuals, in units of each scalar's sigma, and the setup, at the minimum.
-    """
-    model = frame_and_target_model(
-        start.frame_unknowns, start.unknown_targets, start.target_names, rotation=start.rotation
-    )
-    aligned = start.aligned(model)
-    system = partial(_system, aligned, T_base_tip, rows, start)
-    x0 = np.zeros(len(model))
-    solution = levenberg_marquardt(system, x0, steps(model.units), tolerance=tolerance)
-    displacement, _ = aligned.displacements(solution.x)
-    return solution.cost, start.displaced(displacement)
 
 
 def _settled(setup: Setup, rows: Rows) -> Setup:
@@ -303,71 +296,3 @@ def _subsample(rows: Rows) -> Mask:
         spaced = np.linspace(0, len(of_view) - 1, min(len(of_view), most))
         mask[of_view[spaced.astype(int)]] = True
     return rows.with_partners(mask)
-
-
-def _system(
-    model: ErrorModel,
-    T_base_tip: Array,
-    rows: Rows,
-    setup: Setup,
-    x: Array,
-) -> tuple[Array, Array]:
-    """The residual of a registration and its Jacobian, in units of each scalar's sigma.
-
-    Args:
-        model: Parameters of frames and targets alone, p of them.
-        T_base_tip: shape (N, 4, 4), pose of the tip at each row [m].
-        rows: N rows with M measured scalars.
-        setup: Frames and targets that x displaces.
-        x: shape (p,), [m] and [rad].
-
-    Returns:
-        Measured minus predicted, shape (M,), and its derivative, shape (M, p).
-    """
-    displacement, directions = model.displacements(x)
-    displaced = setup.displaced(displacement)
-    T_frame_target = displaced.target_poses(T_base_tip, rows.samples)
-    twists = _twists(model, directions, displaced, T_frame_target, rows)
-    scales = rows.scales
-    residual = rows.residual(T_frame_target) / scales
-    derivative = rows.derivative(T_frame_target, twists.transpose(2, 1, 0))
-    jacobian = derivative / -scales[:, :, None]
-    return residual[rows.used], jacobian[rows.used]
-
-
-def _twists(
-    model: ErrorModel,
-    directions: Array,
-    setup: Setup,
-    T_frame_target: Array,
-    rows: Rows,
-) -> Array:
-    """Motion of each row's target by each parameter, along the frame's axes, shape (p, 6, N): v, then omega.
-
-    Args:
-        model: Its p parameters are of frames and targets alone; its places are frames, tip, targets.
-        directions: shape (6 places, p), twists at each place: `ErrorModel.displacements`.
-        setup: Frames and targets as displaced.
-        T_frame_target: shape (N, 4, 4), pose of each row's target [m].
-        rows: N rows.
-    """
-    T_frame_base = setup.T_frame_base[rows.samples.frame]
-    axes = np.array([_axes_first(T_frame_base), _axes_first(T_frame_target)])
-    by_frame, by_target = kernel.regressor(axes, axes[1, 3])
-    twists = directions.reshape(-1, 6, len(model))
-    frames = len(setup.groups)
-    at_frames = twists[:frames]
-    at_targets = twists[frames + 1 :]  # the tip is between them
-    columns = np.zeros((len(model), 6, len(rows)))
-    kernel.add_columns(columns[:, :3], by_frame, at_frames, rows.samples.frame)
-    kernel.add_columns(columns[:, :3], by_target, at_targets, rows.samples.target)
-    if rows.depends_on_orientation:
-        turns = columns[:, 3:]
-        kernel.add_columns(turns, axes[0, :3], at_frames[:, 3:], rows.samples.frame)
-        kernel.add_columns(turns, axes[1, :3], at_targets[:, 3:], rows.samples.target)
-    return columns
-
-
-def _axes_first(T: Array) -> Array:
-    """Axes and origin of poses, shape (N, 4, 4), in the order that `kernel.regressor` takes, shape (4, 3, N)."""
-    return np.asarray(T[:, :3].transpose(2, 1, 0))

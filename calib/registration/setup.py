@@ -157,6 +157,14 @@ class Setup(Value):
         target_unknown = self.target_unknown & ~targets
         return replace(self, unknown=tuple(unknown), target_unknown=target_unknown)
 
+    def with_estimated_not_given(self) -> Setup:
+        """Return a copy with every frame and target that is estimated marked as not given.
+
+        What is not given is registered for the nominal robot, as what is given would not be.
+        """
+        frame_known = np.array([not directions for directions in self.unknown])
+        return replace(self, frame_given=frame_known, target_given=~self.target_unknown)
+
     def aligned(self, model: ErrorModel) -> ErrorModel:
         """Turn the directions of frame and target parameters: a plane's to its own axes, positions to the tip's axes.
 

@@ -32,14 +32,18 @@ def starts_of(setup: Setup, T_base_tip: Array, rows: Rows) -> list[Setup]:
     if by_orientation is not None:
         return [by_orientation]
     result = []
-    for turned, T_tip_target in itertools.product(_turned_frames(setup), _target_poses(setup)):
+    for turned, T_tip_target in itertools.product(_turned_frames(setup), target_poses(setup)):
         start = turned.placed(turned.T_frame_base, T_tip_target)
         result.append(with_frames_fitted(start, T_base_tip, rows))
     return result
 
 
-def _target_poses(setup: Setup) -> list[Array]:
-    """Poses of all targets in the tip to start from, each of shape (T, 4, 4): as they are, and along each axis."""
+def target_poses(setup: Setup) -> list[Array]:
+    """Return poses of all targets in the tip to start from, each of shape (T, 4, 4): as they are, and along each axis.
+
+    Args:
+        setup: Targets, and which of them are estimated.
+    """
     result = [setup.T_tip_target]
     if not setup.estimate_target:
         return result

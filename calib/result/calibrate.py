@@ -92,7 +92,8 @@ def calibrate(
 
     Returns:
         The calibration: parameters with covariance, corrected robot, frames and targets, and residuals of all rows;
-        with a verdict if it was cross-validated or a usual mistake explains the measurements better.
+        with a verdict if it was cross-validated, a usual mistake explains the measurements better, or a measurement
+        frame was sought and not found.
 
     Raises:
         ArgumentError: Robot, measurements or cell are of another type.
@@ -107,7 +108,7 @@ def calibrate(
         setup = replace(setup, model=model)
     table = table.without_copies()
     fits = fit_table(arm, table, setup, model=model, solver=solver, robust=robust)
-    if fits.mistake:
+    if fits.mistake:  # or a frame that was not found: errors of either robot mean nothing
         return _assembled(table, fits, verdict=Verdict(NO, (fits.mistake,)))
     if not validate:
         return _assembled(table, fits)

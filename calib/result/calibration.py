@@ -169,7 +169,7 @@ class CalibrationValues(FittedModel):
     candidates: tuple[Candidate, ...]
     #: The non-geometric model, if one was chosen or named
     non_geometric: NonGeometric | None
-    #: None without cross-validation, unless a usual mistake explains the rows far better
+    #: None without cross-validation, unless a usual mistake explains the rows far better, or a frame was not found
     verdict: Verdict | None
     #: Measurements and solved problem; None where the result was read from a file
     fit: FitInMemory | None = field(default=None, repr=False)

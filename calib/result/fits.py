@@ -15,6 +15,7 @@ import numpy as np
 from calib.blas import one_blas_thread
 from calib.data.cell import AUTO, Cell
 from calib.data.measurements import Measurements
+from calib.diagnosis.frame_not_found import frame_not_found
 from calib.diagnosis.reasons import Reason
 from calib.diagnosis.usual_mistakes import check_positions, find_usual_mistake
 from calib.estimate.fitting import Fitted, fit
@@ -59,7 +60,7 @@ class TableFits:
     fitted_rows: Rows
     #: The measurement setup; unknown are the frames and targets that only validation rows see
     unseen: Setup
-    #: A usual mistake that would explain the measurements far better
+    #: A usual mistake that would explain the measurements far better, or a frame that was not found
     mistake: Reason | None
     #: Time that choosing a model, registration and estimation took
     seconds: float
@@ -148,9 +149,9 @@ def fit_table(
 
     Returns:
         The fits of the geometry and, if the model has one or the data ask for it, of a non-geometric model; the
-        candidates of the choice; and the rows as arrays. A usual mistake in the table is not raised but returned as
-        their ``mistake``; the model ``"auto"`` is then ``"zeros"``, since no larger one of such measurements means
-        anything.
+        candidates of the choice; and the rows as arrays. A usual mistake in the table, or a frame that was not found,
+        is not raised but returned as their ``mistake``; the model ``"auto"`` is then ``"zeros"``, since no larger one
+        of such measurements means anything.
 
     Raises:
         ModelError: An unknown parameter set, parameter or solver, or measurements that the model does not cover.
@@ -163,6 +164,8 @@ def fit_table(
     began = time.perf_counter()
     model = cell.model if model is None else model
     mistake = find_usual_mistake(robot, cell, measurements.select(measurements.estimation))
+    if mistake is None:
+        mistake = frame_not_found(robot, table.seen, table.rows)
     distances = known_distances(cell, table.seen)
     task = Task(robot, cell, table.seen, model, distances, solver, robust)
     if mistake and model == AUTO:  # no model of such measurements means anything

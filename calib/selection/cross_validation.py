@@ -6,17 +6,12 @@ the fit estimates of frames and targets is registered for it, without the fold.
 
 from __future__ import annotations
 
-from dataclasses import replace
-
-import numpy as np
-
 from calib.estimate.fitting import Fitted, fit
 from calib.estimate.task import Task
 from calib.jobs import Progress
 from calib.numerics.errors import CrossValidation
 from calib.registration.registration import ENOUGH, nominal_setup
 from calib.registration.rows import Rows
-from calib.registration.setup import Setup
 from calib.selection.folds import Folds
 from calib.selection.held_out import held_out_residual, residual_after_registration
 from calib.selection.linear_folds import held_out_residuals_linear
@@ -73,7 +68,7 @@ def nominal_cross_validation(task: Task, rows: Rows, outliers: Mask) -> CrossVal
         MeasurementError: All rows are of one pose, or the others are too few for the registration.
     """
     folds = Folds.of_task(task, rows)
-    setup = _with_estimated_not_given(task.setup)
+    setup = task.setup.with_estimated_not_given()
     T_base_tip = task.robot.poses(rows.joints)
     good = rows.evenly(ENOUGH) & rows.without(outliers)
     residuals = []
@@ -84,12 +79,3 @@ def nominal_cross_validation(task: Task, rows: Rows, outliers: Mask) -> CrossVal
         residual = residual_after_registration(T_held_out, placed, rows, mask, used, outliers)
         residuals.append(residual)
     return folds.joined(rows, residuals, outliers)
-
-
-def _with_estimated_not_given(setup: Setup) -> Setup:
-    """Copy a setup with every frame and target that a fit estimates marked as not given.
-
-    What is not given is registered for the nominal robot, as what is given would not be.
-    """
-    frame_known = np.array([not directions for directions in setup.unknown])
-    return replace(setup, frame_given=frame_known, target_given=~setup.target_unknown)

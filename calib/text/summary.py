@@ -11,6 +11,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from calib.channels import RESIDUAL_UNITS, Channels
+from calib.diagnosis.reasons import Why
 from calib.model.families import FAMILIES, unit_of
 from calib.model.observability import Combination
 from calib.model.parameters import FRAME, TARGET
@@ -162,7 +163,7 @@ def _per(channels: Channels, unit: str) -> str:
 def _expected(c: CalibrationValues) -> str:
     """Word the expected error at a new point."""
     if c.cross_validation is None and c.verdict is not None:
-        # A usual mistake explains the rows: this fit is of something that is not there.
+        # A usual mistake explains the rows, or a frame was not found: this fit is of something that is not there.
         return "not known: see the verdict."
     if c.cross_validation is None and c.freedom < _ENOUGH_FREEDOM:
         # Prior standard deviations estimated from nothing shrink to nothing, and the expected error with them.
@@ -221,10 +222,15 @@ def error_title(unit: str, *channels: Channels) -> str:
 
 
 def error_rows(c: CalibrationValues) -> list[tuple[str, Errors]]:
-    """Label and errors of each row of the error tables: nominal and calibrated, by set, and on held-out rows."""
+    """Label and errors of each row of the error tables: nominal and calibrated, by set, and on held-out rows.
+
+    Those of the nominal robot are left out where a measurement frame was not found: they are those of its wrong place.
+    """
     rows = []
     for name in ("estimation", "validation"):
         for who, errors in c.errors.items():
+            if who == "nominal" and not _nominal_is_judged(c):
+                continue
             rows.append((f"{name} rows, {who}", errors[name]))
     validated = {"nominal": c.nominal_cross_validation, "calibrated": c.cross_validation}
     if c.non_geometric is not None:
@@ -237,6 +243,12 @@ def error_rows(c: CalibrationValues) -> list[tuple[str, Errors]]:
             without = cross_validation.errors_without_outliers
             rows.append(("  the same without outliers", without))
     return rows
+
+
+def _nominal_is_judged(c: CalibrationValues) -> bool:
+    """True unless a measurement frame was sought and not found."""
+    reasons = () if c.verdict is None else c.verdict.reasons
+    return all(reason.why != Why.FRAME_NOT_FOUND for reason in reasons)
 
 
 def held_out_text(c: CalibrationValues) -> str:

@@ -70,6 +70,10 @@ SENTENCES = {
     + "the quaternions have their scalar {scalar}: give it in the column qw.",
     Why.ORIENTATIONS_INVERSE: _TURNED
     + "they are inverted: give those of the target in the measurement frame.",
+    Why.FRAME_NOT_FOUND: "The measurement frame{of_station} was not found: from every start the rows "
+    "end up farther off than those of any uncalibrated arm, so the nominal robot cannot be judged. "
+    "Give the frame's approximate pose in the cell; if that does not help, check the robot and the "
+    "table.",
     Why.SIGN_TURNED: _OFF + "the sign of '{column}' is reversed: check the column.",
     Why.POINTS_MIRRORED: _OFF
     + "the points are mirrored: two of the columns x, y and z are swapped, or one has the wrong "
@@ -225,6 +229,7 @@ def _words(values: Mapping[str, Any]) -> dict[str, str]:
         "outliers_aside": "",
         "rows_aside": "",
         "named": "",
+        "of_station": "",
         "ranges": _ranges(values),
         "rows_lie": _rows_lie(values.get("rows", 0)),
         "better": "",
@@ -243,6 +248,8 @@ def _words(values: Mapping[str, Any]) -> dict[str, str]:
         words["rows_aside"] = f" ({outliers} excluded)"
     if values.get("target"):
         words["named"] = f" '{values['target']}'"
+    if values.get("station"):
+        words["of_station"] = f" of station '{values['station']}'"
     if "rows" in values and "joints" in values:
         words |= _sole_postures(values["rows"], values["joints"])
     if words["less_noise"] and "model" in values:

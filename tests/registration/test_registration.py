@@ -16,11 +16,11 @@ from calib.data.measurements import Measurements
 from calib.errors import MeasurementError
 from calib.model.error_model import frame_and_target_model
 from calib.model.parameters import FRAME
+from calib.registration.refinement import _system
 from calib.registration.registration import (
     _near_rows,
     _settled,
     _subsample,
-    _system,
     nominal_setup,
     register,
     register_held_out,

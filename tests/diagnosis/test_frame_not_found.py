@@ -1,0 +1,66 @@
+"""Where a frame was sought and not found, nothing is said of the nominal robot."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import calib
+from calib.diagnosis.frame_not_found import frame_not_found
+from calib.diagnosis.reasons import NO, Reason, Why
+from calib.registration.table_rows import rows_and_setup
+from calib.text.verdict import reason_text
+from tests.sought_frames import measured, sought_kinds, unstated
+
+__all__ = ["sought_kinds"]
+pytestmark = pytest.mark.usefixtures("sought_kinds")
+
+
+def with_joints_reversed(table):
+    """A table that no robot explains, wherever its frame stands."""
+    return replace(table, joints=np.ascontiguousarray(table.joints[:, ::-1]))
+
+
+def found(robot, table, cell):
+    rows, setup = rows_and_setup(robot, table, cell)
+    return frame_not_found(robot, setup, rows)
+
+
+@pytest.mark.parametrize("what", ["line", "angle", "camera"])
+def test_a_frame_is_not_found_where_no_place_explains_the_rows(ur3, what):
+    table, cell = measured(ur3, what, seed=0)
+    wrong = with_joints_reversed(table)
+    assert found(ur3, table, unstated(cell)) is None
+    assert found(ur3, wrong, cell) is None  # it was not sought: its pose is given
+    assert found(ur3, wrong, unstated(cell)) == Reason.of(Why.FRAME_NOT_FOUND, station="")
+
+
+def test_a_wrong_place_of_the_target_is_no_reason(ur3):
+    """The target is estimated with the frame, wherever it was given."""
+    table, cell = measured(ur3, "line", seed=0)
+    assert found(ur3, table, replace(unstated(cell), target=[0.2, 0.05, -0.1])) is None
+
+
+def test_the_station_is_named_where_there_are_several(ur3):
+    table, cell = measured(ur3, "range", seed=0, count=80)
+    groups = np.repeat(["good", "bad"], 40)
+    joints = table.joints.copy()
+    joints[40:] = joints[40:, ::-1]
+    mixed = replace(table, joints=joints, groups=tuple(groups.tolist()))
+    reason = found(ur3, mixed, unstated(cell))
+    assert reason == Reason.of(Why.FRAME_NOT_FOUND, station="bad")
+    assert "frame of station 'bad' was not found" in reason_text(reason)
+
+
+def test_the_nominal_robot_is_not_judged(ur3):
+    table, cell = measured(ur3, "range", seed=0, count=60)
+    result = calib.calibrate(ur3, with_joints_reversed(table), cell=unstated(cell))
+    assert result.verdict.use == NO
+    assert [reason.why for reason in result.verdict.reasons] == [Why.FRAME_NOT_FOUND]
+    assert result.nominal_cross_validation is None
+    text = result.summary()
+    assert "The measurement frame was not found" in text
+    assert "estimation rows, calibrated" in text
+    assert "rows, nominal" not in text
