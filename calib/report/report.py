@@ -25,9 +25,10 @@ from calib.numerics.intervals import interval_factor
 from calib.report.tables import MOST_LISTED
 from calib.result.calibration import CalibrationValues
 from calib.result.calibration_file import versions
+from calib.text.layout.doubtful_rows import outside_text, robustness_text
 from calib.text.layout.lines import deg, mm
 from calib.text.places import frame_sentences, target_sentences
-from calib.text.verdict import outside_text, reason_text, robustness_text
+from calib.text.verdict import reason_text
 
 if TYPE_CHECKING:
     from calib.report.figures import Drawing

@@ -17,11 +17,12 @@ from calib.result.acceptance import Acceptance, Assessment, Check
 from calib.result.accuracy import FEWEST_APART, Accuracy, PoseAccuracy, accuracy as accuracy_of
 from calib.result.calibration_file import error_table as stored_errors, pose_table, versions
 from calib.result.evaluation import EvaluationValues
+from calib.text.layout.doubtful_rows import outside_text
 from calib.text.layout.lines import WIDTH, mm, plural, wrap
 from calib.text.layout.sizes import shown, with_unit
 from calib.text.layout.tables import Column, name_column, table_lines
 from calib.text.summary import error_table, error_title
-from calib.text.verdict import outside_text, reason_text
+from calib.text.verdict import reason_text
 
 #: Poses that are listed; the others are counted.
 _MOST_POSES = 10

@@ -18,11 +18,12 @@ from calib.model.parameters import FRAME, TARGET
 from calib.numerics.errors import Errors
 from calib.result.calibration import CalibrationValues
 from calib.result.prediction import Outlier, ParameterEstimate
+from calib.text.layout.doubtful_rows import robustness_text
 from calib.text.layout.lines import listed, mm, number, wrap
 from calib.text.layout.sizes import shown, with_unit
 from calib.text.layout.tables import Column, name_column, table_lines
 from calib.text.places import frame_sentences, target_sentences
-from calib.text.verdict import reason_text, robustness_text
+from calib.text.verdict import reason_text
 from calib.version import __version__
 
 #: Rows, or combinations of parameters, that are listed; the others are counted.

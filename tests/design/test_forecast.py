@@ -45,6 +45,9 @@ class Linear:
     precision: np.ndarray
     analysed = Sensitivity.analysed
 
+    def sigma_by_unit(self, q: np.ndarray) -> dict[str, float]:
+        return {"m": float(np.sqrt(np.mean(self.noise(q) ** 2)))}
+
 
 def covariance(of: Linear, measured: np.ndarray) -> np.ndarray:
     root = covariance_root(measured, of.precision)

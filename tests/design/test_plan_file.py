@@ -162,11 +162,11 @@ def test_the_forecast_as_json(planned, tmp_path):
 
 
 def keys(value):
-    """Every key of nested tables; the reasons of refusals are no keys."""
+    """Every key of nested tables; the reasons of refusals, and units, are no keys."""
     if isinstance(value, dict):
         for name, entry in value.items():
             yield name
-            yield from () if name == "refused" else keys(entry)
+            yield from () if name in ("refused", "sigma") else keys(entry)
     elif isinstance(value, list):
         for entry in value:
             yield from keys(entry)

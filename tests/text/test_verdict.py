@@ -6,9 +6,8 @@ from string import Formatter
 
 import pytest
 
-from calib.diagnosis.coverage import Beyond, OutsideRow
 from calib.diagnosis.reasons import CARE, NO, USE, Reason, Verdict, Why
-from calib.text.verdict import SENTENCES, against, outside_text, reason_text, refusal
+from calib.text.verdict import SENTENCES, against, reason_text, refusal
 
 
 @pytest.mark.parametrize("why", Why)
@@ -32,14 +31,6 @@ def test_orientations_are_told_beside_positions():
     )
 
 
-def test_rows_outside():
-    rows = [OutsideRow(i, (Beyond("a", False, 0.1), Beyond("b", True, 0.3))) for i in range(5)]
-    assert (
-        outside_text(rows[:1], [7]) == "row 7: 'a' 5.73 deg, 'b' 300 mm beyond the measured range"
-    )
-    assert outside_text(rows, range(5)).endswith("; and 2 more rows")
-
-
 def test_only_do_not_use_speaks_against_a_result():
     reasons = (Reason.of(Why.PARAMETER_FAR, largest=0.2), Reason.of(Why.NO_LENGTH))
     assert [against(Verdict(use, reasons)) for use in (USE, CARE)] == ["", ""]
@@ -48,6 +39,23 @@ def test_only_do_not_use_speaks_against_a_result():
     said = against(Verdict(NO, reasons))
     assert said == f"do not use (parameter_far): {reason_text(reasons[0])}"
     assert said in refusal("'c.urdf'", said)
+
+
+def test_errors_in_three_units_are_listed():
+    before = {"before_m": 3e-3, "before_rad": 0.01, "before_px": 1.5}
+    after = {"after_m": 1e-4, "after_rad": 1e-3, "after_px": 0.25}
+    gain = Reason(Why.GAIN, before | after | {"method": "leave-one-out"})
+    assert reason_text(gain).endswith(
+        "falls from 3.000 mm, 0.573 deg and 1.500 px to 0.100 mm, 0.057 deg and 0.250 px rms."
+    )
+
+
+@pytest.mark.parametrize(
+    ("values", "size"), [({"after_px": 150.4}, "150 px"), ({"after_m": 0.264}, "264 mm")]
+)
+def test_what_is_far_off_is_said_in_its_unit(values, size):
+    far = Reason(Why.STILL_FAR_OFF, values | {"method": "leave-one-out"})
+    assert reason_text(far).endswith(f"still {size} rms off.")
 
 
 @pytest.mark.parametrize(
