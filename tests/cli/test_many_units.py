@@ -134,6 +134,6 @@ def test_a_report_and_a_page_show_every_unit(words, folder, kind):
         assert f"by set of rows [{RESIDUAL_UNITS[unit].shown}]" in page
     assert ("Image error by row" in page) == ("px" in KINDS[kind][0])
     words(
-        f"view ur3 {kind}_c.csv --cell cell.toml --kind {kind} --calibration {kind}_c.json -o {kind}_view.html"
+        f"view ur3 --data {kind}_c.csv --cell cell.toml --kind {kind} --calibration {kind}_c.json -o {kind}_view.html"
     )
     assert (folder / f"{kind}_view.html").stat().st_size > 100_000
