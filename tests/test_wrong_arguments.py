@@ -17,6 +17,7 @@ from calib.errors import (
     ModelError,
     UrdfError,
 )
+from calib.result.acceptance import acceptance
 
 #: Calls, the class of their error, and what its message must name. The names are those of the fixture `given`.
 ROWS = [
@@ -127,6 +128,21 @@ ROWS = [
     ("calib.calibrate(robot, table, model=3)", ArgumentError, "'model'"),
     ('calib.calibrate(robot, table, model=["a"])', ArgumentError, "'model'"),
     ("calib.calibrate(robot, table, solver=3)", ModelError, "solver"),
+    (
+        'calib.calibrate(robot, table, solver=lambda system, x, unit, stop: x, model="zeros")',
+        ArgumentError,
+        "ndarray",
+    ),
+    (
+        'calib.calibrate(robot, table, cell=calib.Cell(targets={"A": q[0,:3]}))',
+        ModelError,
+        "ur3_leica.csv: the cell says where 'A' is",
+    ),
+    (
+        'calib.calibrate(robot, unnamed, cell=calib.Cell(targets={"A": q[0,:3]}))',
+        ModelError,
+        "Measurements: the cell says where 'A' is",
+    ),
     ('calib.calibrate(robot, table, robust="no")', ArgumentError, "'robust'"),
     ("calib.calibrate(robot, table, validate=3)", ArgumentError, "'validate'"),
     ("calib.calibrate(robot, table, progress=3)", ArgumentError, "'progress'"),
@@ -208,6 +224,11 @@ ROWS = [
     ("calib.convert(result, NEW, options=3)", ArgumentError, "'options'"),
     ("calib.fleet(3, {}, NEW)", ArgumentError, "'robots'"),
     ('calib.fleet("ur3", 3, NEW)', ArgumentError, "'tables'"),
+    ('calib.fleet("ur3", {}, NEW, executor=2)', ArgumentError, "'executor'"),
+    ('calib.fleet("ur3", {}, NEW, progress=2)', ArgumentError, "'progress'"),
+    ("acceptance(evaluation, 3e-4)", ArgumentError, "'tolerance'"),
+    ('acceptance(evaluation, {"m": 3e-4}, uncertainty=1e-5)', ArgumentError, "'uncertainty'"),
+    ('acceptance(result, {"m": 3e-4})', ArgumentError, "'evaluation'"),
     ("calib.simulate(3)", ArgumentError, "'scenario'"),
     ('calib.simulate(scenario, "a")', ArgumentError, "'count'"),
     ("calib.simulate(scenario, -1)", ModelError, "'count'"),
@@ -232,6 +253,7 @@ ROWS = [
     ("calib.Scenario(robot, target_error=nan)", ModelError, "'target_error'"),
     ("calib.Scenario(robot, noise=3)", ArgumentError, "'noise'"),
     ('calib.Scenario(robot, sigma="a")', ArgumentError, "'sigma'"),
+    ('calib.Scenario(robot, sigma={"m": 1e-4})', CalibError, "'noise'"),
     ('calib.Scenario(robot, sigma={"rad": nan})', ModelError, "sigma['rad']"),
     ('calib.Scenario(robot, sigma={"deg": 1.0})', CalibError, "'deg' is no unit of residuals"),
     ("calib.Scenario(robot, encoder=3)", ArgumentError, "'encoder'"),
@@ -311,6 +333,9 @@ def given(ur3: calib.Robot, table: calib.Measurements) -> dict[str, Any]:
         "TABLE": calib.example.paper_measurements(),
         "robot": ur3,
         "table": table,
+        "unnamed": calib.Measurements(table.joint_names, table.joints, table.points),
+        "acceptance": acceptance,
+        "evaluation": calib.evaluate(ur3, table, cell),
         "result": calib.calibrate(ur3, table, cell=cell, validate=False),
         "program": calib.Program.of_joints(q),
         "scenario": calib.Scenario(ur3),

@@ -69,7 +69,7 @@ class RowLabels:
         """
         numbers = ", ".join(str(self.rows[i]) for i in indices[:_LISTED_ROWS])
         plural = "s" if len(indices) > 1 else ""
-        raise MeasurementError(f"{self.source}: {what} is in row{plural} {numbers}; {fix}")
+        raise MeasurementError(f"{self.name}: {what} is in row{plural} {numbers}; {fix}")
 
 
 def by_word(words: Sequence[str], rows: Mask) -> dict[str, list[int]]:

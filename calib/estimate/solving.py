@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from calib.errors import ArgumentError
 from calib.estimate.estimate import Estimate, estimate_at_stage, problem_at_stage
 from calib.estimate.linear import LinearProblem
 from calib.estimate.prior_terms import PriorTerms
@@ -72,10 +73,16 @@ class StageSolver:
             The solution x, shape (p,), [m, rad, ...], with the history and number of evaluations of all solves so far.
 
         Raises:
+            ArgumentError: A solver returned something else.
             SolverError: The residual is not finite at the start.
         """
         system = problem_at_stage(self._problem, stage).system
         solution = self._solver(system, self._x, self._step_size, tolerance)
+        if not isinstance(solution, Solution):  # of a solver that a user wrote
+            raise ArgumentError(
+                f"The solver returned a value of the type {type(solution).__name__}; it must be a Solution "
+                "(calib.numerics.solvers)."
+            )
         if self._solution is not None:
             solution = replace(
                 solution,

@@ -17,7 +17,7 @@ from calib.fleets.job import FleetOptions
 from calib.inputs import CELL, ROBOT, TABLE, CellInput, RobotInput, TableInput
 from calib.jobs import Progress
 from calib.robot.robot import Robot
-from calib.values.arguments import check_type, wrong_type
+from calib.values.arguments import check_callable, check_executor, check_type, wrong_type
 
 #: One robot for all tables, one for each table by its name, or one for each in their order.
 RobotsInput: TypeAlias = RobotInput | Mapping[str, RobotInput] | Sequence[RobotInput]
@@ -77,6 +77,8 @@ def fleet(
     chosen = _options(options)
     check_type("tables", tables, Mapping, f"a mapping from names of robots to {TABLE}")
     check_type("folder", folder, (str, Path), "the path of a folder")
+    check_executor(executor)
+    check_callable("progress", progress)
     by_name = _robots_by_name(robots, tables)
     cells = _cells_by_name(cell, tables)
     members = []

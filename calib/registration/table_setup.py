@@ -116,8 +116,9 @@ def _check_names(
     """
     missing = [name for name in given if name not in present]
     if missing:
+        table = measurements.source or "Measurements"
         raise ModelError(
-            f"{measurements.source}: the cell says where {choices(missing)} is; the table's column '{column}' has "
+            f"{table}: the cell says where {choices(missing)} is; the table's column '{column}' has "
             f"{choices(present)}."
         )
 

@@ -32,6 +32,7 @@ from calib.result.calibration import CalibrationValues
 from calib.result.evaluation import EvaluationValues, evaluate, moved_place, registration_rows
 from calib.robot.robot import Robot
 from calib.units import Array, Mask, split_header
+from calib.values.arguments import check_mapping, check_type
 from calib.values.pickling import Value
 
 Outcome = Literal["pass", "undecided", "fail"]
@@ -205,9 +206,16 @@ def acceptance(
         poses within all tolerances.
 
     Raises:
+        ArgumentError: An argument of another type.
         CalibError: No tolerance, one that is not positive, an uncertainty below 0, or no such criterion or unit.
         MeasurementError: No row measures anything, or none in a unit that has a tolerance.
     """
+    check_type(
+        "evaluation", evaluation, EvaluationValues, "an Evaluation, such as of calib.evaluate"
+    )
+    check_mapping("tolerance", tolerance)
+    if uncertainty is not None:
+        check_mapping("uncertainty", uncertainty)
     if not tolerance:
         raise CalibError("State a tolerance: of positions in m, of orientations in rad, or both.")
     uncertainty = {} if uncertainty is None else uncertainty

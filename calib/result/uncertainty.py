@@ -35,7 +35,7 @@ from calib.result.prediction import ParameterEstimate
 from calib.robot.ranges import spread_poses
 from calib.robot.robot import read_only
 from calib.units import Array, Integers
-from calib.values.arguments import check_callable, check_type
+from calib.values.arguments import check_callable, check_executor, check_type
 from calib.values.pickling import Value
 
 #: With fewer samples the ends of a 95 % interval lie beyond them.
@@ -234,9 +234,7 @@ def _check_arguments(
     for argument, given in (("count", count), ("seed", seed)):
         check_type(argument, given, (int, np.integer), "a whole number")
     check_callable("progress", progress)
-    check_type(
-        "executor", executor, (Executor, type(None)), "an Executor of concurrent.futures, or None"
-    )
+    check_executor(executor)
 
 
 def _draws(problem: Problem, count: int, seed: int) -> Iterator[tuple[Array, Array]]:

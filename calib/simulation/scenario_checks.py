@@ -7,6 +7,7 @@ from functools import partial
 
 from calib.channels import residual_unit
 from calib.data.surroundings import TrackerNoise
+from calib.errors import CalibError
 from calib.model.families import family_of
 from calib.robot.robot import Robot
 from calib.simulation.disturbances import Encoder, MovedTarget, Outliers
@@ -33,13 +34,18 @@ def check_scenario(scenario: object) -> None:
     Raises:
         ArgumentError: A value is of another type.
         ModelError: A number is out of range, or there is no such family of errors.
-        CalibError: There is no such unit.
+        CalibError: There is no such unit, or it is that of lengths, whose noise is stated by itself.
     """
     value = partial(getattr, scenario)
     for name, types, allowed in _TYPES:
         check_type(name, value(name), types, allowed)
     check_number("target_error", value("target_error"), 0.0)
     check_mapping("sigma", value("sigma"))
+    if "m" in value("sigma"):
+        raise CalibError(
+            "The argument 'sigma' has 'm'; the noise of lengths is the argument 'noise', such as "
+            "TrackerNoise(constant=1e-4, per_length=0.0)."
+        )
     for unit, std in value("sigma").items():
         check_number(f"sigma[{residual_unit(unit).symbol!r}]", std, 0.0)
     check_whole("visits", value("visits"), 1)

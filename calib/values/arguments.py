@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Collection, Mapping
+from concurrent.futures import Executor
 
 import numpy as np
 from numpy.typing import NDArray
@@ -98,6 +99,12 @@ def check_callable(argument: str, given: object) -> None:
     """Refuse an argument that is neither a function nor None."""
     if given is not None and not callable(given):
         raise wrong_type(argument, given, "a function, or None")
+
+
+def check_executor(given: object) -> None:
+    """Refuse an argument 'executor' that is neither an executor, Dask's too, nor None."""
+    allowed = "an Executor of concurrent.futures, or None"
+    check_type("executor", given, (Executor, type(None)), allowed)
 
 
 def check_path(argument: str, given: object) -> None:
