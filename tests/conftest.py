@@ -23,6 +23,9 @@ hypothesis.settings.register_profile(
 )
 hypothesis.settings.load_profile("calib")
 
+#: A plugin: a search for doctests would import it, and register its kinds for all tests of this process.
+collect_ignore = ["many_units.py"]
+
 #: Fixtures of calibrations, tables and virtual cells.
 pytest_plugins = ["tests.fits"]
 

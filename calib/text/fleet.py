@@ -118,9 +118,7 @@ def _cells(robot: Mapping[str, Any]) -> list[str]:
     model = robot["model"]
     if robot["non_geometric"]:
         model += f" ({robot['non_geometric']})"
-    sizes = []
-    for key in _SIZES.values():
-        sizes.append(_leading_size(robot[key]))
+    sizes = [_leading_size(robot[key]) for key in _SIZES.values()]
     words = [robot["name"], robot["verdict"] or "-", robot["urdf"] or "-", model]
     return [*words, *sizes, str(robot["rows"]), str(robot["outliers"])]
 

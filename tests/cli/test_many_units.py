@@ -73,7 +73,7 @@ def test_a_kind_is_simulated_fitted_evaluated_planned_and_read_again(words, fold
     for unit in units:
         nominal = table["nominal_cross_validation"]["errors"][unit]["rms"]
         assert table["cross_validation"]["errors"][unit]["rms"] < 0.4 * nominal
-        assert table["noise"]["sigma"][unit] == pytest.approx(_noise(table, unit), rel=0.3)
+        assert table["noise"]["sigma"][unit] == pytest.approx(_noise(unit), rel=0.3)
 
     evaluated = words(
         f"evaluate {kind}.urdf {kind}.csv {cell.replace('--force', '')} --calibration {kind}.json"
@@ -92,7 +92,7 @@ def test_a_kind_is_simulated_fitted_evaluated_planned_and_read_again(words, fold
     )
 
 
-def _noise(table: dict, unit: str) -> float:
+def _noise(unit: str) -> float:
     """The noise that was simulated, of one scalar: instrument and robot of lengths, a probe's, a camera's."""
     return {"m": 3.8e-5, "rad": np.radians(0.01), "px": 0.3}[unit]
 
