@@ -30,7 +30,7 @@ register(
 robot = calib.Robot.load("ur3", base="base", tip="tool0")
 scenario = calib.Scenario(robot, model="placement+strain_wave")
 virtual = scenario.draw(seed=3)
-data = virtual.measure(scenario.random_poses(80, seed=3), seed=3).measurements
+data = virtual.measure(scenario.random_poses(120, seed=3), seed=3).measurements
 
 result = calib.calibrate(robot, data, model="placement+strain_wave")
 gears = result.non_geometric  # the model with errors that depend on the joints' state
@@ -42,10 +42,10 @@ with_gears = gears.cross_validation.errors["m"].rms
 print(f"held-out error, geometry only: {1e3 * geometry_only:.3f} mm rms")
 print(f"held-out error, with the gears: {1e3 * with_gears:.3f} mm rms")
 
-print("joint                    estimated        true   [mrad]")
+print("parameter                     estimated      true [mrad]")
 for p in gears.parameters:
     if p.name.endswith(("sin200", "cos200")):
         true = virtual.truth.value(p.name)
-        print(f"{p.name:26s}{1e3 * p.value:8.3f}{1e3 * true:12.3f}")
+        print(f"{p.name:27}{1e3 * p.value:12.3f}{1e3 * true:10.3f}")
         assert abs(p.value - true) < 4.5 * p.std
 assert with_gears < 0.1e-3 < geometry_only

@@ -24,12 +24,14 @@ def tables(robot: calib.Robot, cell: calib.Cell) -> dict[str, calib.Measurements
 def start_workers(stack: ExitStack) -> Executor:
     """Start two workers: Dask's, or plain processes where it is not installed. The stack ends them."""
     try:
+        import dask
         from distributed import Client, LocalCluster
     except ImportError:
         print("Dask is not installed (pip install distributed): two processes do the work.")
         return stack.enter_context(ProcessPoolExecutor(2, mp_context=get_context("spawn")))
+    dask.config.set({"temporary-directory": "."})  # default: the system's folder for such files
     cluster = LocalCluster(  # type: ignore[no-untyped-call]
-        n_workers=2, threads_per_worker=1, dashboard_address=None, local_directory="dask"
+        n_workers=2, threads_per_worker=1, dashboard_address=None
     )
     client = Client(stack.enter_context(cluster))  # type: ignore[no-untyped-call]
     executor: Executor = stack.enter_context(client).get_executor()
