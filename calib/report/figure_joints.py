@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import calib.report.figure_base as base
-from calib.data.measurements import Measurements
+from calib.registration.table_rows import rows_and_setup
 from calib.report.row_values import flagged_rows, setup_of_rows
 from calib.result.calibration import CalibrationValues
 from calib.units import Array, Mask
@@ -18,7 +18,7 @@ from calib.units import Array, Mask
 #: Step of the central differences in a joint's value [rad or m].
 _STEP = 1e-6
 
-#: A joint that moves the target less than this has no direction at a row [m/rad or m/m].
+#: A joint that changes the lengths of a row by less than this has no direction there [m/rad or m/m].
 _LEAST_LEVER = 2e-3
 
 #: The running mean is drawn from so many rows on.
@@ -32,11 +32,12 @@ _ROWS_PER_RUN = 8
 
 
 def has_joint_parts(c: CalibrationValues) -> Mask:
-    """Return the rows whose residual has a part along joints' motions, shape (N,).
+    """Return the rows whose residual has a part along joints' motions, shape (N,): those that measure a length.
 
     A length between two rows belongs to both poses, so it has none.
     """
-    return np.asarray(c.used[:, 0] & ~c.measurements.of_kind("pair"))
+    measures_length = np.any(c.channels.where("m"), axis=1)
+    return np.asarray(measures_length & ~c.measurements.of_kind("pair"))
 
 
 def residuals_by_joint(c: CalibrationValues) -> Figure:
@@ -95,74 +96,51 @@ def _joint_panel(ax: Axes, c: CalibrationValues, j: int, parts: Array, reach: fl
 
 
 def along_joints(c: CalibrationValues) -> Array:
-    """Project each row's calibrated residual onto the motion of the target by each joint.
+    """Project each row's residual lengths onto the change of the predicted lengths by each joint.
 
-        part_ij = r_i . g_ij / |g_ij|,    g_ij = d p_i / d q_ij
+        part_ij = r_i . g_ij / |g_ij|,    g_ij = d m_i / d q_ij
 
-    with the residual r_i, measured minus predicted, and the predicted position p_i in the measurement frame. Of a
-    distance the part of g along the beam counts, of a plane that along its normal.
+    with the residual r_i, measured minus predicted, and the prediction m_i, of the lengths that row i measures: the
+    three coordinates of a point, the distance along a beam, or the lengths of a kind of your own.
 
     Args:
         c: The result, with N rows of m joint values.
 
     Returns:
-        shape (N, m), [m], signed; NaN where the joint moves the target less than 2 mm/rad.
+        shape (N, m), [m], signed; NaN where the joint changes the lengths by less than 2 mm/rad.
     """
-    m = c.measurements
-    q = m.joints_for(c.nominal.joint_names)
-    positions = _predicted_positions(c, q)
-    residual = np.where(c.used, c.residual_calibrated, 0.0)[:, :3]
+    rows, _ = rows_and_setup(c.nominal, c.measurements, c.cell)
+    T_frame_base, T_tip_target = setup_of_rows(c.setup, c.measurements)
+    are_lengths = c.channels.where("m")
+
+    def lengths(q: Array) -> Array:
+        """Residual lengths, shape (N, D), at joint values (N, m); 0 of the other scalars."""
+        residual = rows.residual(T_frame_base @ c.robot.poses(q) @ T_tip_target)
+        return np.where(are_lengths, residual, 0.0)
+
+    q = rows.joints
+    residual = np.where(are_lengths, c.residual_calibrated, 0.0)
     parts = np.full(q.shape, np.nan)
     for j, step in enumerate(_STEP * np.eye(q.shape[1])):
-        change = _predicted_positions(c, q + step) - _predicted_positions(c, q - step)
-        motion = _measured_motion(m, positions, change / (2.0 * _STEP))
-        parts[:, j] = _parts_along(residual, motion[:, : residual.shape[1]])
+        # What is predicted enters the residual with a minus.
+        change = lengths(q - step) - lengths(q + step)
+        parts[:, j] = _parts_along(residual, change / (2.0 * _STEP))
     return parts
 
 
-def _parts_along(residual: Array, motion: Array) -> Array:
-    """Return the part of each row's residual along the motion of the target by a joint.
+def _parts_along(residual: Array, change: Array) -> Array:
+    """Return the part of each row's residual along the change of its prediction by a joint.
 
     Args:
-        residual: shape (N, D), measured minus predicted [m]; 0 where nothing was measured.
-        motion: shape (N, D), of what is measured per unit of the joint's value [m/rad] or [m/m].
+        residual: shape (N, D), measured minus predicted [m]; 0 where no length was measured.
+        change: shape (N, D), of the prediction per unit of the joint's value [m/rad] or [m/m].
 
     Returns:
-        shape (N,), [m], signed; NaN where the joint moves the target less than 2 mm/rad.
+        shape (N,), [m], signed; NaN where the joint changes the prediction by less than 2 mm/rad.
     """
-    lever = np.linalg.norm(motion, axis=1)
-    part = np.sum(residual * motion, axis=1) / np.maximum(lever, 1e-12)
-    return np.where(lever > _LEAST_LEVER, part, np.nan)
-
-
-def _predicted_positions(c: CalibrationValues, q: Array) -> Array:
-    """Return the predicted positions (N, 3) of the target in the measurement frame [m] at joint values (N, m)."""
-    T_frame_base, T_tip_target = setup_of_rows(c.setup, c.measurements)
-    T_frame_target = T_frame_base @ c.robot.poses(q) @ T_tip_target
-    return np.asarray(T_frame_target[:, :3, 3])
-
-
-def _measured_motion(m: Measurements, positions: Array, motion: Array) -> Array:
-    """Reduce motions of the target to what the rows measure.
-
-    Args:
-        m: N rows.
-        positions: shape (N, 3), the target in the measurement frame [m].
-        motion: shape (N, 3), its motion per unit of a joint's value.
-
-    Returns:
-        shape (N, 3): of distances the component along the beam, of planes that along z, in the first column; of other
-        rows the motion.
-    """
-    distances = np.linalg.norm(positions, axis=1, keepdims=True)
-    beam = positions / np.maximum(distances, 1e-12)
-    is_distance = m.of_kind("distance")
-    is_plane = m.of_kind("plane")
-    reduced: Array = motion.copy()
-    reduced[is_distance, 0] = np.sum(beam[is_distance] * motion[is_distance], axis=1)
-    reduced[is_plane, 0] = motion[is_plane, 2]
-    reduced[is_distance | is_plane, 1:] = 0.0
-    return reduced
+    size = np.linalg.norm(change, axis=1)
+    part = np.sum(residual * change, axis=1) / np.maximum(size, 1e-12)
+    return np.where(size > _LEAST_LEVER, part, np.nan)
 
 
 def _running_mean(ax: Axes, values: Array, parts: Array) -> None:
