@@ -74,8 +74,9 @@ class Kind(Value):
     Of a ``paired`` kind poses and twists are those of both rows: (n, 2, 4, 4), (n, 2, 6, p).
 
     Raises:
-        CalibError: Neither ``residual`` nor ``measure`` is given; ``units`` are none or unknown; or they do not begin
-            with the three lengths of a measured position.
+        CalibError: Neither ``residual`` nor ``measure`` is given; ``units`` are none or unknown, or do not begin with
+            the three lengths of a measured position and the three angles of a measured orientation; an orientation is
+            measured without a position.
     """
 
     #: Name of the kind, as in the table's column ``kind``.
@@ -97,7 +98,7 @@ class Kind(Value):
     residual: Callable[[Array, Array], Array] | None = None
     #: Whether the columns x, y, z are measured.
     position: bool = False
-    #: Whether an orientation is measured.
+    #: Whether an orientation is measured, with the position. The next three units are its angles, a rotation vector.
     orientation: bool = False
     #: Whether the residual depends on the target's orientation, not on its position alone. None: it does where an
     #: orientation or another angle is measured.
@@ -141,6 +142,11 @@ class Kind(Value):
         if self.position and self.units[:3] != _COORDINATES:
             raise CalibError(
                 f"The kind '{self.name}' measures a position: its first three units are those of x, y and z, 'm'."
+            )
+        if self.orientation and not (self.position and self.units[3:6] == ("rad", "rad", "rad")):
+            raise CalibError(
+                f"The kind '{self.name}' measures an orientation: it needs 'position' too, and its first six units are "
+                "'m', 'm', 'm', 'rad', 'rad', 'rad'. Give an orientation without a position as 'readings'."
             )
 
     def __reduce__(self) -> tuple[Any, ...]:

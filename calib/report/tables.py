@@ -6,6 +6,8 @@ Every cell is text in the unit that the table's head or title names: lengths [mm
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
@@ -141,17 +143,16 @@ def validation_rows(c: CalibrationValues) -> Table:
         subject = f"the {MOST_WORST} of {len(indices):,} validation rows with the largest error after calibration"
         indices = _worst_rows(c, indices)
     names, cells = _row_columns(c, indices)
-    head = list(names)
-    groups = [("", len(names))]
-    note = ""
-    for unit in c.channels.select(indices).present:
-        with_axes = RESIDUAL_UNITS[unit].shows_span and _has_vectors(c.channels, indices, unit)
-        head += _add_columns(c, indices, cells, groups, unit, with_axes=with_axes)
-        if with_axes:
-            note = "dx, dy, dz: measured minus predicted along the axes of the measurement frame."
+    blocks = [_error_columns(c, indices, unit) for unit in c.channels.select(indices).present]
+    head = [*names, *(name for block in blocks for name in block.head)]
+    groups = [("", len(names)), *(group for block in blocks for group in block.groups)]
+    parts_of_rows = zip(cells, *(block.cells for block in blocks), strict=True)
+    rows = [list(chain.from_iterable(parts)) for parts in parts_of_rows]
+    has_axes = any("dx" in block.head for block in blocks)
+    note = "dx, dy, dz: measured minus predicted along the axes of the measurement frame."
     align = "l" * len(names) + "r" * (len(head) - len(names))
     title = f"Error of {subject}, which took no part in the fit"
-    return Table(title, head, cells, align, note, groups)
+    return Table(title, head, rows, align, note if has_axes else "", groups)
 
 
 def _worst_rows(c: CalibrationValues, indices: NDArray[np.int_]) -> NDArray[np.int_]:
@@ -175,48 +176,51 @@ def _residuals(c: CalibrationValues) -> tuple[tuple[str, Array], tuple[str, Arra
     return before, after
 
 
-def _add_columns(
-    c: CalibrationValues,
-    indices: NDArray[np.int_],
-    cells: list[list[str]],
-    groups: list[tuple[str, int]],
-    unit: str,
-    *,
-    with_axes: bool,
-) -> list[str]:
-    """Append the errors of both robots in one unit to the cells of each row and to the groups.
+@dataclass(frozen=True, slots=True)
+class _Columns:
+    """Columns that stand side by side in a table of K rows."""
+
+    #: Labels above the heads, each with the number of columns below it.
+    groups: list[tuple[str, int]]
+    #: Head of each column.
+    head: list[str]
+    #: Cells of each of the K rows.
+    cells: list[list[str]]
+
+
+def _error_columns(c: CalibrationValues, indices: NDArray[np.int_], unit: str) -> _Columns:
+    """Write the errors of rows in one unit, of the nominal and of the calibrated robot.
 
     Args:
         c: The result.
-        indices: Indices of the listed rows, shape (K,).
-        cells: Cells of the K rows; extended in place.
-        groups: Labels above the head; extended in place.
-        unit: Symbol of the unit.
-        with_axes: Whether signed errors along x, y, z stand before their norm.
-
-    Returns:
-        The heads of the new columns.
+        indices: Indices of the K rows.
+        unit: Symbol of the unit. Lengths have the signed errors along x, y and z too, if a position is among them.
     """
+    if unit == "m":
+        return _length_columns(c, indices)
+    sizes = [c.channels.norms(residual, unit)[indices] for _, residual in _residuals(c)]
     of_unit = RESIDUAL_UNITS[unit]
-    axes = ("dx", "dy", "dz") if with_axes else ()
-    head: list[str] = []
-    if unit != "m":
-        groups.append((f"{of_unit.measured} [{of_unit.shown}]", 2))
+    cells = [[shown(size, unit) for size in sizes_of_row] for sizes_of_row in np.transpose(sizes)]
+    return _Columns([(f"{of_unit.measured} [{of_unit.shown}]", 2)], ["before", "after"], cells)
+
+
+def _length_columns(c: CalibrationValues, indices: NDArray[np.int_]) -> _Columns:
+    """Write the errors of rows in lengths, see `_error_columns`."""
+    with_axes = _has_vectors(c.channels, indices, "m")
+    head = ["dx", "dy", "dz", "size"] if with_axes else ["size"]
+    groups, cells = [], []
     for label, residual in _residuals(c):
-        if unit == "m":
-            groups.append((f"{label} [{of_unit.shown}]", len(axes) + 1))
-            head += [*axes, "size"]
-        else:
-            head.append(label.split(":")[0])
-        norms = c.channels.norms(residual, unit)[indices]
-        columns, are_vectors = c.channels.vector_columns(unit)
-        whole = are_vectors[indices, None]
-        for k, norm in enumerate(norms.tolist()):
-            if with_axes:
-                by_axis = np.where(whole[k], residual[indices[k], columns], np.nan)
-                cells[k] += [shown(value, unit) for value in by_axis]
-            cells[k].append(shown(norm, unit))
-    return head
+        groups.append((f"{label} [{RESIDUAL_UNITS['m'].shown}]", len(head)))
+        sizes = c.channels.norms(residual, "m")[indices, None]
+        values = sizes
+        if with_axes:
+            columns, are_vectors = c.channels.vector_columns("m")
+            by_axis = np.where(are_vectors[:, None], residual[:, columns], np.nan)[indices]
+            values = np.hstack([by_axis, sizes])
+        cells.append([[shown(value, "m") for value in row] for row in values])
+    before, after = cells
+    both = [[*row, *row_after] for row, row_after in zip(before, after, strict=True)]
+    return _Columns(groups, 2 * head, both)
 
 
 def flagged(c: CalibrationValues) -> Table:

@@ -14,7 +14,6 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.transform import Rotation
 
 import calib.data.kinds as registry
 from calib.channels import RESIDUAL_UNITS, VECTOR
@@ -30,6 +29,7 @@ from calib.robot.ranges import joint_ranges
 from calib.robot.robot import Robot, read_only
 from calib.simulation.disturbances import Encoder, MovedTarget, Outliers
 from calib.simulation.random_streams import stream
+from calib.simulation.reading_noise import with_pose_noise, with_reading_noise
 from calib.simulation.scenario_checks import check_scenario
 from calib.simulation.truth import TARGET_ERROR, Truth, draw_truth
 from calib.units import Array, Mask
@@ -425,26 +425,12 @@ class VirtualCell(Value):
         noise = self._noise(len(T), instrument, seed)
         noise["length"][:, :VECTOR] += outliers
         displaced = self._displaced(T, tour, seed)
-        readings = np.array(kind.measure(tour.with_partners(displaced)))
-        if kind.position:
-            readings[:, :VECTOR] += noise["length"][:, :VECTOR]
-        if kind.orientation:
-            turns = Rotation.from_rotvec(noise["angle"][:, :VECTOR])
-            R = turns.as_matrix() @ T[:, :3, :3]
-            readings[:, 3:12] = R.reshape(-1, 9)
+        exact = kind.measure(tour.with_partners(displaced))
+        noisy = with_pose_noise(kind, exact, T[:, :3, :3], noise)
         if tour.partner is not None:  # both rows of a pair hold the one reading
             first_rows = np.minimum(np.arange(len(T)), tour.partner)
             noise = {quantity: added[first_rows] for quantity, added in noise.items()}
-        first = kind.size - len(kind.readings)
-        # Scalars of a position and an orientation have the first three columns of their noise.
-        next_column = {"length": VECTOR * kind.position, "angle": VECTOR * kind.orientation}
-        for k, reading in enumerate(kind.readings, start=first):
-            column = next_column.get(reading.quantity, 0)
-            next_column[reading.quantity] = column + 1
-            readings[:, k] += noise[reading.quantity][:, column]
-            if reading.positive:  # what noise would make negative is seen from the other side
-                readings[:, k] = np.abs(readings[:, k])
-        return readings
+        return with_reading_noise(kind, noisy, noise)
 
     def _noise(self, rows: int, instrument: Array, seed: int) -> dict[str, Array]:
         """Draw the noise of what the kind measures, by quantity.
