@@ -1,8 +1,8 @@
 """Channels: the kind and the unit of each scalar of a residual.
 
 A row of a table measures the scalars of its kind, such as three lengths and three angles, and its residual has one
-entry for each. Scalars of one kind and one unit are a channel: they come from one instrument, share one noise, and are
-summed up in one figure. `RESIDUAL_UNITS` is the registry of the units; one more is one entry.
+entry for each. Scalars of one kind and one unit are a channel: they come from one instrument and share one noise. Error
+figures are by unit, over the rows of all kinds. `RESIDUAL_UNITS` is the registry of the units; one more is one entry.
 """
 
 from __future__ import annotations
@@ -173,7 +173,12 @@ class Channels:
         return tuple(symbol for symbol in RESIDUAL_UNITS if symbol in occurring)
 
     def where(self, unit: str) -> Mask:
-        """Mark the entries that are in a unit, by its symbol; shape (N, D)."""
+        """Mark the entries that are in a unit, by its symbol; shape (N, D).
+
+        Raises:
+            CalibError: There is no such unit.
+        """
+        residual_unit(unit)
         of_unit = [c for c, symbol in enumerate(self.units) if symbol == unit]
         if len(of_unit) == len(self.units):
             return self.used

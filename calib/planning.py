@@ -1,4 +1,4 @@
-"""plan, and its result with what shows it as text."""
+"""The function `plan`, and its result `Plan` with methods that show it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ __all__ = ["Plan", "plan"]
 
 
 class Plan(PlanValues):
-    """Poses to measure, in the order to drive: the values of `calib.design.plan.PlanValues`, and what writes them."""
+    """Poses to measure, in the order to drive: `calib.design.plan.PlanValues` with methods that show them."""
 
     __slots__ = ()
 

@@ -117,6 +117,8 @@ def load(name: str | Path) -> Plugin:
     """
     given = str(name)
     is_file = given.endswith(".py")
+    if not is_file and ("/" in given or given.startswith(".")):
+        raise PluginError(f"Plugin '{given}' is a path; the name of a file ends in .py.")
     source = str(Path(given).expanduser().resolve()) if is_file else given
     return _load(given, source)
 
@@ -249,6 +251,11 @@ def _load(given: str, source: str) -> Plugin:
 def _load_entry(entry: importlib.metadata.EntryPoint) -> Plugin:
     """Load the plugin of an entry point; an error names the distribution."""
     try:
+        if entry.attr:
+            raise PluginError(
+                f"It names '{entry.attr}' in the module '{entry.module}'; it must name the module alone, which calls "
+                "register() when it is imported."
+            )
         return load(entry.module)
     except PluginError as error:
         distribution = entry.dist.name if entry.dist else ""

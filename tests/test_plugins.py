@@ -112,7 +112,7 @@ def test_what_a_plugin_loads_itself_is_not_its_own(tmp_path):
         ("raise ValueError('two\\nlines')", "ValueError: two lines (line 1 of bad.py)"),
         (
             "from calib.model.families import *\nregister(FAMILIES['gain'])",
-            "The family 'gain' needs factors, and names other than 'length'",
+            "The family 'gain' has a name that is taken; give it one other than 'length'",
         ),
         (
             "from calib.data import kinds\nkinds.register(kinds.get('plane'))",

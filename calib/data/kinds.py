@@ -24,10 +24,12 @@ from scipy.spatial.transform import Rotation
 
 import calib.plugins as plugins
 from calib.channels import RESIDUAL_UNITS
+from calib.data.kind_check import check_functions
 from calib.errors import CalibError, MeasurementError, choices
 from calib.model.error_model import DIRECTIONS
 from calib.numerics.geometry import inverse_right_jacobian
-from calib.units import Array, Quantity
+from calib.units import UNITS, Array, Quantity
+from calib.values.arguments import check_type
 from calib.values.pickling import Value
 
 #: Least and largest standard deviation accepted for a measurement [m, rad or px]: no instrument is
@@ -46,7 +48,11 @@ _RANK_TOLERANCE = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """A column of the table with a number that rows of a kind measure."""
+    """A column of the table with a number that rows of a kind measure.
+
+    Raises:
+        CalibError: The quantity is none of these.
+    """
 
     #: Name of the column without its unit, ``"distance"``.
     name: str
@@ -54,6 +60,16 @@ class Reading:
     quantity: Quantity = "length"
     #: Whether it is always greater than zero, as a distance is.
     positive: bool = False
+
+    def __post_init__(self) -> None:
+        """Check the quantity."""
+        allowed = [unit.quantity for unit in RESIDUAL_UNITS.values()]
+        if self.quantity not in allowed:
+            unit = UNITS.get(str(self.quantity))
+            hint = f"; '{unit.symbol}' is a unit of '{unit.quantity}'" if unit else ""
+            raise CalibError(
+                f"The reading '{self.name}' has the quantity '{self.quantity}'; allowed are {choices(allowed)}{hint}."
+            )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -74,9 +90,9 @@ class Kind(Value):
     Of a ``paired`` kind poses and twists are those of both rows: (n, 2, 4, 4), (n, 2, 6, p).
 
     Raises:
-        CalibError: Neither ``residual`` nor ``measure`` is given; ``units`` are none or unknown, or do not begin with
-            the three lengths of a measured position and the three angles of a measured orientation; an orientation is
-            measured without a position.
+        CalibError: Neither ``residual`` nor ``measure`` is given; ``units`` are none or unknown; they do not begin
+            with the three lengths of a measured position; an orientation is measured without a position; or, without
+            ``residual``, the units are not those of what is measured.
     """
 
     #: Name of the kind, as in the table's column ``kind``.
@@ -143,11 +159,44 @@ class Kind(Value):
             raise CalibError(
                 f"The kind '{self.name}' measures a position: its first three units are those of x, y and z, 'm'."
             )
-        if self.orientation and not (self.position and self.units[3:6] == ("rad", "rad", "rad")):
+        if self.orientation:
+            self._check_orientation()
+        if self.residual is None:
+            self._check_units_of_readings()
+
+    def _check_orientation(self) -> None:
+        """Check that the position is measured too, and that three angles, a rotation vector, follow its lengths."""
+        if not self.position:
             raise CalibError(
-                f"The kind '{self.name}' measures an orientation: it needs 'position' too, and its first six units are "
-                "'m', 'm', 'm', 'rad', 'rad', 'rad'. Give an orientation without a position as 'readings'."
+                f"The kind '{self.name}' measures an orientation, so it needs 'position' too; an orientation alone is "
+                "given as 'readings'."
             )
+        if self.units.count("rad") == 3 and self.units[3:6] != ("rad", "rad", "rad"):
+            raise CalibError(
+                f"The kind '{self.name}' measures an orientation: its three units 'rad' follow those of the position."
+            )
+
+    def _check_units_of_readings(self) -> None:
+        """Check that the units are those of what is measured, from which the prediction is subtracted."""
+        if self.orientation:
+            raise CalibError(
+                f"The kind '{self.name}' measures an orientation, which cannot be subtracted; give a 'residual'."
+            )
+        columns = [("xyz"[k], "length") for k in range(3 * self.position)]
+        columns += [(reading.name, reading.quantity) for reading in self.readings]
+        if len(columns) != len(self.units):
+            raise CalibError(
+                f"The kind '{self.name}' has the units {choices(self.units)} for the measured numbers "
+                f"({choices([name for name, _ in columns])}); give one unit for each of 'readings' and of x, y, z of a "
+                "position, or a 'residual' of your own."
+            )
+        for (name, quantity), symbol in zip(columns, self.units, strict=True):
+            of_unit = RESIDUAL_UNITS[symbol].quantity
+            if quantity != of_unit:
+                raise CalibError(
+                    f"The kind '{self.name}' has the unit '{symbol}', of the quantity '{of_unit}', for '{name}', which "
+                    f"measures '{quantity}'; correct one of them, or give a 'residual' of your own."
+                )
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle a registered kind by its name: the process that reads it must have registered it, in any order."""
@@ -181,7 +230,10 @@ class Kind(Value):
 
     @property
     def tells_place(self) -> bool:
-        """True if rows determine where the base stands in the instrument's frame: ``point``, ``pose``."""
+        """True if rows determine where the base stands in the instrument's frame.
+
+        Those of ``point`` and ``pose`` do, and of any kind of a user's that has ``directions`` and no ``own_frame``.
+        """
         return bool(self.directions) and not self.own_frame
 
     @property
@@ -231,15 +283,32 @@ def register(kind: Kind) -> None:
             those of a kind that is registered.
 
     Raises:
-        CalibError: A kind or a column of this name is registered.
+        ArgumentError: It is no kind.
+        CalibError: A kind or a column of this name is registered, or one of its functions is wrong at generic poses;
+            see `calib.data.kind_check.check_functions`.
     """
-    columns = readings()
-    column_taken = any(columns.get(r.name, r) != r for r in kind.readings)
-    if kind.name in _KINDS or column_taken:
-        raise CalibError(
-            f"There is a kind '{kind.name}', or a column of its name, already; rename yours."
-        )
+    check_type("kind", kind, Kind, "a Kind of calib.data.kinds")
+    _check_new(kind)
+    check_functions(kind)
+    _add(kind)
+
+
+def _add(kind: Kind) -> None:
+    """Add a kind whose name and functions are known to be right, as those of calib itself are by its tests."""
     _KINDS[kind.name] = kind
+
+
+def _check_new(kind: Kind) -> None:
+    """Check that the name of a kind and those of its columns are not taken; CalibError if they are."""
+    columns = readings()
+    if kind.name in _KINDS:
+        raise CalibError(f"There is a kind '{kind.name}' already; rename yours.")
+    for reading in kind.readings:
+        if columns.get(reading.name, reading) != reading:
+            raise CalibError(
+                f"The column '{reading.name}' belongs to another kind and is read differently there (quantity or "
+                f"sign); rename that of '{kind.name}'."
+            )
 
 
 def names() -> tuple[str, ...]:
@@ -416,7 +485,7 @@ def _plane_frame(normal: Array, distance: float) -> Array:
 
 _DISTANCE_READING = Reading("distance", positive=True)
 
-register(
+_add(
     Kind(
         name="point",
         words="position of the target",
@@ -426,7 +495,7 @@ register(
         position=True,
     )
 )
-register(
+_add(
     Kind(
         name="pose",
         words="position and orientation of the target",
@@ -438,7 +507,7 @@ register(
         orientation=True,
     )
 )
-register(
+_add(
     Kind(
         name="distance",
         words="distance from the target to an anchor",
@@ -452,7 +521,7 @@ register(
         place="Anchor",
     )
 )
-register(
+_add(
     Kind(
         name="pair",
         words="distance between the target's places at two poses",
@@ -464,7 +533,7 @@ register(
         directions=(),
     )
 )
-register(
+_add(
     Kind(
         name="fixed",
         words="the target sits at one unknown point",
@@ -478,7 +547,7 @@ register(
         place="Socket",
     )
 )
-register(
+_add(
     Kind(
         name="plane",
         words="the target touches one unknown plane",

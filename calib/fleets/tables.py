@@ -114,7 +114,7 @@ def _robots_by_name(
     elif isinstance(robots, Sequence):
         if len(robots) != len(tables):
             raise CalibError(
-                f"There are {len(robots)} robots and {len(tables)} tables: give one robot for all, or one for each."
+                f"The numbers of robots ({len(robots)}) and of tables ({len(tables)}) differ: give one robot for all tables, or one for each."
             )
         by_name = dict(zip(tables, robots, strict=True))
     else:

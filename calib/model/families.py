@@ -17,6 +17,7 @@ family from outside.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
@@ -25,8 +26,10 @@ from typing import Any
 import numpy as np
 
 import calib.plugins as plugins
-from calib.errors import ModelError, choices
+from calib.errors import ArgumentError, ModelError, choices
+from calib.numerics.differences import disagreement, mostly_without_value
 from calib.units import Array
+from calib.values.arguments import check_type
 from calib.values.pickling import Value
 
 
@@ -122,6 +125,16 @@ _UNITS = (M, RAD, ONE, M_PER_M, RAD_PER_NM, RAD_PER_M, M_PER_N)
 
 #: Names of the points that the chain ends at, besides those of its joints.
 ENDS = ("tip", "base")
+
+#: Names of families and factors: a model joins them with "+", a parameter with ".", and points stand in brackets.
+_NAME = re.compile(r"[\w-]+")
+
+#: Joints of the chain at which the functions of a new factor are called, and the number of its states.
+_TRIAL_JOINTS = tuple(f"joint_{k}" for k in range(1, 7))
+_TRIAL_COUNT = 64
+
+#: Step of the differences with which its slope is compared [rad or m].
+_STEP = 1e-5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -286,15 +299,143 @@ def register(family: Family) -> None:
     """Add a family of the joints' state, which models can then name: ``"dh+harmonic"``.
 
     Raises:
-        ModelError: It has no factors, or its name or that of a factor is taken.
+        ArgumentError: It is no family, or a unit of it is no `Unit`.
+        ModelError: It has no factors; its name, or that of a factor, is taken or has other characters than letters,
+            digits, "_" and "-"; its unit is not as that of the same symbol; or a function of a factor returns a wrong
+            shape, hardly a finite value, or a wrong slope.
     """
-    taken = [*_factors()]
-    doubled = [factor.name for factor in family.factors if factor.name in taken]
-    if family.name in FAMILIES or doubled or not family.factors:
-        raise ModelError(
-            f"The family '{family.name}' needs factors, and names other than {choices([*FAMILIES, *taken], 60)}."
-        )
+    check_type("family", family, Family, "a Family of calib.model.families")
+    _check_names(family)
+    _check_unit(family, "unit", family.unit)
+    if family.sliding is not None:
+        _check_unit(family, "sliding", family.sliding)
+    for factor in family.factors:
+        _check_functions(factor)
     _REGISTRY[family.name] = family
+
+
+def _check_names(family: Family) -> None:
+    """Check the names of a family and its factors.
+
+    Raises:
+        ModelError: There are no factors, or a name is taken, occurs twice, or has a character that names cannot have.
+    """
+    where = f"The family '{family.name}'"
+    if not family.factors:
+        raise ModelError(f"{where} has no factors; give one Factor for each parameter of a joint.")
+    if family.name in FAMILIES:
+        raise ModelError(
+            f"{where} has a name that is taken; give it one other than {choices(FAMILIES, 60)}."
+        )
+    own = [factor.name for factor in family.factors]
+    for name in (family.name, *own):
+        if not isinstance(name, str) or not _NAME.fullmatch(name):
+            raise ModelError(
+                f"{where}: {name!r} is no name for a family or a factor; use letters, digits, '_' and '-'."
+            )
+    taken = _factors()
+    for name in own:
+        if name in taken or own.count(name) > 1:
+            raise ModelError(
+                f"{where}: the name of its factor '{name}' is taken; give each factor one of its own, other than "
+                f"{choices(taken, 60)}."
+            )
+
+
+def _check_unit(family: Family, field: str, unit: Unit) -> None:
+    """Check a unit of a family.
+
+    Args:
+        family: The family.
+        field: Name of its field.
+        unit: The field's value.
+
+    Raises:
+        ArgumentError: It is no `Unit`.
+        ModelError: It differs from the unit of the same symbol.
+    """
+    known = _units()
+    if not isinstance(unit, Unit):
+        raise ArgumentError(
+            f"The family '{family.name}' has the {field} {unit!r}; it must be a Unit of calib.model.families, such as "
+            f"RAD; there are those of {choices(known)}."
+        )
+    if known.get(unit.symbol, unit) != unit:
+        raise ModelError(
+            f"The family '{family.name}' has a {field} '{unit.symbol}' that is not calib's unit of this symbol; take "
+            "that one, or another symbol."
+        )
+
+
+def _check_functions(factor: Factor) -> None:
+    """Check the value and the slope of a factor at generic states of a chain of six joints.
+
+    Where a function does not find a joint by its name or number, it is for one robot, and is not checked.
+
+    Args:
+        factor: The factor.
+
+    Raises:
+        ModelError: A function fails otherwise or returns another shape; there is hardly a finite value; or the slope
+            does not agree with finite differences of the value.
+    """
+    step = _STEP * np.eye(len(_TRIAL_JOINTS))[0]
+    q = np.random.default_rng(0).uniform(-3.0, 3.0, (_TRIAL_COUNT, len(_TRIAL_JOINTS)))
+    try:
+        value, low, high = (
+            _called(factor, "value", factor.value, values) for values in (q, q - step, q + step)
+        )
+        slope = None if factor.slope is None else _called(factor, "slope", factor.slope, q)
+    except (LookupError, ValueError):
+        return
+    if mostly_without_value(value):
+        raise ModelError(
+            f"The factor '{factor.name}' has no finite value at most joint values from -3 to 3; correct 'value'."
+        )
+    if slope is None:
+        return
+    fault = disagreement(slope[:, None, None], ((high - low) / (2.0 * _STEP))[:, None, None])
+    if fault is not None:
+        raise ModelError(
+            f"The factor '{factor.name}': 'slope' does not agree with finite differences of 'value' by the joint's own "
+            f"value: it is {fault.given:.3g}, the difference {fault.expected:.3g}. Check its sign and terms."
+        )
+
+
+def _called(factor: Factor, name: str, function: Callable[[JointState], Array], q: Array) -> Array:
+    """Call a function of a factor for the first of six joints.
+
+    Args:
+        factor: The factor.
+        name: Name of the function.
+        function: The function.
+        q: Joint values, shape (N, 6) [rad or m].
+
+    Returns:
+        Its values, shape (N,).
+
+    Raises:
+        ModelError: It fails, but for a joint that it does not find, or returns another shape.
+    """
+    count, joints = q.shape
+    loads = np.random.default_rng(1).uniform(0.5, 1.5, (count, joints, joints + 3))
+    point = "tip" if factor.later else ""
+    state = JointState(_TRIAL_JOINTS[0], _TRIAL_JOINTS, q, _TRIAL_JOINTS, loads, point)
+    where = f"The factor '{factor.name}': '{name}'"
+    must = f"it must return an array of shape (N,), one number for each of the N = {count} states"
+    try:
+        with np.errstate(all="ignore"):
+            values = function(state)
+    except (LookupError, ValueError):
+        raise
+    except Exception as error:
+        cause = " ".join(f"{type(error).__name__}: {error}".split()).rstrip(".")
+        raise ModelError(f"{where} fails with {cause}; {must}.") from error
+    shape = getattr(values, "shape", None)
+    if shape != (count,):
+        given = "no array" if shape is None else f"an array of shape {shape}"
+        raise ModelError(f"{where} returns {given}; {must}.")
+    return np.asarray(values, dtype=np.float64)
 
 
 def family_of(name: str) -> Family:
@@ -340,11 +481,17 @@ def joint_families() -> tuple[str, ...]:
 
 def unit_of(symbol: str) -> Unit:
     """Return a unit of parameters by its symbol, calib's own or a registered family's; ModelError if there is none."""
+    units = _units()
+    if symbol not in units:
+        raise ModelError(f"No parameter has the unit '{symbol}'; the units are {choices(units)}.")
+    return units[symbol]
+
+
+def _units() -> dict[str, Unit]:
+    """Return calib's own units of parameters and those of registered families, by their symbols."""
     units = {unit.symbol: unit for unit in _UNITS}
     for row in FAMILIES.values():
         for unit in (row.unit, row.sliding):
             if unit is not None:
                 units[unit.symbol] = unit
-    if symbol not in units:
-        raise ModelError(f"No parameter has the unit '{symbol}'; the units are {choices(units)}.")
-    return units[symbol]
+    return units

@@ -94,7 +94,7 @@ class Errors:
 
         Args:
             residual: Measured minus predicted, shape (N, D); 0 where nothing was measured.
-            channels: The channel of each entry; None: all are measured lengths [m].
+            channels: The channel of each entry; None: lengths [m]; three columns are a vector along x, y, z.
 
         Returns:
             Figures in each unit that some row has.

@@ -2,8 +2,8 @@
 
 Sought are frames whose kinds of rows neither measure positions nor locate their frame (`Kind.locate`), and whose pose
 the cell does not give: such as the line of a straight edge, of which rows measure the distance. Their sum of squares
-has local minima. Of random poses within a few times the arm's reach most lead to the lowest one; it is taken as found
-once several starts have led to it, and its residuals are those of an arm.
+has local minima. Of random poses within a few times the arm's reach between one in eight and nearly all lead to the
+lowest one. It is taken as found once several starts have led to it, and its residuals are those of an arm.
 """
 
 from __future__ import annotations

@@ -114,7 +114,11 @@ def _reasons(e: Assessment, a: Acceptance, robot: str) -> Iterator[str]:
     kinds = dict.fromkeys(pose.kind for pose in a.accuracy.poses)
     partial = [kind for kind in kinds if not registry.get(kind).coordinates]
     if partial:
-        yield f"Rows of the kind {choices(partial)} do not measure errors across their direction."
+        kinds_word = "kind" if len(partial) == 1 else "kinds"
+        yield (
+            f"Rows of the {kinds_word} {choices(partial)} do not measure positions: errors that do not change their "
+            "readings are not evaluated."
+        )
     outside = outside_text(*e.outside)
     if outside:
         yield f"Joint values outside of the calibrated range: {outside}."
@@ -148,16 +152,18 @@ def _figure_sentence(a: Acceptance, unit: str, robot: str) -> str:
     name = _FIGURES[a.criterion]
     if unit != "m":
         name += f" of {RESIDUAL_UNITS[unit].measured}"
+    sizes = np.array([a.size(pose, unit) for pose in poses])
     where = ""
     if a.criterion != "mean":
-        sizes = [a.size(pose, unit) for pose in poses]
         worst = poses[int(np.nanargmax(sizes))]
         where = f" ({_rows_label(worst)})"
+    # Of mixed tables some poses were not measured in this unit.
+    count = int(np.count_nonzero(np.isfinite(sizes)))
     figure = with_unit(check.figure, unit)
     tolerance = with_unit(check.tolerance, unit)
     relation = "above" if check.figure > check.tolerance else "within"
     return (
-        f"Evaluated: {robot}. The {name} of {plural(len(poses), 'pose')} is {figure}{where}, {relation} the "
+        f"Evaluated: {robot}. The {name} of {plural(count, 'pose')} is {figure}{where}, {relation} the "
         f"tolerance of {tolerance}."
     )
 
@@ -244,7 +250,8 @@ def _accuracy_title(robots: Mapping[str, Accuracy], unit: str) -> str:
     if unit == "m":
         return "Pose accuracy, ISO 9283 [mm]" if points else "Length accuracy [mm]"
     of_unit = RESIDUAL_UNITS[unit]
-    return f"{of_unit.measured.capitalize()}, ISO 9283 [{of_unit.shown}]"
+    standard = ", ISO 9283" if unit == "rad" else " accuracy"
+    return f"{of_unit.measured.capitalize()}{standard} [{of_unit.shown}]"
 
 
 def _accuracy_table(robots: Mapping[str, Accuracy], unit: str) -> str:

@@ -77,10 +77,12 @@ def check_number(
         ModelError: It is NaN, infinite, or out of the range.
     """
     allowed = "a finite number"
-    if np.isfinite(least) or np.isfinite(largest):
-        allowed += (
-            f" from {least:g} to {largest:g}" if np.isfinite(largest) else f", {least:g} or more"
-        )
+    if np.isfinite(least) and np.isfinite(largest):
+        allowed += f" from {least:g} to {largest:g}"
+    elif np.isfinite(least):
+        allowed += f", {least:g} or more"
+    elif np.isfinite(largest):
+        allowed += f", {largest:g} or less"
     if isinstance(given, (bool, np.bool_)) or not isinstance(
         given, (int, float, np.integer, np.floating)
     ):

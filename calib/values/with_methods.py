@@ -30,4 +30,6 @@ def returning(kind: type[T], function: Callable[P, object], module: str) -> Call
         return as_kind(kind, function(*args, **kwargs))
 
     call.__module__ = module
+    # Not that of the wrapped function, which `wraps` has copied: help shows it.
+    call.__annotations__ = {**function.__annotations__, "return": kind.__name__}
     return call

@@ -14,7 +14,7 @@ from calib.data.cell import TrackerNoise
 from calib.data.kinds import Kind, Reading, get, names, register
 from calib.design.plan_file import write_plan
 from calib.diagnosis.inspection import inspect
-from calib.errors import CalibError, MeasurementError
+from calib.errors import ArgumentError, CalibError, MeasurementError
 
 
 def line_distance(T):
@@ -201,7 +201,8 @@ def test_derivatives_against_differences_and_what_is_measured_has_no_residual(na
 @pytest.mark.usefixtures("own")
 def test_a_name_is_given_once():
     before = names()
-    for kind in (LINE, replace(LINE, name="wire", readings=(Reading("line_distance", "angle"),))):
+    angle = Reading("line_distance", "angle")
+    for kind in (LINE, replace(LINE, name="wire", units=("rad",), readings=(angle,))):
         with pytest.raises(CalibError, match=f"There is a kind '{kind.name}', or a column"):
             register(kind)
     assert names() == before
@@ -210,11 +211,33 @@ def test_a_name_is_given_once():
         ({"units": ()}, "needs 'units'"),
         ({"units": ("mm",)}, "has 'mm' among its units; allowed are 'm', 'rad'"),
         ({"position": True}, "its first three units are those of x, y and z"),
+        ({"units": ("m", "m")}, "units 'm', 'm' for the measured numbers .'line_distance'."),
+        ({"units": ("px",)}, "unit 'px', of the quantity 'pixel', for 'line_distance'"),
+        ({"orientation": True}, "an orientation, which cannot be subtracted"),
     ):
         with pytest.raises(CalibError, match=fault):
             replace(LINE, **change)
     with pytest.raises(MeasurementError, match=r"no kind of measurement 'lines' .* 'line', 'tilt'"):
         get("lines")
+
+
+@pytest.mark.parametrize(("quantity", "hint"), [("px", "'px' is a unit of 'pixel'"), ("mass", "")])
+def test_a_reading_of_an_unknown_quantity_is_refused(quantity, hint):
+    with pytest.raises(
+        CalibError, match=f"'u' has the quantity '{quantity}'; allowed are"
+    ) as caught:
+        Reading("u", quantity)
+    assert hint in str(caught.value)
+
+
+@pytest.mark.usefixtures("own")
+def test_a_kind_with_a_wrong_function_is_not_registered():
+    before = names()
+    with pytest.raises(CalibError, match="'edge': 'derivative' does not agree"):
+        register(replace(LINE, name="edge", derivative=lambda *given: -line_derivative(*given)))
+    with pytest.raises(ArgumentError, match="'kind'"):
+        register("edge")
+    assert names() == before
 
 
 @pytest.mark.usefixtures("own")

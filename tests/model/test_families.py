@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from calib.errors import ModelError
+from calib.errors import ArgumentError, ModelError
 from calib.model import families
 from calib.model.families import FAMILIES, Factor, Family, JointState, register
 from calib.model.joint_errors import joint_parameters
@@ -58,19 +60,97 @@ def test_a_family_from_outside(registry, ur3):
 
 
 @pytest.mark.parametrize(
-    ("name", "factors"),
+    ("name", "factors", "fault"),
     [
-        ("gain", ("other",)),  # a name that a family has
-        ("other", ("sin",)),  # a factor of eccentricity
-        ("other", ("other", "cos")),
-        ("other", ()),
+        ("gain", ("other",), "'gain' has a name that is taken"),
+        ("other", ("sin",), "the name of its factor 'sin' is taken"),  # of eccentricity
+        ("other", ("other", "cos"), "the name of its factor 'cos' is taken"),
+        ("other", ("twice", "twice"), "the name of its factor 'twice' is taken"),
+        ("other", (), "'other' has no factors"),
+        ("a+b", ("other",), "'a[+]b' is no name"),
+        ("", ("other",), "'' is no name"),
+        ("other", ("a.b",), "'a[.]b' is no name"),
+        ("other", ("a[b]",), "is no name"),
+        (3, ("other",), "3 is no name"),
     ],
 )
-def test_a_family_of_a_taken_name_or_without_factors_is_refused(registry, name, factors):
+def test_a_family_of_a_wrong_name_or_without_factors_is_refused(registry, name, factors, fault):
     rows = tuple(Factor(factor, lambda state: state.q, None) for factor in factors)
-    with pytest.raises(ModelError, match=f"The family '{name}' needs factors"):
+    with pytest.raises(ModelError, match=f"The family .*{fault}"):
         register(Family(name, families.RAD, 1e-3, 1e-3, rows))
     assert len(registry) == 7
+
+
+OTHER_RAD = replace(families.RAD, step=1.0)
+
+
+@pytest.mark.parametrize(
+    ("unit", "sliding", "error", "fault"),
+    [
+        ("rad", None, ArgumentError, "has the unit 'rad'; it must be a Unit"),
+        (families.RAD, "m", ArgumentError, "has the sliding 'm'; it must be a Unit"),
+        (OTHER_RAD, None, ModelError, "a unit 'rad' that is not calib's"),
+        (families.RAD, OTHER_RAD, ModelError, "a sliding 'rad' that is not calib's"),
+    ],
+)
+def test_a_family_of_an_unknown_unit_is_refused(registry, unit, sliding, error, fault):
+    factor = Factor("other", lambda state: state.q, None)
+    with pytest.raises(error, match=fault) as caught:
+        register(Family("other", unit, 1e-3, 1e-3, (factor,), sliding=sliding))
+    assert type(caught.value) is error
+    assert len(registry) == 7
+
+
+def test_only_families_are_registered(registry):
+    with pytest.raises(ArgumentError, match="'family'"):
+        register("gain")
+    assert len(registry) == 7
+
+
+@pytest.mark.parametrize(
+    ("value", "slope", "words"),
+    [
+        (lambda _s: 1.0, None, ("'value'", "no array", "(N,)")),
+        (lambda s: s.values, None, ("'value'", "(64, 6)", "(N,)")),
+        (lambda s: s.angle, None, ("'value'", "AttributeError", "angle")),
+        (lambda s: s.q * np.nan, None, ("'value'", "finite")),
+        (lambda s: np.sin(s.q), lambda s: s.values, ("'slope'", "(64, 6)")),
+        (lambda s: np.sin(s.q), lambda s: -np.cos(s.q), ("'slope'", "differences")),
+        (lambda s: np.sin(2 * s.q), lambda s: np.cos(2 * s.q), ("'slope'", "differences")),
+        (lambda s: s.q, lambda s: s.q * np.nan, ("'slope'", "nan")),
+    ],
+)
+def test_a_wrong_function_of_a_factor_is_named(registry, value, slope, words):
+    with pytest.raises(ModelError) as caught:
+        register(Family("own", families.RAD, 1e-3, 1e-3, (Factor("wave", value, slope),)))
+    message = str(caught.value)
+    for word in ("'wave'", *words):
+        assert word in message
+    assert "\n" not in message
+    assert "own" not in registry
+
+
+@pytest.mark.parametrize(
+    ("value", "slope"),
+    [
+        (lambda s: np.sin(200 * s.q), lambda s: 200 * np.cos(200 * s.q)),
+        (lambda s: np.sqrt(s.q), lambda s: 0.5 / np.sqrt(s.q)),  # of positive values only
+        (lambda s: np.abs(s.q), lambda s: np.sign(s.q)),
+        (lambda s: s.load * s.q, lambda s: s.load),
+        (lambda s: s.values[:, s.joint_names.index("elbow_joint")], None),  # of one robot
+        (lambda s: s.values[:, 6], None),  # of a robot with seven joints
+    ],
+)
+def test_right_functions_pass_wherever_they_have_values(registry, value, slope):
+    register(Family("own", families.RAD, 1e-3, 1e-3, (Factor("wave", value, slope),)))
+    assert "own" in registry
+
+
+@pytest.mark.parametrize("name", ["gain", "eccentricity", "compliance", "gravity"])
+def test_each_family_of_calib_passes(registry, name):
+    family = families._REGISTRY.pop(name)
+    register(family)
+    assert registry[name] is family
 
 
 #: Every unit that a parameter of any family has, by its symbol.

@@ -195,9 +195,10 @@ def test_kinds_and_families_are_pickled_by_their_names():
 REGISTER = """
 import sys
 from calib.data import kinds
-from calib.data.kinds import Kind
+from calib.data.kinds import Kind, Reading
 for name in {order}:
     x = dict(units=("m",), derivative=lambda m, T, t: t[:, :1], measure=lambda T: T[:, :1, 3])
+    x["readings"] = (Reading(name),)
     kinds.register(Kind(name=name, words=name, **x))
 """
 

@@ -1,0 +1,240 @@
+"""Checks of the functions of a kind of measurement, at generic poses, before it is registered.
+
+A fault in them would show far from its cause: as an error of NumPy in a fit, or as a fit that finds no minimum.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any, Protocol
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from calib.errors import CalibError
+from calib.model.error_model import DIRECTIONS
+from calib.numerics.differences import disagreement
+from calib.units import Array
+
+#: Number of poses n: many, as a camera sees few of them.
+_COUNT = 64
+
+#: Distances of the targets from the frame's origin, from and to [m].
+_DISTANCES = (0.3, 1.5)
+
+#: Step of the differences [m and rad]: long enough for readings in single precision.
+_STEP = 1e-3
+
+#: Motions by which a target is moved, as columns: along and about each axis, and a little of all of them together.
+_MOTIONS = np.column_stack([np.eye(6), np.full(6, 0.1)])
+
+#: The motions in messages.
+_MOTION_WORDS = (
+    *(f"along {axis}" for axis in DIRECTIONS[:3]),
+    *(f"about {axis[1]}" for axis in DIRECTIONS[3:]),
+    "along and about all axes",
+)
+
+
+class Checked(Protocol):
+    """What the checks ask of a `calib.data.kinds.Kind`."""
+
+    @property
+    def name(self) -> str:
+        """Name of the kind."""
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Unit of each scalar of the residual."""
+
+    @property
+    def size(self) -> int:
+        """Number k of measured numbers a row."""
+
+    @property
+    def paired(self) -> bool:
+        """Whether one measurement takes two rows."""
+
+    @property
+    def depends_on_orientation(self) -> bool:
+        """Whether the residual depends on the target's orientation."""
+
+    @property
+    def measure(self) -> Callable[[Array], Array] | None:
+        """Reading of a perfect instrument."""
+
+    @property
+    def derivative(self) -> Callable[[Array, Array, Array], Array]:
+        """Derivative of the prediction."""
+
+    def residual_of(self, measured: Array, T_frame_target: Array) -> Array:
+        """Return measured minus predicted."""
+
+
+def check_functions(kind: Checked) -> None:
+    """Call the functions of a kind at generic poses, and compare its derivative with differences of its residual.
+
+    The poses are 0.3 to 1.5 m from the frame's origin, on all sides of it. Functions need not have a value at each of
+    them. A kind without ``measure`` that reads numbers is not checked: what it would read is not known.
+
+    Args:
+        kind: The kind.
+
+    Raises:
+        CalibError: A function raises an exception or returns another shape; the residual depends on the orientation
+            of the target, and the kind does not state so; or the derivative is wrong.
+    """
+    if kind.measure is None and kind.size:
+        return
+    poses = _poses(2 if kind.paired else 1)
+    with np.errstate(all="ignore"):
+        measured = _readings(kind, _at_rows(kind, poses))
+        expected = _differences(kind, measured, poses)
+        _check_turns(kind, expected)
+        _check_derivative(kind, measured, poses, expected)
+
+
+def _poses(rows: int) -> Array:
+    """Return the poses of both rows of a pair, or of one, shape (n, rows, 4, 4) [m]; the same ones in each call."""
+    rng = np.random.default_rng(0)
+    count = _COUNT * rows
+    directions = rng.normal(size=(count, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    T = np.tile(np.eye(4), (count, 1, 1))
+    T[:, :3, :3] = Rotation.from_quat(rng.normal(size=(count, 4))).as_matrix()
+    T[:, :3, 3] = directions * rng.uniform(*_DISTANCES, (count, 1))
+    return T.reshape(_COUNT, rows, 4, 4)
+
+
+def _at_rows(kind: Checked, values: Array) -> Array:
+    """Return values (n, rows, ...) as the functions of a kind take them: without the rows' axis if there is one row."""
+    return values if kind.paired else values[:, 0]
+
+
+def _moved(poses: Array, twist: Array) -> Array:
+    """Return poses moved by a twist [m and rad] along the axes of their frame.
+
+    Args:
+        poses: shape (n, rows, 4, 4) [m].
+        twist: shape (rows, 6), velocity of the origin, then angular velocity, of each row.
+    """
+    moved: Array = poses.copy()
+    moved[..., :3, :3] = Rotation.from_rotvec(twist[:, 3:]).as_matrix() @ poses[..., :3, :3]
+    moved[..., :3, 3] += twist[:, :3]
+    return moved
+
+
+def _twists(rows: int) -> Array:
+    """Return the twists of the rows for each motion, one row moved after the other, shape (rows, 6, p), p = 7 rows."""
+    return np.asarray(np.kron(np.eye(rows), _MOTIONS).reshape(rows, 6, -1), dtype=np.float64)
+
+
+def _readings(kind: Checked, T: Array) -> Array:
+    """Return what a perfect instrument reads, shape (n, k); without an instrument (n, 0)."""
+    if kind.measure is None:
+        return np.zeros((len(T), 0))
+    meaning = "one number for x, y, z and each reading"
+    return _called(kind, "measure", partial(kind.measure, T), (len(T), kind.size), meaning)
+
+
+def _differences(kind: Checked, measured: Array, poses: Array) -> Array:
+    """Return minus the central differences of the residual for each motion, shape (n, s, p)."""
+    shape = (len(poses), len(kind.units))
+    meaning = "one number for each of its units"
+
+    def residual(twist: Array) -> Array:
+        T = _at_rows(kind, _moved(poses, twist))
+        call = partial(kind.residual_of, measured, T)
+        return _called(kind, "residual", call, shape, meaning)
+
+    steps = np.moveaxis(_STEP * _twists(poses.shape[1]), -1, 0)
+    changes = [residual(-step) - residual(step) for step in steps]
+    return np.stack(changes, axis=-1) / (2.0 * _STEP)
+
+
+def _check_turns(kind: Checked, expected: Array) -> None:
+    """Check that the residual does not depend on the orientation of the target, if the kind states so.
+
+    Args:
+        kind: The kind.
+        expected: Its derivative by differences, shape (n, s, p).
+    """
+    if kind.depends_on_orientation:
+        return
+    without_turns = expected.copy()
+    for k in range(expected.shape[2]):
+        if 3 <= k % _MOTIONS.shape[1] < 6:
+            without_turns[:, :, k] = 0.0
+    fault = disagreement(without_turns, expected)
+    if fault is not None:
+        raise CalibError(
+            f"The kind '{kind.name}' depends on the orientation of the target: scalar {fault.scalar + 1} changes by "
+            f"{fault.expected:.3g} {kind.units[fault.scalar]}/rad as it turns {_motion(kind, fault.parameter)}. State "
+            "'turns=True'."
+        )
+
+
+def _check_derivative(kind: Checked, measured: Array, poses: Array, expected: Array) -> None:
+    """Compare the derivative with differences, for each number of rows that the twists may have.
+
+    Args:
+        kind: The kind.
+        measured: Readings at the poses, shape (n, k).
+        poses: shape (n, rows, 4, 4) [m].
+        expected: Its derivative by differences, shape (n, s, p).
+    """
+    T = _at_rows(kind, poses)
+    twists = np.tile(_twists(poses.shape[1]), (len(poses), 1, 1, 1))
+    meaning = "units by parameters"
+    for height in (6,) if kind.depends_on_orientation else (6, 3):
+        cut = _at_rows(kind, twists[:, :, :height])
+        call = partial(kind.derivative, measured, T, cut)
+        given = _called(
+            kind, "derivative", call, expected.shape, f"{meaning}, of twists {cut.shape}"
+        )
+        fault = disagreement(given, expected)
+        if fault is not None:
+            raise CalibError(
+                f"The kind '{kind.name}': 'derivative' does not agree with finite differences: for scalar "
+                f"{fault.scalar + 1} [{kind.units[fault.scalar]}] of a target that moves "
+                f"{_motion(kind, fault.parameter)} it is {fault.given:.3g}, the difference {fault.expected:.3g}. "
+                "Check its sign and terms: it is that of 'measure', or minus that of 'residual'."
+            )
+
+
+def _motion(kind: Checked, parameter: int) -> str:
+    """Return a motion in words, with the row of a pair: ``"about x (first row)"``."""
+    row, motion = divmod(parameter, len(_MOTION_WORDS))
+    of_row = (" (first row)", " (second row)")[row] if kind.paired else ""
+    return f"{_MOTION_WORDS[motion]}{of_row}"
+
+
+def _called(
+    kind: Checked, name: str, call: Callable[[], Any], shape: tuple[int, ...], meaning: str
+) -> Array:
+    """Call a function of a kind and return its result.
+
+    Args:
+        kind: The kind.
+        name: Name of the function.
+        call: The function with its arguments.
+        shape: Shape that the result must have.
+        meaning: What the axes of the result are, for the message.
+
+    Raises:
+        CalibError: It raises an exception, or its result has another shape or is not made of numbers.
+    """
+    where = f"The kind '{kind.name}': '{name}'"
+    must = f"it must return an array of shape {shape} for {shape[0]} poses: {meaning}"
+    try:
+        result = call()
+        shape_given = getattr(result, "shape", None)
+        values = np.asarray(result, dtype=np.float64)
+    except Exception as error:
+        cause = " ".join(f"{type(error).__name__}: {error}".split()).rstrip(".")
+        raise CalibError(f"{where} fails with {cause}; {must}, NaN where there is none.") from error
+    if shape_given != shape:
+        given = "no array" if shape_given is None else f"an array of shape {shape_given}"
+        raise CalibError(f"{where} returns {given}; {must}.")
+    return values
