@@ -250,18 +250,18 @@ def _load(given: str, source: str) -> Plugin:
 
 def _load_entry(entry: importlib.metadata.EntryPoint) -> Plugin:
     """Load the plugin of an entry point; an error names the distribution."""
+    distribution = entry.dist.name if entry.dist else ""
+    where = f"Entry point '{entry.name}' of the installed distribution '{distribution}'"
+    if entry.attr:
+        raise PluginError(
+            f"{where} names '{entry.attr}' in the module '{entry.module}'; it must name the module alone, which calls "
+            "register() when it is imported."
+        )
     try:
-        if entry.attr:
-            raise PluginError(
-                f"It names '{entry.attr}' in the module '{entry.module}'; it must name the module alone, which calls "
-                "register() when it is imported."
-            )
         return load(entry.module)
     except PluginError as error:
-        distribution = entry.dist.name if entry.dist else ""
         raise PluginError(
-            f"Entry point '{entry.name}' of the installed distribution '{distribution}': {error} To go on without it, "
-            "uninstall the distribution."
+            f"{where}: {error} To go on without it, uninstall the distribution."
         ) from error
 
 

@@ -116,7 +116,7 @@ def test_what_a_plugin_loads_itself_is_not_its_own(tmp_path):
         ),
         (
             "from calib.data import kinds\nkinds.register(kinds.get('plane'))",
-            "There is a kind 'plane', or a column of its name, already; rename yours (line 2 of",
+            "There is a kind 'plane' already; rename yours (line 2 of",
         ),
         (
             "from calib.numerics.solvers import *\nregister('paper', SOLVERS['lm'])",
@@ -167,6 +167,7 @@ def test_of_a_plugin_that_fails_nothing_stays(tmp_path):
         ("email.no_plugin", "Plugin 'email.no_plugin': there is no module of this name"),
         ("my_plugin", "no module of this name (did you mean the file 'my_plugin.py'?)"),
         ("folder.py", "is a folder; name the file inside it."),
+        ("./my_plugin", "Plugin './my_plugin' is a path; the name of a file ends in .py."),
     ],
 )
 def test_a_plugin_that_does_not_exist(tmp_path, monkeypatch, name, said):
@@ -194,6 +195,15 @@ def test_a_broken_entry_point_is_named(tmp_path, monkeypatch):
     assert str(caught.value).startswith(
         "Entry point 'edges' of the installed distribution 'line-gauge': Plugin 'line_gauge_c': there is no module"
     )
+
+
+def test_an_entry_point_names_a_module_alone(tmp_path, monkeypatch):
+    """A function behind it would not be called."""
+    monkeypatch.syspath_prepend(str(tmp_path))
+    write_distribution(tmp_path, "line_gauge_e:setup")
+    write_plugin(tmp_path, SOLVER, "line_gauge_e.py")
+    with pytest.raises(PluginError, match="'setup' in the module 'line_gauge_e'"):
+        plugins.load_installed()
 
 
 def test_a_cell_file_loads_its_plugins_before_its_other_keys(tmp_path):

@@ -16,6 +16,7 @@ from calib.fleets.fleet_robot import FleetRobot
 from calib.fleets.job import FleetOptions
 from calib.inputs import CELL, ROBOT, TABLE, CellInput, RobotInput, TableInput
 from calib.jobs import Progress
+from calib.numerics import solvers
 from calib.robot.robot import Robot
 from calib.values.arguments import check_callable, check_executor, check_type, wrong_type
 
@@ -99,6 +100,8 @@ def _options(given: Mapping[str, Any]) -> FleetOptions:
             )
         kind = type(getattr(defaults, name))
         check_type(name, value, kind, "True or False" if kind is bool else "the name of a solver")
+        if name == "solver":
+            solvers.check_name(value)
     return FleetOptions(**given)
 
 
@@ -114,7 +117,8 @@ def _robots_by_name(
     elif isinstance(robots, Sequence):
         if len(robots) != len(tables):
             raise CalibError(
-                f"The numbers of robots ({len(robots)}) and of tables ({len(tables)}) differ: give one robot for all tables, or one for each."
+                f"The numbers of robots ({len(robots)}) and of tables ({len(tables)}) differ: give one robot for all, "
+                "or one for each."
             )
         by_name = dict(zip(tables, robots, strict=True))
     else:

@@ -114,11 +114,7 @@ def _reasons(e: Assessment, a: Acceptance, robot: str) -> Iterator[str]:
     kinds = dict.fromkeys(pose.kind for pose in a.accuracy.poses)
     partial = [kind for kind in kinds if not registry.get(kind).coordinates]
     if partial:
-        kinds_word = "kind" if len(partial) == 1 else "kinds"
-        yield (
-            f"Rows of the {kinds_word} {choices(partial)} do not measure positions: errors that do not change their "
-            "readings are not evaluated."
-        )
+        yield f"Rows of kind {choices(partial)} measure no position: what they do not see is not evaluated."
     outside = outside_text(*e.outside)
     if outside:
         yield f"Joint values outside of the calibrated range: {outside}."
@@ -152,7 +148,7 @@ def _figure_sentence(a: Acceptance, unit: str, robot: str) -> str:
     name = _FIGURES[a.criterion]
     if unit != "m":
         name += f" of {RESIDUAL_UNITS[unit].measured}"
-    sizes = np.array([a.size(pose, unit) for pose in poses])
+    sizes = [a.size(pose, unit) for pose in poses]
     where = ""
     if a.criterion != "mean":
         worst = poses[int(np.nanargmax(sizes))]

@@ -202,18 +202,20 @@ def test_derivatives_against_differences_and_what_is_measured_has_no_residual(na
 def test_a_name_is_given_once():
     before = names()
     angle = Reading("line_distance", "angle")
-    for kind in (LINE, replace(LINE, name="wire", units=("rad",), readings=(angle,))):
-        with pytest.raises(CalibError, match=f"There is a kind '{kind.name}', or a column"):
+    wire = replace(LINE, name="wire", units=("rad",), readings=(angle,))
+    for kind, named in ((LINE, "'line'"), (wire, "'line_distance'")):
+        with pytest.raises(CalibError, match=named):
             register(kind)
     assert names() == before
     for change, fault in (
         ({"measure": None}, "needs 'residual' or 'measure'"),
         ({"units": ()}, "needs 'units'"),
+        ({"orientation": True}, "needs 'position' too"),
         ({"units": ("mm",)}, "has 'mm' among its units; allowed are 'm', 'rad'"),
         ({"position": True}, "its first three units are those of x, y and z"),
         ({"units": ("m", "m")}, "units 'm', 'm' for the measured numbers .'line_distance'."),
         ({"units": ("px",)}, "unit 'px', of the quantity 'pixel', for 'line_distance'"),
-        ({"orientation": True}, "an orientation, which cannot be subtracted"),
+        ({"position": True, "orientation": True, "units": ("m",) * 3}, "cannot be subtracted"),
     ):
         with pytest.raises(CalibError, match=fault):
             replace(LINE, **change)

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 import calib
-from calib.errors import ArgumentError, CalibError
+from calib.errors import ArgumentError, CalibError, ModelError
 from calib.fleets.fleet import Fleet
 from calib.fleets.record import DONE, FAILED
 from calib.robot.robot import Robot
@@ -72,7 +72,8 @@ def test_a_robot_that_cannot_be_read_fails_alone(shop: Path, tables, tmp_path: P
     [
         ({"robots": 3}, ArgumentError, "'robots'"),
         ({"robots": [3, 4]}, ArgumentError, "robots"),
-        ({"robots": ["ur3"]}, CalibError, "1 robots and 2 tables"),
+        ({"solver": "nix"}, ModelError, "'nix'"),
+        ({"robots": ["ur3"]}, CalibError, r"robots \(1\) and of tables \(2\)"),
         ({"robots": {"arm-0": "ur3"}}, CalibError, "lacks 'arm-1'"),
         ({"robots": {"arm-0": "ur3", "arm-1": "ur3", "x": "ur3"}}, CalibError, "has 'x'"),
         ({"tables": ["a.csv"]}, ArgumentError, "'tables'"),

@@ -13,7 +13,7 @@ N = 4
 NOISE = {
     "length": np.arange(1.0, 1.0 + 5 * N).reshape(N, 5),
     "angle": 0.01 * np.arange(1.0, 1.0 + 3 * N).reshape(N, 3),
-    "image": np.full((N, 3), 7.0),
+    "pixel": np.full((N, 3), 7.0),
 }
 
 
@@ -32,7 +32,7 @@ def test_readings_take_the_columns_behind_those_of_a_position():
         words="a position and two numbers",
         units=("m", "m", "m", "m", "px"),
         position=True,
-        readings=(Reading("depth", "length"), Reading("column", "image")),
+        readings=(Reading("depth", "length"), Reading("column", "pixel")),
         measure=lambda T: np.zeros((len(T), 5)),
         derivative=lambda _measured, _T, twists: twists,
     )

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calib.errors import ArgumentError, CalibError, ModelError
-from calib.values.arguments import check_type, check_whole, finite_numbers, numbers
+from calib.values.arguments import check_number, check_type, check_whole, finite_numbers, numbers
 
 
 def test_a_wrong_type_is_both_a_type_error_and_one_of_calib():
@@ -58,3 +58,16 @@ def test_finite_numbers_of_a_shape():
         finite_numbers("p", [1, 2], (None, 3), "(N, 3)")
     with pytest.raises(ModelError, match="NaN or infinite"):
         finite_numbers("p", [[1, 2, np.nan]], (None, 3), "(N, 3)")
+
+
+@pytest.mark.parametrize(
+    ("limits", "allowed"),
+    [
+        ({"least": 1}, "a finite number, 1 or more"),
+        ({"largest": 5}, "a finite number, 5 or less"),
+        ({"least": 1, "largest": 5}, "a finite number from 1 to 5"),
+    ],
+)
+def test_limits_of_a_number_are_said(limits, allowed):
+    with pytest.raises(ModelError, match=f"'a' is nan; it must be {allowed}\\."):
+        check_number("a", np.nan, **limits)
