@@ -341,9 +341,13 @@ def _words(
     return words
 
 
-def _unneeded(table: Table, named: Named, *, points_elsewhere: bool) -> list[Column]:
-    """Return the columns that a plan has and a fit does not need: not worth a warning."""
+def _unneeded(
+    table: Table, named: Named, kinds: tuple[str, ...], *, points_elsewhere: bool
+) -> list[Column]:
+    """Return the columns that are not worth a warning: those that only a plan needs, and a ``kind`` that was given."""
     columns = []
+    if "kind" in named and set(table.column(named["kind"])) <= set(kinds):
+        columns.append(named["kind"])
     for name, column in named.items():
         if name.startswith(EXPECTED) or name == "point":
             columns.append(column)
@@ -365,7 +369,7 @@ def _with_ignored(layout: Layout, table: Table, named: Named, *, points_elsewher
     columns = [*layout.words.values(), *layout.groups]
     for block in layout.blocks.values():
         columns += block
-    columns += _unneeded(table, named, points_elsewhere=points_elsewhere)
+    columns += _unneeded(table, named, layout.kinds, points_elsewhere=points_elsewhere)
     indices = {column.index for column in columns}
     labels = []
     for i, label in enumerate(table.header):

@@ -196,3 +196,11 @@ def test_rows_of_several_kinds(table):
 )
 def test_kinds_that_are_refused(table, lines, says):
     refused(table(*lines), says)
+
+
+@pytest.mark.parametrize(("kind", "ignored"), [("point", ()), ("pose", ("kind",))])
+def test_a_column_of_kinds_is_told_where_the_kind_given_is_another(tmp_path, kind, ignored):
+    path = tmp_path / "poses.csv"
+    path.write_text("a [deg],x [mm],y [mm],z [mm],qx,qy,qz,qw,kind\n1,2,3,4,0,0,0,1,point\n")
+    found = Measurements.read(path, joint_names=("a",), kind=kind).ignored
+    assert tuple(name for name in found if name == "kind") == ignored
