@@ -160,9 +160,7 @@ def noise_text(sigma: Mapping[str, float]) -> str:
         unit = RESIDUAL_UNITS[symbol]
         size = f"{unit.to_shown * std:.4f} {unit.shown}"
         parts.append(
-            f"of one measured coordinate or length: {size}"
-            if symbol == "m"
-            else f"{unit.per}: {size}"
+            f"of one measured coordinate: {size}" if symbol == "m" else f"{unit.per}: {size}"
         )
     return f"Noise {', '.join(parts)}"
 
