@@ -38,7 +38,7 @@ _MOTION_WORDS = (
 
 
 class Checked(Protocol):
-    """What the checks ask of a `calib.data.kinds.Kind`."""
+    """The parts of a `calib.data.kinds.Kind` that are checked."""
 
     @property
     def name(self) -> str:
@@ -54,11 +54,11 @@ class Checked(Protocol):
 
     @property
     def paired(self) -> bool:
-        """Whether one measurement takes two rows."""
+        """True if one measurement takes two rows."""
 
     @property
     def depends_on_orientation(self) -> bool:
-        """Whether the residual depends on the target's orientation."""
+        """True if the residual depends on the target's orientation."""
 
     @property
     def measure(self) -> Callable[[Array], Array] | None:

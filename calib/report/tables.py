@@ -143,16 +143,15 @@ def validation_rows(c: CalibrationValues) -> Table:
         subject = f"the {MOST_WORST} of {len(indices):,} validation rows with the largest error after calibration"
         indices = _worst_rows(c, indices)
     names, cells = _row_columns(c, indices)
-    blocks = [_error_columns(c, indices, unit) for unit in c.channels.select(indices).present]
-    head = [*names, *(name for block in blocks for name in block.head)]
-    groups = [("", len(names)), *(group for block in blocks for group in block.groups)]
-    parts_of_rows = zip(cells, *(block.cells for block in blocks), strict=True)
-    rows = [list(chain.from_iterable(parts)) for parts in parts_of_rows]
-    has_axes = any("dx" in block.head for block in blocks)
-    note = "dx, dy, dz: measured minus predicted along the axes of the measurement frame."
-    align = "l" * len(names) + "r" * (len(head) - len(names))
+    first = _Columns([("", len(names))], list(names), cells)
+    errors = [_error_columns(c, indices, unit) for unit in c.channels.select(indices).present]
+    columns = _side_by_side([first, *errors])
+    note = ""
+    if "dx" in columns.head:
+        note = "dx, dy, dz: measured minus predicted along the axes of the measurement frame."
+    align = "l" * len(names) + "r" * (len(columns.head) - len(names))
     title = f"Error of {subject}, which took no part in the fit"
-    return Table(title, head, rows, align, note if has_axes else "", groups)
+    return Table(title, columns.head, columns.cells, align, note, columns.groups)
 
 
 def _worst_rows(c: CalibrationValues, indices: NDArray[np.int_]) -> NDArray[np.int_]:
@@ -188,6 +187,16 @@ class _Columns:
     cells: list[list[str]]
 
 
+def _side_by_side(blocks: Sequence[_Columns]) -> _Columns:
+    """Return columns of the same K rows as one block, from left to right."""
+    groups = [group for block in blocks for group in block.groups]
+    head = [name for block in blocks for name in block.head]
+    cells = [
+        list(chain.from_iterable(parts)) for parts in zip(*(b.cells for b in blocks), strict=True)
+    ]
+    return _Columns(groups, head, cells)
+
+
 def _error_columns(c: CalibrationValues, indices: NDArray[np.int_], unit: str) -> _Columns:
     """Write the errors of rows in one unit, of the nominal and of the calibrated robot.
 
@@ -208,19 +217,20 @@ def _length_columns(c: CalibrationValues, indices: NDArray[np.int_]) -> _Columns
     """Write the errors of rows in lengths, see `_error_columns`."""
     with_axes = _has_vectors(c.channels, indices, "m")
     head = ["dx", "dy", "dz", "size"] if with_axes else ["size"]
-    groups, cells = [], []
+    groups, values = [], []
     for label, residual in _residuals(c):
         groups.append((f"{label} [{RESIDUAL_UNITS['m'].shown}]", len(head)))
-        sizes = c.channels.norms(residual, "m")[indices, None]
-        values = sizes
         if with_axes:
-            columns, are_vectors = c.channels.vector_columns("m")
-            by_axis = np.where(are_vectors[:, None], residual[:, columns], np.nan)[indices]
-            values = np.hstack([by_axis, sizes])
-        cells.append([[shown(value, "m") for value in row] for row in values])
-    before, after = cells
-    both = [[*row, *row_after] for row, row_after in zip(before, after, strict=True)]
-    return _Columns(groups, 2 * head, both)
+            values.append(_along_axes(c, residual)[indices])
+        values.append(c.channels.norms(residual, "m")[indices, None])
+    cells = [[shown(value, "m") for value in row] for row in np.hstack(values)]
+    return _Columns(groups, 2 * head, cells)
+
+
+def _along_axes(c: CalibrationValues, residual: Array) -> Array:
+    """Return the residuals of positions along x, y, z, shape (N, 3) [m]; NaN where no position was measured."""
+    columns, are_vectors = c.channels.vector_columns("m")
+    return np.where(are_vectors[:, None], residual[:, columns], np.nan)
 
 
 def flagged(c: CalibrationValues) -> Table:
