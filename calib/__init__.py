@@ -15,6 +15,8 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    import calib.formats as _formats
+    import calib.plugins as _plugins
     from calib.calibration import (
         Calibration as Calibration,
         Comparison as Comparison,
@@ -27,19 +29,28 @@ if TYPE_CHECKING:
     from calib.compensation.commands import Commands as Commands, compensate as compensate
     from calib.compensation.program import Program as Program
     from calib.conversion import convert as convert
+    from calib.data import kinds as kinds
     from calib.data.cell import Cell as Cell
     from calib.data.measurements import Measurements as Measurements
+    from calib.data.surroundings import TrackerNoise as TrackerNoise
     from calib.design.choice import PlanRequest as PlanRequest
     from calib.diagnosis.inspection import inspect as inspect
     from calib.errors import CalibError as CalibError
     from calib.fleets.tables import fleet as fleet
+    from calib.model import error_model, families as families
+    from calib.numerics import solvers as solvers
     from calib.planning import Plan as Plan, plan as plan
     from calib.regions.region import Region as Region
     from calib.regions.workspace import workspace as workspace
+    from calib.result.acceptance import Acceptance as Acceptance, acceptance as acceptance
     from calib.result.uncertainty import bootstrap as bootstrap
     from calib.robot.robot import Robot as Robot
     from calib.simulation.scenario import Scenario as Scenario, simulate as simulate
     from calib.viewer.live import view as view
+
+    formats = _formats
+    models = error_model
+    plugins = _plugins
 
 from calib.version import __version__ as __version__
 
@@ -53,27 +64,32 @@ _NAMES = {
     "calib.data.cell": "Cell",
     "calib.data.measurements": "Measurements",
     "calib.design.choice": "PlanRequest",
+    "calib.data.surroundings": "TrackerNoise",
     "calib.regions.region": "Region",
     "calib.regions.workspace": "workspace",
     "calib.errors": "CalibError",
     "calib.diagnosis.inspection": "inspect",
     "calib.fleets.tables": "fleet",
     "calib.planning": "Plan plan",
+    "calib.result.acceptance": "Acceptance acceptance",
     "calib.result.uncertainty": "bootstrap",
     "calib.robot.robot": "Robot",
     "calib.simulation.scenario": "Scenario simulate",
     "calib.viewer.live": "view",
 }
-#: Modules by which a user extends calib.
+#: Modules by which a user extends calib: a registry each, by its name in `calib.plugins.WORDS`, and plugins.
 _EXTENSIONS = {
     "families": "calib.model.families",
+    "formats": "calib.formats",
     "kinds": "calib.data.kinds",
+    "models": "calib.model.error_model",
     "plugins": "calib.plugins",
+    "solvers": "calib.numerics.solvers",
 }
 
 _MODULES = {name: module for module, names in _NAMES.items() for name in names.split()}
 
-__all__ = sorted(_MODULES)
+__all__ = sorted([*_MODULES, *_EXTENSIONS])
 
 
 def __getattr__(name: str) -> Any:  # noqa: ANN401  any public name

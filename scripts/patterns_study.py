@@ -106,7 +106,7 @@ def calibrate_table(
         "noise": TrackerNoise(constant=SIGMA),
         "model": true_model,
         "cell": cell,
-        "sigma_angle": 1e-4,
+        "sigma": {"rad": 1e-4},
     }
     scenario = Scenario(Robot.load(name, base=base, tip=tip), **{**usual, **fault.scenario})
     q = scenario.random_poses(fault.poses, seed)

@@ -13,12 +13,16 @@ import pytest
 from typer.main import get_command
 
 import calib
+import calib.plugins as plugins
 from calib.cli.program import app
+from calib.model.parameters import Parameter
+from calib.numerics.solvers import Solution
 
 CALIB = Path(calib.__file__).parent
 
 #: A name that leaves this list breaks programs that use it.
 NAMES = [
+    "Acceptance",
     "CalibError",
     "Calibration",
     "Cell",
@@ -32,6 +36,8 @@ NAMES = [
     "Region",
     "Robot",
     "Scenario",
+    "TrackerNoise",
+    "acceptance",
     "base_frame",
     "bootstrap",
     "calibrate",
@@ -47,14 +53,24 @@ NAMES = [
     "workspace",
 ]
 
+#: Modules by which users extend calib, and where they are defined: those with a registry, and plugins.
+MODULES = {
+    "families": "calib.model.families",
+    "formats": "calib.formats",
+    "kinds": "calib.data.kinds",
+    "models": "calib.model.error_model",
+    "plugins": "calib.plugins",
+    "solvers": "calib.numerics.solvers",
+}
+
 
 def test_the_public_names():
-    assert calib.__all__ == NAMES
-    assert dir(calib) == sorted([*NAMES, "__version__"])
+    assert calib.__all__ == sorted([*NAMES, *MODULES])
+    assert dir(calib) == sorted([*NAMES, *MODULES, "__version__"])
 
 
 def test_a_public_name_can_be_imported_and_says_what_it_is():
-    for name in NAMES:
+    for name in [*NAMES, *MODULES]:
         thing = getattr(calib, name)
         assert inspect.getdoc(thing), name
 
@@ -70,15 +86,38 @@ def test_types_checkers_see_the_same_names():
         if isinstance(node, ast.ImportFrom)
         for alias in node.names
     }
-    assert sorted(seen) == NAMES
-    for name, (module, inside) in seen.items():
-        assert getattr(importlib.import_module(module), inside) is getattr(calib, name)
+    modules = {"families", "kinds", "solvers"}
+    others = {None}  # modules that are assigned, as `models`
+    assert seen.keys() - others == {*NAMES, *modules}
+    for name in [*NAMES, *modules]:
+        module, inside = seen[name]
+        thing = getattr(calib, name)
+        assert getattr(importlib.import_module(module), inside) is thing
 
 
 def test_the_functions_are_the_verbs_of_the_command_line():
     verbs = {name.replace("-", "_") for name in get_command(app).commands}
     functions = {name for name in NAMES if name.islower()}
-    assert verbs - {"demo", "fit"} == functions - {"bootstrap"}
+    assert verbs - {"demo", "fit"} == functions - {"acceptance", "bootstrap"}
+
+
+def test_every_registry_has_a_module_with_register():
+    assert set(MODULES) - {"plugins"} == set(plugins.WORDS)
+    for name, module in MODULES.items():
+        assert getattr(calib, name) is importlib.import_module(module)
+    for what in plugins.WORDS:
+        assert callable(getattr(calib, what).register)
+    for module, entry in {"families": "Family", "formats": "Format", "kinds": "Kind"}.items():
+        assert inspect.isclass(getattr(getattr(calib, module), entry))
+    assert calib.models.Parameter is Parameter
+    assert calib.solvers.Solution is Solution
+
+
+def test_the_registry_of_formats_has_its_names_and_its_modules():
+    assert dir(calib.formats) == ["FORMATS", "Format", "Options", "Source", "register"]
+    assert calib.formats.register is importlib.import_module("calib.formats.convert").register
+    with pytest.raises(AttributeError, match=r"module 'calib\.formats' has no attribute 'registr'"):
+        calib.formats.registr  # noqa: B018
 
 
 def test_an_unknown_name_is_an_attribute_error():

@@ -24,7 +24,14 @@ from calib.model.dh import DHRow, dh_frames, screw
 from calib.model.dh_table import dh_table, zero_poses
 from calib.model.families import ANGLE, LENGTH, ZERO, joint_families
 from calib.model.joint_errors import axis_twists, joint_parameters
-from calib.model.parameters import FRAME, TARGET, TIP, ErrorModel, Parameter, twist_of
+from calib.model.parameters import (
+    FRAME,
+    TARGET,
+    TIP,
+    ErrorModel,
+    Parameter as Parameter,
+    twist_of,
+)
 from calib.robot.gravity import GRAVITY
 from calib.robot.robot import Robot, read_only, rigid_inverse
 from calib.robot.urdf import UrdfJoint

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 import calib.data.kinds as registry
 from calib.channels import RESIDUAL_UNITS, VECTOR
@@ -27,17 +27,17 @@ from calib.mappings import keep_read_only
 from calib.numerics.geometry import vector
 from calib.robot.ranges import joint_ranges
 from calib.robot.robot import Robot, read_only
+from calib.simulation.cell_noise import USUAL_NOISE, cell_noise, further_noise
 from calib.simulation.disturbances import Encoder, MovedTarget, Outliers
 from calib.simulation.random_streams import stream
 from calib.simulation.reading_noise import with_pose_noise, with_reading_noise
 from calib.simulation.scenario_checks import check_scenario
+from calib.simulation.tour import Tour
 from calib.simulation.truth import TARGET_ERROR, Truth, draw_truth
 from calib.units import Array, Mask
 from calib.values.arguments import check_names, check_type, check_whole
 from calib.values.pickling import Value
 from calib.values.short import one_line
-
-Indices = NDArray[np.int_]
 
 #: Position of the tracker in the base if nothing is given [m].
 DEFAULT_TRACKER = read_only((3.0, 0.0, 0.0))
@@ -66,10 +66,12 @@ class Scenario(Value):
     #: Standard deviation of the targets' true positions about their stated ones [m]
     target_error: float = TARGET_ERROR
     #: Of one coordinate, by the distance from the tracker; None: none. The repeatability in it displaces all targets
-    #: of one stop alike; of the kind ``distance`` the distance is that from the anchor
-    noise: TrackerNoise | None = field(default_factory=TrackerNoise)
+    #: of one stop alike; of the kind ``distance`` the distance is that from the anchor. Default: the cell's
+    #: ``sigma["m"]`` everywhere, else its tracker's noise, else the usual one
+    noise: TrackerNoise | None = USUAL_NOISE
     #: Standard deviation of one scalar in the other units, by their symbols: ``"rad"`` of an orientation about one axis
-    #: [rad], ``"px"`` of an image coordinate [px]; of a unit that is missing 0
+    #: [rad], ``"px"`` of an image coordinate [px]; of a unit that is missing the cell's, else 0. Without ``noise`` the
+    #: cell's does not count
     sigma: Mapping[str, float] = field(default_factory=dict)
     #: Steps of the joint values
     encoder: Encoder = field(default_factory=Encoder)
@@ -95,6 +97,10 @@ class Scenario(Value):
                 f"{choices(allowed)}."
             )
         object.__setattr__(self, "drift", vector(self.drift, "drift"))
+        if self.noise is USUAL_NOISE:
+            object.__setattr__(self, "noise", cell_noise(self.cell))
+        if self.noise is not None:
+            object.__setattr__(self, "sigma", {**further_noise(self.cell), **self.sigma})
         keep_read_only(self, "sizes", "sigma")
 
     def __repr__(self) -> str:
@@ -214,60 +220,6 @@ class Simulated(Value):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Tour:
-    """The R rows that are measured: all targets at each stop, one tour of the poses after the other."""
-
-    #: (stops,), the pose of each stop
-    route: Indices
-    #: (R,), the stop of each row
-    stop: Indices
-    #: (R,), its target
-    target: Indices
-    #: (R,), its group
-    group: Indices
-    #: (R,), its set
-    sets: tuple[str, ...]
-    #: (R,), the other row of its pair; None: rows are no pairs
-    partner: Indices | None
-
-    @classmethod
-    def of(cls, scenario: Scenario, truth: Truth, sets: Sequence[str]) -> _Tour:
-        """Return the rows of poses, whose sets these are; the poses are dealt out among the groups in turn."""
-        targets = len(truth.targets)
-        route = np.tile(np.arange(len(sets)), scenario.visits)
-        stop = np.repeat(np.arange(len(route)), targets)
-        pose = route[stop]
-        return cls(
-            route=route,
-            stop=stop,
-            target=np.tile(np.arange(targets), len(route)),
-            group=pose % len(truth.groups),
-            sets=tuple(sets[i] for i in pose),
-            partner=_partners(sets, pose, targets) if scenario.kind.paired else None,
-        )
-
-    def __len__(self) -> int:
-        """Return the number of rows."""
-        return len(self.stop)
-
-    @property
-    def pairs(self) -> tuple[str, ...]:
-        """Name of each row's pair; empty if it has none."""
-        names = [""] * len(self)
-        if self.partner is not None:
-            first = np.flatnonzero(np.arange(len(self)) < self.partner)
-            for k, i in enumerate(first, start=1):
-                names[i] = names[self.partner[i]] = f"pair {k}"
-        return tuple(names)
-
-    def with_partners(self, T: Array) -> Array:
-        """Return poses (R, 4, 4) as a kind takes them: of a paired kind those of both rows, (R, 2, 4, 4)."""
-        if self.partner is None:
-            return T
-        return np.stack([T, T[self.partner]], axis=1)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class VirtualCell(Value):
     """A robot with known errors, and an instrument that measures it."""
 
@@ -275,6 +227,10 @@ class VirtualCell(Value):
     scenario: Scenario
     #: The robot, the targets and the frames
     truth: Truth
+
+    def __repr__(self) -> str:
+        """Return one line: what it was drawn out of."""
+        return one_line("VirtualCell", repr(self.scenario))
 
     def measure(self, q: ArrayLike, seed: int = 0, sets: Sequence[str] | None = None) -> Simulated:
         """Measure every target at every pose.
@@ -297,7 +253,7 @@ class VirtualCell(Value):
         if sets is not None:
             check_names("sets", sets)
         sets = (SETS[0],) * len(commanded) if sets is None else tuple(sets)
-        tour = _Tour.of(scenario, self.truth, sets)
+        tour = Tour.of(self.truth, sets, visits=scenario.visits, paired=scenario.kind.paired)
         sliding = [joint.type == "prismatic" for joint in robot.inputs]
         true_q, read_q = scenario.encoder.measure(commanded[tour.route], sliding, seed)
         T, moved = self._true_poses(tour, true_q)
@@ -317,7 +273,7 @@ class VirtualCell(Value):
             seed=int(seed),
         )
 
-    def _table(self, tour: _Tour, read_q: Array, readings: Array) -> Measurements:
+    def _table(self, tour: Tour, read_q: Array, readings: Array) -> Measurements:
         """Return the table of measurements.
 
         Args:
@@ -339,7 +295,7 @@ class VirtualCell(Value):
             **Measurements.columns_of(kind, readings),
         )
 
-    def _true_poses(self, tour: _Tour, true_q: Array) -> tuple[Array, Mask]:
+    def _true_poses(self, tour: Tour, true_q: Array) -> tuple[Array, Mask]:
         """Compute the true poses of the targets.
 
         Args:
@@ -359,7 +315,7 @@ class VirtualCell(Value):
         T_base_tip = truth.tip_poses(true_q)[tour.stop]
         return truth.T_frame_base[tour.group] @ T_base_tip @ T_tip_target, moved
 
-    def _instrument_std(self, T: Array, tour: _Tour) -> Array:
+    def _instrument_std(self, T: Array, tour: Tour) -> Array:
         """Return the standard deviation of the instrument alone.
 
         Args:
@@ -383,7 +339,7 @@ class VirtualCell(Value):
             distance = np.linalg.norm(T[:, :3, 3] - position, axis=1)
         return np.asarray(noise.constant + noise.per_length * distance)
 
-    def _outliers(self, tour: _Tour, seed: int) -> Array:
+    def _outliers(self, tour: Tour, seed: int) -> Array:
         """Draw the displacement of each row's measurement, shape (R, 3), [m]; of a pair that of its first row."""
         displacement = np.zeros((len(tour), 3))
         outliers = self.scenario.outliers
@@ -403,7 +359,7 @@ class VirtualCell(Value):
     def _readings(
         self,
         T: Array,
-        tour: _Tour,
+        tour: Tour,
         instrument: Array,
         outliers: Array,
         seed: int,
@@ -458,7 +414,7 @@ class VirtualCell(Value):
             noise[quantity] = np.hstack([first, further]) * std[:, None]
         return noise
 
-    def _displaced(self, T: Array, tour: _Tour, seed: int) -> Array:
+    def _displaced(self, T: Array, tour: Tour, seed: int) -> Array:
         """Return true poses with drift and the robot's repeatability, which all targets of a stop share.
 
         Args:
@@ -515,27 +471,3 @@ def simulate(
         )
     q, all_sets = made.poses(seed, count, validation, given, sets)
     return made.draw(seed).measure(q, seed, all_sets)
-
-
-def _partners(sets: Sequence[str], pose: Indices, targets: int) -> Indices:
-    """Return the other row of each row's pair: consecutive poses of one set, the same target, the same tour.
-
-    Args:
-        sets: The set of each pose.
-        pose: The pose of each row, shape (R,).
-        targets: Number of targets.
-
-    Returns:
-        shape (R,).
-
-    Raises:
-        CalibError: A set has an odd number of poses.
-    """
-    other = np.arange(len(sets))
-    for name in SETS:
-        members = [i for i, set_name in enumerate(sets) if set_name == name]
-        if len(members) % 2:
-            raise CalibError(f"Pairs need an even number of poses; {len(members)} are to '{name}'.")
-        other[members[::2]] = members[1::2]
-        other[members[1::2]] = members[::2]
-    return np.asarray(np.arange(len(pose)) + (other[pose] - pose) * targets)

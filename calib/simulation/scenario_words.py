@@ -16,6 +16,7 @@ from calib.model.error_model import error_model
 from calib.model.families import unit_of
 from calib.model.parameters import ErrorModel
 from calib.robot.robot import Robot
+from calib.simulation.cell_noise import cell_noise, further_noise
 from calib.simulation.disturbances import Encoder, MovedTarget, Outliers
 from calib.simulation.scenario import DEFAULT_MODEL, Scenario
 from calib.simulation.truth import NONE, TARGET_ERROR, parse_error_sizes
@@ -126,8 +127,8 @@ def _further_noise(cell: Cell, noise: TrackerNoise | None) -> dict[str, float]:
     if noise is None:
         return {}
     usual = {symbol: unit.assumed_sigma for symbol, unit in RESIDUAL_UNITS.items()}
-    usual |= {"rad": _PROBE, **cell.sigma}
-    return {symbol: std for symbol, std in usual.items() if symbol != "m"}
+    del usual["m"]
+    return usual | {"rad": _PROBE} | further_noise(cell)
 
 
 def _outliers(text: str | None, events: Mapping[str, Any]) -> Outliers | None:
@@ -169,6 +170,4 @@ def parse_tracker_noise(cell: Cell, text: str | None) -> TrackerNoise | None:
     if text is not None:
         constant, per_length = (0.0, 0.0) if text == NONE else parse_noise(text, "--noise")
         return TrackerNoise(constant, per_length, 0.0) if constant or per_length else None
-    if "m" in cell.sigma:
-        return TrackerNoise(cell.sigma["m"], 0.0, 0.0)
-    return TrackerNoise() if cell.tracker is None else cell.tracker.noise
+    return cell_noise(cell)

@@ -31,12 +31,13 @@ from tornado.websocket import WebSocketHandler
 
 import calib.viewer.scene as stage
 from calib.data.cell import Cell
-from calib.errors import CalibError, ModelError, choices
+from calib.errors import ArgumentError, CalibError, ModelError, choices
+from calib.files import check_writable
 from calib.inputs import ROBOT, RobotInput, robot_of
 from calib.result.calibration import CalibrationValues
 from calib.result.comparison import RESULT, is_result_file, result_of
 from calib.robot.robot import Robot
-from calib.values.arguments import check_type
+from calib.values.arguments import check_flags, check_path, check_type
 from calib.viewer.html_page import floats
 from calib.viewer.page import puppets, view_page
 from calib.viewer.puppet import packed, read_visuals
@@ -284,7 +285,12 @@ Shown = CalibrationValues | RobotInput
 
 @overload
 def view(
-    shown: Shown, other: RobotInput | None = None, *, live: Literal[False] = False
+    shown: Shown,
+    other: RobotInput | None = None,
+    *,
+    live: Literal[False] = False,
+    path: str | Path | None = None,
+    overwrite: bool = False,
 ) -> Path: ...
 
 
@@ -292,23 +298,42 @@ def view(
 def view(shown: Shown, other: RobotInput | None = None, *, live: Literal[True]) -> Viewer: ...
 
 
-def view(shown: Shown, other: RobotInput | None = None, *, live: bool = False) -> Path | Viewer:
-    """Open the picture of a calibration, of a robot or of two robots in the browser.
+def view(
+    shown: Shown,
+    other: RobotInput | None = None,
+    *,
+    live: bool = False,
+    path: str | Path | None = None,
+    overwrite: bool = False,
+) -> Path | Viewer:
+    """Show a calibration, a robot or two robots in the browser, or write the page as a file.
 
     Args:
         shown: A calibration, or the path of its file; or a robot, the path of its URDF or xacro, or its name such as
             ``"ur3"``. A result that was read from a file is shown without measurements.
         other: A second robot with the same joints, likewise.
         live: Serve the page by this program, which can move the robots and draw more, until the viewer is closed.
+        path: Name of the file that the page is written to, completely or not at all; no browser opens. None: a file in
+            a temporary folder of its own, which the browser opens.
+        overwrite: Replace an existing file.
 
     Returns:
-        The viewer of a live page; else the page, a file in a temporary folder of its own.
+        The viewer of a live page; else the file's path.
 
     Raises:
-        ArgumentError: An argument of another type.
+        ArgumentError: An argument of another type, or a file for a live page.
+        FileError: The file exists or cannot be written.
         ModelError: The robots have different joints.
     """
+    check_flags(live=live, overwrite=overwrite)
+    if path is not None:
+        check_path("path", path)
+        if live:
+            raise ArgumentError("A live page is no file: leave out 'path' or 'live'.")
+        check_writable(path, overwrite=overwrite)
     content = _content(shown, other)
+    if path is not None:
+        return view_page(content).write(path, overwrite=overwrite)
     if live:
         viewer = Viewer(content)
         webbrowser.open(viewer.url)

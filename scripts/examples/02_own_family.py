@@ -6,22 +6,26 @@ A URDF cannot hold such an error: it is used in predictions and in compensated c
 import numpy as np
 
 import calib
-from calib.model.families import RAD, Factor, Family, register
+from calib import families
 
 RATIO = 100  # turns of the motor in one turn of the joint
 TWICE = 2 * RATIO
 
 # A joint is off by dq = s sin(200 q) + c cos(200 q), with s and c of its own.
-register(
-    Family(
+families.register(
+    families.Family(
         name="strain_wave",
-        unit=RAD,
+        unit=families.RAD,
         prior=0.2e-3,  # where the estimate of their size starts [rad]
         typical=0.3e-3,  # how large they are in a virtual robot [rad]
         factors=(
             # slope: the derivative by q, which the inverse kinematics of compensation needs
-            Factor("sin200", lambda s: np.sin(TWICE * s.q), lambda s: TWICE * np.cos(TWICE * s.q)),
-            Factor("cos200", lambda s: np.cos(TWICE * s.q), lambda s: -TWICE * np.sin(TWICE * s.q)),
+            families.Factor(
+                "sin200", lambda s: np.sin(TWICE * s.q), lambda s: TWICE * np.cos(TWICE * s.q)
+            ),
+            families.Factor(
+                "cos200", lambda s: np.cos(TWICE * s.q), lambda s: -TWICE * np.sin(TWICE * s.q)
+            ),
         ),
     )
 )

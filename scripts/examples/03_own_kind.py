@@ -3,8 +3,7 @@
 import numpy as np
 
 import calib
-from calib.data.cell import TrackerNoise
-from calib.data.kinds import Kind, Reading, register
+from calib import kinds
 
 FOCAL, CENTRE = 1200.0, np.array([960.0, 600.0])  # of the camera, which looks along its z axis [px]
 
@@ -21,15 +20,19 @@ def derivative(_measured: np.ndarray, T: np.ndarray, twists: np.ndarray) -> np.n
     return np.concatenate([d_image, twists[:, 2:3]], axis=1)
 
 
-depth_camera = Kind(
+depth_camera = kinds.Kind(
     name="depth_camera",
     words="image and depth of the target",
     units=("px", "px", "m"),  # scalars of one unit share a noise, which is estimated
-    readings=(Reading("u", "pixel"), Reading("v", "pixel"), Reading("depth", "length")),
+    readings=(
+        kinds.Reading("u", "pixel"),
+        kinds.Reading("v", "pixel"),
+        kinds.Reading("depth", "length"),
+    ),
     measure=image_and_depth,
     derivative=derivative,
 )
-register(depth_camera)
+kinds.register(depth_camera)
 
 # The camera stands about 1.8 m in front of the robot: the start of the estimate of its pose.
 cell = calib.Cell(
@@ -39,7 +42,7 @@ cell = calib.Cell(
     model="dh",
 )
 robot = calib.Robot.load("ur3", base="base", tip="tool0")
-noise = TrackerNoise(constant=0.3e-3, per_length=0.0)  # of the depth [m]
+noise = calib.TrackerNoise(constant=0.3e-3, per_length=0.0)  # of the depth [m]
 scenario = calib.Scenario(robot, cell=cell, model="dh", sigma={"px": 0.1}, noise=noise)
 measured = scenario.draw(seed=2).measure(scenario.random_poses(100, seed=2), seed=2).measurements
 measured.write("images.csv")

@@ -3,10 +3,12 @@
 import numpy as np
 
 import calib
-from calib.numerics.solvers import Solution, System, register
+from calib import solvers
 
 
-def halving(system: System, x: np.ndarray, unit: np.ndarray, tolerance: float) -> Solution:
+def halving(
+    system: solvers.System, x: np.ndarray, unit: np.ndarray, tolerance: float
+) -> solvers.Solution:
     """Minimise |r|^2 / 2.
 
     Args:
@@ -28,10 +30,10 @@ def halving(system: System, x: np.ndarray, unit: np.ndarray, tolerance: float) -
         else:
             step = step / 2
     status = "converged" if evaluations < 100 else "stopped"
-    return Solution(x, 0.5 * float(r @ r), status, "Gauss-Newton.", evaluations, history=())
+    return solvers.Solution(x, 0.5 * float(r @ r), status, "Gauss-Newton.", evaluations, history=())
 
 
-register("halving", halving)  # a name for tables of results, fleets and plugins
+solvers.register("halving", halving)  # a name for tables of results, fleets and plugins
 
 robot = calib.Robot.load("ur3", base="base", tip="tool0")
 scenario = calib.Scenario(robot, model="dh")

@@ -1,7 +1,6 @@
 """Calibrate, measure new poses another day, and test the result against a tolerance."""
 
 import calib
-from calib.result.acceptance import acceptance
 
 TOLERANCE = 0.3e-3  # the largest position error that the application allows [m]
 UNCERTAINTY = 0.06e-3  # expanded uncertainty (k = 2) of one measured position [m]
@@ -26,7 +25,7 @@ print(calibrated.summary())
 
 outcomes = {}
 for name, evaluation in (("nominal", nominal), ("calibrated", calibrated)):
-    found = acceptance(evaluation, {"m": TOLERANCE}, uncertainty={"m": UNCERTAINTY})
+    found = calib.acceptance(evaluation, {"m": TOLERANCE}, uncertainty={"m": UNCERTAINTY})
     check = found.checks["m"]
     print(
         f"{name}: largest error {1e3 * check.figure:.3f} mm, with the uncertainty "

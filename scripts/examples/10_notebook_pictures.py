@@ -8,7 +8,6 @@ from matplotlib.figure import Figure
 import calib
 from calib.example import PAPER_TARGET, paper_measurements, paper_urdf
 from calib.report.figures import drawings, rendered
-from calib.viewer.page import write_page
 
 # The UR3 of a paper, which comes with calib: 35 points of a laser tracker.
 robot = calib.Robot.load(paper_urdf(), base="base", tip="tool0")
@@ -41,8 +40,8 @@ print(f"own figure: the largest error is {error.max():.2f} mm, in row {worst}")
 assert worst in [outlier.row for outlier in result.outliers]
 
 # The robot before and after, with the error of each row as an arrow: a page that needs no network.
-# calib.view(result) opens the same page in the browser.
-page = write_page(result, "view.html")
+# calib.view(result) alone opens the same page in the browser.
+page = calib.view(result, path="view.html")
 print(f"3-D page: {page}")
 assert page.stat().st_size > 100_000
 assert "use" in html

@@ -20,6 +20,7 @@ from meshcat import geometry as mc
 
 import calib
 from calib import example
+from calib.errors import FileError
 from calib.viewer.live import Viewer
 from calib.viewer.puppet import translation
 from calib.viewer.view import View
@@ -154,3 +155,20 @@ def test_view_opens_a_file_or_serves_the_page(gantry, disturb, monkeypatch):
         viewer.display(np.zeros(3))
         with urllib.request.urlopen(viewer.url, timeout=10) as answer:
             assert b"data-live" in answer.read()
+
+
+def test_view_writes_the_named_file_alone_and_opens_nothing(gantry, monkeypatch, tmp_path):
+    opened = []
+    monkeypatch.setattr(webbrowser, "open", opened.append)
+    path = tmp_path / "view.html"
+    assert calib.view(gantry, path=str(path)) == path
+    first = path.read_bytes()
+    with pytest.raises(FileError):
+        calib.view(made("two_joints"), path=path)
+    assert path.read_bytes() == first
+    assert calib.view(made("two_joints"), path=path, overwrite=True) == path
+    assert path.read_bytes() != first
+    assert opened == []
+    assert list(tmp_path.iterdir()) == [path]
+    with pytest.raises(FileError):
+        calib.view(gantry, path=tmp_path / "none" / "view.html")
