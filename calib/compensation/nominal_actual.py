@@ -23,7 +23,7 @@ from calib.model.families import Factor, JointState
 from calib.model.joint_errors import axis_twists
 from calib.model.kinematics import Kinematics, Samples
 from calib.model.parameters import TIP, ErrorModel, Parameter
-from calib.numerics.geometry import not_rotations
+from calib.numerics.geometry import not_rotations, position_in_tip
 from calib.result.calibration import CalibrationValues
 from calib.result.prediction import NonGeometric
 from calib.robot.payload import Payload
@@ -419,6 +419,8 @@ def _pose(value: ArrayLike | str | None, what: str) -> Array:
         values = T
     if values.shape != (4, 4) or not_rotations(values[None, :3, :3]) or np.isnan(values).any():
         raise ModelError(f"The {what} is {_POSE}, not {values.tolist()}.")
+    if what == "tool":
+        position_in_tip(values[:3, 3], what)
     return read_only(values)
 
 

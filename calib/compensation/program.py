@@ -104,31 +104,47 @@ class Program(Value):
         return cls(_labels(len(values)), q=values)
 
     @classmethod
-    def of_poses(cls, T_wanted: ArrayLike, q: ArrayLike | None = None) -> Program:
+    def of_poses(
+        cls,
+        T_wanted: ArrayLike,
+        q: ArrayLike | None = None,
+        *,
+        start: Mapping[str, float] | None = None,
+    ) -> Program:
         """Make a program of poses of the tool.
 
         Args:
             T_wanted: shape (N, 4, 4) or (4, 4), [m].
             q: Joint values at which the search starts, shape (N, m), [rad] or [m]; None: not given.
+            start: Joint values by name near which the search for the first pose starts, without ``q`` [rad] or [m];
+                None: mid range.
         """
         given = numbers("T_wanted", T_wanted, _POSES)
         poses = given[None] if given.ndim == 2 else given
         finite_numbers("T_wanted", poses, (None, 4, 4), _POSES)
         starts = None if q is None else np.atleast_2d(numbers("q", q, _VALUES))
-        return cls(_labels(len(poses)), starts, poses)
+        return cls(_labels(len(poses)), starts, poses, start=start)
 
     @classmethod
-    def of_points(cls, points: ArrayLike, q: ArrayLike | None = None) -> Program:
+    def of_points(
+        cls,
+        points: ArrayLike,
+        q: ArrayLike | None = None,
+        *,
+        start: Mapping[str, float] | None = None,
+    ) -> Program:
         """Make a program of positions of the tool, its orientation left free.
 
         Args:
             points: shape (N, 3) or (3,), [m].
             q: Joint values at which the search starts, shape (N, m), [rad] or [m]; None: not given.
+            start: Joint values by name near which the search for the first point starts, without ``q`` [rad] or [m];
+                None: mid range.
         """
         allowed = "positions of shape (N, 3) or (3,), [m]"
         given = np.atleast_2d(numbers("points", points, allowed))
         positions = finite_numbers("points", given, (None, 3), allowed)
-        return replace(cls.of_poses(poses_at(positions), q), oriented=False)
+        return replace(cls.of_poses(poses_at(positions), q, start=start), oriented=False)
 
 
 def _labels(count: int) -> tuple[str, ...]:

@@ -32,7 +32,14 @@ from calib.data.surroundings import (
 from calib.errors import CalibError, FileError, choices
 from calib.mappings import ReadOnlyMapping
 from calib.model.error_model import DIRECTIONS
-from calib.numerics.geometry import FARTHEST, pose_of, pose_or_none, rotation_or_none, vector
+from calib.numerics.geometry import (
+    FARTHEST,
+    pose_of,
+    pose_or_none,
+    position_in_tip,
+    rotation_or_none,
+    vector,
+)
 from calib.robot.gravity import GRAVITY
 from calib.robot.payload import Payload
 from calib.robot.robot import read_only
@@ -181,7 +188,7 @@ def _sigma(value: Mapping[str, float]) -> ReadOnlyMapping[str, float] | None:
 
 def _target(value: ArrayLike) -> Array:
     """Return a target's position in the tip, shape (3,) [m]."""
-    return vector(value, "target")
+    return position_in_tip(value, "target")
 
 
 _POSE_CHECK = _Check(POSE, pose_or_none)
@@ -327,10 +334,9 @@ class Cell(Value):
             value = getattr(self, name)
             if value is not None:
                 object.__setattr__(self, name, check(value, f"A cell's {name}"))
-        for name in ("target", "gravity"):
-            value = getattr(self, name)
-            if value is not None:
-                object.__setattr__(self, name, vector(value, name))
+        if self.target is not None:
+            object.__setattr__(self, "target", _target(self.target))
+        object.__setattr__(self, "gravity", vector(self.gravity, "gravity"))
         for name, check in _MAPPINGS.items():
             given = getattr(self, name)
             values = {key: check(v, f"'{key}' in a cell's {name}") for key, v in given.items()}

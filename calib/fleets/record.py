@@ -62,7 +62,11 @@ class FleetParameter:
 
 @dataclass(frozen=True, slots=True)
 class FleetRow:
-    """One robot of a fleet. Numbers that do not exist are NaN, texts ``""``."""
+    """One robot of a fleet. Numbers that do not exist are NaN, texts ``""``.
+
+    Errors and noise are by unit: ``"m"`` of lengths [m], ``"rad"`` of angles [rad], ``"px"`` of image coordinates [px].
+    A unit that was not measured is missing; of a robot that failed the mappings are empty.
+    """
 
     #: Its name
     name: str
@@ -82,7 +86,7 @@ class FleetRow:
     rows: int = 0
     #: Number of flagged rows among them
     outliers: int = 0
-    #: Error of the nominal robot on the fitted rows, by unit: ``"m"`` of lengths [m], ``"rad"`` of angles [rad]
+    #: Error of the nominal robot on the fitted rows, by unit
     nominal_rms: Mapping[str, float] = field(default_factory=dict)
     #: Error of the calibrated robot on the fitted rows, by unit
     calibrated_rms: Mapping[str, float] = field(default_factory=dict)

@@ -15,6 +15,9 @@ from calib.values.arguments import numbers
 #: doubles are further apart than the accuracy that calib computes to.
 FARTHEST = 1e6
 
+#: Largest coordinate of a target or a tool in the tip [m]: beyond it the number is one of another unit.
+FARTHEST_IN_TIP = 20.0
+
 #: A rotation matrix written with seven digits is orthonormal to this.
 _ORTHONORMAL_TOLERANCE = 1e-6
 
@@ -47,6 +50,28 @@ def vector(value: ArrayLike, what: str) -> Array:
             f"none beyond {FARTHEST:g}."
         )
     return read_only(array)
+
+
+def position_in_tip(value: ArrayLike, what: str) -> Array:
+    """Return the position of a target or a tool in the tip [m] as a read-only copy.
+
+    Args:
+        value: x, y, z, shape (3,) [m].
+        what: Name of the value in the error message, such as ``"target"``.
+
+    Returns:
+        The position, shape (3,) [m], read-only.
+
+    Raises:
+        CalibError: As of `vector`; or a coordinate is beyond `FARTHEST_IN_TIP`, as of millimetres taken for metres.
+    """
+    position = vector(value, what)
+    if np.abs(position).max() > FARTHEST_IN_TIP:
+        raise CalibError(
+            f"The {what} is {position.tolist()} m in the tip, and none is further away than {FARTHEST_IN_TIP:g} m; "
+            "give metres, in a cell file mm."
+        )
+    return position
 
 
 def rotation_or_none(value: ArrayLike) -> Array | None:

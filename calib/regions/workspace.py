@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from calib.inputs import RobotInput, robot_of
-from calib.numerics.geometry import vector
+from calib.numerics.geometry import position_in_tip
 from calib.regions.region import Region
 from calib.robot.ranges import joint_ranges
 from calib.robot.robot import Robot
@@ -89,7 +89,7 @@ def workspace_points(
     """
     check_whole("count", count, 1)
     check_whole("seed", seed, 0)
-    p_tip_target = vector(target, "target")
+    p_tip_target = position_in_tip(target, "target")
     limits = joint_ranges(robot)
     if ranges is not None:
         m = len(robot.inputs)

@@ -34,6 +34,7 @@ from calib.robot.robot import Robot
 from calib.units import Array, Mask, split_header
 from calib.values.arguments import check_mapping, check_type
 from calib.values.pickling import Value
+from calib.values.short import one_line
 
 Outcome = Literal["pass", "undecided", "fail"]
 
@@ -107,6 +108,18 @@ class Acceptance:
     def __post_init__(self) -> None:
         """Keep a copy that cannot be changed."""
         object.__setattr__(self, "checks", ReadOnlyMapping(self.checks))
+
+    def __repr__(self) -> str:
+        """Return one line: the outcome, each figure with its tolerance, and the poses within."""
+        figures = []
+        for symbol, check in self.checks.items():
+            unit = residual_unit(symbol)
+            figure, tolerance = unit.to_shown * check.figure, unit.to_shown * check.tolerance
+            figures.append(
+                f"{self.criterion} {figure:.{unit.digits}f} of {tolerance:g} {unit.shown}"
+            )
+        within = f"{self.within} of {len(self.accuracy.poses)} poses within"
+        return one_line("Acceptance", self.outcome, *figures, within)
 
     @property
     def outcome(self) -> Outcome:

@@ -23,11 +23,8 @@ path = np.tile(robot.poses(START) @ T_tip_tool, (21, 1, 1))
 path[:, 1, 3] += np.linspace(0.0, 0.2, 21)
 
 # The search for joint values of the first pose starts at START, that of each other pose at the one before.
-program = calib.Program(
-    labels=tuple(f"step {k}" for k in range(21)),
-    T_wanted=path,
-    start=dict(zip(robot.joint_names, START, strict=True)),
-)
+start = dict(zip(robot.joint_names, START, strict=True))
+program = calib.Program.of_poses(path, start=start)
 commands = calib.compensate(result, program, tool=TOOL)
 assert commands.reached.all()
 

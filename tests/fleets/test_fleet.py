@@ -125,6 +125,7 @@ def test_robots_that_fail_are_named_and_the_others_finished(tmp_path, ur3):
         "faulty": FAILED,
     }
     messages = {row.name: row.message for row in calibrated.failed}
+    assert all(row.nominal_rms == row.held_out_rms == row.sigma == {} for row in calibrated.failed)
     assert "gone.csv" in messages["gone"]
     assert "ZeroDivisionError" in messages["faulty"]
     assert calibrated.kept == 1

@@ -11,10 +11,12 @@ from scipy.spatial.transform import Rotation
 from calib.errors import CalibError
 from calib.numerics.geometry import (
     FARTHEST,
+    FARTHEST_IN_TIP,
     inverse_right_jacobian,
     not_rotations,
     pose_of,
     pose_or_none,
+    position_in_tip,
     rotation_or_none,
     to_matrices,
     to_quaternions,
@@ -31,6 +33,15 @@ def test_a_vector_is_three_numbers_within_reach():
     for value in ([1, 2], [[1, 2, 3]], [0, np.nan, 0], [0, np.inf, 0], [0, 1.001 * FARTHEST, 0]):
         with pytest.raises(CalibError, match="The target is "):
             vector(value, "target")
+
+
+def test_a_position_in_the_tip_is_within_metres_of_it():
+    result = position_in_tip([0, -FARTHEST_IN_TIP, 0.1], "target")
+    np.testing.assert_array_equal(result, [0.0, -FARTHEST_IN_TIP, 0.1])
+    assert not result.flags.writeable
+    for value in ([0, 0, 100], [-20.001, 0, 0], [1, 2]):
+        with pytest.raises(CalibError):
+            position_in_tip(value, "target")
 
 
 def test_poses_and_rotations_as_given():

@@ -74,6 +74,11 @@ def test_the_decision_rule(figure: float, uncertainty: float, factor: float, out
     assert seen == ("fail" if outcome == "fail" else "undecided")
 
 
+def test_an_acceptance_in_one_line(ur3: Robot):
+    found = acceptance(evaluation(ur3, [0.1, 0.2, 0.6], 3), {"m": 0.5e-3})
+    assert repr(found) == "Acceptance(fail, max 0.600 of 0.5 mm, 2 of 3 poses within)"
+
+
 def test_what_is_judged_depends_on_the_criterion(ur3: Robot):
     found = evaluation(ur3, [0.1, 0.2, 0.6], 3)
     shaken = replace(

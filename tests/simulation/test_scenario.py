@@ -23,6 +23,12 @@ TRACKER = Tracker(np.array([2.0, 1.0, 0.5]), noise=TrackerNoise(1e-5, 1e-6, 0.0)
 CELL = Cell()
 
 
+def test_a_virtual_cell_in_one_line(ur3):
+    text = repr(Scenario(ur3).draw(1))
+    assert text.startswith("VirtualCell(Scenario('ur3'")
+    assert len(text) <= 120
+
+
 def test_each_seed_makes_another_robot_and_the_same_seed_the_same(ur3):
     scenario = Scenario(ur3)
     cells = [scenario.draw(seed) for seed in (1, 1, 2)]
