@@ -26,8 +26,10 @@ def folder(examples) -> Path:
 
 def same_errors(evaluated: Any, fitted: Any) -> None:
     for rows in ("estimation", "validation"):
-        for key, value in fitted[rows].items():
-            assert evaluated[rows][key] == pytest.approx(value, abs=1e-9, rel=0)
+        assert evaluated[rows].keys() == fitted[rows].keys()
+        for unit, figures in fitted[rows].items():
+            for key, value in figures.items():
+                assert evaluated[rows][unit][key] == pytest.approx(value, abs=1e-9, rel=0)
 
 
 def test_the_nominal_urdf_with_the_json_is_the_fit(examples, folder: Path):
