@@ -307,11 +307,13 @@ def _size_histogram(ax: Axes, c: CalibrationValues) -> None:
     before = before[np.isfinite(before)]
     after = after[np.isfinite(after)]
     # Bins are even in the logarithm; what is far below the median is put into the first one.
-    high = max(float(np.max([before, after])), 1e-6)
+    high = max(float(np.concatenate([before, after]).max()), 1e-6)
     low = min(max(0.05 * float(np.median(after)), 1e-6 * high), 0.5 * high)
     count = int(np.clip(2.0 * np.sqrt(len(after)) + 5, 9, 61))
     edges = list(np.geomspace(low, 1.001 * high, count))
     for style, values in ((base.BEFORE, before), (base.AFTER, after)):
+        if not len(values):  # the nominal robot is not judged
+            continue
         shown = np.maximum(values, low)
         ax.hist(shown, edges, histtype="stepfilled", label=style.label, **style.area)
     base.log_axis(ax, "x")
@@ -353,6 +355,8 @@ def _curve(ax: Axes, rows: NDArray[np.int_], values: Array, style: base.RobotSty
     """
     # The line leads over rows without a value, such as the second rows of pairs: gaps would leave nothing of it.
     finite = np.isfinite(values)
+    if not finite.any():  # no entry in the legend either
+        return
     rows = rows[finite]
     values = values[finite]
     few = len(values) <= _MOST_MARKERS

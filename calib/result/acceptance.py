@@ -403,18 +403,20 @@ def _evaluations(
 
     Returns:
         Residuals of each robot, measured minus predicted, by its name: ``"urdf"``, the robot as it is; and with a
-        result ``"nominal"``, its nominal robot, ``"calibration"``, the robot with calibrated joint origins, and
-        ``"non_geometric"``, the nominal robot with the non-geometric model, if there is one.
+        result ``"nominal"``, its nominal robot unless a frame of it was not found; ``"calibration"``, the robot with
+        calibrated joint origins; and ``"non_geometric"``, the nominal robot with the non-geometric model, if there is
+        one.
     """
     if calibration is None:
         return {"urdf": evaluate(robot, table, cell)}
     nominal, corrected = calibration.uncorrected(robot), calibration.corrected(robot)
     setup = calibration.setup
-    evaluations = {
-        "nominal": evaluate(nominal, table, cell, known=calibration.nominal_setup, which=which),
-        "urdf": evaluate(robot, table, cell, known=setup, which=which),
-        "calibration": evaluate(corrected, table, cell, known=setup, which=which),
-    }
+    evaluations = {}
+    if calibration.nominal_is_judged:
+        known = calibration.nominal_setup
+        evaluations["nominal"] = evaluate(nominal, table, cell, known=known, which=which)
+    evaluations["urdf"] = evaluate(robot, table, cell, known=setup, which=which)
+    evaluations["calibration"] = evaluate(corrected, table, cell, known=setup, which=which)
     if calibration.non_geometric is not None:
         model = calibration.non_geometric
         evaluations["non_geometric"] = evaluate(

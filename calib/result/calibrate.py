@@ -18,7 +18,7 @@ from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.diagnosis.coverage import OutsideRow, outside
 from calib.diagnosis.extrapolation import extrapolation
-from calib.diagnosis.reasons import NO, Verdict
+from calib.diagnosis.reasons import NO, Verdict, Why
 from calib.diagnosis.verdict import verdict
 from calib.estimate.fitting import Fitted, fit
 from calib.estimate.task import PAPER
@@ -337,7 +337,6 @@ def _assembled(
     observability = estimate.problem.observability(estimate.x)
     scored = _scored(m, fits)
     nominal_places = _nominal_places(m, fits)
-    nominal_poses = nominal_places.target_poses(robot.poses(all_rows.joints), all_rows.samples)
     return CalibrationValues(
         **_model_values(geometry, observability, validations.geometry),
         nominal=robot,
@@ -355,7 +354,7 @@ def _assembled(
         freedom=estimate.freedom,
         sigma=_noise_std(geometry),
         sigma_given=_stated_sigma(m, cell),
-        residual_nominal=read_only(all_rows.residual(nominal_poses)),
+        residual_nominal=read_only(_nominal_residual(fits, nominal_places)),
         residual_calibrated=read_only(scored.residual),
         channels=all_rows.channels,
         scores=read_only(scored.scores),
@@ -516,6 +515,24 @@ def _nominal_places(measurements: Measurements, fits: TableFits) -> Setup:
     placed = nominal_setup(T_base_tip[estimation], task.setup, rows.select(estimation))
     unseen = fits.unseen.with_given_fixed()
     return register_held_out(T_base_tip[validation], placed, unseen, rows.select(validation))
+
+
+def _nominal_residual(fits: TableFits, places: Setup) -> Array:
+    """Return measured minus predicted by the nominal robot, shape (N, D), in the units of the rows' channels.
+
+    Args:
+        fits: The fits of the table, with its N rows as arrays.
+        places: Frames and targets of the nominal robot.
+
+    Returns:
+        0 where nothing was measured; NaN elsewhere if a measurement frame was not found: residuals at a wrong place say
+        nothing of the robot.
+    """
+    rows = fits.all_rows
+    if fits.mistake is not None and fits.mistake.why == Why.FRAME_NOT_FOUND:
+        return np.where(rows.used, np.nan, 0.0)
+    T_base_tip = fits.geometry.task.robot.poses(rows.joints)
+    return rows.residual(places.target_poses(T_base_tip, rows.samples))
 
 
 def _scored(measurements: Measurements, fits: TableFits) -> _Scored:

@@ -137,7 +137,8 @@ class CalibrationValues(FittedModel):
     #: Standard deviation of one scalar as the cell or the table states it (rms over fitted rows), by the units of which
     #: it is stated
     sigma_given: Mapping[str, float]
-    #: shape (N, D), measured minus predicted by the nominal robot, all rows; ``channels`` has the unit of each entry
+    #: shape (N, D), measured minus predicted by the nominal robot, all rows; ``channels`` has the unit of each entry.
+    #: NaN where a measurement frame was sought and not found, see ``nominal_is_judged``
     residual_nominal: Array
     #: Shape (N, D), by the calibrated robot
     residual_calibrated: Array
@@ -224,6 +225,11 @@ class CalibrationValues(FittedModel):
     def target(self) -> Array:
         """Position of the (first) target of ``setup`` in the tip, estimated or given, shape (3,), [m]."""
         return np.asarray(self.setup.T_tip_target[0, :3, 3])
+
+    @property
+    def nominal_is_judged(self) -> bool:
+        """True unless a measurement frame was sought and not found: then the nominal robot has no known errors."""
+        return not np.isnan(self.residual_nominal).any()
 
     @property
     def errors(self) -> dict[str, dict[str, Errors]]:

@@ -11,7 +11,6 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from calib.channels import RESIDUAL_UNITS, Channels
-from calib.diagnosis.reasons import Why
 from calib.model.families import FAMILIES, unit_of
 from calib.model.observability import Combination
 from calib.model.parameters import FRAME, TARGET
@@ -230,7 +229,7 @@ def error_rows(c: CalibrationValues) -> list[tuple[str, Errors]]:
     rows = []
     for name in ("estimation", "validation"):
         for who, errors in c.errors.items():
-            if who == "nominal" and not _nominal_is_judged(c):
+            if who == "nominal" and not c.nominal_is_judged:
                 continue
             rows.append((f"{name} rows, {who}", errors[name]))
     validated = {"nominal": c.nominal_cross_validation, "calibrated": c.cross_validation}
@@ -244,12 +243,6 @@ def error_rows(c: CalibrationValues) -> list[tuple[str, Errors]]:
             without = cross_validation.errors_without_outliers
             rows.append(("  the same without outliers", without))
     return rows
-
-
-def _nominal_is_judged(c: CalibrationValues) -> bool:
-    """True unless a measurement frame was sought and not found."""
-    reasons = () if c.verdict is None else c.verdict.reasons
-    return all(reason.why != Why.FRAME_NOT_FOUND for reason in reasons)
 
 
 def held_out_text(c: CalibrationValues) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +12,10 @@ import calib
 from calib.diagnosis.frame_not_found import frame_not_found
 from calib.diagnosis.reasons import NO, Reason, Why
 from calib.registration.table_rows import rows_and_setup
+from calib.report.figure_base import styled
+from calib.report.figure_errors import by_row, histograms
+from calib.result.acceptance import assess
+from calib.result.accuracy import fitted_rows
 from calib.text.verdict import reason_text
 from tests.sought_frames import measured, sought_kinds, unstated
 
@@ -64,3 +69,31 @@ def test_the_nominal_robot_is_not_judged(ur3):
     assert "The measurement frame was not found" in text
     assert "estimation rows, calibrated" in text
     assert "rows, nominal" not in text
+    assert not result.nominal_is_judged
+    assert np.isnan(result.errors["nominal"]["estimation"]["m"].rms)
+
+
+def test_no_file_or_evaluation_has_errors_of_the_nominal_robot(ur3, tmp_path):
+    table, cell = measured(ur3, "range", seed=0, count=60)
+    wrong, cell = with_joints_reversed(table), unstated(cell)
+    result = calib.calibrate(ur3, wrong, cell=cell)
+    result.write_json(tmp_path / "result.json")
+    stored = json.loads((tmp_path / "result.json").read_text())
+    assert stored["errors"]["nominal"]["estimation"]["m"]["rms"] is None
+    assert set(np.ravel(stored["rows"]["residual_nominal"])) == {None}
+    assessment = assess(result.robot, wrong, cell, result)
+    assert list(assessment.evaluations) == ["urdf", "calibration"]
+    # The rows of the fit are known by their residuals all the same.
+    assert fitted_rows(result, result.robot, wrong, cell).all()
+
+
+def test_a_report_shows_the_calibrated_robot_alone(ur3):
+    table, cell = measured(ur3, "range", seed=0, count=60)
+    result = calib.calibrate(ur3, with_joints_reversed(table), cell=unstated(cell))
+    with styled():
+        left, _ = histograms(result).axes
+        top, _ = by_row(result).axes
+    labels = [entry.get_text() for entry in top.figure.legends[0].texts]
+    assert "after (calibrated)" in labels
+    assert "before (nominal)" not in labels
+    assert len(left.patches) == 1
