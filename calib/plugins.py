@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from importlib.machinery import SourceFileLoader
 from pathlib import Path
 from types import CodeType, ModuleType
-from typing import Any
+from typing import Any, NoReturn
 
 from calib.errors import CalibError, FileError, PluginError, choices, did_you_mean
 from calib.files import read_bytes
@@ -239,13 +239,24 @@ def _load(given: str, source: str) -> Plugin:
         before = {what: dict(registry.entries) for what, registry in _REGISTRIES.items()}
         try:
             sha256 = _run(given, source)
-            names = _added(given, before, _LOADED[count:])
+            nested = _LOADED[count:]
+            names = _added(given, before, nested)
+            if not nested and not any(names.values()):
+                _refuse_nothing(given)
         except BaseException:
             _restore(before, count)
             raise
         plugin = Plugin(given, source, sha256, **names)
         _LOADED.append(plugin)
         return plugin
+
+
+def _refuse_nothing(given: str) -> NoReturn:
+    """Raise the error for a plugin that registered nothing: results could not name it."""
+    raise PluginError(
+        f"Plugin '{given}' registers nothing. It must call a register() when it is imported; if this program has "
+        "imported it already, leave that to calib.plugins.load."
+    )
 
 
 def _load_entry(entry: importlib.metadata.EntryPoint) -> Plugin:

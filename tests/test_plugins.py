@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import pickle
 import subprocess
 import sys
@@ -197,6 +198,16 @@ def test_a_broken_entry_point_is_named(tmp_path, monkeypatch):
     )
 
 
+def test_a_plugin_that_registers_nothing_is_refused(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(str(tmp_path))
+    with pytest.raises(PluginError, match=r"'.*empty\.py' registers nothing"):
+        plugins.load(write_plugin(tmp_path, "x = 1\n", "empty.py"))
+    write_plugin(tmp_path, SOLVER, "line_gauge_f.py")
+    importlib.import_module("line_gauge_f")
+    with pytest.raises(PluginError, match="'line_gauge_f' registers nothing"):
+        plugins.load("line_gauge_f")
+
+
 def test_an_entry_point_names_a_module_alone(tmp_path, monkeypatch):
     """A function behind it would not be called."""
     monkeypatch.syspath_prepend(str(tmp_path))
@@ -298,7 +309,7 @@ def test_without_a_plugin_that_is_known_the_name_is_said(fitted, tmp_path):
 
 def test_workers_load_the_same_plugins(tmp_path):
     first = plugins.load(write_plugin(tmp_path, SOLVER, "first.py"))
-    second = plugins.load(write_plugin(tmp_path, "", "second.py"))
+    second = plugins.load(write_plugin(tmp_path, SOLVER.replace("one", "two"), "second.py"))
     plugins.load_sent([first, second])
     sent = pickle.loads(pickle.dumps([first]))
     plugins.load_sent(sent)
