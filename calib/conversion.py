@@ -66,9 +66,9 @@ def convert(
     check_type(
         "options", options, (Options, type(None)), "Options, or None; the format's name is 'to'"
     )
-    asked = _with_arguments(options or Options(), to, robot, overwrite=overwrite)
+    chosen = _with_arguments(options or Options(), to, robot, overwrite=overwrite)
     path = Path(path)
-    content, format_name = read_source(source, path, asked)
+    content, format_name = read_source(source, path, chosen)
     verdict_against = _verdict_against(content)
     if verdict_against and not accept:
         named = f"'{source}'" if isinstance(source, (str, Path)) else "the calibration"
@@ -76,7 +76,7 @@ def convert(
     urdf = content.robot.urdf.with_verdict(verdict_against)
     if urdf != content.robot.urdf:
         content = replace(content, robot=replace(content.robot, urdf=urdf))
-    notes = FORMATS[format_name].write(content, path, asked)
+    notes = FORMATS[format_name].write(content, path, chosen)
     return Conversion(content, format_name, path, notes, verdict_against)
 
 

@@ -327,15 +327,15 @@ def _check_names(family: Family) -> None:
         raise ModelError(
             f"{where} has a name that is taken; give it one other than {choices(FAMILIES, 60)}."
         )
-    own = [factor.name for factor in family.factors]
-    for name in (family.name, *own):
+    factor_names = [factor.name for factor in family.factors]
+    for name in (family.name, *factor_names):
         if not isinstance(name, str) or not _NAME.fullmatch(name):
             raise ModelError(
                 f"{where}: {name!r} is no name for a family or a factor; use letters, digits, '_' and '-'."
             )
     taken = _factors()
-    for name in own:
-        if name in taken or own.count(name) > 1:
+    for name in factor_names:
+        if name in taken or factor_names.count(name) > 1:
             raise ModelError(
                 f"{where}: the name of its factor '{name}' is taken; give each factor one of its own, other than "
                 f"{choices(taken, 60)}."

@@ -108,18 +108,18 @@ def _with_frames_found(setup: Setup, T_base_tip: Array, rows: Rows, tolerance: f
     numbers = np.arange(len(setup.groups))
     others = rows.with_partners(~np.isin(rows.samples.frame, sought))
     of_others = setup.with_fixed(np.isin(numbers, sought), np.zeros_like(setup.target_unknown))
-    found = register_all_rows(
+    placed = register_all_rows(
         T_base_tip[others], of_others, rows.select(others), tolerance=tolerance
     )
     _, known_targets = setup.seen_by(rows.samples.select(others))
     for f in sought:
         of_frame = rows.with_partners(rows.samples.frame == f)
         part = rows.select(of_frame)
-        start = setup.placed(found.T_frame_base, found.T_tip_target)
+        start = setup.placed(placed.T_frame_base, placed.T_tip_target)
         start = start.with_fixed(numbers != f, known_targets)
-        found = with_frame_found(start, f, T_base_tip[of_frame], part)
+        placed = with_frame_found(start, f, T_base_tip[of_frame], part)
         known_targets = known_targets | setup.seen_by(part.samples)[1]
-    return setup.placed(found.T_frame_base, found.T_tip_target)
+    return setup.placed(placed.T_frame_base, placed.T_tip_target)
 
 
 def _best_refined(starts: list[Setup], T_base_tip: Array, rows: Rows, tolerance: float) -> Setup:
