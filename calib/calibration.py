@@ -74,7 +74,8 @@ class Calibration(CalibrationValues):
 
         rows                 RowNames: numbers, sets, kinds, stations and targets of the N rows
         source               Source, name and hash of the table
-        residual_nominal     (N, D), measured minus predicted by the nominal robot
+        residual_nominal     (N, D), measured minus predicted by the nominal robot; NaN if it is not judged
+        nominal_is_judged    False if a measurement frame was sought and not found
         residual_calibrated  (N, D), by the calibrated robot
         channels             unit of each entry of the residuals: "m", "rad" or "px"
         used                 (N, D), True for the scalars that were measured
