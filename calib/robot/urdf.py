@@ -393,5 +393,5 @@ def _continues(longer: str, shorter: str) -> bool:
 
 
 def _numbers_in(name: str) -> list[str]:
-    """Return the numbers in a name with the letters behind them, such as ``["10e"]``: they tell kinds of robots apart."""
+    """Return the numbers in a name, with the letters behind them as in ``["10e"]``: they tell kinds of robots apart."""
     return re.findall(r"\d+[a-z]*", name.casefold())
