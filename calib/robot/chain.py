@@ -250,6 +250,24 @@ def farthest_link(
         UrdfError: There is no link ``base``.
     """
     urdf.chain(base, base)  # raises, with the names of all links, for one that does not exist
+    count = _joints_of_arm_to(urdf, base, measured, held)
+    most = max(count.values())
+    farthest = [link for link, number in count.items() if number == most]
+    before_hand = [link for link in farthest if not _is_in_hand(urdf, link)] or farthest
+    return next((name for name in _USUAL_TIPS if name in farthest), before_hand[-1])
+
+
+def _joints_of_arm_to(
+    urdf: Urdf,
+    base: str,
+    measured: Collection[str] | None,
+    held: Collection[str],
+) -> dict[str, int]:
+    """Return the number of moving joints from the base to each link that they lead to.
+
+    Those that are measured and no gripper's or hand's count; where none of them moves, those that are one or the other;
+    where none of these does, all. The arguments are those of `farthest_link`.
+    """
     every = {joint.name for joint in urdf.joints}
     arm = every - {joint.name for joint in urdf.joints if _moves_hand(joint)}
     given = every if measured is None else set(measured)
@@ -259,10 +277,7 @@ def farthest_link(
         count = _moving_joints_to(urdf, start, known, held)
         if max(count.values()):
             break
-    most = max(count.values())
-    farthest = [link for link, number in count.items() if number == most]
-    before_hand = [link for link in farthest if not _is_in_hand(urdf, link)] or farthest
-    return next((name for name in _USUAL_TIPS if name in farthest), before_hand[-1])
+    return count
 
 
 def _moves_hand(joint: UrdfJoint) -> bool:
