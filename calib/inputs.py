@@ -12,10 +12,10 @@ from typing import TypeAlias
 
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
-from calib.data.table import Table
 from calib.errors import CalibError
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf, read_urdf
+from calib.table import Table
 from calib.values.arguments import check_type
 
 #: A robot; or the path of its URDF or xacro; or its name in example-robot-data, such as ``"ur3"``.

@@ -125,8 +125,8 @@ def load_with_data(
         CalibError: Arguments in the wrong order, or a unit without a list of points.
     """
     from calib.data.measurements import Measurements
-    from calib.data.table import Table
     from calib.robot.robot import Robot
+    from calib.table import Table
 
     if points_unit is not None and points is None:
         raise CalibError(

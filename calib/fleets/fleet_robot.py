@@ -10,11 +10,11 @@ from pathlib import Path
 
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
-from calib.data.table import Table
 from calib.errors import CalibError
 from calib.inputs import CellInput, RobotInput, TableInput, inputs_of
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
+from calib.table import Table
 
 #: Pattern of the names that a robot, and so its folder, may have.
 _NAME = re.compile(r"[^\W_](?:[\w .+-]{0,98}[\w+-])?")

@@ -20,8 +20,8 @@ from calib.formats.source import Options, Source
 from calib.formats.source_kinds import KINDS, YAML, result_source, robot_source, source_kind
 from calib.formats.universal_robots import read_ur, write_ur_conf, write_ur_yaml
 from calib.inputs import RobotInput
-from calib.model.dh import HAYATI, MODIFIED, STANDARD
 from calib.result.calibration import CalibrationValues
+from calib.robot.dh import HAYATI, MODIFIED, STANDARD
 from calib.robot.ranges import random_joint_values
 from calib.robot.readback import check_written
 from calib.robot.robot import Robot

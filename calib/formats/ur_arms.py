@@ -21,7 +21,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from calib.errors import ModelError, choices
-from calib.model.dh import screw
+from calib.robot.dh import screw
 from calib.robot.robot import Robot, read_only, rigid_inverse
 from calib.robot.urdf import Urdf
 from calib.units import Array

@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 
 import calib.text.summary as texts
 from calib.channels import RESIDUAL_UNITS, Channels
-from calib.model.dh import DHRow
 from calib.model.dh_table import dh_table
 from calib.numerics.errors import Errors, UnitErrors
 from calib.result.calibration import CalibrationValues
 from calib.result.prediction import ParameterEstimate
+from calib.robot.dh import DHRow
 from calib.robot.robot import rigid_inverse
 from calib.text.layout.lines import number
 from calib.text.layout.sizes import shown

@@ -12,7 +12,7 @@ columns of q, where some mimic others or are held (`calib.robot.chain`).
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
@@ -31,7 +31,9 @@ from calib.robot.chain import (
     farthest_link,
     rigid_inverse,
 )
-from calib.robot.urdf import Urdf, UrdfJoint, read_only, read_urdf
+from calib.robot.dh import STANDARD, DHRow, DHTable
+from calib.robot.dh_robot import DHRobot
+from calib.robot.urdf import Urdf, UrdfJoint, read_only, read_urdf, urdf_of_dh
 from calib.units import Array, Mask
 from calib.values.arguments import check_mapping, check_names, check_type, finite_numbers, numbers
 from calib.values.pickling import Value
@@ -86,11 +88,11 @@ class Robot(Value):
         measured: Collection[str] | None = None,
         held: Mapping[str, float] | None = None,
     ) -> Robot:
-        """Load a robot from a URDF or xacro file, or by its name from example-robot-data.
+        """Load a robot from a URDF, a xacro or a file of DH rows, or by its name from example-robot-data.
 
         Args:
-            source: Path of a URDF; or of a xacro, with arguments behind it as in ``"ur.urdf.xacro ur_type:=ur5e"``; or
-                a name such as ``"ur3"`` or ``"panda"``.
+            source: Path of a URDF; or of a file of DH rows; or of a xacro, with arguments behind it as in
+                ``"ur.urdf.xacro ur_type:=ur5e"``; or a name such as ``"ur3"`` or ``"panda"``.
             base: Link in whose frame the poses are given; default the URDF's root link.
             tip: Link that the chain ends at; default the link with the most moving joints before it.
             measured: Names of the joints whose values are known: the default tip is reached by these alone, if it can.
@@ -107,7 +109,10 @@ class Robot(Value):
             'shoulder_pan_joint'
         """
         check_type(
-            "source", source, (str, Path), "the path of a URDF or xacro, or a name such as 'ur3'"
+            "source",
+            source,
+            (str, Path),
+            "the path of a URDF, a xacro or DH rows, or a name such as 'ur3'",
         )
         return cls.from_urdf(read_urdf(source), base, tip, measured, held)
 
@@ -155,6 +160,64 @@ class Robot(Value):
             coupling=columns.matrix,
             _offset=columns.offset,
         )
+
+    @classmethod
+    def from_dh(
+        cls,
+        rows: Sequence[DHRow],
+        convention: str = STANDARD,
+        *,
+        name: str = "robot",
+        T_base_0: ArrayLike | None = None,
+        T_n_tip: ArrayLike | None = None,
+        coupling: Mapping[str, Mapping[str, float]] | None = None,
+    ) -> Robot:
+        """Return the robot that DH rows state, from the link ``base`` to the link ``flange``.
+
+            standard   T_base_tip = T_base_0  A_1 ... A_n  T_n_tip,   A_i = Rz(theta_i) Tz(d_i) Tx(a_i) Rx(alpha_i)
+            hayati     the same with A_i Ry(beta_i)
+            modified   M_i = Rx(alpha_(i-1)) Tx(a_(i-1)) Rz(theta_i) Tz(d_i)   (Craig)
+
+        where ``direction q_i + offset`` is added to theta_i, or to d_i of a joint that slides. Its URDF, `Robot.urdf`,
+        has links drawn as cylinders, and the rows in a comment.
+
+        Args:
+            rows: One for each joint, base to tip [m and rad].
+            convention: ``"standard"``, ``"modified"`` or ``"hayati"``.
+            name: Name of the robot.
+            T_base_0: Shape (4, 4), [m], pose before the first row; None: the identity.
+            T_n_tip: Shape (4, 4), [m], pose behind the last row; None: the identity.
+            coupling: Factors of the readings of other joints in a joint's value, by joint:
+                ``{"joint_3": {"joint_2": 1.0}}``, value_3 = reading_3 + reading_2.
+
+        Raises:
+            ArgumentError: An argument of another type.
+            ModelError: The rows make no robot.
+
+        Example:
+            A SCARA with arms of 325 and 275 mm, whose third joint slides down:
+
+            >>> import math
+            >>> from calib.robot.dh import DHRow
+            >>> robot = Robot.from_dh([
+            ...     DHRow("J1", d=0.4, a=0.325, lower=-2.3, upper=2.3),
+            ...     DHRow("J2", a=0.275, alpha=math.pi, lower=-2.6, upper=2.6),
+            ...     DHRow("J3", prismatic=True, lower=0.0, upper=0.2),
+            ...     DHRow("J4", lower=-6.28, upper=6.28),
+            ... ])
+            >>> robot.poses([0.0, 0.0, 0.1, 0.0])[0, :3, 3].round(3).tolist()
+            [0.6, 0.0, 0.3]
+        """
+        _check_rows(rows, convention, name)
+        poses = []
+        for argument, pose in (("T_base_0", T_base_0), ("T_n_tip", T_n_tip)):
+            given = np.eye(4) if pose is None else pose
+            poses.append(
+                read_only(finite_numbers(argument, given, (4, 4), "a pose of shape (4, 4)"))
+            )
+        table = DHTable(tuple(rows), poses[0], poses[1], convention)
+        stated = DHRobot(table, name, coupling=coupling or {})
+        return cls.from_urdf(urdf_of_dh(stated, name), stated.base, stated.tip)
 
     def rebuilt(
         self,
@@ -349,6 +412,16 @@ class Robot(Value):
             if carrier is not None:
                 origins[carrier] = factors.origin(P)
         return origins
+
+
+def _check_rows(rows: object, convention: object, name: object) -> None:
+    """Refuse rows, a convention or a name of another type."""
+    allowed = "a sequence of DHRow, one for each joint"
+    check_type("rows", rows, Sequence, allowed)
+    for i, row in enumerate(rows):  # type: ignore[var-annotated,arg-type]
+        check_type(f"rows[{i}]", row, DHRow, "a DHRow")
+    check_type("convention", convention, str, "one of 'standard', 'modified' and 'hayati'")
+    check_type("name", name, str, "the name of the robot")
 
 
 def _check_chain(

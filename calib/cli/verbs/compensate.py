@@ -190,8 +190,8 @@ def _load_models(robot: str, program: Path, model: ModelChoice, chain: ChainOpti
     """Load the nominal robot and the model of the real one."""
     if model.calibration is not None:
         return _models_of_result(robot, model.calibration, model, chain)
-    from calib.data.table import Table
     from calib.robot.robot import Robot
+    from calib.table import Table
 
     held = parse_held(chain.hold or [])
     joints = Table.read(program).names(parse_columns(chain.columns or []))

@@ -111,8 +111,8 @@ def plan(
 
 def _load_chain(robot: str, cell: Cell, taken: Path | None) -> Robot:
     """Load the robot; without a tip the chain is that of the joints in the table of poses already measured."""
-    from calib.data.table import Table
     from calib.robot.robot import Robot
+    from calib.table import Table
 
     joints = None if taken is None else Table.read(taken).names({})
     return Robot.load(robot, cell.base, cell.tip, measured=joints, held=cell.held)

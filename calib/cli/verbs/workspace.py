@@ -158,9 +158,9 @@ def _load_with_tables(
     robot: str, cell: Cell, ranges: RangeOptions
 ) -> tuple[Robot, Mapping[Path, Measurements]]:
     """Load the robot and the tables of ``--like`` and ``--check``, whose common joints tell the chain."""
-    from calib.data.table import Table
     from calib.regions.region_rows import read_rows
     from calib.robot.robot import Robot
+    from calib.table import Table
 
     paths = [path for path in (ranges.like, ranges.check) if path is not None]
     renamed = parse_columns(ranges.columns or [])
