@@ -1,7 +1,8 @@
 """Robots, tables and cells as users give them: the value itself, or the path or the name that it is read from.
 
-Where a path or a name stands in for a value, it is read as the command line reads it: base, tip and held joints are the
-cell's; a tip that the cell does not name is the end of the longest chain whose joints all have values in the table.
+Where a path or a name stands in for a value, it is read as the command line reads it: base, tip, held joints and
+coupled readings are the cell's; a tip that the cell does not name is the end of the longest chain whose joints all have
+values in the table.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from typing import TypeAlias
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.data.table import Table
-from calib.errors import CalibError
+from calib.errors import CalibError, choices
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf, read_urdf
 from calib.values.arguments import check_type
@@ -65,21 +66,39 @@ def robot_of(
 
     Args:
         robot: As a user gave it.
-        cell: Names base, tip and held joints of one that is read; None: the URDF's root and its farthest link.
+        cell: Names base, tip, held joints and coupled readings of one that is read; None: the URDF's root and its
+            farthest link.
         measured: Names of the joints whose values are known, which decide a tip that the cell does not name.
         argument: Its name, for messages.
         read: Reads the URDF of a path or a name.
 
     Raises:
         ArgumentError: It is none of these.
-        CalibError: It is the path of a table, or a file that cannot be read.
+        CalibError: It is the path of a table, or a file that cannot be read; or a robot was given, and the cell couples
+            other readings than it does.
         UrdfError: No such robot, link or joint, or a chain that calib cannot take.
     """
     _check_robot(robot, argument)
-    if isinstance(robot, Robot):
-        return robot
     cell = cell or Cell()
-    return Robot.from_urdf(read(str(robot)), cell.base, cell.tip, measured, cell.held)
+    if isinstance(robot, Robot):
+        _check_coupling(robot, cell)
+        return robot
+    urdf = read(str(robot))
+    return Robot.from_urdf(urdf, cell.base, cell.tip, measured, cell.held, cell.coupling)
+
+
+def chain_of(robot: Robot) -> Cell:
+    """Return the base, the tip, the held joints and the coupled readings of a robot, as a cell."""
+    return Cell(base=robot.base, tip=robot.tip, held=robot.held, coupling=robot.reading_coupling)
+
+
+def _check_coupling(robot: Robot, cell: Cell) -> None:
+    """Refuse a cell that couples other readings than a robot that was given, for the robot's would count."""
+    if cell.coupling and cell.coupling != robot.reading_coupling:
+        raise CalibError(
+            f"The cell couples the readings of {choices(cell.coupling)} otherwise than the robot that was given. Give "
+            "the robot's path in place of the Robot, or load it so: Robot.load(..., coupling=cell.coupling)."
+        )
 
 
 def inputs_of(

@@ -22,7 +22,7 @@ from calib.formats.notes import Note
 from calib.json_files import json_bytes
 from calib.model.dh import EQUATIONS, HAYATI, MODIFIED, STANDARD, DHRow, DHTable
 from calib.model.dh_table import dh_table, near_parallel, taken_as_parallel
-from calib.robot.ranges import column_ranges, spread_between
+from calib.robot.ranges import spread_poses
 from calib.robot.readback import TOLERANCE
 from calib.robot.robot import Robot, rigid_inverse
 from calib.units import Array
@@ -103,7 +103,7 @@ class DHTables:
         """
         after = dh_table(robot, convention, like=nominal)
         before = None if nominal is None else dh_table(nominal, convention)
-        q = spread_between(column_ranges(robot), _POSES)
+        q = spread_poses(robot, _POSES)
         _check_poses(robot, after, q)
         if nominal is not None and before is not None:
             _check_poses(nominal, before, q)

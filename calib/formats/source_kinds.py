@@ -19,7 +19,7 @@ from calib.formats.source import Options, Source
 from calib.formats.universal_robots import read_ur
 from calib.formats.ur_arms import UrModel, ur_model, ur_robot
 from calib.formats.ur_mount import Mount, the_mount
-from calib.inputs import RobotInput
+from calib.inputs import RobotInput, chain_of
 from calib.result.calibration import CalibrationValues
 from calib.result.calibration_file import read_result
 from calib.robot.robot import Robot
@@ -85,7 +85,7 @@ def _on_chain(robot: Robot, options: Options) -> Robot:
     """Return a robot between the links of the options, where they are given."""
     base = options.base or robot.base
     tip = options.tip or robot.tip
-    return Robot.from_urdf(robot.urdf, base, tip, held=options.held)
+    return Robot.from_urdf(robot.urdf, base, tip, held=options.held, coupling=options.coupling)
 
 
 def _result(source: str, options: Options) -> Source:
@@ -114,8 +114,11 @@ def result_source(result: CalibrationValues, options: Options, name: str) -> Sou
             f"{name} holds base, tip and held joints; leave out --base, --tip and --hold."
         )
     if options.robot is not None:
-        links_of_result = replace(options, base=nominal.base, tip=nominal.tip, held=nominal.held)
-        arm = links_of_result.load(options.robot)
+        chain = chain_of(nominal)
+        chain_of_result = replace(
+            options, base=chain.base, tip=chain.tip, held=chain.held, coupling=chain.coupling
+        )
+        arm = chain_of_result.load(options.robot)
         if is_corrected(result, arm):
             nominal, robot = result.uncorrected(arm), arm
         else:

@@ -9,8 +9,8 @@ so that there are readings for any values.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import TypeAlias
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -111,3 +111,24 @@ def reading_matrix(urdf: Urdf, columns: Sequence[str], coupling: ReadingCoupling
             "same readings. Correct the factors; two joints are seldom coupled to each other."
         )
     return read_only(C)
+
+
+def coupling_table(coupling: Mapping[str, Mapping[str, float]]) -> list[dict[str, Any]]:
+    """Return coupled readings as a list for files, a row for each factor: ``{"joint", "reading", "factor"}``.
+
+    Args:
+        coupling: For each coupled joint the factors of other joints' readings, by name.
+    """
+    return [
+        {"joint": name, "reading": other, "factor": factor}
+        for name, factors in coupling.items()
+        for other, factor in factors.items()
+    ]
+
+
+def coupling_of_table(rows: Iterable[Mapping[str, Any]]) -> dict[str, dict[str, float]]:
+    """Return coupled readings of a file's list, see `coupling_table`."""
+    coupling: dict[str, dict[str, float]] = {}
+    for row in rows:
+        coupling.setdefault(row["joint"], {})[row["reading"]] = float(row["factor"])
+    return coupling
