@@ -70,7 +70,7 @@ class FleetRobot:
             urdf = read_robot(str(robot))
             measured = table.names(renamed)
             nominal = Robot.from_urdf(
-                urdf, setup.base, setup.tip, measured=measured, held=setup.held
+                urdf, setup.base, setup.tip, measured, setup.held, setup.coupling
             )
             measurements = Measurements.read(
                 table,

@@ -23,7 +23,7 @@ from calib.json_files import json_bytes
 from calib.model.dh_table import dh_table, near_parallel, taken_as_parallel
 from calib.robot.dh import HAYATI, MODIFIED, STANDARD, DHRow, DHTable
 from calib.robot.dh_json import NUMBERS, content, equation, joint_json
-from calib.robot.ranges import column_ranges, spread_between
+from calib.robot.ranges import spread_poses
 from calib.robot.readback import TOLERANCE
 from calib.robot.robot import Robot, rigid_inverse
 from calib.units import Array
@@ -107,7 +107,7 @@ class DHTables:
         sheet = _sheet(robot, convention)
         after = dh_table(robot, convention, nominal, sheet)
         before = None if nominal is None else dh_table(nominal, convention, sheet=sheet)
-        q = spread_between(column_ranges(robot), _POSES)
+        q = spread_poses(robot, _POSES)
         _check_poses(robot, after, q)
         if nominal is not None and before is not None:
             _check_poses(nominal, before, q)
@@ -118,7 +118,8 @@ class DHTables:
         robot = self.robot
         at_zero = robot.chain_values(np.zeros(len(robot.joint_names)))[0].tolist()
         result = []
-        for coupled, value, row in zip(robot.coupling, at_zero, self.after.rows, strict=True):
+        by_readings = robot.coupling @ robot.reading_matrix
+        for coupled, value, row in zip(by_readings, at_zero, self.after.rows, strict=True):
             pairs = zip(robot.joint_names, (row.direction * coupled).tolist(), strict=True)
             factors = {name: factor for name, factor in pairs if factor}
             offset = row.direction * value + row.offset + 0.0

@@ -36,6 +36,10 @@ from calib.units import Array
 _PARALLEL = (5e-7, 1e-8, 1e-10, 1e-12)
 
 
+#: A number that differs from that of a sheet by less differs by rounding [m or rad].
+_ROUNDING = 1e-13
+
+
 #: Number of joint values at which rows are compared with the robot.
 _POSES = 8
 
@@ -250,8 +254,34 @@ def _in_form_of(sheet: DHTable, table: DHTable) -> DHTable:
         rows = (replace(table.rows[0], a=first.a, alpha=first.alpha), *table.rows[1:])
         before = rigid_inverse(screw(0, first.alpha, first.a))
         table = DHTable(rows, read_only(table.T_base_0 @ before), table.T_n_tip, MODIFIED)
-    pairs = zip(table.rows, sheet.rows, strict=True)
-    return replace(table, rows=tuple(_with_offset(row, of_sheet.offset) for row, of_sheet in pairs))
+    rows = []
+    for row, of_sheet in zip(table.rows, sheet.rows, strict=True):
+        moved = _with_offset(row, of_sheet.offset)
+        settled = replace(
+            moved,
+            theta=_settled(moved.theta, of_sheet.theta),
+            d=_settled(moved.d, of_sheet.d),
+            a=_settled(moved.a, of_sheet.a),
+            alpha=_settled(moved.alpha, of_sheet.alpha),
+            beta=_settled(moved.beta, of_sheet.beta),
+        )
+        rows.append(settled)
+    return replace(
+        table,
+        rows=tuple(rows),
+        T_base_0=read_only(_settled_pose(table.T_base_0, sheet.T_base_0)),
+        T_n_tip=read_only(_settled_pose(table.T_n_tip, sheet.T_n_tip)),
+    )
+
+
+def _settled(value: float, of_sheet: float) -> float:
+    """Return the number of a sheet where a row's own differs from it by rounding, else the row's [m or rad]."""
+    return of_sheet if abs(value - of_sheet) < _ROUNDING else value
+
+
+def _settled_pose(T: Array, of_sheet: Array) -> Array:
+    """Return the pose of a sheet, (4, 4) [m], where another differs from it by rounding, else the other."""
+    return of_sheet if np.abs(T - of_sheet).max() < _ROUNDING else T
 
 
 def _with_offset(row: DHRow, offset: float = 0.0) -> DHRow:

@@ -138,13 +138,13 @@ def read_dh_robot(path: str | Path) -> DHRobot:
         raise ModelError(f"{source}: {error}") from error
 
 
-def holds_dh_rows(path: str | Path) -> bool:
-    """Return True for a table whose headings are those of DH rows, False for any other file.
+def is_other_table(path: str | Path) -> bool:
+    """Return True for a table of something else than DH rows, False for any other file.
 
     Raises:
         MeasurementError: It has the ending of a table, and does not exist or is none.
     """
-    return Path(path).suffix.lower() in TABLES and is_dh_table(Table.read(path))
+    return Path(path).suffix.lower() in TABLES and not is_dh_table(Table.read(path))
 
 
 def _statements(path: str | Path) -> dict[str, str]:

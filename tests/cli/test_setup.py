@@ -60,7 +60,7 @@ def test_the_kind_of_the_cell_is_that_of_the_table(shop: Path):
 
 def test_data_in_the_place_of_the_robot_are_refused(shop: Path):
     with pytest.raises(CalibError, match="ROBOT comes first"):
-        load_with_data("data.csv", Cell(), shop / "robot.urdf")
+        load_with_data(str(shop / "joints.csv"), Cell(), shop / "robot.urdf")
     with pytest.raises(CalibError, match="--points-unit"):
         load_with_data("robot.urdf", Cell(), shop / "data.csv", points_unit="mm")
 
