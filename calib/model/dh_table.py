@@ -251,9 +251,9 @@ def _in_form_of(sheet: DHTable, table: DHTable) -> DHTable:
     if sheet.convention == MODIFIED:
         first = sheet.rows[0]
         table = _rebracketed(table)
-        rows = (replace(table.rows[0], a=first.a, alpha=first.alpha), *table.rows[1:])
+        own = (replace(table.rows[0], a=first.a, alpha=first.alpha), *table.rows[1:])
         before = rigid_inverse(screw(0, first.alpha, first.a))
-        table = DHTable(rows, read_only(table.T_base_0 @ before), table.T_n_tip, MODIFIED)
+        table = DHTable(own, read_only(table.T_base_0 @ before), table.T_n_tip, MODIFIED)
     rows = []
     for row, of_sheet in zip(table.rows, sheet.rows, strict=True):
         moved = _with_offset(row, of_sheet.offset)

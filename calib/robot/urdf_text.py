@@ -87,7 +87,7 @@ def _link_lines(name: str, bodies: Sequence[Cylinder]) -> list[str]:
     for tag in ("visual", "collision"):
         for body in bodies:
             lines += [f"    <{tag}>", f"      {_origin(body.T_link_cylinder)}"]
-            shape = f'<cylinder radius="{body.radius:.6g}" length="{body.length!r}"/>'
+            shape = f'<cylinder radius="{body.radius:.6g}" length="{float(body.length)!r}"/>'
             lines.append(f"      <geometry>{shape}</geometry>")
             if tag == "visual":
                 rgba = " ".join(f"{part:g}" for part in (*body.colour, 1.0))
