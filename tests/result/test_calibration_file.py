@@ -202,8 +202,8 @@ WHOLE = {
     "cross_validation", "verdict", "non_geometric", "non_geometric.payload", "non_geometric.cross_validation",
     "noise.repeats",
     "noise.prior_std", "parameters", "outliers", "suspects", "observability.unidentifiable", "model.candidates",
-    "model.ties", "robot.held", "robot.coupling", "robustness", "outside", "verdict.reasons", "verdict.reasons[].values",
-    "plugins",
+    "model.ties", "robot.held", "robot.coupling", "robustness", "outside", "verdict.reasons",
+    "verdict.reasons[].values", "plugins",
 }  # fmt: skip
 
 
