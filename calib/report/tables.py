@@ -393,8 +393,9 @@ def ranges(c: CalibrationValues) -> Table:
     """Tabulate the joint values of the estimation rows beside the joint limits, [deg] or [mm]."""
     m = c.measurements
     q = m.joints_for(c.nominal.joint_names)[m.estimation]
+    values_of_joints = c.nominal.input_values(q).T
     rows = []
-    for joint, values in zip(c.nominal.inputs, q.T, strict=True):
+    for joint, values in zip(c.nominal.inputs, values_of_joints, strict=True):
         scale, unit = (_MM, "mm") if joint.type == "prismatic" else (_DEG, "deg")
         low = values.min()
         high = values.max()

@@ -228,7 +228,7 @@ def _hardly_moved(robot: Robot, rows: Rows) -> Mask:
         True for a joint whose values span less than `_STILL_RAD`, or `_STILL_M` if it slides, shape (m,).
     """
     least = np.array([_STILL_M if j.type == "prismatic" else _STILL_RAD for j in robot.inputs])
-    return np.asarray(np.ptp(rows.joints, axis=0) < least)
+    return np.asarray(np.ptp(robot.input_values(rows.joints), axis=0) < least)
 
 
 def _sole_postures(result: CalibrationValues, rows: Rows) -> Iterator[Reason]:

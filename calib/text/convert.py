@@ -10,6 +10,7 @@ import numpy as np
 
 from calib.robot.ranges import spread_poses
 from calib.text.layout.lines import deg, fill, mm
+from calib.text.readings import coupling_sentence
 from calib.units import Array
 
 if TYPE_CHECKING:
@@ -83,7 +84,10 @@ def _read(conversion: Conversion, name: str) -> str:
         parts.append(source.hash)
     robot = source.robot
     parts += [f"'{robot.base}' to '{robot.tip}'", f"{len(robot.joints)} joints"]
-    return ", ".join(parts) + "."
+    coupling = coupling_sentence(robot)
+    if coupling:
+        coupling = f" {coupling} What is written is of the joints' angles, not of their readings."
+    return ", ".join(parts) + "." + coupling
 
 
 def _launch(conversion: Conversion) -> str:

@@ -212,6 +212,8 @@ def test_a_value_is_refused_by_none_or_an_error():
         ('repeats = "often"', "repeats is 'often'; it must be one of 'weighted', 'average', "),
         ('priors = "some"', "choose one of 'data', 'given', 'off'"),
         ("prior_angle_mrad = 0", "The prior's angle is 0 rad"),
+        ("[coupling]\na = 1", "'a' in [coupling] is 1; it must be a table of joints and factors"),
+        ('[coupling]\na = { b = "1" }', "'a' in a cell's coupling is {'b': '1'}"),
         ("[frames]\na = 1", "'a' in [frames] is 1; it must be a table."),
         ("[frames.a]\nxyz = [1, 2, 3]", "'xyz' in 'a' in [frames]: unknown key"),
         ("[ties]\na1 = ['a2', 0]", "'a1' in a cell's ties is ['a2', 0]"),
