@@ -22,6 +22,7 @@ ORDER = (
     "channels",
     "files",
     "json_files",
+    "table",
     "plugins",
     "jobs",
     "blas",

@@ -26,10 +26,10 @@ from calib.data.columns import (
 )
 from calib.data.layout import Layout
 from calib.data.measurements import Measurements
-from calib.data.table import Column, Table
 from calib.data.values import read_values
 from calib.errors import MeasurementError, choices
 from calib.robot.robot import Robot
+from calib.table import Column, Table
 from calib.units import Array, Quantity
 
 #: Forms of an orientation; roll, pitch and yaw are about fixed axes: Rz(yaw) Ry(pitch) Rx(roll).

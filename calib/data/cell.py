@@ -172,6 +172,15 @@ def _bounds(value: tuple[float, float]) -> tuple[float, float] | None:
     return _interval(value) if low <= 0.0 <= high else None
 
 
+def _factors(value: Mapping[str, float]) -> ReadOnlyMapping[str, float] | None:
+    """Return the factors of joints' readings by name, else None."""
+    if not isinstance(value, Mapping) or not all(isinstance(name, str) for name in value):
+        return None
+    if not value or not all(is_number(factor) and factor for factor in value.values()):
+        return None
+    return ReadOnlyMapping({name: float(factor) for name, factor in value.items()})
+
+
 def _repeats(value: str) -> str | None:
     """Return one of `REPEATS`, else None."""
     return value if value in REPEATS else None
@@ -217,6 +226,10 @@ _MAPPINGS: Mapping[str, _Check] = {
     ),
     "parameter_priors": _within(*PRIOR_STD_RANGE, "of the parameter's unit"),
     "held": _within(-FARTHEST, FARTHEST, "rad or m"),
+    "coupling": _Check(
+        "factors of other joints' readings by name, none of them zero, such as {'joint_2': 1.0}",
+        _factors,
+    ),
     "ranges": _Check("the least and the largest value [rad or m]", _interval),
 }
 
@@ -318,13 +331,16 @@ class Cell(Value):
     repeats: str = "weighted"
     #: Values of joints that have no column in the table, by name [rad] or [m].
     held: Mapping[str, float] = field(default_factory=_no_entries)
+    #: Of joints whose readings are coupled, by name, the factors of other joints' readings: the joint's value is its
+    #: reading plus the sum of factor times reading; [rad/rad], [m/m], or [m/rad] and [rad/m] between turn and slide.
+    coupling: Mapping[str, Mapping[str, float]] = field(default_factory=_no_entries)
     #: Obstacles to the robot and to the tracker's beam, where poses are planned.
     boxes: tuple[Box, ...] = ()
     #: Position, range and noise of the instrument; None: not known.
     tracker: Tracker | None = None
     #: Direction and opening of the reflector; None: it is turned by hand, and seen from everywhere.
     reflector: Reflector | None = None
-    #: The least and the largest value of joints by name, within which poses are planned [rad] or [m].
+    #: The least and the largest value of the URDF's joints by name, within which poses are planned [rad] or [m].
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=_no_entries)
 
     def __post_init__(self) -> None:

@@ -178,6 +178,8 @@ NUMBERS = numbers(3)
 _RPY = numbers(3, _rpy_matrix)
 #: A nested TOML table, as a dict.
 _TABLE = _of_type(dict, "a table")
+#: Factors of joints' readings by name, which `calib.data.cell.Cell` checks.
+_FACTORS = _of_type(dict, "a table of joints and factors, such as { joint_2 = 1.0 }")
 #: A list of names.
 _NAMES = _of_type(list, "a list of names")
 #: A truth value.
@@ -372,6 +374,7 @@ FIELDS: dict[str, Field] = {
     "parameter_priors": Field("parameter_priors", _named("parameter_priors", _change)),
     "payload": Field("payload", _table("payload", _PAYLOAD)),
     "held": Field("held", _named("held", parse_joint_value)),
+    "coupling": Field("coupling", _named("coupling", _FACTORS)),
     "distances": Field("distances", _tables("distances", _DISTANCE)),
     "tracker": Field("tracker", _table("tracker", _TRACKER)),
     "reflector": Field("reflector", _table("reflector", _REFLECTOR)),

@@ -11,8 +11,8 @@ import numpy as np
 
 import calib.data.kinds as registry
 from calib.channels import RESIDUAL_UNITS
-from calib.data.table import Column, Table
 from calib.errors import MeasurementError, choices, did_you_mean
+from calib.table import Column, Table
 from calib.units import UNITS, Array, Quantity, split_header, symbols
 
 #: Columns of a position.

@@ -26,8 +26,8 @@ from calib.data.columns import (
     with_unit,
 )
 from calib.data.kinds import Kind
-from calib.data.table import Column, Table
 from calib.errors import MeasurementError, choices, did_you_mean
+from calib.table import Column, Table
 from calib.units import Quantity
 
 #: Most joints that a message lists.

@@ -40,13 +40,13 @@ from calib.data.columns import (
 from calib.data.kinds import SIGMAS, Kind
 from calib.data.layout import Layout
 from calib.data.points_file import read_points
-from calib.data.table import Table
 from calib.data.values import read_values
 from calib.errors import MeasurementError, choices
 from calib.files import csv_bytes, write_atomically
 from calib.mappings import ReadOnlyMapping
 from calib.numerics.geometry import FARTHEST, to_quaternions
 from calib.robot.robot import read_only
+from calib.table import Table
 from calib.units import Array, Mask, Quantity
 from calib.values.arguments import check_mapping, check_names, check_path, mask_of_rows, numbers
 from calib.values.pickling import Value

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from calib.data.columns import POINT
 from calib.data.plausibility import implausible_length
-from calib.data.table import Column, Table, read_text
 from calib.errors import MeasurementError, choices, did_you_mean
+from calib.table import Column, Table, read_text
 from calib.units import UNITS, Unit, symbols
 
 #: Between collection, group and point in a point's whole name.

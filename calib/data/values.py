@@ -17,9 +17,9 @@ from calib.data.kinds import Kind
 from calib.data.layout import Layout, slides
 from calib.data.plausibility import check_units
 from calib.data.points_file import Points
-from calib.data.table import Column, Table
 from calib.errors import MeasurementError, choices
 from calib.numerics.geometry import to_matrices
+from calib.table import Column, Table
 from calib.units import Array, Mask
 
 #: Numbers of a layout's blocks by name, shape (rows, columns) each.

@@ -199,7 +199,8 @@ def forecast(robot: Robot, cell: Cell, joints: ArrayLike) -> Forecast:
         ModelError: A kind of measurement, or a parameter, that cannot be planned for.
     """
     sensitivity = Sensitivity.of(robot, cell)
-    everywhere = spread_between(planning_ranges(robot, cell.ranges, 0.0), _POSES)
+    values = spread_between(planning_ranges(robot, cell.ranges, 0.0), _POSES)
+    everywhere = robot.readings(values)
     workspace = Workspace.of(sensitivity, everywhere)
     return Forecast.of(sensitivity, workspace, np.asarray(joints))
 

@@ -20,13 +20,13 @@ from calib.channels import RESIDUAL_UNITS
 from calib.data.columns import DEFAULT_TARGET, EXPECTED, POINT, QUATERNION, name_columns
 from calib.data.layout import Layout
 from calib.data.measurements import Measurements
-from calib.data.table import Table
 from calib.data.values import read_values
 from calib.design.forecast import Forecast
 from calib.design.plan import PlanValues
 from calib.errors import MeasurementError
 from calib.files import csv_bytes, write_atomically
 from calib.robot.robot import Robot, read_only
+from calib.table import Table
 from calib.units import Array, Mask, Quantity
 from calib.version import __version__
 

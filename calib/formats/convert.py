@@ -20,10 +20,11 @@ from calib.formats.source import Options, Source
 from calib.formats.source_kinds import KINDS, YAML, result_source, robot_source, source_kind
 from calib.formats.universal_robots import read_ur, write_ur_conf, write_ur_yaml
 from calib.inputs import RobotInput
-from calib.model.dh import HAYATI, MODIFIED, STANDARD
 from calib.result.calibration import CalibrationValues
+from calib.robot.dh import EQUATIONS, HAYATI, MODIFIED, STANDARD
 from calib.robot.ranges import random_joint_values
 from calib.robot.readback import check_written
+from calib.robot.readings import coupling_lines
 from calib.robot.robot import Robot
 from calib.values.pickling import Value
 
@@ -131,7 +132,8 @@ def _write_urdf(source: Source, path: Path, options: Options) -> Notes:
     written = replace(written, urdf=written.urdf.with_verdict(robot.urdf.verdict))
     check_written(written, robot.poses(q), q)
     written.urdf.write(path, overwrite=options.overwrite)
-    return ()
+    coupled = robot.reading_coupling
+    return (Note("coupled readings", (coupling_lines(coupled),)),) if coupled else ()
 
 
 def _write_origins(source: Source, path: Path, options: Options) -> Notes:
@@ -140,12 +142,20 @@ def _write_origins(source: Source, path: Path, options: Options) -> Notes:
     return ()
 
 
-def _write_dh(convention: str, source: Source, path: Path, options: Options) -> Notes:
-    """Write DH rows, beside the nominal ones where these are another robot's."""
+def _write_dh(convention: str | None, source: Source, path: Path, options: Options) -> Notes:
+    """Write DH rows, beside the nominal ones where these are another robot's.
+
+    Without a convention it is that of the rows that the robot was made from, else the standard one.
+    """
     nominal = None if source.nominal is source.robot else source.nominal
+    notes: Notes = ()
+    if convention is None:
+        made_from = source.robot.urdf.dh
+        convention = STANDARD if made_from is None else made_from.table.convention
+        notes = (Note("rows written", (convention, EQUATIONS[convention])),)
     tables = DHTables.of(source.robot, nominal, convention)
     write_dh(tables, path, overwrite=options.overwrite)
-    return tables.notes
+    return notes + tables.notes
 
 
 def _write_ur_yaml(source: Source, path: Path, options: Options) -> Notes:
@@ -190,7 +200,11 @@ FORMATS: dict[str, Format] = {
     "ur-yaml": Format("kinematics.yaml of Universal Robots' ROS driver", YAML, _write_ur_yaml),
     "ur-conf": Format("DH deltas of a Universal Robots controller", (".conf",), _write_ur_conf),
     "origins": Format("the joints' origins, for a xacro to load", YAML, _write_origins),
-    "dh": Format("DH rows, standard convention", ENDINGS, partial(_write_dh, STANDARD)),
+    "dh": Format(
+        "DH rows in the convention that they came in, else standard",
+        ENDINGS,
+        partial(_write_dh, None),
+    ),
     "modified-dh": Format(
         "DH rows, modified (Craig's) convention", ENDINGS, partial(_write_dh, MODIFIED)
     ),

@@ -17,6 +17,9 @@ Code = Literal[
     "geometry alone",
     "nearly parallel axes",
     "joints without value",
+    "coupled readings",
+    "rows read",
+    "rows written",
 ]
 
 

@@ -12,10 +12,10 @@ import numpy as np
 from calib.data.cell import Cell
 from calib.data.columns import POINT, name_columns
 from calib.data.measurements import Measurements
-from calib.data.table import Table
 from calib.regions.region import Density, Region
 from calib.robot.chain import rigid_inverse
 from calib.robot.robot import Robot
+from calib.table import Table
 from calib.units import Array, Mask
 from calib.values.pickling import Value
 

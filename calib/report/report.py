@@ -28,6 +28,7 @@ from calib.result.calibration_file import versions
 from calib.text.layout.doubtful_rows import outside_text, robustness_text
 from calib.text.layout.lines import deg, mm
 from calib.text.places import frame_sentences, target_sentences
+from calib.text.readings import coupling_sentence
 from calib.text.verdict import reason_text
 
 if TYPE_CHECKING:
@@ -188,7 +189,7 @@ def _outside(c: CalibrationValues) -> str:
 
 
 def _measurement_setup(c: CalibrationValues) -> dict[str, str]:
-    """Write the base's position [mm] and rpy angles [deg] in the measurement frame, and the held joints' values."""
+    """Write the base's position [mm] and rpy angles [deg] in the measurement frame, held joints, coupled readings."""
     T_frame_base = c.T_frame_base
     rpy = pin.rpy.matrixToRpy(T_frame_base[:3, :3])
     held = [f"{name} at {value:.6g}" for name, value in c.cell.held.items()]
@@ -196,4 +197,5 @@ def _measurement_setup(c: CalibrationValues) -> dict[str, str]:
         "at": ", ".join(mm(value) for value in T_frame_base[:3, 3]),
         "rpy": ", ".join(deg(angle) for angle in rpy),
         "held": ", ".join(held),
+        "coupling": coupling_sentence(c.nominal).partition(": ")[2],
     }

@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 
 import calib.text.summary as texts
 from calib.channels import RESIDUAL_UNITS, Channels
-from calib.model.dh import DHRow
 from calib.model.dh_table import dh_table
 from calib.numerics.errors import Errors, UnitErrors
 from calib.result.calibration import CalibrationValues
 from calib.result.prediction import ParameterEstimate
+from calib.robot.dh import DHRow
 from calib.robot.robot import rigid_inverse
 from calib.text.layout.lines import number
 from calib.text.layout.sizes import shown
@@ -393,8 +393,9 @@ def ranges(c: CalibrationValues) -> Table:
     """Tabulate the joint values of the estimation rows beside the joint limits, [deg] or [mm]."""
     m = c.measurements
     q = m.joints_for(c.nominal.joint_names)[m.estimation]
+    values_of_joints = c.nominal.input_values(q).T
     rows = []
-    for joint, values in zip(c.nominal.inputs, q.T, strict=True):
+    for joint, values in zip(c.nominal.inputs, values_of_joints, strict=True):
         scale, unit = (_MM, "mm") if joint.type == "prismatic" else (_DEG, "deg")
         low = values.min()
         high = values.max()

@@ -513,8 +513,10 @@ def _with_origins_of(source: Robot, robot: Robot) -> Robot:
 
     Raises:
         UrdfError: It lacks one of the joints.
+        ModelError: Its readings are coupled otherwise.
     """
     check_type("robot", robot, Robot, "a Robot")
+    check_same_coupling(robot, source)
     urdf = robot.urdf.with_origins(source.origins())
     return robot.rebuilt(urdf, source.base, source.tip)
 
@@ -543,3 +545,21 @@ def _repeated_index(
         raise ModelError(f"There is no {what} '{name}'; there is {choices(names)}.")
     index = 0 if name is None else names.index(name)
     return np.full(count, index)
+
+
+def check_same_coupling(robot: Robot, source: Robot) -> None:
+    """Refuse a robot whose joint readings are coupled otherwise than those of the robot that it belongs to.
+
+    Args:
+        robot: As given.
+        source: The robot of a result, or another model of the same arm.
+
+    Raises:
+        ModelError: They differ: the same table would mean other joint angles.
+    """
+    if robot.reading_coupling != source.reading_coupling:
+        raise ModelError(
+            f"The joint readings of '{robot.name}' ({robot.urdf.source}) are coupled by {robot.reading_coupling}, "
+            f"those of the robot that it belongs to by {source.reading_coupling}. Give its path in place of the Robot, "
+            f"or load it so: Robot.load(..., coupling={source.reading_coupling})."
+        )

@@ -7,8 +7,9 @@ A joint of the base's side is walked from its child link to its parent, so that 
 
 With its axis turned round it is a joint like any other, at the same q, and the whole path is one serial chain.
 
-Its joints may be more than the columns of q, where some mimic others or are held: q_chain = A q + b, with one column
-for each joint that moves freely, a joint of the chain or the driver of one that mimics it.
+Its joints may be more than the columns of q, where some mimic others or are held: q_chain = A theta + b, with one
+column for each joint that moves freely, a joint of the chain or the driver of one that mimics it. theta = q unless
+readings are coupled (`calib.robot.readings`).
 """
 
 from __future__ import annotations
@@ -331,9 +332,9 @@ def _moving_joints_to(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Coupling:
-    """Motion of a chain's n joints with the m columns of q: q_chain = A q + b."""
+    """Motion of a chain's n joints with the m joints that move freely: q_chain = A theta + b."""
 
-    #: The joint of each column; the driver of a mimic joint may lie beside the chain.
+    #: The m joints that move freely, one for each column of q; the driver of a mimic joint may lie beside the chain.
     inputs: tuple[UrdfJoint, ...]
     #: A, shape (n, m): 1 where a joint is its own column, the multiplier where it mimics another.
     matrix: Array
@@ -341,8 +342,8 @@ class Coupling:
     offset: Array
 
 
-def coupling(urdf: Urdf, joints: Sequence[UrdfJoint], held: Mapping[str, float]) -> Coupling:
-    """Return how the joints of a chain follow the columns of q.
+def coupling_of(urdf: Urdf, joints: Sequence[UrdfJoint], held: Mapping[str, float]) -> Coupling:
+    """Return how the joints of a chain follow those that move freely.
 
     Args:
         urdf: The robot.

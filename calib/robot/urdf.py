@@ -18,6 +18,11 @@ import pinocchio as pin
 
 from calib.errors import UrdfError, choices, did_you_mean
 from calib.files import check_no_xacro, read_bytes, write_atomically
+from calib.json_files import parsed_json
+from calib.robot.dh_file import ENDINGS, read_dh_robot
+from calib.robot.dh_json import robot_of_json
+from calib.robot.dh_robot import DHRobot
+from calib.robot.dh_urdf import REMARK, dh_urdf
 from calib.robot.urdf_tree import UrdfJoint, read_only, read_tree
 from calib.robot.urdf_xml import Document
 from calib.robot.xacro_file import XacroCall, flattened, is_xacro
@@ -101,6 +106,23 @@ class Urdf(Value):
         stated = [comment.text.strip() for comment in self._document.comments]
         verdicts = [text.removeprefix(_VERDICT) for text in stated if text.startswith(_VERDICT)]
         return verdicts[0] if verdicts else ""
+
+    @property
+    def dh(self) -> DHRobot | None:
+        """The DH rows that a comment of the file states, from which it was made; None of any other URDF.
+
+        Of a corrected URDF they are still those from which the nominal one was made.
+
+        Raises:
+            ModelError: The comment was changed, so that it makes no robot.
+        """
+        for comment in self._document.comments:
+            text = comment.text.strip()
+            if text.startswith(REMARK):
+                return robot_of_json(
+                    parsed_json(text.removeprefix(REMARK), self.source), self.source
+                )
+        return None
 
     def elements(self) -> AnyElement:
         """Return the whole file as elements, a new tree at each call."""
@@ -314,15 +336,33 @@ def _origin_tag(T: Array) -> bytes:
     return '<origin xyz="{xyz}" rpy="{rpy}"/>'.format(**_xyz_rpy(T)).encode()
 
 
+def urdf_of_dh(robot: DHRobot, source: str, path: Path | None = None) -> Urdf:
+    """Return the URDF of a robot that DH rows state, with links drawn as cylinders.
+
+    Args:
+        robot: The robot; the joints of the URDF have the values of its joints, not coupled readings.
+        source: Name of the file that has the rows, for messages.
+        path: That file; None for none.
+    """
+    return Urdf.from_bytes(dh_urdf(robot), source, path)
+
+
 def read_urdf(source: str | Path) -> Urdf:
     """Read the URDF of a file, of a xacro with the arguments behind it, or of a robot of example-robot-data.
 
+    A file of DH rows is read as the URDF that they state.
+
     Raises:
         FileError: The file cannot be read.
+        MeasurementError: It is a table of something else than DH rows, or has a fault.
+        ModelError: DH rows make no robot.
         UrdfError: There is no such robot, the xacro has a fault, or it is not a URDF that can be calibrated.
     """
     if not is_xacro(source):
-        return Urdf.read(find_urdf(source))
+        path = find_urdf(source)
+        if path.suffix.lower() in ENDINGS:
+            return urdf_of_dh(read_dh_robot(path), path.name, path)
+        return Urdf.read(path)
     call = XacroCall.parse(source)
     data = flattened(call)
     try:

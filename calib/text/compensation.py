@@ -13,6 +13,7 @@ from calib.compensation.expected import BAND
 from calib.robot.robot import rigid_inverse
 from calib.text.layout.lines import fill
 from calib.text.layout.tables import Column, name_column, table_lines
+from calib.text.readings import coupling_sentence
 from calib.text.verdict import reason_text
 from calib.units import Array
 
@@ -272,7 +273,8 @@ def _program(commands: Commands) -> str:
     kept = ", ".join(label for label, _ in program.kept if label)
     if kept:
         text += f" Copied as they are: {kept}."
-    return fill(text)
+    coupling = coupling_sentence(robot)
+    return fill(f"{text} {coupling}" if coupling else text)
 
 
 def _corrections(commands: Commands) -> str:

@@ -10,6 +10,7 @@ import numpy as np
 
 from calib.robot.ranges import spread_poses
 from calib.text.layout.lines import deg, fill, mm
+from calib.text.readings import coupling_sentence
 from calib.units import Array
 
 if TYPE_CHECKING:
@@ -39,6 +40,10 @@ _NOTES: dict[Code, str] = {
     "nearly parallel axes": "Nearly parallel axes: {0}. d and theta of their rows may be large (here up to {1:.3g} mm) "
     "and cancel over the rows: enter every digit, and all rows together. 'hayati' has no such rows.",
     "joints without value": "Joints without a value of their own: {0}.",
+    "coupled readings": "The controller's readings are coupled: the joints of the URDF have the mechanical values, as "
+    "other programs take them. calib takes the readings, by the rows in a comment; in a cell file they are {0}.",
+    "rows read": "{0} DH rows, {1} convention, {2}.",
+    "rows written": "The convention of the rows is {0}, {1}.",
 }
 
 
@@ -63,7 +68,7 @@ def text(conversion: Conversion, name: str) -> str:
         *dict.fromkeys(notes),  # reader and writer may say the same
         f"Written: {conversion.path}, {written}.",
     ]
-    paragraphs = [fill(sentence) for sentence in sentences]
+    paragraphs = [fill(sentence) for sentence in sentences if sentence]
     if conversion.format == "ur-yaml":
         paragraphs.append(_launch(conversion))
     return "\n\n".join(paragraphs)
@@ -79,7 +84,10 @@ def _read(conversion: Conversion, name: str) -> str:
         parts.append(source.hash)
     robot = source.robot
     parts += [f"'{robot.base}' to '{robot.tip}'", f"{len(robot.joints)} joints"]
-    return ", ".join(parts) + "."
+    coupling = coupling_sentence(robot)
+    if coupling:
+        coupling = f" {coupling} What is written is of the joints' angles, not of their readings."
+    return ", ".join(parts) + "." + coupling
 
 
 def _launch(conversion: Conversion) -> str:
@@ -122,8 +130,10 @@ def _verdict(conversion: Conversion, name: str) -> Iterator[str]:
 
 
 def _displacement(conversion: Conversion) -> str:
-    """Word the displacement of the tip from that of the nominal robot, over the joint limits."""
+    """Word the displacement of the tip from that of the nominal robot, over the joint limits; nothing of rows alone."""
     source = conversion.source
+    if source.nominal is None and source.kind == "rows":
+        return ""
     if source.nominal is None:
         return "The distance from its nominal robot is not known; --robot names that robot."
     if source.robot is source.nominal:

@@ -22,6 +22,7 @@ from calib.text.layout.lines import listed, mm, number, wrap
 from calib.text.layout.sizes import shown, with_unit
 from calib.text.layout.tables import Column, name_column, table_lines
 from calib.text.places import frame_sentences, target_sentences
+from calib.text.readings import coupling_sentence
 from calib.text.verdict import reason_text
 from calib.version import __version__
 
@@ -75,11 +76,13 @@ def summary(c: CalibrationValues) -> str:
 def _heading(c: CalibrationValues) -> str:
     """Name the robot and count the rows."""
     estimation, validation = c.rows.estimation.sum(), c.rows.validation.sum()
-    return wrap(
+    heading = wrap(
         f"calib {__version__}: robot '{c.nominal.name}', {c.nominal.base} to {c.nominal.tip}, "
         f"{len(c.nominal.joints)} joints; {estimation} rows for estimation and {validation} for validation from "
         f"{c.source.name or 'memory'}"
     )
+    coupling = coupling_sentence(c.nominal)
+    return f"{heading}\n{wrap(coupling)}" if coupling else heading
 
 
 def _verdict(c: CalibrationValues) -> str:

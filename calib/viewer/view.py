@@ -406,4 +406,4 @@ def _one_joint_after_the_other(robot: Robot) -> tuple[Array, tuple[str, ...]]:
             pose[k] = value
             poses.append(pose)
             labels.append(f"{joint.name} at {scale * value:.4g} {unit}")
-    return np.array(poses), tuple(labels)
+    return robot.readings(np.array(poses)), tuple(labels)

@@ -212,6 +212,8 @@ def test_a_value_is_refused_by_none_or_an_error():
         ('repeats = "often"', "repeats is 'often'; it must be one of 'weighted', 'average', "),
         ('priors = "some"', "choose one of 'data', 'given', 'off'"),
         ("prior_angle_mrad = 0", "The prior's angle is 0 rad"),
+        ("[coupling]\na = 1", "'a' in [coupling] is 1; it must be a table of joints and factors"),
+        ('[coupling]\na = { b = "1" }', "'a' in a cell's coupling is {'b': '1'}"),
         ("[frames]\na = 1", "'a' in [frames] is 1; it must be a table."),
         ("[frames.a]\nxyz = [1, 2, 3]", "'xyz' in 'a' in [frames]: unknown key"),
         ("[ties]\na1 = ['a2', 0]", "'a1' in a cell's ties is ['a2', 0]"),
@@ -271,7 +273,9 @@ EXAMPLES = re.findall(r"```toml\n(.*?)```", DOC.read_text(encoding="utf-8"), re.
 
 
 def test_the_documents_examples(tmp_path: Path):
-    first, by_name, single, loads, sockets, _ = (read(tmp_path, example) for example in EXAMPLES)
+    first, by_name, single, loads, coupled, sockets, _ = (
+        read(tmp_path, example) for example in EXAMPLES
+    )
     assert (first.base, first.tip, first.model, first.frozen) == ("base", "tool0", "dh", ("d2",))
     assert list(by_name.targets) == ["upper", "lower"]
     assert list(by_name.frames) == ["morning", "after lunch"]
@@ -284,6 +288,10 @@ def test_the_documents_examples(tmp_path: Path):
     assert loads.payload.mass == 5.0
     assert loads.gravity[2] == 9.81
     assert loads.held["torso_lift_joint"] == 0.3
+    assert coupled.coupling == {
+        "joint_3": {"joint_2": 1.0},
+        "joint_5": {"joint_4": -0.5, "joint_6": 0.025},
+    }
     assert sockets.kind == "fixed"
     assert sockets.distances[0].pairs(["3/right", "3/left"]) == (("3/left", "3/right"),)
 

@@ -5,8 +5,8 @@ import pytest
 
 from calib.data.columns import name_columns, reserved, with_unit
 from calib.data.measurements import Measurements
-from calib.data.table import Column, Table
 from calib.errors import MeasurementError
+from calib.table import Column, Table
 from tests.data.tables import assert_same, refused
 
 

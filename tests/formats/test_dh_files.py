@@ -10,8 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from calib.errors import FileError, ModelError
 from calib.formats.dh_files import ENDINGS, DHTables, write_dh
-from calib.model.dh import CONVENTIONS
 from calib.model.dh_table import dh_table
+from calib.robot.dh import CONVENTIONS
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
 
@@ -152,8 +152,8 @@ def test_notes(ur3):
 
 def test_joints_that_follow_others_and_held_ones(crooked):
     tables = DHTables.of(crooked)
-    added = ["lift, up", "_arm|*a*_", "-2 * _arm|*a*_ + 5.72957795131 deg"]
-    assert [formula for *_, formula in tables.added()] == added
+    wanted = ["lift, up", "_arm|*a*_", "-2 * _arm|*a*_ + 5.72957795131 deg"]
+    assert [added.formula for added in tables.added()] == wanted
     assert tables.notes[-1].code == "joints without value"
     held = Robot.from_urdf(crooked.urdf, tip="t", held={"lift, up": 0.25})
     assert DHTables.of(held).added()[0][3] == "held at 250 mm"

@@ -49,7 +49,7 @@ def test_the_kind_of_a_file(shop, name, kind):
 
 def test_other_files_are_no_sources(tmp_path):
     (tmp_path / "x.yaml").write_text("joints: {}\nlimits: {}\n")
-    for name in ("data.csv", "x.yaml"):
+    for name in ("data.bin", "x.yaml"):
         with pytest.raises(FileError, match="what it is"):
             source_kind(str(tmp_path / name))
 

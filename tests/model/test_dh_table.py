@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from scipy.spatial.transform import Rotation
 
-from calib.model.dh import CONVENTIONS, DHTable
 from calib.model.dh_table import dh_table, near_parallel, taken_as_parallel
+from calib.robot.dh import CONVENTIONS, DHTable
 from calib.robot.robot import Robot
 from tests.robot.shared import SOME_AND_SLOWLY_ALL
 

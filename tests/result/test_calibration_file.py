@@ -202,8 +202,8 @@ WHOLE = {
     "cross_validation", "verdict", "non_geometric", "non_geometric.payload", "non_geometric.cross_validation",
     "noise.repeats",
     "noise.prior_std", "parameters", "outliers", "suspects", "observability.unidentifiable", "model.candidates",
-    "model.ties", "robot.held", "robustness", "outside", "verdict.reasons", "verdict.reasons[].values",
-    "plugins",
+    "model.ties", "robot.held", "robot.coupling", "robustness", "outside", "verdict.reasons",
+    "verdict.reasons[].values", "plugins",
 }  # fmt: skip
 
 
@@ -218,6 +218,7 @@ def test_the_document_has_every_key_of_a_file_and_no_other(everything_json: dict
                 "outside",
                 "model.ties",
                 "robot.held",
+                "robot.coupling",
                 "non_geometric.payload",
                 "noise.sigma_given",
                 "plugins",
@@ -298,6 +299,7 @@ def test_another_schema(tmp_path: Path, text: str):
     [
         ("robot.tip", "nowhere"),
         ("robot.held", [{"joint": "a", "value": "b", "unit": "rad"}]),
+        ("robot.coupling", [{"joint": "a", "reading": "b", "factor": 1.0}]),
         ("robot.ranges", []),
         ("frames.T_tip_target.0.0.0", None),
         ("frames.targets", 7),

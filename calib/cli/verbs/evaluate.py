@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from calib.cli.exit_status import ExitStatus
-from calib.cli.notices import say_ignored
+from calib.cli.notices import say_coupled, say_ignored
 from calib.cli.options import (
     CellOptions,
     DataFile,
@@ -130,6 +130,7 @@ def evaluate(
         write_table(assessment_table(assessment), json, overwrite=force)
     if not quiet:
         say_ignored(measurements, arm)
+        say_coupled(arm)
         name = calibration.name if calibration else ""
         say(assessment_text(assessment, name, target_source))
         if json is not None:

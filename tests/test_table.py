@@ -1,20 +1,27 @@
 """Tables as programs write them, read to the same bits, and files that are no tables."""
 
+import functools
 import itertools
 
 import numpy as np
 import pytest
 
 from calib.data.measurements import Measurements
-from calib.data.table import Column, Table
 from calib.errors import MeasurementError
-from tests.data.tables import HEADER, ROWS, assert_same, refused
+from calib.table import Column, Table
+from tests.data.tables import HEADER, ROWS, assert_same, refused, write_lines
 
 FORM = [
     "joint_1 [deg],joint_2 [deg],x [mm],y [mm],z [mm]",
     "1.5,-20,300.25,0,50",
     "2,30.125,-301,5,60.5",
 ]
+
+
+@pytest.fixture
+def table(tmp_path):
+    """Writes a table's lines to a file and gives its path."""
+    return functools.partial(write_lines, tmp_path)
 
 
 def test_the_value(table):
