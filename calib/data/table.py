@@ -11,13 +11,14 @@ import csv
 import hashlib
 import io
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NoReturn
 
 import numpy as np
 
+from calib.data.column_options import ColumnsInput, column_options
 from calib.errors import CalibError, FileError, MeasurementError
 from calib.files import read_bytes
 from calib.units import NUMBER, Array, Unit, find_unit, split_header
@@ -142,16 +143,20 @@ class Table:
                 f"header has {width}. Make them as many.{comma}"
             )
 
-    def names(self, columns: Mapping[str, str]) -> set[str]:
+    def names(self, columns: ColumnsInput = None) -> set[str] | None:
         """Return the names that columns may be called by, without their units.
 
         Args:
-            columns: Mapping from names of this table to calib's, as of ``--columns``.
+            columns: What is said of the columns, as by ``--columns``; None: nothing.
 
         Returns:
-            The names in the header, and those that they are mapped to.
+            The names in the header, and those that they are mapped to; None where a brand maps them
+            to the joints of a robot, whichever these are.
         """
-        return {split_header(label)[0] for label in (*self.header, *columns.values())}
+        options = column_options(columns)
+        if options.brand is not None:
+            return None
+        return {split_header(label)[0] for label in (*self.header, *options.names.values())}
 
     def column(self, column: Column) -> list[str]:
         """Return the cells of a column, one a row."""

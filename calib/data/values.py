@@ -19,7 +19,6 @@ from calib.data.plausibility import check_units
 from calib.data.points_file import Points
 from calib.data.table import Column, Table
 from calib.errors import MeasurementError, choices
-from calib.numerics.geometry import to_matrices
 from calib.units import Array, Mask
 
 #: Numbers of a layout's blocks by name, shape (rows, columns) each.
@@ -346,12 +345,20 @@ def _arrays(layout: Layout, si: Blocks, count: int) -> dict[str, Any]:
         "prismatic": [column.name for column in joints if slides(column)],
         "joints": si.get("joints", np.empty((count, 0))),
         "points": si.get("points", np.full((count, 3), np.nan)),
-        "rotations": to_matrices(si["orientation"]) if "orientation" in si else None,
+        "rotations": _rotations(layout, si),
+        "orientation": "" if layout.orientation is None else layout.orientation.convention.name,
         "torques": _torques(layout, si["torques"]) if "torques" in si else None,
         "distances": readings.pop("distance", None),
         "readings": readings,
         "sigma": sigma,
     }
+
+
+def _rotations(layout: Layout, si: Blocks) -> Array | None:
+    """Return the rotation matrices of the rows, shape (rows, 3, 3); None without orientations."""
+    if layout.orientation is None or "orientation" not in si:
+        return None
+    return layout.orientation.convention.matrices(si["orientation"])
 
 
 def _torques(layout: Layout, block: Array) -> Array:

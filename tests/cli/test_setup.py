@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from calib.cli.options import TableOptions
 from calib.cli.setup import load_with_data, read_cell, with_chain_of_result, with_target_link
 from calib.data.cell import Cell
 from calib.errors import CalibError
@@ -54,7 +55,7 @@ def test_the_kind_of_the_cell_is_that_of_the_table(shop: Path):
     text = (shop / "joints.csv").read_text(encoding="utf-8").splitlines()
     grouped = [text[0] + ",group", *(line + ",socket" for line in text[1:])]
     (shop / "grouped.csv").write_text("\n".join(grouped), encoding="utf-8")
-    _, table = load_with_data(str(shop / "robot.urdf"), cell, shop / "grouped.csv", None)
+    _, table = load_with_data(str(shop / "robot.urdf"), cell, shop / "grouped.csv")
     assert set(table.kinds) == {"fixed"}
 
 
@@ -62,7 +63,7 @@ def test_data_in_the_place_of_the_robot_are_refused(shop: Path):
     with pytest.raises(CalibError, match="ROBOT comes first"):
         load_with_data("data.csv", Cell(), shop / "robot.urdf")
     with pytest.raises(CalibError, match="--points-unit"):
-        load_with_data("robot.urdf", Cell(), shop / "data.csv", points_unit="mm")
+        load_with_data("robot.urdf", Cell(), shop / "data.csv", TableOptions(points_unit="mm"))
 
 
 def test_the_chain_of_a_result_is_that_of_the_cell(examples):

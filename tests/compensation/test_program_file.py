@@ -99,7 +99,7 @@ def test_the_three_forms_of_an_orientation_are_one(tmp_path_factory, roll, pitch
         assert program.oriented
         assert program.T_wanted is not None
         assert program.q is None
-        form = {"q": "quaternion", "R": "roll, pitch, yaw"}.get(header[0], "rotation vector")
+        form = {"q": "quaternion", "R": "rpy"}.get(header[0], "rotation-vector")
         assert program.form == form
         assert np.abs(program.T_wanted[0, :3, :3] - R.as_matrix()).max() < 1e-14
         assert program.T_wanted[0, :3, 3] == pytest.approx([0.3, 0.2, 0.1])
@@ -117,7 +117,7 @@ def test_a_plan_s_columns_to_fill_in_are_no_poses(read):
     [
         ([f"{IN_DEG},correction position [mm],status", f"{VALUES},0.5,ok"], "corrected already"),
         ([f"{XYZ},rx [rad],ry [rad],rz [rad],qx,qy,qz,qw", "300,200,100,0,0,0,0,0,0,1"], "is there twice"),
-        ([f"{XYZ},rx,ry,rz", "1,2,3,0,0,0"], "column 'rx' (rotation vector): the column has no unit"),
+        ([f"{XYZ},rx,ry,rz", "1,2,3,0,0,0"], "column 'rx' (a rotation vector): the column has no unit"),
         ([f"{XYZ},qx,qy,qz,qw", "300,200,100,0,0,0,1", "300,200,100,0,0,0,0.9"], "line 3 (row 2), column 'qx'"),
         ([f"{XYZ},note", "300,200,100,", ",,,a"], "row 2: there is no position"),
         ([IN_DEG.replace("elbow_joint", "elbow_jont"), VALUES], "'elbow_joint' missing beside"),

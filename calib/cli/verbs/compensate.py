@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from calib.cli.notices import say_accepted
-from calib.cli.options import Accept, Columns, Force, Hold, PayloadMass, Quiet, RobotFile
+from calib.cli.options import Accept, ColumnChoice, Force, Hold, PayloadMass, Quiet, RobotFile
 from calib.cli.outputs import check_outputs
 from calib.cli.verb import verb
-from calib.cli.words import parse_columns, parse_held, parse_pair, parse_payload, parse_tool
+from calib.cli.words import parse_held, parse_pair, parse_payload, parse_tool
 from calib.errors import CalibError, VerdictError
 
 if TYPE_CHECKING:
@@ -103,13 +103,20 @@ class GoalOptions:
 
 
 @dataclass(frozen=True, slots=True)
-class ChainOptions:
+class ChainOptions(ColumnChoice):
     """Chain of the robot, and the names of the program's columns."""
 
     base: Annotated[str | None, typer.Option(help="Base link. Default: the result's.")] = None
     tip: Annotated[str | None, typer.Option(help="Tip link. Default: the result's.")] = None
     hold: Hold = None
-    columns: Columns = None
+    orientation: Annotated[
+        str | None,
+        typer.Option(
+            metavar="CONVENTION",
+            help="Convention of the orientations that are written, and of the program's if it has such columns: "
+            "{conventions}. Default: as the program's columns are named; without orientations rotation-vector.",
+        ),
+    ] = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,10 +128,6 @@ class CommandOutputs:
         Literal["both", "joints", "poses"],
         typer.Option(help="What is written: joint values to command, poses to send, or both."),
     ] = "both"
-    orientation: Annotated[
-        Literal["rotation-vector", "quaternion", "rpy"],
-        typer.Option(help="Form of orientations."),
-    ] = "rotation-vector"
     force: Force = False
 
 
@@ -180,7 +183,7 @@ def compensate(
     none_reached = not commands.reached.any()
     if not commands.reached.all() and (none_reached or not goal.skip):
         raise CalibError(no_commands(commands))
-    _write(commands, outputs)
+    _write(commands, outputs, chain.orientation)
     if not quiet:
         typer.echo(text(commands, Path(source).name, outputs.output))
     say_accepted(f"'{source}'", models.stated)
@@ -194,7 +197,7 @@ def _load_models(robot: str, program: Path, model: ModelChoice, chain: ChainOpti
     from calib.robot.robot import Robot
 
     held = parse_held(chain.hold or [])
-    joints = Table.read(program).names(parse_columns(chain.columns or []))
+    joints = Table.read(program).names(chain.parsed())
     nominal = Robot.load(robot, chain.base, chain.tip, joints, held)
     actual = Robot.load(str(model.corrected), nominal.base, nominal.tip, held=held)
     return _Models(nominal, actual, payload=None, stated=actual.urdf.verdict)
@@ -229,7 +232,7 @@ def _read_program(path: Path, nominal: Robot, goal: GoalOptions, chain: ChainOpt
     return read_program(
         path,
         nominal,
-        columns=parse_columns(chain.columns or []),
+        columns=chain.parsed(),
         match=goal.match,
         start=parse_held(goal.start or [], "--start"),
     )
@@ -255,7 +258,7 @@ def _compute(models: _Models, program: Program, model: ModelChoice, goal: GoalOp
     )
 
 
-def _write(commands: Commands, outputs: CommandOutputs) -> None:
+def _write(commands: Commands, outputs: CommandOutputs, orientation: str | None) -> None:
     """Write the table of commands, if it was asked for."""
     from calib.compensation.command_table import write_commands
 
@@ -265,6 +268,6 @@ def _write(commands: Commands, outputs: CommandOutputs) -> None:
         commands,
         outputs.output,
         send=outputs.send,
-        orientation=outputs.orientation,
+        orientation=orientation,
         overwrite=outputs.force,
     )

@@ -114,7 +114,7 @@ def _load_chain(robot: str, cell: Cell, taken: Path | None) -> Robot:
     from calib.data.table import Table
     from calib.robot.robot import Robot
 
-    joints = None if taken is None else Table.read(taken).names({})
+    joints = None if taken is None else Table.read(taken).names()
     return Robot.load(robot, cell.base, cell.tip, measured=joints, held=cell.held)
 
 
