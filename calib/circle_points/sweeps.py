@@ -16,7 +16,8 @@ from calib.data.column_options import ColumnsInput
 from calib.data.columns import ORIENTATION, list_columns, name_columns, reserved
 from calib.data.layout import Layout
 from calib.data.measurements import Measurements
-from calib.data.points_file import PARTS, Points, read_points
+from calib.data.points import PARTS, Points
+from calib.data.points_file import read_points
 from calib.data.table import Column, Table
 from calib.data.values import read_values
 from calib.errors import MeasurementError, choices

@@ -16,7 +16,7 @@ from calib.data.columns import SETS, STATUS, TORQUE
 from calib.data.kinds import Kind
 from calib.data.layout import Layout, slides
 from calib.data.plausibility import check_units
-from calib.data.points_file import Points
+from calib.data.points import Points
 from calib.data.table import Column, Table
 from calib.errors import MeasurementError, choices
 from calib.units import Array, Mask
