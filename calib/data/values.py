@@ -202,6 +202,8 @@ def _fail_on_number(table: Table, layout: Layout, row: int, column: Column) -> N
     text = table.cells[row][column.index][:_QUOTED]
     if not text:
         what = "the cell is empty. Fill in the number, or remove the row."
+    elif text.startswith("date "):
+        what = f"the cell is the {text}. Write the number; Excel makes dates of such as 1.5 or 1/5."
     elif "," in text:
         what = (
             f"'{text}' has a decimal comma. Write a point, or put semicolons between the columns."
