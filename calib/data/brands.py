@@ -145,9 +145,10 @@ def names_by_brand(
         if at is not None:
             result[positions[at]] = name
     axes = brand.axes_in(written)
-    if axes and joint_names and len(axes) != len(joint_names):
-        _fail_on_count(brand, source, axes, written, joint_names)
-    for axis, joint in zip(axes, joint_names or axes, strict=True):
+    joints = joint_names or axes
+    if axes and len(axes) != len(joints):
+        _fail_on_count(brand, source, axes, written, joints)
+    for axis, joint in zip(axes, joints, strict=False):  # none of the axes may be there
         at = _position_of(axis, written)
         if at is not None:
             result[positions[at]] = joint

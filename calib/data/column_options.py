@@ -54,10 +54,10 @@ class ColumnOptions:
         return None if self.brand is None else find_brand(self.brand)
 
     @property
-    def convention(self) -> Convention | None:
-        """The convention of orientations, as given or as the brand's; None: as the columns' names say."""
-        name = self.orientation or self.brand
-        return None if name is None else find_convention(name)
+    def conventions(self) -> tuple[Convention, ...]:
+        """The convention of orientations that was given, then the brand's; none: as the columns' names say."""
+        given = [name for name in (self.orientation, self.brand) if name is not None]
+        return tuple(map(find_convention, given))
 
     def joint_unit_of(self, quantity: Quantity) -> str | None:
         """Return the symbol of the unit of joints' columns without one; None if nothing says it.

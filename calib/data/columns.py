@@ -160,8 +160,7 @@ def _renamed_by_brand(
     free = [name for name in joint_names if name not in taken]
     by_brand = names_by_brand(brand, table.source, names, free)
     units = dict.fromkeys(POINT, COMMON["length"])
-    if options.convention is not None:
-        units |= dict.fromkeys(options.convention.columns, options.convention.unit)
+    units |= dict.fromkeys(brand.orientation, orientations.find_convention(brand.name).unit)
     if not joint_names:  # what slides is not known either
         units = dict.fromkeys(by_brand.values(), COMMON["angle"]) | units
     result = {}

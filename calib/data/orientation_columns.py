@@ -34,8 +34,9 @@ def conventions_of(
         options: What is said of the columns; its convention, if its columns are there, is the only one.
     """
     complete = [row for row in CONVENTIONS.values() if _is_complete(row, named, joint_names)]
-    if options.convention in complete:
-        return (options.convention,)
+    for convention in options.conventions:
+        if convention in complete:
+            return (convention,)
     by_columns: dict[tuple[str, ...], Convention] = {}
     for row in complete:
         by_columns.setdefault(row.columns, row)
@@ -61,13 +62,13 @@ def find_orientation(
             not fit.
     """
     found = conventions_of(named, joint_names, options)
-    is_other = options.orientation is not None and options.convention not in found
+    is_other = options.orientation not in (None, *(row.name for row in found))
     if len(found) != 1 or is_other:
-        wanted = f", --orientation {options.orientation}," if is_other else ""
+        wanted = f" (--orientation {options.orientation})" if is_other else ""
         forms = [f"{', '.join(row.columns)} ({row.name})" for row in CONVENTIONS.values()]
         raise MeasurementError(
-            f"{table.source}: rows of the kind 'pose' need one orientation{wanted} and there "
-            f"{_counted(found)}. {list_columns(table)} An orientation has the columns {'; '.join(forms)}. "
+            f"{table.source}: rows of the kind 'pose' need one orientation{wanted}, and the table "
+            f"has {_counted(found)}. {list_columns(table)} An orientation has the columns {'; '.join(forms)}. "
             f"{_fix(found)}; --kind point reads none."
         )
     return in_units(table, named, found[0], options)
@@ -90,7 +91,7 @@ def in_units(
         column = with_unit(table, named[name], quantity, convention.words, convention.unit)  # type: ignore[arg-type]
         columns.append(column)
     alternatives: tuple[str, ...] = ()
-    if options.convention is not convention:
+    if convention not in options.conventions:
         same = [row for row in CONVENTIONS.values() if row.columns == convention.columns]
         alternatives = tuple(row.name for row in same if row is not convention)
     return Orientation(convention, tuple(columns), alternatives)
@@ -115,10 +116,8 @@ def _is_angle(column: Column) -> bool:
 
 
 def _counted(found: Collection[Convention]) -> str:
-    """Return how many orientations there are, for the message."""
-    if not found:
-        return "is none"
-    return "are " + " and ".join(row.words for row in found)
+    """Return which orientations there are, for the message."""
+    return " and ".join(row.words for row in found) or "none"
 
 
 def _fix(found: tuple[Convention, ...]) -> str:

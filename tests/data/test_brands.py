@@ -94,3 +94,19 @@ def test_without_a_robot_axes_keep_their_names(table):
 )
 def test_tables_that_look_like_a_brand_s(names, brands):
     assert [brand.name for brand in brands_like(names.split())] == brands.split()
+
+
+def test_a_table_of_another_brand_is_refused_with_its_own(table):
+    header, orientation = HEADERS["fanuc"]
+    path = table(header, row(orientation))
+    refused(
+        path, ["'one'", "--columns fanuc"], joint_names=JOINTS, columns=ColumnOptions(brand="kuka")
+    )
+
+
+def test_a_brand_s_table_in_another_convention(table):
+    options = ColumnOptions(brand="fanuc", orientation="kuka")
+    path = table("J1,J2,X,Y,Z,A [deg],B [deg],C [deg]", "1,2,500,0,0,20,-30,40")
+    m = Measurements.read(path, ["one", "two"], columns=options)
+    np.testing.assert_allclose(m.rotations, [TURN.as_matrix()], atol=1e-15)
+    assert m.orientation == "kuka"
