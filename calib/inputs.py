@@ -124,7 +124,7 @@ def inputs_of(
     if isinstance(table, Measurements):
         return robot_of(robot, setup, measured=table.joint_names, read=read), table, setup
     read_table = Table.read(table)
-    arm = robot_of(robot, setup, measured=read_table.names({}), read=read)
+    arm = robot_of(robot, setup, measured=read_table.names(), read=read)
     measurements = Measurements.read(read_table, arm.joint_names, arm.joint_types, kind=setup.kind)
     return arm, measurements, setup
 

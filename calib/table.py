@@ -1,7 +1,7 @@
 """A table as text: separator, header and rows of cells.
 
 One reader for all tables of calib: comma, semicolon or tab between the cells, units in the header, blank lines and
-those that begin with # skipped.
+those that begin with # skipped; or a sheet of an Excel file.
 """
 
 from __future__ import annotations
@@ -11,13 +11,15 @@ import csv
 import hashlib
 import io
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NoReturn
 
 import numpy as np
 
+from calib.data.column_options import ColumnsInput, column_options
+from calib.data.workbook import sheet_text, split_sheet
 from calib.errors import CalibError, FileError, MeasurementError
 from calib.files import read_bytes
 from calib.units import NUMBER, Array, Unit, find_unit, split_header
@@ -142,16 +144,20 @@ class Table:
                 f"header has {width}. Make them as many.{comma}"
             )
 
-    def names(self, columns: Mapping[str, str]) -> set[str]:
+    def names(self, columns: ColumnsInput = None) -> set[str] | None:
         """Return the names that columns may be called by, without their units.
 
         Args:
-            columns: Mapping from names of this table to calib's, as of ``--columns``.
+            columns: What is said of the columns, as by ``--columns``; None: nothing.
 
         Returns:
-            The names in the header, and those that they are mapped to.
+            The names in the header, and those that they are mapped to; None where a brand maps them
+            to the joints of a robot, whichever these are.
         """
-        return {split_header(label)[0] for label in (*self.header, *columns.values())}
+        options = column_options(columns)
+        if options.brand is not None:
+            return None
+        return {split_header(label)[0] for label in (*self.header, *options.names.values())}
 
     def column(self, column: Column) -> list[str]:
         """Return the cells of a column, one a row."""
@@ -275,7 +281,8 @@ def read_text(path: str | Path, what: str) -> tuple[str, str, str]:
 
     Args:
         path: A file in UTF-8 with or without its mark, in UTF-16 with one (Excel's "Unicode
-            text"), else in Windows' own encoding.
+            text"), else in Windows' own encoding; or an Excel file, perhaps with one of its sheets,
+            ``"table.xlsx#Sheet"``.
         what: What the file should be, for messages: ``"The table"``.
 
     Returns:
@@ -285,17 +292,22 @@ def read_text(path: str | Path, what: str) -> tuple[str, str, str]:
     Raises:
         MeasurementError: The file does not exist, or is no text.
     """
-    source = Path(path).name or str(path)
+    file, sheet = split_sheet(str(path))
+    source = (Path(file).name or str(path)) + (f"#{sheet}" if sheet else "")
     try:
-        data = read_bytes(path, what)
+        data = read_bytes(path if sheet is None else file, what)
     except FileError as error:
         raise MeasurementError(str(error)) from error
+    sha256 = hashlib.sha256(data).hexdigest()
+    if sheet is not None:
+        return source, sha256, sheet_text(data, source, sheet)
     is_utf16 = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
     try:
         text = data.decode("utf-16" if is_utf16 else "utf-8-sig")
     except UnicodeDecodeError:
         text = data.decode("cp1252", errors="replace")
     if "\0" in text:
-        raise MeasurementError(f"{source}: this is not a text file. Save it as text (CSV, UTF-8).")
-    sha256 = hashlib.sha256(data).hexdigest()
+        raise MeasurementError(
+            f"{source}: this is not a text file. Save it as text (CSV, UTF-8) or as .xlsx."
+        )
     return source, sha256, text.replace("\r\n", "\n").replace("\r", "\n")

@@ -17,9 +17,10 @@ import numpy as np
 
 import calib.data.kinds as registry
 from calib.channels import RESIDUAL_UNITS
-from calib.data.columns import DEFAULT_TARGET, EXPECTED, POINT, QUATERNION, name_columns
+from calib.data.columns import DEFAULT_TARGET, EXPECTED, POINT, name_columns
 from calib.data.layout import Layout
 from calib.data.measurements import Measurements
+from calib.data.orientations import QUATERNION
 from calib.data.values import read_values
 from calib.design.forecast import Forecast
 from calib.design.plan import PlanValues
@@ -146,7 +147,7 @@ class _Columns:
         readings = [_Column.of(reading.name, reading.quantity) for reading in kind.readings]
         empty = [column.header for column in lengths]
         if kind.orientation:
-            empty += QUATERNION
+            empty += QUATERNION.columns
         empty += [column.header for column in readings]
         first_reading = kind.size - len(readings)
         return cls(

@@ -113,7 +113,7 @@ def _load_chain(robot: str, cell: Cell, taken: Path | None) -> Robot:
     """Load the robot; without a tip the chain is that of the joints in the table of poses already measured."""
     from calib.table import Table
 
-    joints = None if taken is None else Table.read(taken).names({})
+    joints = None if taken is None else Table.read(taken).names()
     return load(robot, cell, joints)
 
 

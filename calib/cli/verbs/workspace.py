@@ -9,12 +9,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from calib.cli.options import CellOptions, Columns, Force, Quiet, RobotFile, Seed
+from calib.cli.options import CellOptions, ColumnChoice, Force, Quiet, RobotFile, Seed
 from calib.cli.outputs import check_outputs, written_lines
 from calib.cli.setup import load, read_cell
 from calib.cli.terminal import progress_bar
 from calib.cli.verb import verb
-from calib.cli.words import parse_columns
 
 if TYPE_CHECKING:
     from calib.data.cell import Cell
@@ -27,7 +26,7 @@ _File = Path | None
 
 
 @dataclass(frozen=True, slots=True)
-class RangeOptions:
+class RangeOptions(ColumnChoice):
     """Ranges of the joints, and a table whose rows are checked."""
 
     like: Annotated[_File, typer.Option(help="Table whose estimation rows give the ranges.")] = None
@@ -36,7 +35,6 @@ class RangeOptions:
         typer.Option(metavar="ANGLE", help="Margin around --like (5 mm for prismatic joints)."),
     ] = "0 deg"
     check: Annotated[_File, typer.Option(help="Table: which of its rows lie in the region.")] = None
-    columns: Columns = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,9 +160,10 @@ def _load_with_tables(
     from calib.table import Table
 
     paths = [path for path in (ranges.like, ranges.check) if path is not None]
-    renamed = parse_columns(ranges.columns or [])
+    renamed = ranges.parsed()
     columns = [Table.read(path).names(renamed) for path in paths]
-    common = set.intersection(*columns) if columns else None
+    known = [names for names in columns if names is not None]
+    common = set.intersection(*known) if known else None
     arm = load(robot, cell, common)
     tables = {path: read_rows(path, arm, renamed, cell.kind) for path in paths}
     return arm, tables
