@@ -17,6 +17,12 @@ Code = Literal[
     "geometry alone",
     "nearly parallel axes",
     "joints without value",
+    "zeros not determined",
+    "zeros not validated",
+    "zeros no better",
+    "changes alone",
+    "comments not kept",
+    "end positions move",
 ]
 
 
