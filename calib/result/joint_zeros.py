@@ -110,12 +110,12 @@ def joint_zeros(fits: TableFits, validation: Mask, *, cross_validated: bool) -> 
         The zeros with their errors; None where they cannot be fitted, as where rows are too few and priors are off.
     """
     try:
-        fitted = _fit_zeros(fits.geometry)
+        fitted, identifiable = _fit_zeros(fits.geometry)
     except CalibError:
         return None
     estimate = fitted.estimate
     offsets = _reading_offsets(fitted)
-    determined = _determined(fitted, offsets)
+    determined = _determined(offsets, identifiable)
     variance = np.diag(offsets @ estimate.covariance @ offsets.T)
     rows, errors = _errors(fits, fitted, validation, cross_validated=cross_validated)
     return JointZeros(
@@ -131,15 +131,16 @@ def joint_zeros(fits: TableFits, validation: Mask, *, cross_validated: bool) -> 
 # The fit
 
 
-def _fit_zeros(geometry: Fitted) -> Fitted:
+def _fit_zeros(geometry: Fitted) -> tuple[Fitted, Mask]:
     """Fit the zeros, those that are not determined held at their nominal values.
 
     Args:
         geometry: The fit of the geometry, whose rows, weights and registered frames and targets are taken over.
 
     Returns:
-        The fit of the model ``"zeros"``. Priors make zeros that are not determined 0. Where they do not, as where only
-        a sum of zeros is determined, or without priors, one after the other is frozen at 0.
+        The fit of the model ``"zeros"``, and True for its parameters that the rows determine, not in combinations only,
+        shape (p,). Priors make zeros that are not determined 0. Where they do not, as where only a sum of zeros is
+        determined, or without priors, one after the other is frozen at 0.
 
     Raises:
         CalibError: There is nothing to estimate, or too little to estimate it from.
@@ -149,10 +150,12 @@ def _fit_zeros(geometry: Fitted) -> Fitted:
         task = replace(task, solver="lm")
     while True:
         fitted = fit(task, geometry.estimate.problem.rows, reference=geometry)
-        undetermined = _of_robot(fitted) & ~_identifiable(fitted)
-        moved = np.flatnonzero(undetermined & (np.abs(fitted.estimate.x) > _NOTHING))
+        x = fitted.estimate.x
+        identifiable = fitted.estimate.problem.observability(x).identifiable
+        undetermined = _of_robot(fitted) & ~identifiable
+        moved = np.flatnonzero(undetermined & (np.abs(x) > _NOTHING))
         if not len(moved):
-            return fitted
+            return fitted, identifiable
         name = fitted.kinematics.model.names[moved[0]]
         cell = replace(task.cell, frozen=(*task.cell.frozen, name))
         task = replace(task, cell=cell)
@@ -161,11 +164,6 @@ def _fit_zeros(geometry: Fitted) -> Fitted:
 def _of_robot(fitted: Fitted) -> Mask:
     """Return True for the zeros among the p parameters, False for frames and targets, shape (p,)."""
     return np.asarray(~fitted.kinematics.model.family(FRAME, TARGET))
-
-
-def _identifiable(fitted: Fitted) -> Mask:
-    """Return True for the parameters that the rows determine, not in combinations only, shape (p,)."""
-    return np.asarray(fitted.estimate.problem.observability(fitted.estimate.x).identifiable)
 
 
 # From parameters to readings
@@ -196,15 +194,15 @@ def _reading_offsets(fitted: Fitted) -> Array:
     return np.asarray(reading_offsets(robot) @ of_joints)
 
 
-def _determined(fitted: Fitted, offsets: Array) -> Mask:
+def _determined(offsets: Array, identifiable: Mask) -> Mask:
     """Return True for the readings whose offset is estimated, of parameters that the rows determine, shape (m,).
 
     Args:
-        fitted: The fit of the zeros, of p parameters.
-        offsets: From parameters to offsets of the readings, shape (m, p).
+        offsets: From the p parameters to offsets of the readings, shape (m, p).
+        identifiable: True for the parameters that the rows determine, shape (p,).
     """
     has_share = np.abs(offsets) > _NO_SHARE
-    needs_unknown = np.any(has_share & ~_identifiable(fitted), axis=1)
+    needs_unknown = np.any(has_share & ~identifiable, axis=1)
     determined: Mask = np.any(has_share, axis=1) & ~needs_unknown
     determined.setflags(write=False)
     return determined
@@ -279,12 +277,13 @@ def _derivative_by_readings(fitted: Fitted, rows: Rows) -> Array:
     """
     columns = []
     for step in _STEP * np.eye(rows.joints.shape[1]):
-        ahead = fitted.residual(_moved(rows, step))
-        behind = fitted.residual(_moved(rows, -step))
+        ahead = _residual_at(fitted, rows, rows.joints + step)
+        behind = _residual_at(fitted, rows, rows.joints - step)
         columns.append((behind - ahead) / (2.0 * _STEP))  # residuals are measured - predicted
     return np.stack(columns, axis=-1)
 
 
-def _moved(rows: Rows, step: Array) -> Rows:
-    """Return rows with all their readings changed by a step, shape (m,), [rad] or [m]."""
-    return replace(rows, samples=replace(rows.samples, q=rows.joints + step))
+def _residual_at(fitted: Fitted, rows: Rows, q: Array) -> Array:
+    """Return measured minus predicted with other readings, shape (N, m), [rad] or [m]."""
+    T_frame_target = fitted.kinematics.poses(fitted.estimate.x, replace(rows.samples, q=q))
+    return rows.residual(T_frame_target)

@@ -40,7 +40,7 @@ _NOTES: dict[Code, str] = {
     "and cancel over the rows: enter every digit, and all rows together. 'hayati' has no such rows.",
     "joints without value": "Joints without a value of their own: {0}.",
     "zeros not determined": "The measurements do not determine the zero of {0}, or it was frozen: leave it as it is. "
-    "An unknown frame absorbs the first joint's, and the positions of one target do not show the last joint's.",
+    "An unknown frame turns with the first joint, and a target whose place is not given with the last.",
     "zeros not validated": "These errors are of the fitted rows, and prove nothing: calibrate without --no-validate, "
     "or with validation rows.",
     "zeros no better": "Joint zeros alone are no better than the nominal robot on these {0} rows. They were accepted.",
