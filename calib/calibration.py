@@ -62,6 +62,7 @@ class Calibration(CalibrationValues):
         cross_validation     CrossValidation, errors on held-out rows; None without
         nominal_cross_validation  the same of the nominal robot
         new_point            (near the measured poses, over the joint limits), expected error, rms [m]
+        zeros                JointZeros, the best joint zeros alone, with their errors; None where they cannot be fitted
         expected_measured    rms standard deviation of predictions at the measured poses [m]
         expected_everywhere  the same over the joint limits [m]
         expected_elsewhere   the same with what the model lacks [m]

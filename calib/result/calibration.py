@@ -26,6 +26,7 @@ from calib.numerics.errors import CrossValidation, Errors
 from calib.numerics.repeats import Repeats
 from calib.numerics.solvers import Solution
 from calib.registration.setup import Setup
+from calib.result.joint_zeros import JointZeros
 from calib.result.prediction import (
     FittedModel,
     NonGeometric,
@@ -174,6 +175,8 @@ class CalibrationValues(FittedModel):
     non_geometric: NonGeometric | None
     #: None without cross-validation, unless a usual mistake explains the rows far better, or a frame was not found
     verdict: Verdict | None
+    #: The best joint zeros alone; None where they cannot be fitted, or where an earlier version wrote the file
+    zeros: JointZeros | None = None
     #: Measurements and solved problem; None where the result was read from a file
     fit: FitInMemory | None = field(default=None, repr=False)
 

@@ -111,6 +111,7 @@ def test_a_result_read_back_is_the_one_written(case: Any, tmp_path: Path):
         == []
     )
     assert summary(read) == c.summary()
+    assert set(read.zeros.errors) == set(c.cross_validation.errors_without_outliers.units)
 
 
 def test_everything_is_read_back(everything: Calibration, tmp_path: Path):
