@@ -101,6 +101,10 @@ class Calibration(CalibrationValues):
         candidates           Candidates that "auto" chose from
         solver, solution     name of the solver, and its Solution; seconds, its time [s]
 
+    The record:
+
+        record               Record, who measured what for whom, where, when and with what, as the cell says
+
     In memory only (ModelError where the result was read from a file, which does not hold them):
 
         measurements, cell   as given

@@ -31,7 +31,7 @@ ORIENTATION = (*ROTATION_VECTOR, *QUATERNION)
 ROLL_PITCH_YAW = ("roll", "pitch", "yaw")
 
 #: Columns of words.
-WORDS = ("row", "set", "kind", "target", "group", "pair", "point")
+WORDS = ("row", "set", "kind", "target", "group", "pair", "point", "approach")
 
 #: The column of a table of commands that says whether a row has one.
 STATUS = "status"

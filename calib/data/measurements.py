@@ -53,7 +53,12 @@ from calib.values.pickling import Value
 from calib.values.short import one_line
 
 #: Attributes with a word a row, and the word where they are not given.
-_WORDS = {"sets": SETS[0], "targets": DEFAULT_TARGET, "groups": "", "kinds": "point", "pairs": ""}
+_WORDS = {
+    **dict.fromkeys(("groups", "pairs", "approaches"), ""),
+    "sets": SETS[0],
+    "targets": DEFAULT_TARGET,
+    "kinds": "point",
+}
 
 #: Attributes that are arrays with an entry a row.
 _ARRAYS = ("joints", "points", "rotations", "distances", "torques")
@@ -122,6 +127,8 @@ class Measurements(Value):
     unmeasured: tuple[int, ...] = ()
     #: Row numbers left out by `without_copies`, as the table has them.
     copies: tuple[int, ...] = ()
+    #: Names of the directions that the poses were approached from; ``""`` when not given.
+    approaches: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         """Copy the arrays, fill in what was not given, and check that all of it fits together."""
@@ -475,11 +482,8 @@ class Measurements(Value):
             columns["kind"] = self.kinds
         if set(self.targets) - {DEFAULT_TARGET}:
             columns["target"] = self.targets
-        if any(self.groups):
-            columns["group"] = self.groups
-        if any(self.pairs):
-            columns["pair"] = self.pairs
-        return columns
+        further = {"group": self.groups, "pair": self.pairs, "approach": self.approaches}
+        return columns | {name: words for name, words in further.items() if any(words)}
 
     def _number_columns(self) -> Iterator[_NumberColumn]:
         """Return the columns of numbers to write, in SI units; None or NaN where there are none."""

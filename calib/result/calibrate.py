@@ -335,8 +335,7 @@ def _assembled(
     m, geometry, all_rows = measurements, fits.geometry, fits.all_rows
     robot, cell, estimate = geometry.task.robot, geometry.task.cell, geometry.estimate
     observability = estimate.problem.observability(estimate.x)
-    scored = _scored(m, fits)
-    nominal_places = _nominal_places(m, fits)
+    scored, nominal_places = _scored(m, fits), _nominal_places(m, fits)
     return CalibrationValues(
         **_model_values(geometry, observability, validations.geometry),
         nominal=robot,
@@ -371,6 +370,7 @@ def _assembled(
         candidates=_without_rows(fits.candidates),
         non_geometric=_non_geometric(fits, validations.non_geometric),
         verdict=verdict,
+        record=cell.record,
         fit=FitInMemory(m, cell, geometry, fits.non_geometric),
     )
 

@@ -111,7 +111,8 @@ def evaluate(
     """Run the verb; its help is the text of `verb`."""
     from calib.result.acceptance import assess
     from calib.result.calibration_file import read_result, write_table
-    from calib.text.evaluation import assessment_table, assessment_text
+    from calib.result.evaluation_file import assessment_table
+    from calib.text.evaluation import assessment_text
 
     check_outputs([json], [robot, data, setup.cell, calibration, table.points], force=force)
     limits = test.limits()
