@@ -11,7 +11,10 @@ from calib.errors import CalibError
 from calib.units import is_number
 
 #: Letters of an entry at most: a report's first page has to hold all of them.
-LONGEST = 160
+LONGEST = 80
+
+#: Letters of the note at most.
+LONGEST_NOTE = 240
 
 #: Least and greatest air temperature [°C]: a number outside is in another unit.
 TEMPERATURES_C = (-50.0, 80.0)
@@ -25,7 +28,8 @@ class Record:
     """What a cell's ``[record]`` says of the measurement; an entry that is not given is empty.
 
     Raises:
-        CalibError: An entry is longer than `LONGEST` letters, or temperatures are none or out of range.
+        CalibError: An entry is longer than `LONGEST` letters, the note than `LONGEST_NOTE`, or a temperature is no
+            number or out of range.
     """
 
     #: Who the report is for
@@ -68,9 +72,10 @@ class Record:
             if not isinstance(text, str):
                 raise CalibError(f"A record's {name} is {text!r}; it must be a text.")
             text = " ".join(text.split())
-            if len(text) > LONGEST:
+            room = LONGEST_NOTE if name == "note" else LONGEST
+            if len(text) > room:
                 raise CalibError(
-                    f"A record's {name} has {len(text)} letters; there is room for {LONGEST}."
+                    f"A record's {name} has {len(text)} letters; there is room for {room}."
                 )
             object.__setattr__(self, name, text)
         object.__setattr__(self, "temperature_C", _temperatures(self.temperature_C))

@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import chain
-from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -19,15 +18,13 @@ from calib.channels import RESIDUAL_UNITS, Channels
 from calib.model.dh import DHRow
 from calib.model.dh_table import dh_table
 from calib.numerics.errors import Errors, UnitErrors
+from calib.report.table import MOST_LISTED, Table
 from calib.result.calibration import CalibrationValues
 from calib.result.prediction import ParameterEstimate
 from calib.robot.robot import rigid_inverse
 from calib.text.layout.lines import number
 from calib.text.layout.sizes import shown
 from calib.units import Array
-
-#: Rows, targets or combinations of parameters that a report lists at most; the others are counted.
-MOST_LISTED = 40
 
 #: Number of validation rows listed where there are more than `MOST_LISTED`: those with the largest errors.
 MOST_WORST = 20
@@ -49,25 +46,6 @@ _DH_FORMATS = ((_MM, 3), (_DEG, 4), (_MM, 3), (_DEG, 4), (_DEG, 4))
 
 #: Indices of the angles alpha, theta and beta among the five DH parameters of a row.
 _DH_ANGLES = [1, 3, 4]
-
-
-class Table(NamedTuple):
-    """A table whose cells are text; without rows it is not shown."""
-
-    #: Its caption, with the unit where all numbers have the same
-    title: str
-    #: Labels of the columns
-    head: Sequence[str]
-    #: Cells, one for each column
-    rows: Sequence[Sequence[str]]
-    #: A letter for each column: ``l`` for text, ``r`` for numbers
-    align: str
-    #: Sentences below the table
-    note: str = ""
-    #: Labels above the head, each with the number of columns that it spans
-    groups: Sequence[tuple[str, int]] = ()
-    #: Indices of the rows in bold, from 0
-    strong: Sequence[int] = ()
 
 
 def errors(c: CalibrationValues, unit: str) -> Table:
@@ -104,6 +82,44 @@ def errors(c: CalibrationValues, unit: str) -> Table:
     title = f"{texts.error_title(unit, c.channels)} by set of rows [{shown_unit}]"
     align = "l" + "r" * (len(head) - 1)
     return Table(title, head, rows, align, " ".join(notes), groups, strong)
+
+
+def before_and_after(c: CalibrationValues, unit: str) -> Table:
+    """Tabulate the errors of rows that took no part in the fit, of the nominal robot beside the calibrated one.
+
+    Args:
+        c: The result.
+        unit: Symbol of the unit.
+
+    Returns:
+        Validation and held-out rows; the estimation rows where there are neither.
+    """
+    before, after = c.errors["nominal"], c.errors["calibrated"]
+    sets = [("validation rows", before["validation"], after["validation"])]
+    if c.cross_validation is not None and c.nominal_cross_validation is not None:
+        nominal, fitted = c.nominal_cross_validation, c.cross_validation
+        sets.append(("held-out rows", nominal.errors, fitted.errors))
+        if c.outliers:
+            without = (nominal.errors_without_outliers, fitted.errors_without_outliers)
+            sets.append(("held-out rows, without outliers", *without))
+    if not any(of_rows[unit].n for _, _, of_rows in sets):
+        sets = [("estimation rows, which the fit used", before["estimation"], after["estimation"])]
+    rows = []
+    for label, nominal_errors, errors in sets:
+        figures = errors[unit]
+        if figures.n:
+            cells = [
+                *_error_cells(nominal_errors[unit], with_span=False),
+                *_error_cells(figures, with_span=False),
+            ]
+            rows.append((label, f"{figures.n:,}", *cells))
+    return Table(
+        f"{texts.error_title(unit, c.channels)} [{RESIDUAL_UNITS[unit].shown}]",
+        ("rows", "number", *(2 * ("max", "mean", "rms"))),
+        rows,
+        "lrrrrrrr",
+        groups=(("", 2), ("before: nominal", 3), ("after: calibrated", 3)),
+    )
 
 
 def _full_labels(labelled: Iterable[tuple[str, Errors]]) -> list[str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -23,7 +23,7 @@ from calib.text.accuracy import (
     rows_label,
 )
 from calib.text.layout.doubtful_rows import outside_text
-from calib.text.layout.lines import WIDTH, mm, plural, wrap
+from calib.text.layout.lines import WIDTH, mm, plural, times, wrap
 from calib.text.layout.sizes import shown, with_unit
 from calib.text.summary import error_table, error_title
 from calib.text.verdict import reason_text
@@ -43,7 +43,7 @@ _LONG_NAMES = {
 }
 
 #: The figure of each criterion.
-_FIGURES = {
+FIGURES = {
     "max": "largest AP",
     "mean": "mean AP",
     "single": "largest error of a single repeat",
@@ -62,7 +62,7 @@ def assessment_text(e: Assessment, result: str, source: str) -> str:
         The text, in lines of 100 columns.
     """
     places = [textwrap.fill(place, WIDTH) for place in places_of(e, source)]
-    parts = ["\n".join(places), _errors_text(e.evaluations, result)]
+    parts = ["\n".join(places), _errors_text(e, result)]
     repeated = any(accuracy.repeats[1] > 1 for accuracy in e.accuracies.values())
     if e.accepted is not None or repeated:
         parts.append(accuracy_text(figures_of(e)))
@@ -137,7 +137,7 @@ def _check_reasons(a: Acceptance, unit: str, robot: str) -> Iterator[str]:
 def _figure_sentence(a: Acceptance, unit: str, robot: str) -> str:
     """Word a figure against its tolerance; the arguments are those of `_check_reasons`."""
     check, poses = a.checks[unit], a.accuracy.poses
-    name = _FIGURES[a.criterion]
+    name = FIGURES[a.criterion]
     if unit != "m":
         name += f" of {RESIDUAL_UNITS[unit].measured}"
     sizes = [a.size(pose, unit) for pose in poses]
@@ -204,11 +204,9 @@ def _rows_reasons(a: Acceptance) -> Iterator[str]:
         )
     low, high = accuracy.repeats
     if low < _ISO_REPEATS or count < _ISO_POSES:
-        repeats = str(high) if low == high else f"{low} to {high}"
-        times = "times" if high > 1 else "time"
         yield (
-            f"ISO 9283 asks for {_ISO_POSES} poses, each {_ISO_REPEATS} times; measured: {count}, each {repeats} "
-            f"{times}."
+            f"ISO 9283 asks for {_ISO_POSES} poses, each {_ISO_REPEATS} times; measured: {count}, each "
+            f"{times(low, high)}."
         )
     if a.criterion != "mean" and count > 1 and not (a.within and accuracy.seen):
         share = np.floor(100.0 * a.share)
@@ -233,23 +231,26 @@ def places_of(e: Assessment, source: str) -> list[str]:
     return sentences
 
 
-def _errors_text(robots: Mapping[str, EvaluationValues], result: str) -> str:
+def _errors_text(e: Assessment, result: str) -> str:
     """Write the tables of errors, with a block of rows for each robot."""
-    names = {who: _LONG_NAMES[who].format(result) for who in robots}
-    blocks = {names[who]: evaluation for who, evaluation in robots.items()}
-    channels = robots["urdf"].channels
+    channels = e.evaluations["urdf"].channels
     tables = []
     for unit in channels.present:
-        lines = error_table(error_title(unit, channels), unit, _blocks(blocks, unit))
+        lines = error_table(error_title(unit, channels), unit, error_blocks(e, unit, result))
         tables.append("\n".join(lines))
     return "\n\n".join(tables)
 
 
-def _blocks(
-    robots: Mapping[str, EvaluationValues], unit: str
-) -> Iterator[tuple[str, Errors] | str]:
-    """Rows of a table of errors in one unit: the name of each robot, then its errors by set."""
-    for name, evaluation in robots.items():
+def error_blocks(e: Assessment, unit: str, result: str) -> Iterator[tuple[str, Errors] | str]:
+    """Yield the rows of a table of errors in one unit: the name of each robot, then its errors by set.
+
+    Args:
+        e: The evaluation.
+        unit: Symbol of the unit.
+        result: Name of the result's file.
+    """
+    for who, evaluation in e.evaluations.items():
+        name = _LONG_NAMES[who].format(result)
         yield textwrap.shorten(name, WIDTH - 1, placeholder="...") + ":"
         counts = {key: errors[unit].n for key, errors in evaluation.errors.items()}
         one_set = counts["all"] in (counts["estimation"], counts["validation"])
