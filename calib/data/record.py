@@ -11,10 +11,10 @@ from calib.errors import CalibError
 from calib.units import is_number
 
 #: Letters of an entry at most: a report's first page has to hold all of them.
-LONGEST = 80
+LONGEST = 60
 
 #: Letters of the note at most.
-LONGEST_NOTE = 240
+LONGEST_NOTE = 160
 
 #: Least and greatest air temperature [°C]: a number outside is in another unit.
 TEMPERATURES_C = (-50.0, 80.0)

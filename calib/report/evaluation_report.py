@@ -15,7 +15,6 @@ from calib.files import write_atomically
 from calib.report.first_page import (
     FirstPage,
     Outcome,
-    first_reasons,
     left_lines,
     right_lines,
     robot_name,
@@ -122,20 +121,15 @@ def _first_page(e: Assessment, reasons: list[str], rule: list[str]) -> FirstPage
     urdf = e.evaluations["urdf"]
     robot, record = urdf.robot, urdf.record
     uncertainty = ("Uncertainty (k = 2)", _uncertainty(e.accepted))
-    shown = [tables.before_and_after(e, unit) for unit in accuracy_units(figures_of(e))]
-    if e.accepted is not None:
-        shown.append(tables.checks(e))
     return FirstPage(
         robot=robot_name(robot),
         outcome=Outcome.of("none" if e.accepted is None else e.accepted.outcome),
-        reasons=first_reasons(reasons, "Outcome"),
+        reasons=reasons,
+        section="Outcome",
         left=left_lines(record, robot),
         right=right_lines(record, uncertainty, urdf.measurements.source),
         note=record.note,
-        heading="Accuracy before and after the calibration"
-        if "nominal" in e.accuracies
-        else "Accuracy",
-        tables=shown,
+        table=tables.before_and_after(e),
         rule=rule,
         parties=("Tested by", "Accepted by"),
     )

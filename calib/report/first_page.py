@@ -14,11 +14,17 @@ from calib.report.table import Table
 from calib.robot.robot import Robot
 from calib.text.layout.lines import number, plural
 
-#: Reasons of the outcome that there is room for; the others are counted.
-_MOST_REASONS = 4
+#: Lines of the sheet that are left for reasons, long entries of the form, the note, and rows of the table.
+_LINES = 16
+
+#: Letters in a line of a reason or of the note.
+_LINE = 100
+
+#: Letters in a line of an entry of the form.
+_ENTRY = 28
 
 #: Letters of a reason that there is room for.
-_REASON = 230
+_REASON = 2 * _LINE
 
 #: Letters of a robot's name that there is room for.
 _NAME = 60
@@ -66,41 +72,50 @@ class FirstPage:
     robot: str
     #: The outcome
     outcome: Outcome
-    #: What it rests on; see `first_reasons`
+    #: All that it rests on, the most important first
     reasons: Sequence[str]
+    #: Name of the section that has all of it in full
+    section: str
     #: Lines of the form's left half: customer and robot
     left: Sequence[Line]
     #: Lines of its right half: instrument, place, time
     right: Sequence[Line]
     #: Anything else that the record has
     note: str
-    #: Heading of the tables
-    heading: str
     #: Errors before and after
-    tables: Sequence[Table]
+    table: Table
     #: Decision rule, number of poses, uncertainty, in sentences
     rule: Sequence[str]
     #: Who signs
     parties: tuple[str, str]
 
+    @property
+    def listed(self) -> list[str]:
+        """The reasons that there is room for, long ones shortened; the last line counts the others."""
+        room = _LINES - len(self.table.rows) - _lines(self.note, _LINE)
+        for (_, one), (_, other) in zip(self.left, self.right, strict=True):
+            room -= max(_lines(one, _ENTRY), _lines(other, _ENTRY), 1) - 1
+        shown: list[str] = []
+        for reason in self.reasons:
+            text = _shortened(reason, _REASON)
+            room -= _lines(text, _LINE)
+            if room < 1:
+                break
+            shown.append(text)
+        more = len(self.reasons) - len(shown)
+        if more:
+            shown.append(f"{plural(more, 'more statement')}: see section '{self.section}'.")
+        return shown
+
+
+def _lines(text: str, width: int) -> int:
+    """Return the number of lines of this many letters that a text takes; 0 for none."""
+    return -(-len(text) // width)
+
 
 def robot_name(robot: Robot) -> str:
     """Return a robot's name in one line, shortened to the room for it."""
     return _shortened(robot.name, _NAME)
-
-
-def first_reasons(reasons: Sequence[str], section: str) -> list[str]:
-    """Return the reasons that there is room for; the last line counts the others.
-
-    Args:
-        reasons: All reasons, the most important first.
-        section: Name of the section that has all of them.
-    """
-    shown = [_shortened(reason, _REASON) for reason in reasons[:_MOST_REASONS]]
-    more = len(reasons) - len(shown)
-    if more:
-        shown.append(f"{plural(more, 'more statement')}: see section '{section}'.")
-    return shown
 
 
 def _shortened(text: str, longest: int) -> str:

@@ -19,7 +19,6 @@ from calib.numerics.intervals import interval_factor
 from calib.report.first_page import (
     FirstPage,
     Outcome,
-    first_reasons,
     left_lines,
     right_lines,
     robot_name,
@@ -118,12 +117,12 @@ def _first_page(c: CalibrationValues, reasons: list[str]) -> FirstPage:
     return FirstPage(
         robot=robot_name(c.nominal),
         outcome=Outcome.of("none" if c.verdict is None else c.verdict.use),
-        reasons=first_reasons(reasons, "Verdict"),
+        reasons=reasons,
+        section="Verdict",
         left=left_lines(c.record, c.nominal),
         right=right_lines(c.record, ("Noise (1 sigma)", noise.partition(" (")[0]), c.source.name),
         note=c.record.note,
-        heading="Errors before and after",
-        tables=[tables.before_and_after(c, unit) for unit in c.channels.present],
+        table=tables.before_and_after(c),
         rule=[
             f"Rows: {_rows_text(c)}; the estimate is from {plural(len(repeats), 'pose')}, each measured "
             f"{times(int(repeats.min()), int(repeats.max()))}.",

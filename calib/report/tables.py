@@ -84,15 +84,10 @@ def errors(c: CalibrationValues, unit: str) -> Table:
     return Table(title, head, rows, align, " ".join(notes), groups, strong)
 
 
-def before_and_after(c: CalibrationValues, unit: str) -> Table:
+def before_and_after(c: CalibrationValues) -> Table:
     """Tabulate the errors of rows that took no part in the fit, of the nominal robot beside the calibrated one.
 
-    Args:
-        c: The result.
-        unit: Symbol of the unit.
-
-    Returns:
-        Validation and held-out rows; the estimation rows where there are neither.
+    In each unit that was measured these are validation and held-out rows; the estimation rows where there are neither.
     """
     before, after = c.errors["nominal"], c.errors["calibrated"]
     sets = [("validation rows", before["validation"], after["validation"])]
@@ -101,24 +96,23 @@ def before_and_after(c: CalibrationValues, unit: str) -> Table:
         sets.append(("held-out rows", nominal.errors, fitted.errors))
         if c.outliers:
             without = (nominal.errors_without_outliers, fitted.errors_without_outliers)
-            sets.append(("held-out rows, without outliers", *without))
-    if not any(of_rows[unit].n for _, _, of_rows in sets):
-        sets = [("estimation rows, which the fit used", before["estimation"], after["estimation"])]
+            sets.append(("without outliers", *without))
+    if not any(of_rows.leading.n for _, _, of_rows in sets):
+        sets = [("estimation rows", before["estimation"], after["estimation"])]
     rows = []
-    for label, nominal_errors, errors in sets:
-        figures = errors[unit]
-        if figures.n:
-            cells = [
-                *_error_cells(nominal_errors[unit], with_span=False),
-                *_error_cells(figures, with_span=False),
-            ]
-            rows.append((label, f"{figures.n:,}", *cells))
+    for unit in c.channels.present:
+        name = f"{RESIDUAL_UNITS[unit].measured} [{RESIDUAL_UNITS[unit].shown}]"
+        for label, nominal_errors, errors in sets:
+            if errors[unit].n:
+                cells = [_error_cells(of_robot[unit]) for of_robot in (nominal_errors, errors)]
+                rows.append((name, label, f"{errors[unit].n:,}", *cells[0], *cells[1]))
+                name = ""
     return Table(
-        f"{texts.error_title(unit, c.channels)} [{RESIDUAL_UNITS[unit].shown}]",
-        ("rows", "number", *(2 * ("max", "mean", "rms"))),
+        "Size of the error by set of rows",
+        ("error of", "rows", "number", *(2 * ("max", "mean", "rms"))),
         rows,
-        "lrrrrrrr",
-        groups=(("", 2), ("before: nominal", 3), ("after: calibrated", 3)),
+        "llrrrrrrr",
+        groups=(("", 3), ("before: nominal", 3), ("after: calibrated", 3)),
     )
 
 
@@ -138,7 +132,7 @@ def _has_span(e: UnitErrors) -> bool:
     return e.n > 0 and bool(np.any(np.isfinite(e.span_axis)))
 
 
-def _error_cells(e: UnitErrors, *, with_span: bool) -> list[str]:
+def _error_cells(e: UnitErrors, *, with_span: bool = False) -> list[str]:
     """Write largest, mean and rms error of a set, and the spans by axis, in the unit that is shown."""
     values = [e.max, e.mean, e.rms]
     if with_span:
