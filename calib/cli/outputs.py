@@ -103,7 +103,7 @@ class Outputs:
         if self.figures is not None and self.figures.is_file():
             raise CalibError(f"{self.figures} is a file; --figures names a folder.")
         if self.report is not None:
-            from calib.report.report import check_ending
+            from calib.report.page import check_ending
 
             check_ending(self.report)
         files = (self.output, self.json, self.view, self.report)

@@ -25,7 +25,7 @@ POINT = ("x", "y", "z")
 ORIENTATION = (*orientations.ROTATION_VECTOR.columns, *orientations.QUATERNION.columns)
 
 #: Columns of words.
-WORDS = ("row", "set", "kind", "target", "group", "pair", "point")
+WORDS = ("row", "set", "kind", "target", "group", "pair", "point", "approach")
 
 #: The column of a table of commands that says whether a row has one.
 STATUS = "status"

@@ -336,8 +336,7 @@ def _assembled(
     m, geometry, all_rows = measurements, fits.geometry, fits.all_rows
     robot, cell, estimate = geometry.task.robot, geometry.task.cell, geometry.estimate
     observability = estimate.problem.observability(estimate.x)
-    scored = _scored(m, fits)
-    nominal_places = _nominal_places(m, fits)
+    scored, nominal_places = _scored(m, fits), _nominal_places(m, fits)
     return CalibrationValues(
         **_model_values(geometry, observability, validations.geometry),
         nominal=robot,
@@ -373,6 +372,7 @@ def _assembled(
         non_geometric=_non_geometric(fits, validations.non_geometric),
         verdict=verdict,
         zeros=joint_zeros(fits, m.validation, cross_validated=validations.geometry is not None),
+        record=cell.record,
         fit=FitInMemory(m, cell, geometry, fits.non_geometric),
     )
 

@@ -24,10 +24,10 @@ from calib.result.calibration_file import (
     write_table,
 )
 from calib.result.evaluation import evaluate
+from calib.result.evaluation_file import assessment_table
 from calib.robot.payload import Payload
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
-from calib.text.evaluation import assessment_table
 from calib.text.summary import summary
 
 DOC = Path(__file__).parents[2] / "docs" / "result-json.md"
