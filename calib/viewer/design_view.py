@@ -59,7 +59,7 @@ _MOST_POINTS = 60_000
 _CAMERA_POINTS = 5000
 
 #: Edge of a point, as a part of a voxel; the robot is seen between them.
-_POINT = 0.36
+_POINT = 0.09
 
 
 class _Dots(NamedTuple):

@@ -337,7 +337,9 @@ def draw_cloud(node: meshcat.Visualizer, points: ArrayLike, colour: str, edge: f
     levels = [int(colour[i : i + 2], 16) for i in (1, 3, 5)]
     rgb = np.array(levels, dtype=np.float32) / 255
     colours = np.repeat(rgb[:, None], positions.shape[1], axis=1)
-    node.set_object(mc.PointCloud(positions, colours, size=edge))
+    # three.js takes a size for an angle of view of 90 deg, whatever the camera's is.
+    size = edge / np.tan(0.5 * np.deg2rad(_FOV_DEG))
+    node.set_object(mc.PointCloud(positions, colours, size=float(size)))
 
 
 def draw_lines(node: meshcat.Visualizer, ends: Array, colour: str, opacity: float = 1.0) -> None:

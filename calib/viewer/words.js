@@ -138,6 +138,7 @@ function drawInset(all) {
   const at = flat(all);
   const xs = Object.values(at).map((p) => p[0]), ys = Object.values(at).map((p) => p[1]);
   const wide = Math.max(...xs) - Math.min(...xs), high = Math.max(...ys) - Math.min(...ys);
+  drawing.style.display = Math.max(wide, high) > 0 ? "" : "none";
   if (!(Math.max(wide, high) > 0)) return;
   // 170 by 92 units: room for the dots at the edges and the bar below.
   const unit = 1 / Math.max(wide / 142, high / 50);
