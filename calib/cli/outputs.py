@@ -145,7 +145,7 @@ class Outputs:
         if self.view is not None:
             from calib.viewer.page import write_page
 
-            yield write_page(result, self.view, overwrite=self.force)
+            yield write_page(result, self.view, overwrite=self.force, accepted=self.accept)
         if self.report is not None:
             from calib.report.report import write_report
 

@@ -206,4 +206,4 @@ def _write(planned: PlanValues, outputs: PlanOutputs, first_row: int) -> None:
     if outputs.view is not None:
         from calib.viewer.design_view import plan_page
 
-        plan_page(planned).write(outputs.view, overwrite=outputs.force)
+        plan_page(planned, first_row=first_row).write(outputs.view, overwrite=outputs.force)
