@@ -13,9 +13,9 @@ from openpyxl import Workbook
 
 from calib.data.measurements import Measurements
 from calib.data.points_file import read_points
-from calib.data.workbook import split_sheet
 from calib.errors import MeasurementError
 from calib.table import Table
+from calib.workbook import split_sheet
 from tests.data.tables import refused
 
 
