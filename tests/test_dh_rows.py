@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import re
 from pathlib import Path
 
 import numpy as np
@@ -235,3 +236,16 @@ def test_a_coupling_in_rows_is_that_of_the_robot():
     assert robot.reading_coupling == {"J3": {"J2": 1.0}}
     again = calib.Robot.from_urdf(robot.urdf, coupling={"J3": {"J2": -1.0}})
     assert again.reading_coupling == {"J3": {"J2": -1.0}}  # what is given counts
+
+
+def test_the_tables_of_the_page_are_rows(tmp_path):
+    page = (Path(__file__).parents[1] / "docs" / "dh-rows.md").read_text(encoding="utf-8")
+    tables = re.findall(r"```csv\n(.*?)```", page, re.DOTALL)
+    for table, name in zip(
+        tables, ("kuka_kr6_r900", "franka_panda", "epson_gx4_a351s"), strict=True
+    ):
+        (tmp_path / "rows.csv").write_text(table)
+        of_page, of_example = read_dh_robot(tmp_path / "rows.csv"), read_dh_robot(dh_rows(name))
+        assert of_page.table.convention == of_example.table.convention
+        q = np.random.default_rng(1).uniform(-2, 2, (5, len(of_page.joint_names)))
+        np.testing.assert_allclose(of_page.poses(q), of_example.poses(q), atol=1e-12)

@@ -225,7 +225,14 @@ ELSEWHERE = {
 }
 
 #: Run here, in this order: what one makes, the next may use.
-HERE = ("quick-start.md", "result-json.md", "acceptance.md", "convert.md", "workspace.md")
+HERE = (
+    "quick-start.md",
+    "result-json.md",
+    "acceptance.md",
+    "convert.md",
+    "workspace.md",
+    "dh-rows.md",
+)
 
 #: What they show takes long and is run by other tests, in smaller ways: here their calls are held to what is called.
 CALLED = ("fleet.md", "report.md")

@@ -70,6 +70,7 @@ Examples:
   calib convert calibration.conf --ur-model UR5e -o kinematics.yaml
   calib convert result.json --to ur-yaml --hash-from own_kinematics.yaml -o kinematics.yaml
   calib convert corrected.urdf --robot robot.urdf --to hayati -o rows.csv
+  calib convert rows.csv --to urdf -o robot.urdf
 
 What is written is read back and compared with the robot before it appears; what a format cannot hold is said. A result
 whose verdict is 'do not use', or a URDF that states it, is refused with exit status 3, unless --accept is given.
@@ -79,8 +80,8 @@ def convert(
         str,
         typer.Argument(
             metavar="SOURCE",
-            help="result.json, calibration.conf, kinematics.yaml, origins.yaml, a URDF or xacro, "
-            "or a robot's name.",
+            help="result.json, calibration.conf, kinematics.yaml, origins.yaml, DH rows (.csv, .json), a "
+            "URDF or xacro, or a robot's name.",
         ),
     ],
     output: Annotated[Path, typer.Option("-o", "--output", metavar="FILE", help="File to write.")],
