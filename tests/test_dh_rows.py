@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import re
 from pathlib import Path
 
 import numpy as np
@@ -203,3 +204,48 @@ def test_corrected_rows_go_back_in_the_form_that_came_in(name, tmp_path):
             if i not in tilted:
                 np.testing.assert_allclose(numbers(row), numbers(of_true), rtol=0, atol=3e-6)
                 np.testing.assert_allclose(numbers(row), numbers(of_sheet), rtol=0, atol=0.03)
+
+
+def test_rows_in_python():
+    rows = [
+        calib.DHRow("j1", d=0.3, alpha=np.pi / 2, direction=-1, lower=-1, upper=2),
+        calib.DHRow("j2", a=0.4, offset=-np.pi / 2),
+        calib.DHRow("j3", a=0.3),
+    ]
+    tool = move(0.1, 0.2, 0.3)
+    robot = calib.Robot.from_dh(rows, name="arm", T_n_tip=tool, coupling={"j3": {"j2": 1.0}})
+    assert (robot.name, robot.base, robot.tip) == ("arm", "base", "flange")
+    q = readings_of(robot, 5)
+    for one, found in zip(q, robot.poses(q), strict=True):
+        T = turn("z", -one[0]) @ move(z=0.3) @ turn("x", np.pi / 2)
+        T = T @ turn("z", one[1] - np.pi / 2) @ move(0.4) @ turn("z", one[2] + one[1]) @ move(0.3)
+        np.testing.assert_allclose(found, T @ tool, rtol=0, atol=1e-12)
+    modified = calib.Robot.from_dh([calib.DHRow("j", a=0.4, alpha=1.0, d=0.5)], "modified")
+    wanted = turn("x", 1.0) @ move(0.4) @ turn("z", 0.3) @ move(z=0.5)
+    np.testing.assert_allclose(modified.poses([0.3])[0], wanted, atol=1e-15)
+    with pytest.raises(TypeError, match=r"rows\[0\]"):
+        calib.Robot.from_dh([(0, 0, 0, 0)])  # type: ignore[list-item]
+    with pytest.raises(calib.CalibError, match="'denavit' is no convention"):
+        calib.Robot.from_dh(rows, "denavit")
+    with pytest.raises(calib.CalibError, match="T_n_tip"):
+        calib.Robot.from_dh(rows, T_n_tip=np.eye(3))
+
+
+def test_a_coupling_in_rows_is_that_of_the_robot():
+    robot = calib.Robot.load(dh_rows("fanuc_lrmate200id"))
+    assert robot.reading_coupling == {"J3": {"J2": 1.0}}
+    again = calib.Robot.from_urdf(robot.urdf, coupling={"J3": {"J2": -1.0}})
+    assert again.reading_coupling == {"J3": {"J2": -1.0}}  # what is given counts
+
+
+def test_the_tables_of_the_page_are_rows(tmp_path):
+    page = (Path(__file__).parents[1] / "docs" / "dh-rows.md").read_text(encoding="utf-8")
+    tables = re.findall(r"```csv\n(.*?)```", page, re.DOTALL)
+    for table, name in zip(
+        tables, ("kuka_kr6_r900", "franka_panda", "epson_gx4_a351s"), strict=True
+    ):
+        (tmp_path / "rows.csv").write_text(table)
+        of_page, of_example = read_dh_robot(tmp_path / "rows.csv"), read_dh_robot(dh_rows(name))
+        assert of_page.table.convention == of_example.table.convention
+        q = np.random.default_rng(1).uniform(-2, 2, (5, len(of_page.joint_names)))
+        np.testing.assert_allclose(of_page.poses(q), of_example.poses(q), atol=1e-12)

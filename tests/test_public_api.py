@@ -28,6 +28,7 @@ NAMES = [
     "Cell",
     "Commands",
     "Comparison",
+    "DHRow",
     "Evaluation",
     "Measurements",
     "Plan",

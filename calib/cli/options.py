@@ -19,7 +19,7 @@ RobotFile = Annotated[
     str,
     typer.Argument(
         metavar="ROBOT",
-        help="URDF or xacro file, a xacro's arguments behind it in the same quotes; or a robot "
+        help="URDF or xacro file, a xacro's arguments behind it in the same quotes; DH rows; or a robot "
         "of example-robot-data, such as 'ur3'.",
     ),
 ]

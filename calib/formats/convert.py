@@ -137,7 +137,10 @@ def _write_urdf(source: Source, path: Path, options: Options) -> Notes:
     check_written(written, robot.poses(q), q)
     written.urdf.write(path, overwrite=options.overwrite)
     coupled = robot.reading_coupling
-    return (Note("coupled readings", (coupling_lines(coupled),)),) if coupled else ()
+    if not coupled:
+        return ()
+    known = "" if written.urdf.dh is None else ", or the rows in a comment of the URDF do"
+    return (Note("coupled readings", (coupling_lines(coupled), known)),)
 
 
 def _write_origins(source: Source, path: Path, options: Options) -> Notes:

@@ -49,7 +49,12 @@ NEARLY_PARALLEL_RAD = np.radians(3.0)
 
 @dataclass(frozen=True, slots=True)
 class DHRow:
-    """One row; lengths [m], angles [rad]."""
+    """One DH row of a robot; lengths [m], angles [rad].
+
+    Example:
+        >>> DHRow("A1", d=0.4, a=0.025, alpha=-1.5707963267948966, direction=-1).matrix()[:3, 3].tolist()
+        [0.025, 0.0, 0.4]
+    """
 
     #: The joint whose value is added.
     joint: str

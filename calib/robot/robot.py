@@ -221,7 +221,7 @@ class Robot(Value):
             A SCARA with arms of 325 and 275 mm, whose third joint slides down:
 
             >>> import math
-            >>> from calib.robot.dh import DHRow
+            >>> from calib import DHRow
             >>> robot = Robot.from_dh([
             ...     DHRow("J1", d=0.4, a=0.325, lower=-2.3, upper=2.3),
             ...     DHRow("J2", a=0.275, alpha=math.pi, lower=-2.6, upper=2.6),

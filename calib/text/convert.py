@@ -40,8 +40,8 @@ _NOTES: dict[Code, str] = {
     "nearly parallel axes": "Nearly parallel axes: {0}. d and theta of their rows may be large (here up to {1:.3g} mm) "
     "and cancel over the rows: enter every digit, and all rows together. 'hayati' has no such rows.",
     "joints without value": "Joints without a value of their own: {0}.",
-    "coupled readings": "The controller's readings are coupled: the joints of the URDF have the mechanical values, as "
-    "other programs take them. calib takes the readings, by the rows in a comment; in a cell file they are {0}.",
+    "coupled readings": "The joints of the URDF are at their angles, not at the controller's readings. For calib the "
+    "cell file says {0}{1}.",
     "rows read": "{0} DH rows, {1} convention, {2}.",
     "rows written": "The convention of the rows is {0}, {1}.",
     "zeros not determined": "The measurements do not determine the zero of {0}, or it was frozen: leave it as it is. "
@@ -102,9 +102,8 @@ def _read(conversion: Conversion, name: str) -> str:
     robot = source.robot
     parts += [f"'{robot.base}' to '{robot.tip}'", f"{len(robot.joints)} joints"]
     coupling = coupling_sentence(robot)
-    if coupling:
-        coupling = f" {coupling} What is written is of the joints' angles, not of their readings."
-    return ", ".join(parts) + "." + coupling
+    sentence = ", ".join(parts) + "."
+    return f"{sentence} {coupling}" if coupling else sentence
 
 
 def _launch(conversion: Conversion) -> str:

@@ -65,7 +65,7 @@ def test_the_displacement_of_the_tip_is_that_of_the_robots(source: Source, tmp_p
     robot = Robot.from_urdf(nominal.urdf, nominal.base, nominal.tip, coupling=coupling)
     coupled = Conversion(replace(source, robot=robot), "dh", tmp_path / "rows.csv", ())
     said = " ".join(text(coupled, "result.json").split())
-    assert "'elbow_joint' is at its reading plus that of 'shoulder_lift_joint'. What is wr" in said
+    assert "'elbow_joint' is at its reading plus that of 'shoulder_lift_joint'." in said
 
 
 def test_a_nominal_robot_has_nothing_to_compare_with(ur3: Robot, tmp_path: Path):

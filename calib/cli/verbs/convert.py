@@ -79,6 +79,7 @@ Examples:
   calib convert result.json --to ur-yaml --hash-from own_kinematics.yaml -o kinematics.yaml
   calib convert corrected.urdf --robot robot.urdf --to hayati -o rows.csv
   calib convert result.json --to zeros -o zeros.csv
+  calib convert rows.csv --to urdf -o robot.urdf
 
 What is written is read back and compared with the robot before it appears; what a format cannot hold is said. A result
 whose verdict is 'do not use', a URDF that states it, and joint zeros that are no better than none, are refused with
@@ -89,8 +90,8 @@ def convert(
         str,
         typer.Argument(
             metavar="SOURCE",
-            help="result.json, calibration.conf, kinematics.yaml, origins.yaml, a URDF or xacro, "
-            "or a robot's name.",
+            help="result.json, calibration.conf, kinematics.yaml, origins.yaml, DH rows (.csv, .json), a "
+            "URDF or xacro, or a robot's name.",
         ),
     ],
     output: Annotated[Path, typer.Option("-o", "--output", metavar="FILE", help="File to write.")],
