@@ -122,13 +122,13 @@ class _Header:
         """Return the conventions of orientations that have their columns and are filled in.
 
         Raises:
-            MeasurementError: Some columns of one are missing; a single capital letter may mean anything else.
+            MeasurementError: Some columns of one are missing; a single letter that is no angle means something else.
         """
         complete = conventions_of(self.named, self.joint_names, self.options)
         taken = {name for row in complete for name in row.columns}
         for row in CONVENTIONS.values():
             there = [name for name in row.columns if name in self.named and name not in taken]
-            if len("".join(there)) > 1:
+            if any(len(name) > 1 or self.named[name].is_angle for name in there):
                 self.block(row.columns)
         return tuple(row for row in complete if self.block(row.columns))
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 from calib.data.column_options import ColumnOptions
 from calib.data.columns import Columns, Named, list_columns, with_unit
 from calib.data.orientations import CONVENTIONS, Convention
-from calib.data.table import Column, Table
+from calib.data.table import Table
 from calib.errors import MeasurementError
 
 
@@ -105,14 +105,9 @@ def _is_complete(row: Convention, named: Named, joint_names: Collection[str]) ->
     for name in row.columns:
         if name not in named or name in joint_names:
             return False
-        if not row.unit and _is_angle(named[name]) and row.name != "quaternion":
+        if not row.unit and named[name].is_angle and row.name != "quaternion":
             return False
     return True
-
-
-def _is_angle(column: Column) -> bool:
-    """Return True if a column is in a unit of angle."""
-    return column.unit is not None and column.unit.quantity == "angle"
 
 
 def _counted(found: Collection[Convention]) -> str:

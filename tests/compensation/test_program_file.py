@@ -174,8 +174,8 @@ def test_an_option_names_the_convention_where_the_columns_fit_it(read):
 
 
 def test_one_letter_is_no_part_of_an_orientation(read):
-    program = read(f"A,R,{XYZ}", "part 1,7,300,200,100")
-    assert [label for label, _ in program.kept] == ["A", "R"]
+    program = read(f"A,P,R,{XYZ}", "part 1,1,7,300,200,100")
+    assert [label for label, _ in program.kept] == ["A", "P", "R"]
     assert not program.oriented
     with pytest.raises(MeasurementError, match="'C' missing beside 'A', 'B'"):
         read(f"{XYZ},A [deg],B [deg]", "300,200,100,1,2")
