@@ -12,8 +12,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 from calib.compensation.program import CORRECTION, EXPECTED, Program, poses_at
-from calib.data.brands import fix_for_brand
-from calib.data.column_options import ColumnOptions, ColumnsInput, column_options
 from calib.data.columns import (
     POINT,
     STATUS,
@@ -24,10 +22,12 @@ from calib.data.columns import (
     name_columns,
     with_unit,
 )
+from calib.data.forms.brands import fix_for_brand
+from calib.data.forms.column_options import ColumnOptions, ColumnsInput, column_options
+from calib.data.forms.orientation_columns import Orientation, conventions_of, in_units
+from calib.data.forms.orientations import CONVENTIONS, Convention
 from calib.data.layout import Layout
 from calib.data.measurements import Measurements
-from calib.data.orientation_columns import Orientation, conventions_of, in_units
-from calib.data.orientations import CONVENTIONS, Convention
 from calib.data.table import Table
 from calib.data.values import read_values
 from calib.errors import MeasurementError, choices

@@ -9,8 +9,6 @@ from typing import NoReturn
 import calib.data.kinds as registry
 import calib.plugins as plugins
 from calib.channels import RESIDUAL_UNITS
-from calib.data.brands import fix_for_brand
-from calib.data.column_options import ColumnOptions, ColumnsInput, column_options
 from calib.data.columns import (
     COMMON,
     EXPECTED,
@@ -26,8 +24,10 @@ from calib.data.columns import (
     reserved,
     with_unit,
 )
+from calib.data.forms.brands import fix_for_brand
+from calib.data.forms.column_options import ColumnOptions, ColumnsInput, column_options
+from calib.data.forms.orientation_columns import Orientation, conventions_of, find_orientation
 from calib.data.kinds import Kind
-from calib.data.orientation_columns import Orientation, conventions_of, find_orientation
 from calib.data.table import Column, Table
 from calib.errors import MeasurementError, choices, did_you_mean
 from calib.units import Quantity, split_header

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.data.columns import POINT
-from calib.data.numerals import NUMERAL, decimal_sign_in, decimal_sign_of, plain
+from calib.data.forms.numerals import NUMERAL, decimal_sign_in, decimal_sign_of, plain
+from calib.data.forms.points import PARTS, Points
 from calib.data.plausibility import implausible_length
-from calib.data.points import PARTS, Points
 from calib.data.table import Column, Table, read_text
 from calib.errors import MeasurementError, choices
 from calib.units import UNITS, Unit, symbols

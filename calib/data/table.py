@@ -18,8 +18,8 @@ from typing import NoReturn
 
 import numpy as np
 
-from calib.data.column_options import ColumnsInput, column_options
-from calib.data.workbook import sheet_text, split_sheet
+from calib.data.forms.column_options import ColumnsInput, column_options
+from calib.data.forms.workbook import sheet_text, split_sheet
 from calib.errors import CalibError, FileError, MeasurementError
 from calib.files import read_bytes
 from calib.units import NUMBER, Array, Unit, find_unit, split_header

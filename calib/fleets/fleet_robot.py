@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 
 from calib.data.cell import Cell
-from calib.data.column_options import ColumnsInput, column_options
+from calib.data.forms.column_options import ColumnsInput, column_options
 from calib.data.measurements import Measurements
 from calib.data.table import Table
 from calib.errors import CalibError

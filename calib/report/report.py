@@ -17,9 +17,9 @@ import pinocchio as pin
 
 import calib.report.tables as tables
 import calib.text.summary as texts
+from calib.data.forms.orientations import find_convention
 from calib.data.kinds import get as kind_named
 from calib.data.measurements import Measurements
-from calib.data.orientations import find_convention
 from calib.diagnosis.reasons import Why
 from calib.errors import FileError
 from calib.files import write_atomically

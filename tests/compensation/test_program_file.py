@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from calib.compensation.program import Program
 from calib.compensation.program_file import read_program
-from calib.data.column_options import ColumnOptions
+from calib.data.forms.column_options import ColumnOptions
 from calib.errors import MeasurementError
 from calib.example import paper_measurements, paper_urdf
 from calib.robot.robot import Robot

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calib.data.column_options import ColumnOptions
+from calib.data.forms.column_options import ColumnOptions
 from calib.data.measurements import Measurements
 from tests.data.tables import assert_same, refused
 

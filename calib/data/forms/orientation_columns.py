@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Collection
 from typing import NamedTuple
 
-from calib.data.column_options import ColumnOptions
 from calib.data.columns import Columns, Named, list_columns, with_unit
-from calib.data.orientations import CONVENTIONS, Convention
+from calib.data.forms.column_options import ColumnOptions
+from calib.data.forms.orientations import CONVENTIONS, Convention
 from calib.data.table import Table
 from calib.errors import MeasurementError
 

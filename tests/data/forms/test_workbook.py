@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from openpyxl import Workbook
 
+from calib.data.forms.workbook import split_sheet
 from calib.data.measurements import Measurements
 from calib.data.points_file import read_points
 from calib.data.table import Table
-from calib.data.workbook import split_sheet
 from calib.errors import MeasurementError
 from tests.data.tables import refused
 

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 
-from calib.data.orientations import find_convention
+from calib.data.forms.orientations import find_convention
 from calib.errors import MeasurementError, choices, did_you_mean
 
 #: Names of the axes J1 to J7 of brands that number them.
