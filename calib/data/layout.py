@@ -90,7 +90,7 @@ class Layout:
         options = column_options(columns)
         named, groups = name_columns(table, joint_names or (), options)
         joints = _joints(table, named, joint_names, joint_types or {}, options)
-        is_oriented = bool(conventions_of(named, joint_names or (), options))
+        is_oriented = bool(conventions_of(table, named, joint_names or (), options))
         kinds = _kinds(table, named, kind, is_oriented, points_elsewhere=points_elsewhere)
         present = list(map(registry.get, kinds))
         if points_elsewhere:
@@ -255,7 +255,7 @@ def _joints(
     """
     taken = {*reserved(), *ORIENTATION}
     if joint_names is None:
-        taken.update(*(row.columns for row in conventions_of(named, (), options)))
+        taken.update(*(row.columns for row in conventions_of(table, named, (), options)))
     available = {name: column for name, column in named.items() if name not in taken}
     if joint_names is None:
         joint_names = _inferred_joints(table, available, types)
