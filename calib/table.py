@@ -62,6 +62,11 @@ class Column:
             return None
 
     @property
+    def is_angle(self) -> bool:
+        """True if the column is in a unit of angle."""
+        return self.unit is not None and self.unit.quantity == "angle"
+
+    @property
     def to_si(self) -> float:
         """Factor from the numbers as written to SI units; 1 without a unit, as of quaternions."""
         unit = self.unit

@@ -12,11 +12,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from calib.data.column_options import ColumnsInput
 from calib.data.columns import ORIENTATION, list_columns, name_columns, reserved
+from calib.data.forms.column_options import ColumnsInput
+from calib.data.forms.points import PARTS, Points
 from calib.data.layout import Layout
 from calib.data.measurements import Measurements
-from calib.data.points import PARTS, Points
 from calib.data.points_file import read_points
 from calib.data.values import read_values
 from calib.errors import MeasurementError, choices

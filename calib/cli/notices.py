@@ -38,7 +38,7 @@ def say_ignored(measurements: Measurements, robot: Robot) -> None:
         measurements: The table, which knows what of it was not used.
         robot: The chain that was measured.
     """
-    from calib.data.orientations import QUATERNION, find_convention
+    from calib.data.forms.orientations import QUATERNION, find_convention
 
     empty = measurements.unmeasured
     if empty:

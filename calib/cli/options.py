@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 if TYPE_CHECKING:
-    from calib.data.column_options import ColumnOptions
+    from calib.data.forms.column_options import ColumnOptions
 
 RobotFile = Annotated[
     str,

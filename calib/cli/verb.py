@@ -111,14 +111,14 @@ def _formats() -> tuple[str, ...]:
 
 def _brands() -> tuple[str, ...]:
     """Return the names of the brands whose columns are known."""
-    from calib.data.brands import BRANDS
+    from calib.data.forms.brands import BRANDS
 
     return tuple(BRANDS)
 
 
 def _conventions() -> tuple[str, ...]:
     """Return the names of the conventions of orientations."""
-    from calib.data.orientations import CONVENTIONS
+    from calib.data.forms.orientations import CONVENTIONS
 
     return tuple(CONVENTIONS)
 

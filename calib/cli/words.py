@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from calib.data.cell import Tracker
-    from calib.data.column_options import ColumnOptions
+    from calib.data.forms.column_options import ColumnOptions
     from calib.robot.payload import Payload
 
 
@@ -191,8 +191,8 @@ def parse_columns(
     Raises:
         CalibError: One is not of that form, a column is named twice, or there is no such brand, convention or unit.
     """
-    from calib.data.brands import BRANDS
-    from calib.data.column_options import ColumnOptions
+    from calib.data.forms.brands import BRANDS
+    from calib.data.forms.column_options import ColumnOptions
 
     given = list(words or [])
     brands = [word for word in dict.fromkeys(given) if word.strip().casefold() in BRANDS]

@@ -12,7 +12,7 @@ import numpy as np
 from calib.compensation.commands import Commands
 from calib.compensation.program import CORRECTION, EXPECTED
 from calib.data.columns import POINT, STATUS
-from calib.data.orientations import ROTATION_VECTOR, Convention, find_convention
+from calib.data.forms.orientations import ROTATION_VECTOR, Convention, find_convention
 from calib.files import csv_bytes, write_atomically
 from calib.units import Array
 
@@ -61,8 +61,8 @@ def write_commands(
         commands: The commands.
         path: The file.
         send: Which of the two forms are written.
-        orientation: Convention of the orientations, one of `calib.data.orientations.CONVENTIONS`; None: that of the
-            program, or of one without orientations rotation vectors.
+        orientation: Convention of the orientations, one of `calib.data.forms.orientations.CONVENTIONS`; None: that of
+            the program, or of one without orientations rotation vectors.
         overwrite: Whether an existing file is replaced.
 
     Returns:

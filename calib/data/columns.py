@@ -11,9 +11,9 @@ import numpy as np
 
 import calib.data.kinds as registry
 from calib.channels import RESIDUAL_UNITS
-from calib.data import orientations
-from calib.data.brands import names_by_brand
-from calib.data.column_options import ColumnOptions, ColumnsInput, column_options
+from calib.data.forms import orientations
+from calib.data.forms.brands import names_by_brand
+from calib.data.forms.column_options import ColumnOptions, ColumnsInput, column_options
 from calib.errors import MeasurementError, choices, did_you_mean
 from calib.table import Column, Table
 from calib.units import UNITS, Array, Quantity, split_header, symbols

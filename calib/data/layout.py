@@ -9,8 +9,6 @@ from typing import NoReturn
 import calib.data.kinds as registry
 import calib.plugins as plugins
 from calib.channels import RESIDUAL_UNITS
-from calib.data.brands import fix_for_brand
-from calib.data.column_options import ColumnOptions, ColumnsInput, column_options
 from calib.data.columns import (
     COMMON,
     EXPECTED,
@@ -26,8 +24,10 @@ from calib.data.columns import (
     reserved,
     with_unit,
 )
+from calib.data.forms.brands import fix_for_brand
+from calib.data.forms.column_options import ColumnOptions, ColumnsInput, column_options
+from calib.data.forms.orientation_columns import Orientation, conventions_of, find_orientation
 from calib.data.kinds import Kind
-from calib.data.orientation_columns import Orientation, conventions_of, find_orientation
 from calib.errors import MeasurementError, choices, did_you_mean
 from calib.table import Column, Table
 from calib.units import Quantity, split_header
@@ -91,7 +91,7 @@ class Layout:
         options = column_options(columns)
         named, groups = name_columns(table, joint_names or (), options)
         joints = _joints(table, named, joint_names, joint_types or {}, options)
-        is_oriented = bool(conventions_of(named, joint_names or (), options))
+        is_oriented = bool(conventions_of(table, named, joint_names or (), options))
         kinds = _kinds(table, named, kind, is_oriented, points_elsewhere=points_elsewhere)
         present = list(map(registry.get, kinds))
         if points_elsewhere:
@@ -256,7 +256,7 @@ def _joints(
     """
     taken = {*reserved(), *ORIENTATION}
     if joint_names is None:
-        taken.update(*(row.columns for row in conventions_of(named, (), options)))
+        taken.update(*(row.columns for row in conventions_of(table, named, (), options)))
     available = {name: column for name, column in named.items() if name not in taken}
     if joint_names is None:
         joint_names = _inferred_joints(table, available, types)

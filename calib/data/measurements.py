@@ -28,7 +28,6 @@ from calib.data.checks import (
     mask_of_words,
     shared_by_pairs,
 )
-from calib.data.column_options import ColumnOptions, ColumnsInput
 from calib.data.columns import (
     COMMON,
     DEFAULT_TARGET,
@@ -37,9 +36,10 @@ from calib.data.columns import (
     TORQUE,
     cells_of,
 )
+from calib.data.forms.column_options import ColumnOptions, ColumnsInput
+from calib.data.forms.orientations import QUATERNION
 from calib.data.kinds import SIGMAS, Kind
 from calib.data.layout import Layout
-from calib.data.orientations import QUATERNION
 from calib.data.points_file import read_points
 from calib.data.values import read_values
 from calib.errors import MeasurementError, choices
@@ -128,8 +128,8 @@ class Measurements(Value):
     unmeasured: tuple[int, ...] = ()
     #: Row numbers left out by `without_copies`, as the table has them.
     copies: tuple[int, ...] = ()
-    #: Convention in which the table gave the orientations, one of `calib.data.orientations.CONVENTIONS`; empty where it
-    #: gave none.
+    #: Convention in which the table gave the orientations, one of `calib.data.forms.orientations.CONVENTIONS`; empty
+    #: where it gave none.
     orientation: str = ""
     #: Names of the directions that the poses were approached from; ``""`` when not given.
     approaches: tuple[str, ...] = ()

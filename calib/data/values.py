@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 import calib.data.kinds as registry
 from calib.channels import RESIDUAL_UNITS
 from calib.data.columns import SETS, STATUS, TORQUE
+from calib.data.forms.points import Points
 from calib.data.kinds import Kind
 from calib.data.layout import Layout, slides
 from calib.data.plausibility import check_units
-from calib.data.points import Points
 from calib.errors import MeasurementError, choices
 from calib.table import Column, Table
 from calib.units import Array, Mask

@@ -18,9 +18,9 @@ import numpy as np
 import calib.data.kinds as registry
 from calib.channels import RESIDUAL_UNITS
 from calib.data.columns import DEFAULT_TARGET, EXPECTED, POINT, name_columns
+from calib.data.forms.orientations import QUATERNION
 from calib.data.layout import Layout
 from calib.data.measurements import Measurements
-from calib.data.orientations import QUATERNION
 from calib.data.values import read_values
 from calib.design.forecast import Forecast
 from calib.design.plan import PlanValues

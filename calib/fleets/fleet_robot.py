@@ -9,8 +9,8 @@ from functools import partial
 from pathlib import Path
 
 from calib.data.cell import Cell
-from calib.data.column_options import ColumnsInput, column_options
 from calib.data.columns import names_in
+from calib.data.forms.column_options import ColumnsInput, column_options
 from calib.data.measurements import Measurements
 from calib.errors import CalibError
 from calib.inputs import CellInput, RobotInput, TableInput, inputs_of

@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from calib.data.cell import Cell
-from calib.data.column_options import ColumnsInput
 from calib.data.columns import POINT, name_columns
+from calib.data.forms.column_options import ColumnsInput
 from calib.data.measurements import Measurements
 from calib.regions.region import Density, Region
 from calib.robot.chain import rigid_inverse

@@ -13,8 +13,8 @@ import pinocchio as pin
 
 import calib.report.tables as tables
 import calib.text.summary as texts
+from calib.data.forms.orientations import find_convention
 from calib.data.measurements import Measurements
-from calib.data.orientations import find_convention
 from calib.diagnosis.reasons import Why
 from calib.files import write_atomically
 from calib.numerics.intervals import interval_factor

@@ -88,7 +88,7 @@ class Source:
     name: str
     #: SHA-256 of its bytes, in hexadecimal digits
     sha256: str
-    #: Convention of its orientations, one of `calib.data.orientations.CONVENTIONS`; empty where it had none
+    #: Convention of its orientations, one of `calib.data.forms.orientations.CONVENTIONS`; empty where it had none
     orientation: str = ""
 
 

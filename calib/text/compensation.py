@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from calib.compensation.expected import BAND
-from calib.data.orientations import find_convention
+from calib.data.forms.orientations import find_convention
 from calib.robot.robot import rigid_inverse
 from calib.text.layout.lines import fill
 from calib.text.layout.tables import Column, name_column, table_lines

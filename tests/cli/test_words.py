@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from calib.cli.words import parse_columns, parse_held, parse_pair, parse_payload, parse_point
-from calib.data.column_options import ColumnOptions
+from calib.data.forms.column_options import ColumnOptions
 from calib.errors import CalibError
 from calib.robot.payload import Payload
 from calib.units import Angle, Length

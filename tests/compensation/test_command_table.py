@@ -14,8 +14,8 @@ from calib.compensation.command_table import write_commands
 from calib.compensation.commands import Commands, compensate
 from calib.compensation.program import Program
 from calib.compensation.program_file import read_program
-from calib.data.column_options import ColumnOptions
-from calib.data.orientations import CONVENTIONS
+from calib.data.forms.column_options import ColumnOptions
+from calib.data.forms.orientations import CONVENTIONS
 from calib.robot.robot import Robot
 
 JOINTS = [

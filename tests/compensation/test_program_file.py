@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from calib.compensation.program import Program
 from calib.compensation.program_file import read_program
-from calib.data.column_options import ColumnOptions
+from calib.data.forms.column_options import ColumnOptions
 from calib.errors import MeasurementError
 from calib.example import paper_measurements, paper_urdf
 from calib.robot.robot import Robot
@@ -174,8 +174,8 @@ def test_an_option_names_the_convention_where_the_columns_fit_it(read):
 
 
 def test_one_letter_is_no_part_of_an_orientation(read):
-    program = read(f"A,R,{XYZ}", "part 1,7,300,200,100")
-    assert [label for label, _ in program.kept] == ["A", "R"]
+    program = read(f"A,P,R,{XYZ}", "part 1,1,7,300,200,100")
+    assert [label for label, _ in program.kept] == ["A", "P", "R"]
     assert not program.oriented
     with pytest.raises(MeasurementError, match="'C' missing beside 'A', 'B'"):
         read(f"{XYZ},A [deg],B [deg]", "300,200,100,1,2")
@@ -186,3 +186,8 @@ def test_one_unit_for_all_joints(read):
     assert program.q == pytest.approx(np.radians([[10, -80, 70, -60, -90, 5]]))
     with pytest.raises(MeasurementError, match="--joint-unit deg"):
         read(JOINTS, VALUES)
+
+
+def test_a_plan_s_empty_quaternion_goes_not_along(read):
+    program = read(f"{XYZ},qx,qy,qz,qw,A [deg],B [deg],C [deg]", "300,200,100,,,,,20,-30,40")
+    assert (program.form, program.kept) == ("kuka", ())

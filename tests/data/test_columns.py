@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from calib.data.column_options import ColumnOptions
 from calib.data.columns import name_columns, names_in, reserved, with_unit
+from calib.data.forms.column_options import ColumnOptions
 from calib.data.measurements import Measurements
 from calib.errors import MeasurementError
 from calib.table import Column, Table

@@ -9,7 +9,7 @@ import pytest
 from openpyxl import Workbook
 from scipy.spatial.transform import Rotation
 
-from calib.data.column_options import ColumnOptions
+from calib.data.forms.column_options import ColumnOptions
 from calib.data.measurements import Measurements
 from tests.data.tables import refused
 

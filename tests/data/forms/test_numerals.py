@@ -2,7 +2,7 @@
 
 import pytest
 
-from calib.data.numerals import NUMERAL, decimal_sign_in, decimal_sign_of, plain
+from calib.data.forms.numerals import NUMERAL, decimal_sign_in, decimal_sign_of, plain
 from calib.errors import MeasurementError
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calib.data.orientations import CONVENTIONS, find_convention
+from calib.data.forms.orientations import CONVENTIONS, find_convention
 from calib.errors import MeasurementError
 
 #: SciPy's rotation of each convention's numbers, [rad].

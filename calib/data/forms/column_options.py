@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TypeAlias
 
-from calib.data.brands import Brand, find_brand
-from calib.data.orientations import Convention, find_convention
+from calib.data.forms.brands import Brand, find_brand
+from calib.data.forms.orientations import Convention, find_convention
 from calib.errors import CalibError, MeasurementError, choices
 from calib.mappings import ReadOnlyMapping
 from calib.units import Quantity, find_unit, symbols
@@ -29,9 +29,9 @@ class ColumnOptions:
     #: "shoulder_pan_joint [deg]"}``, for a column that has none; to ``"-"`` to leave a column out. Several columns may
     #: be mapped to ``"group"``.
     names: Mapping[str, str] = field(default_factory=dict)
-    #: One of `calib.data.brands.BRANDS`, whose names the other columns have; None: calib's names.
+    #: One of `calib.data.forms.brands.BRANDS`, whose names the other columns have; None: calib's names.
     brand: str | None = None
-    #: One of `calib.data.orientations.CONVENTIONS`; None: as the columns' names say.
+    #: One of `calib.data.forms.orientations.CONVENTIONS`; None: as the columns' names say.
     orientation: str | None = None
     #: Unit of the joints whose columns name none, ``"deg"``; ``"deg mm"`` where some slide. None: each names its own.
     joint_unit: str | None = None

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calib.data.column_options import ColumnOptions, column_options
+from calib.data.forms.column_options import ColumnOptions, column_options
 from calib.data.measurements import Measurements
 from calib.errors import CalibError, MeasurementError
 from tests.data.tables import refused

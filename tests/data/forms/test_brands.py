@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calib.data.brands import BRANDS, brands_like
-from calib.data.column_options import ColumnOptions
+from calib.data.forms.brands import BRANDS, brands_like
+from calib.data.forms.column_options import ColumnOptions
+from calib.data.forms.orientations import CONVENTIONS
 from calib.data.measurements import Measurements
-from calib.data.orientations import CONVENTIONS
 from tests.data.tables import refused
 
 JOINTS = ["one", "two", "three", "four", "five", "six"]

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Collection
 from typing import NamedTuple
 
-from calib.data.column_options import ColumnOptions
 from calib.data.columns import Columns, Named, list_columns, with_unit
-from calib.data.orientations import CONVENTIONS, Convention
+from calib.data.forms.column_options import ColumnOptions
+from calib.data.forms.orientations import CONVENTIONS, Convention
 from calib.errors import MeasurementError
-from calib.table import Column, Table
+from calib.table import Table
 
 
 class Orientation(NamedTuple):
@@ -24,23 +24,27 @@ class Orientation(NamedTuple):
 
 
 def conventions_of(
-    named: Named, joint_names: Collection[str], options: ColumnOptions
+    table: Table, named: Named, joint_names: Collection[str], options: ColumnOptions
 ) -> tuple[Convention, ...]:
     """Return the conventions of which a table has all columns; of those with the same columns the one that is meant.
 
+    If cells of some are filled in, those of which none is, as a plan leaves them, do not count.
+
     Args:
+        table: The table.
         named: The columns by calib's names.
         joint_names: Joints, whose columns are no orientation.
         options: What is said of the columns; its convention, if its columns are there, is the only one.
     """
-    complete = [row for row in CONVENTIONS.values() if _is_complete(row, named, joint_names)]
+    complete = [row for row in CONVENTIONS.values() if is_complete(row, named, joint_names)]
     for convention in options.conventions:
         if convention in complete:
             return (convention,)
     by_columns: dict[tuple[str, ...], Convention] = {}
     for row in complete:
         by_columns.setdefault(row.columns, row)
-    return tuple(by_columns.values())
+    filled = [row for row in by_columns.values() if _is_filled(row, table, named)]
+    return tuple(filled or by_columns.values())
 
 
 def find_orientation(
@@ -61,7 +65,7 @@ def find_orientation(
         MeasurementError: There is none or more than one, it is not of the convention of ``options``, or a unit does
             not fit.
     """
-    found = conventions_of(named, joint_names, options)
+    found = conventions_of(table, named, joint_names, options)
     is_other = options.orientation not in (None, *(row.name for row in found))
     if len(found) != 1 or is_other:
         wanted = f" (--orientation {options.orientation})" if is_other else ""
@@ -97,22 +101,27 @@ def in_units(
     return Orientation(convention, tuple(columns), alternatives)
 
 
-def _is_complete(row: Convention, named: Named, joint_names: Collection[str]) -> bool:
+def is_complete(row: Convention, named: Named, joint_names: Collection[str]) -> bool:
     """Return True if a table has all columns of a convention, none of them a joint's.
 
     Numbers without unit are none in a unit of angle, such as joints q1 to q4; of qx to qw that is a mistake.
+
+    Args:
+        row: The convention.
+        named: The columns by calib's names.
+        joint_names: Joints, whose columns are no orientation.
     """
     for name in row.columns:
         if name not in named or name in joint_names:
             return False
-        if not row.unit and _is_angle(named[name]) and row.name != "quaternion":
+        if not row.unit and named[name].is_angle and row.name != "quaternion":
             return False
     return True
 
 
-def _is_angle(column: Column) -> bool:
-    """Return True if a column is in a unit of angle."""
-    return column.unit is not None and column.unit.quantity == "angle"
+def _is_filled(row: Convention, table: Table, named: Named) -> bool:
+    """Return True if any cell of a convention's columns is filled in."""
+    return any(any(table.column(named[name])) for name in row.columns)
 
 
 def _counted(found: Collection[Convention]) -> str:

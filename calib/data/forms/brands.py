@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 
-from calib.data.orientations import find_convention
+from calib.data.forms.orientations import find_convention
 from calib.errors import MeasurementError, choices, did_you_mean
 
 #: Names of the axes J1 to J7 of brands that number them.
@@ -161,7 +161,10 @@ def _fail_on_count(
     """Refuse more or fewer axes than joints; arguments as of `names_by_brand`."""
     external = [name for name in brand.external if _position_of(name, names) is not None]
     if len(axes) > len(joint_names):
-        fix = f'Leave out an axis with --columns "{axes[-1]}=-", or name the arm\'s end with --tip.'
+        fix = (
+            f'Leave out each axis that is none of these joints, as --columns "{axes[-1]}=-", or name the arm\'s end '
+            "with --tip."
+        )
     else:
         one = external[0] if external else "name in the table"
         fix = (
