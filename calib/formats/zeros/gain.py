@@ -61,9 +61,12 @@ class Gain(Value):
 
     @property
     def is_none(self) -> bool:
-        """True if the robot is no better with the rounded zeros than it was, in the first unit that was measured."""
-        unit = next(iter(self.zeros))
-        return self.rounded[unit] >= self.nominal[unit]
+        """True if the robot is no better with the rounded zeros than it was, in the first unit that was measured.
+
+        False where no row can tell, ``zeros`` being empty, or where the nominal robot could not be judged.
+        """
+        unit = next(iter(self.zeros), "")
+        return unit in self.zeros and self.rounded[unit] >= self.nominal[unit]
 
 
 def _errors_of_robots(calibration: CalibrationValues, rows: str) -> dict[str, Errors]:

@@ -55,3 +55,5 @@ def test_what_is_no_better_is_refused():
         check_gain(worse, path, accept=False)
     not_judged = replace(worse, nominal={"m": np.nan})  # the verdict speaks of that
     check_gain(not_judged, path, accept=False)
+    nothing = replace(worse, nominal={}, zeros={}, rounded={}, calibrated={})
+    assert not nothing.is_none
