@@ -123,7 +123,12 @@ def characteristics(e: Assessment) -> Table:
     """Tabulate the further characteristics of the evaluated robot that the rows have."""
     rows = characteristic_cells(e.characteristics[e.judged])
     title = f"Further characteristics by ISO 9283: {NAMES[e.judged]}"
-    return Table(title, ("characteristic", *CHARACTERISTIC_HEADS), rows, "llrr")
+    note = (
+        "AD: mean error of the distance between two poses; RD: three standard deviations of it. vAP: distance between "
+        "the mean errors of two approaches to a pose. dAP, dRP: change of AP and RP from the first ten repeats of a pose "
+        "to later ones, in the order of the rows."
+    )
+    return Table(title, ("characteristic", *CHARACTERISTIC_HEADS), rows, "llrr", note)
 
 
 def poses(e: Assessment, robot: str) -> Table:
