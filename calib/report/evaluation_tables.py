@@ -19,7 +19,7 @@ from calib.text.accuracy import (
     pose_cells,
     pose_heads,
 )
-from calib.text.evaluation import FIGURES, error_blocks
+from calib.text.evaluation import FIGURES, decisive_sum, error_blocks
 from calib.text.layout.lines import number
 from calib.text.layout.sizes import shown
 from calib.text.summary import error_cells, error_heads, error_title
@@ -72,7 +72,7 @@ def before_and_after(e: Assessment) -> Table:
     heads = ["figure A", *_robot_heads(shown_robots)]
     align = "l" + "r" * (len(heads) - 1)
     if a is not None:
-        heads += ["U (k = 2)", "f A + U", "tolerance T", "outcome"]
+        heads += ["U (k = 2)", "A with U", "tolerance T", "outcome"]
         align += "rrrl"
     return Table(_FIRST_TITLE, heads, rows, align, strong=strong)
 
@@ -96,10 +96,11 @@ def checks(e: Assessment) -> Table:
     a = e.accepted
     return Table(
         "Comparison with the tolerance",
-        ("figure A", "A", "factor f", "U (k = 2)", "f A + U", "tolerance T", "outcome"),
+        ("figure A", "A", "factor f", "U (k = 2)", "A with U", "tolerance T", "outcome"),
         [] if a is None else [_check_row(a, unit) for unit in a.checks],
         "lrrrrrl",
-        "f: random errors before targets or frames were registered to these rows, over those after it; 1 without.",
+        "A with U: f A + U, of a fail A - U. f: random errors before targets or frames were registered to these rows, "
+        "over those after it; 1 without.",
     )
 
 
@@ -107,14 +108,14 @@ def _check_row(a: Acceptance, unit: str) -> tuple[str, ...]:
     """Return the cells of the check in one unit."""
     check = a.checks[unit]
     name = f"{FIGURES[a.criterion]}, {_of_unit(unit)}"
-    factor = number(check.factor, _FACTOR_DIGITS)
+    factor = "1" if check.factor == 1.0 else number(check.factor, _FACTOR_DIGITS)
     return (name, shown(check.figure, unit), factor, *_check_cells(a, unit))
 
 
 def _check_cells(a: Acceptance, unit: str) -> tuple[str, ...]:
-    """Return uncertainty, f A + U, tolerance and outcome of the check in one unit."""
+    """Return uncertainty, the sum that decides, tolerance and outcome of the check in one unit."""
     check = a.checks[unit]
-    values = (check.uncertainty, check.held, check.tolerance)
+    values = (check.uncertainty, decisive_sum(check), check.tolerance)
     return (*(shown(value, unit) for value in values), check.outcome)
 
 
@@ -122,7 +123,12 @@ def characteristics(e: Assessment) -> Table:
     """Tabulate the further characteristics of the evaluated robot that the rows have."""
     rows = characteristic_cells(e.characteristics[e.judged])
     title = f"Further characteristics by ISO 9283: {NAMES[e.judged]}"
-    return Table(title, ("characteristic", *CHARACTERISTIC_HEADS), rows, "llrr")
+    note = (
+        "AD: mean error of the distance between two poses; RD: three standard deviations of it. vAP: distance between "
+        "the mean errors of two approaches to a pose. dAP, dRP: change of AP and RP from the first ten repeats of a pose "
+        "to later ones, in the order of the rows."
+    )
+    return Table(title, ("characteristic", *CHARACTERISTIC_HEADS), rows, "llrr", note)
 
 
 def poses(e: Assessment, robot: str) -> Table:

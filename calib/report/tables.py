@@ -96,7 +96,7 @@ def before_and_after(c: CalibrationValues) -> Table:
         sets.append(("held-out rows", nominal.errors, fitted.errors))
         if c.outliers:
             without = (nominal.errors_without_outliers, fitted.errors_without_outliers)
-            sets.append(("without outliers", *without))
+            sets.append(("held-out, without outliers", *without))
     if not any(of_rows.leading.n for _, _, of_rows in sets):
         sets = [("estimation rows", before["estimation"], after["estimation"])]
     rows = []

@@ -127,11 +127,14 @@ def _check_reasons(a: Acceptance, unit: str, robot: str) -> Iterator[str]:
     """
     check = a.checks[unit]
     yield _figure_sentence(a, unit, robot)
-    total = check.held
-    if check.outcome == "fail":
-        total = check.figure - check.uncertainty
+    total = decisive_sum(check)
     if np.isfinite(check.held) and total != check.figure:
         yield _sum_sentence(check, total, unit)
+
+
+def decisive_sum(check: Check) -> float:
+    """Return the sum that is compared with the tolerance: A - U of a figure A that fails, else f A + U."""
+    return check.figure - check.uncertainty if check.outcome == "fail" else check.held
 
 
 def _figure_sentence(a: Acceptance, unit: str, robot: str) -> str:

@@ -94,7 +94,7 @@ def test_the_figures_are_those_of_the_file(assessment: Assessment):
         (row,) = [row for row in checks if RESIDUAL_UNITS[unit].measured in row[0]]
         keys = ("figure", "uncertainty", "held", "tolerance")
         figure, *others = (shown(check[key], unit) for key in keys)
-        assert row[1:] == [figure, f"{check['factor']:.3f}", *others, check["outcome"]]
+        assert row[1:] == [figure, "1", *others, check["outcome"]]
     _, *rows = page.table("Further characteristics")
     found = [c for c in accuracy["characteristics"] if c["count"]]
     assert [c["symbol"] for c in found] == ["AD", "RD"]
@@ -127,6 +127,16 @@ def test_the_first_page_has_outcome_record_and_rule(assessment: Assessment):
     assert "6 poses, each measured 5 times." in page.text
     assert "ISO 14253-1" in page.text
     assert "for a pass the supplier, for a rejection the customer" in page.text
+
+
+def test_a_figure_that_fails_is_compared_without_its_uncertainty(ur3: Robot):
+    e = made(ur3, 2e-3)
+    check, page = e.accepted.checks["m"], page_of(e)
+    values = (check.figure, check.uncertainty, check.figure - check.uncertainty, check.tolerance)
+    _, row, *_ = page.table("Pose accuracy and repeatability")
+    assert row[1:] == [*(shown(v, "m") for v in values), "fail"]
+    _, row, _ = page.table("Comparison with the tolerance")
+    assert row[4] == shown(check.figure - check.uncertainty, "m")
 
 
 @pytest.mark.parametrize(
