@@ -149,6 +149,10 @@ window.addEventListener("beforeprint", () => {
   [paper.width, paper.height] = [drawn.width, drawn.height];
   viewer.renderer.render(viewer.scene, viewer.camera);
   paper.getContext("2d").drawImage(drawn, 0, 0);
+  // A4, 1122 by 793 px: picture and labels as on the screen, reduced as a whole.
+  const { clientWidth: width, clientHeight: height } = pane;
+  const style = { "--w": `${width}px`, "--h": `${height}px`, "--k": Math.min(1122 / width, 793 / height) };
+  for (const [name, value] of Object.entries(style)) element("picture").style.setProperty(name, value);
 });
 
 // The server that this page came from tells what meshcat draws, and a pose of the program's own.

@@ -54,7 +54,7 @@ for (const box of document.querySelectorAll("[data-show]")) {
 
 // On a small screen, where the page is stacked, the layers are folded away at first.
 const layers = document.getElementById("layers");
-const stacked = window.matchMedia("(max-width: 760px), (max-aspect-ratio: 1/1), (max-height: 520px)");
+const stacked = window.matchMedia("screen and (max-width: 760px), screen and (max-aspect-ratio: 1/1), screen and (max-height: 520px)");
 function fold() {
   layers.open = !stacked.matches;
 }

@@ -428,3 +428,7 @@ def test_on_a_phone_the_page_is_stacked_and_fits_the_width(browser, view, tmp_pa
         assert tab.complaints == []
     with browser.open(page, size=(1400, 900)) as tab:
         assert tab.evaluate("document.getElementById('layers').open")
+        # On paper, A4 on its side, the whole picture.
+        tab.evaluate("window.dispatchEvent(new Event('beforeprint'))")
+        scale = "document.getElementById('picture').style.getPropertyValue('--k')"
+        assert float(tab.evaluate(scale)) == pytest.approx(1122 / 1400)
