@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from calib.conversion import convert as convert
     from calib.data import kinds as kinds
     from calib.data.cell import Cell as Cell
+    from calib.data.forms.column_options import ColumnOptions as ColumnOptions
     from calib.data.measurements import Measurements as Measurements
     from calib.data.surroundings import TrackerNoise as TrackerNoise
     from calib.design.choice import PlanRequest as PlanRequest
@@ -63,6 +64,7 @@ _NAMES = {
     "calib.compensation.program": "Program",
     "calib.conversion": "convert",
     "calib.data.cell": "Cell",
+    "calib.data.forms.column_options": "ColumnOptions",
     "calib.data.measurements": "Measurements",
     "calib.design.choice": "PlanRequest",
     "calib.data.surroundings": "TrackerNoise",

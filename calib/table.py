@@ -1,7 +1,7 @@
 """A table as text: separator, header and rows of cells.
 
 One reader for all tables of calib: comma, semicolon or tab between the cells, units in the header, blank lines and
-those that begin with # skipped.
+those that begin with # skipped; or a sheet of an Excel file.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import csv
 import hashlib
 import io
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NoReturn
@@ -20,7 +20,8 @@ import numpy as np
 
 from calib.errors import CalibError, FileError, MeasurementError
 from calib.files import read_bytes
-from calib.units import NUMBER, Array, Unit, find_unit, split_header
+from calib.units import NUMBER, Array, Unit, find_unit
+from calib.workbook import sheet_text, split_sheet
 
 #: What may separate cells; in a tie the first wins.
 SEPARATORS = (",", ";", "\t")
@@ -59,6 +60,11 @@ class Column:
             return find_unit(self.symbol)
         except CalibError:
             return None
+
+    @property
+    def is_angle(self) -> bool:
+        """True if the column is in a unit of angle."""
+        return self.unit is not None and self.unit.quantity == "angle"
 
     @property
     def to_si(self) -> float:
@@ -141,17 +147,6 @@ class Table:
                 f"{self.source}, line {line} (row {number}): the row has {len(row)} cells, the "
                 f"header has {width}. Make them as many.{comma}"
             )
-
-    def names(self, columns: Mapping[str, str]) -> set[str]:
-        """Return the names that columns may be called by, without their units.
-
-        Args:
-            columns: Mapping from names of this table to calib's, as of ``--columns``.
-
-        Returns:
-            The names in the header, and those that they are mapped to.
-        """
-        return {split_header(label)[0] for label in (*self.header, *columns.values())}
 
     def column(self, column: Column) -> list[str]:
         """Return the cells of a column, one a row."""
@@ -275,7 +270,8 @@ def read_text(path: str | Path, what: str) -> tuple[str, str, str]:
 
     Args:
         path: A file in UTF-8 with or without its mark, in UTF-16 with one (Excel's "Unicode
-            text"), else in Windows' own encoding.
+            text"), else in Windows' own encoding; or an Excel file, perhaps with one of its sheets,
+            ``"table.xlsx#Sheet"``.
         what: What the file should be, for messages: ``"The table"``.
 
     Returns:
@@ -285,17 +281,22 @@ def read_text(path: str | Path, what: str) -> tuple[str, str, str]:
     Raises:
         MeasurementError: The file does not exist, or is no text.
     """
-    source = Path(path).name or str(path)
+    file, sheet = split_sheet(str(path))
+    source = (Path(file).name or str(path)) + (f"#{sheet}" if sheet else "")
     try:
-        data = read_bytes(path, what)
+        data = read_bytes(path if sheet is None else file, what)
     except FileError as error:
         raise MeasurementError(str(error)) from error
+    sha256 = hashlib.sha256(data).hexdigest()
+    if sheet is not None:
+        return source, sha256, sheet_text(data, source, sheet)
     is_utf16 = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
     try:
         text = data.decode("utf-16" if is_utf16 else "utf-8-sig")
     except UnicodeDecodeError:
         text = data.decode("cp1252", errors="replace")
     if "\0" in text:
-        raise MeasurementError(f"{source}: this is not a text file. Save it as text (CSV, UTF-8).")
-    sha256 = hashlib.sha256(data).hexdigest()
+        raise MeasurementError(
+            f"{source}: this is not a text file. Save it as text (CSV, UTF-8) or as .xlsx."
+        )
     return source, sha256, text.replace("\r\n", "\n").replace("\r", "\n")

@@ -22,6 +22,7 @@ ORDER = (
     "channels",
     "files",
     "json_files",
+    "workbook",
     "table",
     "plugins",
     "jobs",

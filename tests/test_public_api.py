@@ -26,6 +26,7 @@ NAMES = [
     "CalibError",
     "Calibration",
     "Cell",
+    "ColumnOptions",
     "Commands",
     "Comparison",
     "DHRow",

@@ -30,7 +30,6 @@ def test_the_value(table):
     assert (value.source, value.separator, value.header) == ("data.csv", ";", ("a [deg]", "b [m]"))
     assert value.lines == (3, 5)
     assert value.cells == (["1,5", "x"], ["2", ""])
-    assert value.names({"a": "elbow [deg]"}) == {"a", "b", "elbow"}
     first, second = Column(0, "a [deg]", "a", "deg"), Column(1, "b [m]", "b", "m")
     assert value.column(second) == ["x", ""]
     np.testing.assert_array_equal(value.numbers([first, second]), [[1.5, np.inf], [2, np.nan]])

@@ -13,9 +13,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from calib.data.columns import ORIENTATION, list_columns, name_columns, reserved
+from calib.data.forms.column_options import ColumnsInput
+from calib.data.forms.points import PARTS, Points
 from calib.data.layout import Layout
 from calib.data.measurements import Measurements
-from calib.data.points_file import PARTS, Points, read_points
+from calib.data.points_file import read_points
 from calib.data.values import read_values
 from calib.errors import MeasurementError, choices
 from calib.robot.robot import read_only
@@ -80,7 +82,7 @@ class Sweeps(Value):
 def read_sweeps(
     path: str | Path | None = None,
     joint_names: Sequence[str] | None = None,
-    columns: Mapping[str, str] | None = None,
+    columns: ColumnsInput = None,
     points: str | Path | None = None,
     points_unit: str | None = None,
 ) -> Sweeps:
@@ -90,7 +92,7 @@ def read_sweeps(
         path: A table with the columns ``sweep``, ``x``, ``y``, ``z``, perhaps ``sigma`` and the joints' values; None:
             all is in the list of points.
         joint_names: Of the chain, base to tip; None: the table's columns in a unit of angle, in their order.
-        columns: Names that calib uses, by the table's names; None: they are the same.
+        columns: Names that calib uses by the table's names, or all that is said of the columns; None: nothing is.
         points: A list of points. Beside a table its points are matched by the column ``point``, or in their order;
             without one, their names say which sweep they are of.
         points_unit: The unit of that list; None: it names one.
@@ -103,7 +105,7 @@ def read_sweeps(
     """
     listed = None if points is None else read_points(points, points_unit)
     if path is not None:
-        return _from_table(Table.read(path), joint_names, columns or {}, listed)
+        return _from_table(Table.read(path), joint_names, columns, listed)
     if listed is None:
         raise MeasurementError("Give a table of sweeps, or a list of points (--points).")
     return _from_points(listed, tuple(joint_names or ()))
@@ -212,7 +214,7 @@ def _sweep_word(name: str, joint_names: tuple[str, ...]) -> str:
 def _from_table(
     table: Table,
     joint_names: Sequence[str] | None,
-    columns: Mapping[str, str],
+    columns: ColumnsInput,
     points: Points | None,
 ) -> Sweeps:
     """Return the sweeps of a table.
@@ -220,7 +222,7 @@ def _from_table(
     Args:
         table: The table.
         joint_names: Of the chain; None: the table's columns in a unit of angle.
-        columns: Names that calib uses, by the table's names.
+        columns: What is said of the columns.
         points: Its points, in a list of their own; None: they are in the table.
 
     Raises:

@@ -9,9 +9,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from calib.cli.options import FitOptions, ModelOptions
+from calib.cli.options import ColumnChoice, FitOptions, ModelOptions
 from calib.cli.setup import read_cell
-from calib.cli.words import parse_columns
 from calib.errors import CalibError, choices
 
 if TYPE_CHECKING:
@@ -25,13 +24,13 @@ NEEDED = ("name", "robot", "data")
 _SETUP = tuple(f.name for f in fields(ModelOptions))
 
 #: Columns that a manifest may have: those options, and how the data are read.
-OPTIONAL = (*_SETUP, "points", "points_unit", "columns")
+OPTIONAL = (*_SETUP, "points", "points_unit", *(f.name for f in fields(ColumnChoice)))
 
 
 def read_manifest(
     path: Path,
     setup: FitOptions,
-    columns: Sequence[str],
+    columns: ColumnChoice,
     points_unit: str | None,
 ) -> tuple[FleetRobot, ...]:
     """Read a manifest; the robots themselves are read later, where they are calibrated.
@@ -39,7 +38,7 @@ def read_manifest(
     Args:
         path: The manifest, a CSV table.
         setup: Options of the command line, for all robots; the cells of a row win.
-        columns: ``--columns``, for all robots, as typed.
+        columns: Names, orientations and units of the tables' columns, for all robots.
         points_unit: ``--points-unit``, for all robots; None: not given.
 
     Returns:
@@ -52,7 +51,7 @@ def read_manifest(
     from calib.table import Table
 
     # Options that are wrong for every robot are refused before the work.
-    parse_columns(columns)
+    columns.parsed()
     read_cell(**asdict(setup))
     table = Table.read(path)
     header = _checked_header(path, table.header)
@@ -94,7 +93,7 @@ class _Defaults:
     #: The manifest's, where relative paths begin
     folder: Path
     setup: FitOptions
-    columns: Sequence[str]
+    columns: ColumnChoice
     points_unit: str | None
 
 
@@ -120,7 +119,10 @@ def _load(
         options["hold"] = _split(cells["hold"])
     if "cell" in cells:
         options["cell"] = folder / cells["cell"]
-    columns = _split(cells["columns"]) if "columns" in cells else defaults.columns
+    changes: dict[str, Any] = {n: cells[n] for n in ("orientation", "joint_unit") if n in cells}
+    if "columns" in cells:
+        changes["columns"] = _split(cells["columns"])
+    columns = replace(defaults.columns, **changes)
     points, points_unit = None, None
     if "points" in cells:
         points = folder / cells["points"]
@@ -131,7 +133,7 @@ def _load(
             _source(cells["robot"], folder),
             folder / cells["data"],
             read_cell(**asdict(replace(defaults.setup, **options))),
-            columns=parse_columns(columns),
+            columns=columns.parsed(),
             points=points,
             points_unit=points_unit,
         )

@@ -30,17 +30,26 @@ def say_accepted(name: str, stated: str) -> None:
 
 
 def say_ignored(measurements: Measurements, robot: Robot) -> None:
-    """Name the rows and columns that were not used; a joint among these hints at a wrong base or tip.
+    """Name the rows and columns that were not used, and how orientations were read if not as a quaternion.
+
+    A joint among the columns hints at a wrong base or tip.
 
     Args:
         measurements: The table, which knows what of it was not used.
         robot: The chain that was measured.
     """
+    from calib.data.forms.orientations import QUATERNION, find_convention
+
     empty = measurements.unmeasured
     if empty:
         total = len(measurements) + len(empty)
         text = f"{len(empty)} of {total} rows not measured, and left out: {row_ranges(empty)}."
         typer.echo(fill(text) + "\n")
+    if measurements.orientation not in ("", QUATERNION.name):
+        words = find_convention(measurements.orientation).words
+        typer.echo(
+            f"Orientations were read as {words} (--orientation {measurements.orientation}).\n"
+        )
     if not measurements.ignored:
         return
     text = f"Columns not used: {choices(measurements.ignored)}."

@@ -8,9 +8,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
+
+if TYPE_CHECKING:
+    from calib.data.forms.column_options import ColumnOptions
 
 RobotFile = Annotated[
     str,
@@ -24,7 +27,7 @@ DataFile = Annotated[
     Path,
     typer.Argument(
         metavar="DATA",
-        help="CSV table with units in its header: joint values and measured points.",
+        help="Table (CSV, .xlsx) with units in its header: joint values and measured points.",
     ),
 ]
 Base = Annotated[
@@ -115,8 +118,24 @@ PayloadMass = Annotated[
 Columns = Annotated[
     list[str] | None,
     typer.Option(
-        metavar='"NAME IN TABLE=NAME IN URDF [UNIT]"',
-        help="Rename a column of the table, and give its unit if it has none. Can be repeated.",
+        metavar='"NAME IN TABLE=NAME IN URDF [UNIT]"|BRAND',
+        help="Rename a column of the table, and give its unit if it has none. Or the brand whose "
+        "names the columns have: {brands}. Can be repeated.",
+    ),
+]
+Orientation = Annotated[
+    str | None,
+    typer.Option(
+        metavar="CONVENTION",
+        help="Convention of the table's orientations: {conventions}. Default: as the columns' "
+        "names say; rx, ry, rz are a rotation vector.",
+    ),
+]
+JointUnit = Annotated[
+    str | None,
+    typer.Option(
+        metavar="UNIT",
+        help='Unit of joint columns that name none: deg; where some joints slide "deg mm".',
     ),
 ]
 CellFile = Annotated[
@@ -264,12 +283,26 @@ class SolverOptions:
 
 
 @dataclass(frozen=True, slots=True)
-class TableOptions:
-    """Reading of a table; `calib.cli.setup.load_with_data` takes the fields by name."""
+class ColumnChoice:
+    """Names, orientations and units of a table's columns."""
+
+    columns: Columns = None
+    orientation: Orientation = None
+    joint_unit: JointUnit = None
+
+    def parsed(self) -> ColumnOptions:
+        """Return what is said of the columns; raises `CalibError`."""
+        from calib.cli.words import parse_columns
+
+        return parse_columns(self.columns, self.orientation, self.joint_unit)
+
+
+@dataclass(frozen=True, slots=True)
+class TableOptions(ColumnChoice):
+    """Reading of a table."""
 
     points: PointsFile = None
     points_unit: PointsUnit = None
-    columns: Columns = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,7 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from calib.cli.words import parse_columns, parse_held, parse_payload, parse_point
+from calib.cli.options import TableOptions
+from calib.cli.words import parse_held, parse_payload, parse_point
 from calib.errors import CalibError, choices
 
 if TYPE_CHECKING:
@@ -103,9 +104,7 @@ def load_with_data(
     robot: str,
     cell: Cell,
     data: Path,
-    columns: Iterable[str] | None = None,
-    points: Path | None = None,
-    points_unit: str | None = None,
+    table_options: TableOptions | None = None,
 ) -> tuple[Robot, Measurements]:
     """Load a robot and a table whose joint columns are those of its chain.
 
@@ -115,9 +114,7 @@ def load_with_data(
         robot: URDF, xacro, or name.
         cell: Names base, tip, held joints and the kind of the rows.
         data: The table.
-        columns: ``--columns``, as typed: ``name in the table=name in the URDF``.
-        points: A list of the measured points; None: they are in the table.
-        points_unit: Its unit; None: it names one.
+        table_options: How the table is read, as typed; None: nothing was.
 
     Returns:
         Robot and measurements.
@@ -125,10 +122,13 @@ def load_with_data(
     Raises:
         CalibError: Arguments in the wrong order, or a unit without a list of points.
     """
+    from calib.data.columns import column_names
     from calib.data.measurements import Measurements
     from calib.robot.dh_file import is_other_table
     from calib.table import Table
 
+    options = table_options or TableOptions()
+    points, points_unit = options.points, options.points_unit
     if points_unit is not None and points is None:
         raise CalibError(
             "--points-unit is the unit of a list of points; name the list with --points."
@@ -138,11 +138,11 @@ def load_with_data(
             f"'{robot}' is in the place of the robot, and is no table of DH rows: it has no columns of d and alpha. "
             "ROBOT comes first, then DATA."
         )
-    renamed = parse_columns(columns or [])
+    columns = options.parsed()
     table = Table.read(data)
-    arm = load(robot, cell, table.names(renamed))
+    arm = load(robot, cell, column_names(table, columns))
     measurements = Measurements.read(
-        table, arm.joint_names, arm.joint_types, renamed, cell.kind, points, points_unit
+        table, arm.joint_names, arm.joint_types, columns, cell.kind, points, points_unit
     )
     return arm, measurements
 

@@ -109,8 +109,24 @@ def _formats() -> tuple[str, ...]:
     return tuple(f"{name} ({row.what})" for name, row in FORMATS.items())
 
 
+def _brands() -> tuple[str, ...]:
+    """Return the names of the brands whose columns are known."""
+    from calib.data.forms.brands import BRANDS
+
+    return tuple(BRANDS)
+
+
+def _conventions() -> tuple[str, ...]:
+    """Return the names of the conventions of orientations."""
+    from calib.data.forms.orientations import CONVENTIONS
+
+    return tuple(CONVENTIONS)
+
+
 #: What a placeholder in a help text stands for. The registries import NumPy, so they are read when help is printed.
 _REGISTERED: dict[str, Callable[[], tuple[str, ...]]] = {
+    "{brands}": _brands,
+    "{conventions}": _conventions,
     "{families}": _families,
     "{kinds}": _kinds,
     "{models}": _models,

@@ -6,13 +6,14 @@ from collections.abc import Iterable
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from calib.errors import CalibError
+from calib.errors import CalibError, choices
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
     from calib.data.cell import Tracker
+    from calib.data.forms.column_options import ColumnOptions
     from calib.robot.payload import Payload
 
 
@@ -174,20 +175,36 @@ def parse_held(pairs: Iterable[str], option: str = "--hold") -> dict[str, float]
     }
 
 
-def parse_columns(pairs: Iterable[str]) -> dict[str, str]:
-    """Parse ``--columns``: texts ``name in the table=name in the URDF``.
+def parse_columns(
+    words: Iterable[str] | None, orientation: str | None = None, joint_unit: str | None = None
+) -> ColumnOptions:
+    """Parse ``--columns``: texts ``name in the table=name in the URDF``, and at most one brand such as ``kuka``.
 
     Args:
-        pairs: As typed, one for each column.
+        words: As typed, one for each column or brand; None: not given.
+        orientation: ``--orientation``; None: not given.
+        joint_unit: ``--joint-unit``; None: not given.
 
     Returns:
-        Names that calib uses, by the table's names.
+        What is said of the columns.
 
     Raises:
-        CalibError: One is not of that form, or a column is named twice.
+        CalibError: One is not of that form, a column is named twice, or there is no such brand, convention or unit.
     """
-    form = "'name in the table=name in the URDF', with a unit in brackets if the table has none, each name once"
-    return _mapping(pairs, "--columns", form)
+    from calib.data.forms.brands import BRANDS
+    from calib.data.forms.column_options import ColumnOptions
+
+    given = list(words or [])
+    brands = [word for word in dict.fromkeys(given) if word.strip().casefold() in BRANDS]
+    form = (
+        "'name in the table=name in the URDF', with a unit in brackets if the table has none, each name once, or one "
+        f"brand: {choices(BRANDS)}"
+    )
+    if len(brands) > 1:
+        raise CalibError(f"--columns was given {choices(brands)}; it must be {form}.")
+    names = _mapping((word for word in given if word not in brands), "--columns", form)
+    brand = brands[0].strip().casefold() if brands else None
+    return ColumnOptions(names, brand, orientation, joint_unit)
 
 
 def _mapping(pairs: Iterable[str], option: str, form: str) -> dict[str, str]:

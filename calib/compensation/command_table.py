@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Literal, NamedTuple
 
 import numpy as np
-import pinocchio as pin
-from scipy.spatial.transform import Rotation
 
 from calib.compensation.commands import Commands
 from calib.compensation.program import CORRECTION, EXPECTED
-from calib.data.columns import POINT, QUATERNION, ROLL_PITCH_YAW, ROTATION_VECTOR, STATUS
+from calib.data.columns import POINT, STATUS
+from calib.data.forms.orientations import ROTATION_VECTOR, Convention, find_convention
 from calib.files import csv_bytes, write_atomically
-from calib.numerics.geometry import to_quaternions
 from calib.units import Array
 
 
@@ -36,22 +34,6 @@ _UNITS = {
 }
 
 
-class _Form(NamedTuple):
-    """Form of an orientation."""
-
-    columns: Sequence[str]
-    unit: str
-    #: Of a rotation, shape (3, 3)
-    numbers_of: Callable[[Array], Array]
-
-
-_ORIENTATIONS = {
-    "rotation-vector": _Form(ROTATION_VECTOR, "rad", lambda R: Rotation.from_matrix(R).as_rotvec()),
-    "quaternion": _Form(QUATERNION, "", lambda R: to_quaternions(R[None])[0]),
-    "rpy": _Form(ROLL_PITCH_YAW, "deg", pin.rpy.matrixToRpy),
-}
-
-
 class _Block(NamedTuple):
     """Columns of numbers."""
 
@@ -66,7 +48,7 @@ def write_commands(
     path: str | Path,
     *,
     send: Literal["both", "joints", "poses"] = "both",
-    orientation: Literal["rotation-vector", "quaternion", "rpy"] = "rotation-vector",
+    orientation: str | None = None,
     overwrite: bool = False,
 ) -> Path:
     """Write commands as a CSV table in deg and mm; docs/compensation.md describes it.
@@ -79,7 +61,8 @@ def write_commands(
         commands: The commands.
         path: The file.
         send: Which of the two forms are written.
-        orientation: Form of orientations; a rotation vector is in rad.
+        orientation: Convention of the orientations, one of `calib.data.forms.orientations.CONVENTIONS`; None: that of
+            the program, or of one without orientations rotation vectors.
         overwrite: Whether an existing file is replaced.
 
     Returns:
@@ -87,16 +70,18 @@ def write_commands(
 
     Raises:
         FileError: The file exists and ``overwrite`` is False, or it cannot be written.
+        MeasurementError: No such convention.
     """
+    convention = find_convention(orientation or commands.program.form or ROTATION_VECTOR.name)
     columns: list[Sequence[str]] = [(label, *cells) for label, cells in commands.program.kept]
-    for block in _blocks(commands, send, _ORIENTATIONS[orientation]):
+    for block in _blocks(commands, send, convention):
         columns += _columns(block)
     columns.append((STATUS, *_status(commands)))
     rows = zip(*columns, strict=True)
     return write_atomically(path, csv_bytes(rows), overwrite=overwrite)
 
 
-def _blocks(commands: Commands, send: str, form: _Form) -> Iterator[_Block]:
+def _blocks(commands: Commands, send: str, convention: Convention) -> Iterator[_Block]:
     """Yield the columns of numbers, in the order of the table."""
     robot = commands.nominal
     names = robot.joint_names
@@ -105,8 +90,8 @@ def _blocks(commands: Commands, send: str, form: _Form) -> Iterator[_Block]:
         yield _Block(names, joint_units, commands.q)
     if send != "joints":
         yield _Block(POINT, ["mm"] * 3, commands.T_send[:, :3, 3])
-        orientations = _orientations(commands, form)
-        yield _Block(form.columns, [form.unit] * len(form.columns), orientations)
+        units = [convention.unit] * len(convention.columns)
+        yield _Block(convention.columns, units, _orientations(commands, convention))
     if send != "poses":
         corrected = [CORRECTION + name for name in names]
         yield _Block(corrected, joint_units, commands.joint_corrections)
@@ -116,11 +101,11 @@ def _blocks(commands: Commands, send: str, form: _Form) -> Iterator[_Block]:
         yield _Block((EXPECTED,), ("mm",), commands.expected_errors[:, :1])
 
 
-def _orientations(commands: Commands, form: _Form) -> Array:
+def _orientations(commands: Commands, convention: Convention) -> Array:
     """Return the numbers of the orientations to send, shape (N, columns); NaN for a row without a command."""
-    numbers = np.full((len(commands), len(form.columns)), np.nan)
-    for row in np.flatnonzero(commands.reached):
-        numbers[row] = form.numbers_of(commands.T_send[row, :3, :3])
+    numbers = np.full((len(commands), len(convention.columns)), np.nan)
+    reached = commands.reached
+    numbers[reached] = convention.numbers(commands.T_send[reached, :3, :3])
     return numbers
 
 

@@ -54,7 +54,8 @@ class Program(Value):
     start: Mapping[str, float] | None = None
     #: Other columns of the file: header and cells.
     kept: tuple[tuple[str, tuple[str, ...]], ...] = ()
-    #: Form of the file's orientations; empty if there are none.
+    #: Convention of the file's orientations, one of `calib.data.forms.orientations.CONVENTIONS`; empty if there are
+    #: none.
     form: str = ""
 
     def __post_init__(self) -> None:

@@ -1,7 +1,7 @@
 """A program as a file: a table of joint values, of poses, or of both.
 
-It is read as a table of measurements is (`calib.data.layout`). What is different: poses may also be given by roll,
-pitch and yaw, nothing may be missing, and columns that have no meaning here are kept.
+It is read as a table of measurements is (`calib.data.layout`). What is different: nothing may be missing, and columns
+that have no meaning here are kept.
 """
 
 from __future__ import annotations
@@ -11,49 +11,45 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
-from scipy.spatial.transform import Rotation
-
 from calib.compensation.program import CORRECTION, EXPECTED, Program, poses_at
 from calib.data.columns import (
     POINT,
-    QUATERNION,
-    ROLL_PITCH_YAW,
-    ROTATION_VECTOR,
     STATUS,
+    Columns,
+    Named,
+    joint_with_unit,
     list_columns,
     name_columns,
     with_unit,
 )
+from calib.data.forms.brands import fix_for_brand
+from calib.data.forms.column_options import ColumnOptions, ColumnsInput, column_options
+from calib.data.forms.orientation_columns import Orientation, conventions_of, in_units
+from calib.data.forms.orientations import CONVENTIONS, Convention
 from calib.data.layout import Layout
 from calib.data.measurements import Measurements
 from calib.data.values import read_values
 from calib.errors import MeasurementError, choices
 from calib.robot.robot import Robot
-from calib.table import Column, Table
-from calib.units import Array, Quantity
-
-#: Forms of an orientation; roll, pitch and yaw are about fixed axes: Rz(yaw) Ry(pitch) Rx(roll).
-FORMS = {
-    ROTATION_VECTOR: "rotation vector",
-    QUATERNION: "quaternion",
-    ROLL_PITCH_YAW: "roll, pitch, yaw",
-}
+from calib.table import Table
+from calib.units import Array
 
 
 def read_program(
     path: str | Path,
     robot: Robot,
     *,
-    columns: Mapping[str, str] | None = None,
+    columns: ColumnsInput = None,
     match: str | None = None,
     start: Mapping[str, float] | None = None,
 ) -> Program:
     """Read a table of joint values, of poses, or of both; see docs/compensation.md.
 
     Args:
-        path: The table, a CSV file.
+        path: The table, a CSV file, or a sheet of an Excel file.
         robot: The nominal robot, whose joint names are looked for among the columns.
-        columns: Names that calib uses, by the table's names; None: they are the same.
+        columns: Names that calib uses by the table's names, or all that is said of the columns; its convention of
+            orientations counts where the table has its columns. None: nothing is said.
         match: What of the poses is to be reached, one of `calib.compensation.inverse.MATCHES`; None: see `Program`.
         start: Joint values by name [rad] or [m] near which the first of poses alone is solved; None: mid range.
 
@@ -64,19 +60,19 @@ def read_program(
         MeasurementError: The table cannot be read; the text names file, row and column.
     """
     table = Table.read(path)
-    header = _read_header(table, robot.joint_names, columns or {})
+    header = _read_header(table, robot.joint_names, column_options(columns))
     blocks = _blocks(header)
-    q, T_wanted = _numbers(table, robot, blocks)
-    form = tuple(column.name for column in blocks.orientation)
+    q, T_wanted = _numbers(header, robot, blocks)
+    convention = blocks.convention
     return Program(
         labels=_labels(header),
         q=q,
         T_wanted=T_wanted,
-        oriented=bool(form) or not blocks.points,
+        oriented=convention is not None or not blocks.points,
         match=match,
         start=start,
         kept=_kept(header),
-        form=FORMS.get(form, ""),
+        form="" if convention is None else convention.name,
     )
 
 
@@ -88,12 +84,14 @@ class _Header:
     table: Table
     #: Names of the measured joints.
     joint_names: Sequence[str]
+    #: What is said of the columns besides.
+    options: ColumnOptions
     #: Columns by the names that calib uses.
-    named: Mapping[str, Column]
+    named: Named
     #: Columns, from 0, in which any cell is filled in.
     filled: set[int]
 
-    def block(self, names: Sequence[str]) -> tuple[Column, ...]:
+    def block(self, names: Sequence[str]) -> Columns:
         """Return the table's columns of these names, all or none; none if no cell is filled in, as in a plan of poses.
 
         A joint may have the name of a coordinate: then the column is the joint's.
@@ -120,46 +118,65 @@ class _Header:
         has_values = {column.index for column in columns} & self.filled
         return tuple(columns) if has_values or not self.table.cells else ()
 
+    def conventions(self) -> tuple[Convention, ...]:
+        """Return the conventions of orientations that have their columns and are filled in.
+
+        Raises:
+            MeasurementError: Some columns of one are missing; a single letter that is no angle means something else.
+        """
+        complete = conventions_of(self.named, self.joint_names, self.options)
+        taken = {name for row in complete for name in row.columns}
+        for row in CONVENTIONS.values():
+            there = [name for name in row.columns if name in self.named and name not in taken]
+            if any(len(name) > 1 or self.named[name].is_angle for name in there):
+                self.block(row.columns)
+        return tuple(row for row in complete if self.block(row.columns))
+
 
 class _Blocks(NamedTuple):
     """Columns of a program's numbers; empty where there are none."""
 
     #: Joint values, in the order of the joints.
-    joints: tuple[Column, ...]
+    joints: Columns
     #: x, y and z.
-    points: tuple[Column, ...]
-    #: Of one of `FORMS`.
-    orientation: tuple[Column, ...]
+    points: Columns
+    #: That of the orientations; None without.
+    convention: Convention | None
 
 
-def _read_header(table: Table, joint_names: Sequence[str], columns: Mapping[str, str]) -> _Header:
+def _read_header(table: Table, joint_names: Sequence[str], options: ColumnOptions) -> _Header:
     """Find out which column is what, and which are filled in.
 
     Args:
         table: The table of the program.
         joint_names: Of the measured joints.
-        columns: Names that calib uses, by the table's names, where they differ.
+        options: What is said of the columns.
 
     Raises:
-        MeasurementError: The table is one of commands, not of a program.
+        MeasurementError: The table is one of commands, not of a program, or its joints have a brand's names.
     """
-    named, _ = name_columns(table, joint_names, columns)
+    named, _ = name_columns(table, joint_names, options)
     if any(name.startswith(CORRECTION) for name in named):
         raise MeasurementError(
             f"{table.source}: these are commands of calib compensate, corrected already. Give the "
             "program itself."
         )
+    of_brand = "" if options.brand else fix_for_brand(list(named))
+    if of_brand and not any(name in named for name in joint_names):
+        raise MeasurementError(
+            f"{table.source}: no column for the joints {choices(joint_names)}. {list_columns(table)}{of_brand}"
+        )
     filled: set[int] = set()
     for row in table.cells:
         filled.update(i for i, cell in enumerate(row) if cell)
-    return _Header(table, joint_names, named, filled)
+    return _Header(table, joint_names, options, named, filled)
 
 
 def _blocks(header: _Header) -> _Blocks:
     """Find the columns of joint values, positions and orientations; raises `MeasurementError`."""
     joints = header.block(header.joint_names)
     points = header.block(POINT)
-    forms = [form for form in FORMS if header.block(form)]
+    conventions = header.conventions()
     source = header.table.source
     if not (joints or points):
         raise MeasurementError(
@@ -167,16 +184,13 @@ def _blocks(header: _Header) -> _Blocks:
             f"{list_columns(header.table)} A program has '{header.joint_names[0]} [deg]' and so "
             "on, or 'x [mm]', 'y [mm]', 'z [mm]'."
         )
-    if len(forms) > 1:
-        names = " and as ".join(FORMS[form] for form in forms)
+    if len(conventions) > 1:
+        names = " and as ".join(row.words for row in conventions)
         raise MeasurementError(
             f"{source}: the orientation is there twice, as {names}. Leave one out: --columns "
-            f'"{forms[1][0]}=-" and so on.'
+            f'"{conventions[1].columns[0]}=-" and so on.'
         )
-    orientation: tuple[Column, ...] = ()
-    if forms and points:
-        orientation = tuple(header.named[name] for name in forms[0])
-    return _Blocks(joints, points, orientation)
+    return _Blocks(joints, points, conventions[0] if conventions and points else None)
 
 
 def _labels(header: _Header) -> tuple[str, ...]:
@@ -191,7 +205,8 @@ def _labels(header: _Header) -> tuple[str, ...]:
 def _kept(header: _Header) -> tuple[tuple[str, tuple[str, ...]], ...]:
     """Return header and cells of the columns that have no meaning here, in the order of the table."""
     table = header.table
-    of_poses = {name for form in (POINT, *FORMS) for name in form}
+    forms = conventions_of(header.named, header.joint_names, header.options)
+    of_poses = {name for form in (POINT, *(row.columns for row in forms)) for name in form}
     known = of_poses | {*header.joint_names, EXPECTED, STATUS}
     kept = {column.index for name, column in header.named.items() if name not in known}
     # A column without a name is kept if anything is in it: separators at the end of each line are none.
@@ -203,13 +218,11 @@ def _kept(header: _Header) -> tuple[tuple[str, tuple[str, ...]], ...]:
     return tuple(columns)
 
 
-def _numbers(table: Table, robot: Robot, blocks: _Blocks) -> tuple[Array | None, Array | None]:
+def _numbers(header: _Header, robot: Robot, blocks: _Blocks) -> tuple[Array | None, Array | None]:
     """Read joint values and poses.
 
-    Roll, pitch and yaw are read as joint values are.
-
     Args:
-        table: The table of the program, N rows.
+        header: Table and columns of the program, N rows.
         robot: The nominal robot, whose joint types say which units fit.
         blocks: The columns of the numbers.
 
@@ -220,33 +233,32 @@ def _numbers(table: Table, robot: Robot, blocks: _Blocks) -> tuple[Array | None,
     Raises:
         MeasurementError: A number or unit that does not fit, or a row without a position.
     """
-    form = tuple(column.name for column in blocks.orientation)
-    joints = _joint_columns(table, robot, blocks.joints)
-    orientation = _orientation_columns(table, blocks.orientation, form)
-    angles: tuple[Column, ...] = ()
-    if form == ROLL_PITCH_YAW:
-        angles, orientation = orientation, ()
-    points = tuple(with_unit(table, column, "length") for column in blocks.points)
-    columns = {"joints": (*joints, *angles), "points": points, "orientation": orientation}
-    values = Measurements(**read_values(table, Layout({}, (), columns, (_kind(columns),))))
+    table = header.table
+    orientation: Orientation | None = None
+    if blocks.convention is not None:
+        orientation = in_units(table, header.named, blocks.convention, header.options)
+    columns = {
+        "joints": _joint_columns(header, robot, blocks.joints),
+        "points": tuple(with_unit(table, column, "length") for column in blocks.points),
+        "orientation": () if orientation is None else orientation.columns,
+    }
+    layout = Layout({}, (), columns, (_kind(columns),), orientation=orientation)
+    values = Measurements(**read_values(table, layout))
     if values.unmeasured:
         raise MeasurementError(
             f"{table.source}, row {values.unmeasured[0]}: there is no position, all its cells are "
             "empty, while other rows have one. Fill it in, or remove the row."
         )
-    q = values.joints[:, : len(joints)] if joints else None
-    if not points:
+    q = values.joints if blocks.joints else None
+    if not blocks.points:
         return q, None
     poses = poses_at(values.points)
-    if angles:
-        roll_pitch_yaw = values.joints[:, len(joints) :]
-        poses[:, :3, :3] = Rotation.from_euler("xyz", roll_pitch_yaw).as_matrix()
-    elif values.rotations is not None:
+    if values.rotations is not None:
         poses[:, :3, :3] = values.rotations
     return q, poses
 
 
-def _kind(columns: Mapping[str, tuple[Column, ...]]) -> str:
+def _kind(columns: Mapping[str, Columns]) -> str:
     """Return the kind of measurement, of `calib.data.kinds`, whose columns a program's poses have.
 
     Args:
@@ -257,37 +269,16 @@ def _kind(columns: Mapping[str, tuple[Column, ...]]) -> str:
     return "pose" if columns["orientation"] else "point"
 
 
-def _joint_columns(table: Table, robot: Robot, columns: tuple[Column, ...]) -> tuple[Column, ...]:
+def _joint_columns(header: _Header, robot: Robot, columns: Columns) -> Columns:
     """Return the joints' columns with their units; raises `MeasurementError` for one that does not fit its joint.
 
     Args:
-        table: Their table.
+        header: Table and what is said of its columns.
         robot: The nominal robot, whose joint types say which units fit.
         columns: Of joint values, by the joints' names.
     """
     with_units = []
     for column in columns:
         joint_type = robot.joint_types[column.name]
-        quantity: Quantity = "length" if joint_type == "prismatic" else "angle"
-        what = f"{joint_type} joint '{column.name}'"
-        with_units.append(with_unit(table, column, quantity, what))
+        with_units.append(joint_with_unit(header.table, column, joint_type, header.options))
     return tuple(with_units)
-
-
-def _orientation_columns(
-    table: Table, columns: tuple[Column, ...], form: tuple[str, ...]
-) -> tuple[Column, ...]:
-    """Return the columns of orientations, with units of angles unless they are quaternions.
-
-    Args:
-        table: Their table.
-        columns: Of one form; empty where there is no orientation.
-        form: Their names, of `FORMS`; empty where there is no orientation.
-
-    Raises:
-        MeasurementError: A column has no unit, or one that does not fit.
-    """
-    if form == QUATERNION:
-        return tuple(with_unit(table, column, None, FORMS[form]) for column in columns)
-    common = "deg" if form == ROLL_PITCH_YAW else "rad"
-    return tuple(with_unit(table, column, "angle", FORMS[form], common) for column in columns)

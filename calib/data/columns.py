@@ -11,6 +11,9 @@ import numpy as np
 
 import calib.data.kinds as registry
 from calib.channels import RESIDUAL_UNITS
+from calib.data.forms import orientations
+from calib.data.forms.brands import names_by_brand
+from calib.data.forms.column_options import ColumnOptions, ColumnsInput, column_options
 from calib.errors import MeasurementError, choices, did_you_mean
 from calib.table import Column, Table
 from calib.units import UNITS, Array, Quantity, split_header, symbols
@@ -18,17 +21,8 @@ from calib.units import UNITS, Array, Quantity, split_header, symbols
 #: Columns of a position.
 POINT = ("x", "y", "z")
 
-#: Columns of an orientation as a quaternion, without unit.
-QUATERNION = ("qx", "qy", "qz", "qw")
-
-#: Columns of an orientation as a rotation vector.
-ROTATION_VECTOR = ("rx", "ry", "rz")
-
-#: Columns of an orientation, of either form.
-ORIENTATION = (*ROTATION_VECTOR, *QUATERNION)
-
-#: Columns of an orientation in tables of commands.
-ROLL_PITCH_YAW = ("roll", "pitch", "yaw")
+#: Columns of an orientation that are never a joint's where the joints are not known.
+ORIENTATION = (*orientations.ROTATION_VECTOR.columns, *orientations.QUATERNION.columns)
 
 #: Columns of words.
 WORDS = ("row", "set", "kind", "target", "group", "pair", "point")
@@ -73,6 +67,23 @@ def reserved() -> tuple[str, ...]:
     return (*WORDS, *noise, *registry.readings(), *POINT)
 
 
+def column_names(table: Table, columns: ColumnsInput = None) -> set[str] | None:
+    """Return the names that a table's columns may be called by, without their units.
+
+    Args:
+        table: The table.
+        columns: What is said of the columns, as by ``--columns``; None: nothing.
+
+    Returns:
+        The names in the header, and those that they are mapped to; None where a brand maps them to the joints of a
+        robot, whichever these are.
+    """
+    options = column_options(columns)
+    if options.brand is not None:
+        return None
+    return {split_header(label)[0] for label in (*table.header, *options.names.values())}
+
+
 def list_columns(table: Table) -> str:
     """Return the sentence that lists a table's columns, for messages."""
     labels = [label for label in table.header if label]
@@ -80,27 +91,32 @@ def list_columns(table: Table) -> str:
 
 
 def name_columns(
-    table: Table, joint_names: Sequence[str], columns: Mapping[str, str]
+    table: Table, joint_names: Sequence[str], columns: ColumnsInput
 ) -> tuple[dict[str, Column], Columns]:
     """Name the columns of a table as calib does.
 
     Args:
         table: The table.
-        joint_names: Names of joints, which are kept as written; names that mean something to
-            calib are otherwise read in any case (``QX`` is ``qx``).
+        joint_names: Names of joints in the order of the chain, which are kept as written; names
+            that mean something to calib are otherwise read in any case (``QX`` is ``qx``), but
+            for single letters of orientations.
         columns: Mapping from names of the table to names of calib, as of ``--columns``: the
             table's name or header to calib's name, with or without a unit; to ``"-"`` for a column
-            that is not read.
+            that is not read. Or all that is said of the columns: then a brand names the others.
 
     Returns:
         The columns by calib's names, each once; and all that are called ``group``, in the order of
         the table.
 
     Raises:
-        MeasurementError: The table lacks a name of ``columns``, or two columns have one name.
+        MeasurementError: The table lacks a name of ``columns``, two columns have one name, or a
+            brand's axes are more or fewer than the joints.
     """
-    renamed = _renamed(table, columns)
-    known = {*reserved(), *ORIENTATION, *ROLL_PITCH_YAW, STATUS}
+    options = column_options(columns)
+    renamed = _renamed(table, options.names)
+    renamed = _renamed_by_brand(table, joint_names, options, renamed) | renamed
+    known = {name: name for name in (*reserved(), STATUS)}
+    known.update(orientations.IN_ANY_CASE)
     named: dict[str, Column] = {}
     groups: list[Column] = []
     for index, label in enumerate(table.header):
@@ -109,8 +125,8 @@ def name_columns(
         column = _column(table, index, renamed)
         if column is None:
             continue
-        if column.name.casefold() in known and column.name not in joint_names:
-            column = replace(column, name=column.name.casefold())
+        if column.name not in joint_names:
+            column = replace(column, name=known.get(column.name.casefold(), column.name))
         is_group = column.name == "group"
         if is_group:
             groups.append(column)
@@ -139,6 +155,36 @@ def _renamed(table: Table, columns: Mapping[str, str]) -> dict[int, str]:
             )
         renamed |= dict.fromkeys(hits, new_name)
     return renamed
+
+
+def _renamed_by_brand(
+    table: Table,
+    joint_names: Sequence[str],
+    options: ColumnOptions,
+    renamed: Mapping[int, str],
+) -> dict[int, str]:
+    """Return what the brand of ``options`` maps columns to, by their position, from 0, with units where they have none.
+
+    Columns and joints that ``renamed`` has, and columns that are called as their joints, are none of the brand's.
+    """
+    brand = options.row_of_brand
+    if brand is None:
+        return {}
+    headers = {i: split_header(label) for i, label in enumerate(table.header) if label}
+    names = {i: n for i, (n, _) in headers.items() if i not in renamed and n not in joint_names}
+    taken = {split_header(name)[0] for name in renamed.values()}
+    taken |= {name for name, _ in headers.values()}
+    free = [name for name in joint_names if name not in taken]
+    by_brand = names_by_brand(brand, table.source, names, free)
+    units = dict.fromkeys(POINT, COMMON["length"])
+    units |= dict.fromkeys(brand.orientation, orientations.find_convention(brand.name).unit)
+    if not joint_names:  # what slides is not known either
+        units = dict.fromkeys(by_brand.values(), COMMON["angle"]) | units
+    result = {}
+    for i, name in by_brand.items():
+        has_unit = headers[i][1] is not None or not units.get(name)
+        result[i] = name if has_unit else f"{name} [{units[name]}]"
+    return result
 
 
 def _column(table: Table, index: int, renamed: Mapping[int, str]) -> Column | None:
@@ -171,6 +217,7 @@ def with_unit(
     quantity: Quantity | None,
     what: str = "",
     proposed: str = "",
+    also: str = "",
 ) -> Column:
     """Return a column if it is in a unit of the right quantity.
 
@@ -180,6 +227,7 @@ def with_unit(
         quantity: What its numbers are; None: numbers without a unit.
         what: What the column holds, for messages: ``"a quaternion"``.
         proposed: Unit to propose in the message; empty: that of `COMMON`.
+        also: Another remedy for a column without unit, for the message: ``"--joint-unit deg"``.
 
     Returns:
         The column.
@@ -199,12 +247,39 @@ def with_unit(
     fault = "the column has no unit"
     if column.symbol:
         fault = f"'{column.symbol}' is not a unit of {quantity}"
+        also = ""
     header = f"{split_header(column.label)[0]} [{proposed or COMMON[quantity]}]"
     mapping = header.replace(" [", f"={column.name} [")
     raise MeasurementError(
-        f"{where}: {fault}. Write the header '{header}', or --columns \"{mapping}\"; allowed are "
-        f"{choices(symbols(quantity))}."
+        f"{where}: {fault}. Write the header '{header}', or --columns \"{mapping}\""
+        f"{f', or {also}' if also else ''}; allowed are {choices(symbols(quantity))}."
     )
+
+
+def joint_with_unit(
+    table: Table, column: Column, joint_type: str | None, options: ColumnOptions
+) -> Column:
+    """Return a joint's column in a unit that fits the joint, which ``options`` may say where the column has none.
+
+    Args:
+        table: The column's table, for messages.
+        column: The column, by the joint's name.
+        joint_type: The joint's URDF type; None: not known, any unit of its own is right.
+        options: What is said of the table's columns.
+
+    Returns:
+        The column.
+
+    Raises:
+        MeasurementError: It has no unit, or one that does not fit.
+    """
+    quantity: Quantity = "length" if joint_type == "prismatic" else "angle"
+    if not column.symbol:
+        column = replace(column, symbol=options.joint_unit_of(quantity) or column.symbol)
+    if joint_type is None and column.unit is not None:
+        return column
+    what = f"{joint_type or 'revolute'} joint '{column.name}'"
+    return with_unit(table, column, quantity, what, also=f"--joint-unit {COMMON[quantity]}")
 
 
 def cells_of(values: Array, unit: str) -> list[object]:

@@ -14,21 +14,23 @@ from calib.data.columns import (
     EXPECTED,
     ORIENTATION,
     POINT,
-    QUATERNION,
-    ROTATION_VECTOR,
     STATUS,
     TORQUE,
     Columns,
     Named,
+    joint_with_unit,
     list_columns,
     name_columns,
     reserved,
     with_unit,
 )
+from calib.data.forms.brands import fix_for_brand
+from calib.data.forms.column_options import ColumnOptions, ColumnsInput, column_options
+from calib.data.forms.orientation_columns import Orientation, conventions_of, find_orientation
 from calib.data.kinds import Kind
 from calib.errors import MeasurementError, choices, did_you_mean
 from calib.table import Column, Table
-from calib.units import Quantity
+from calib.units import Quantity, split_header
 
 #: Most joints that a message lists.
 _LISTED_JOINTS = 12
@@ -46,12 +48,15 @@ class Layout:
     #: Columns whose words make the group's name, in the order of the table.
     groups: Columns
     #: Columns of numbers that are used: ``joints`` in the order of the joints, ``torques``, ``points``, ``orientation``
-    #: (three or four), the noise of each unit (``sigma``, ``sigma_angle``), and each reading of a kind by its name.
+    #: (as many as its convention has), the noise of each unit (``sigma``, ``sigma_angle``), and each reading of a kind
+    #: by its name.
     blocks: Mapping[str, Columns]
     #: Kinds of the rows; more than one only with a column ``kind``.
     kinds: tuple[str, ...]
     #: Headers of the columns that are not used, but for those that a plan has and a fit does not need.
     ignored: tuple[str, ...] = ()
+    #: The orientation; None without one.
+    orientation: Orientation | None = None
 
     @classmethod
     def find(
@@ -59,7 +64,7 @@ class Layout:
         table: Table,
         joint_names: Sequence[str] | None = None,
         joint_types: Mapping[str, str] | None = None,
-        columns: Mapping[str, str] | None = None,
+        columns: ColumnsInput = None,
         kind: str | None = None,
         *,
         points_elsewhere: bool = False,
@@ -70,7 +75,8 @@ class Layout:
             table: The table.
             joint_names: The joints to read, see `Measurements.read`; None: every column of angles.
             joint_types: URDF types of joints by name; None: not known.
-            columns: Mapping from names of the table to names of calib; None: none is renamed.
+            columns: Names of calib by those of the table, or all that is said of the columns;
+                None: nothing.
             kind: Kind of all rows; None: as the columns say.
             points_elsewhere: Whether the positions are in a file of their own, and the table at
                 most names them in a column ``point``.
@@ -81,23 +87,29 @@ class Layout:
         Raises:
             MeasurementError: A column is missing, there twice, without a unit or in a wrong one.
         """
-        named, groups = name_columns(table, joint_names or (), columns or {})
-        joints = _joints(table, named, joint_names, joint_types or {})
-        kinds = _kinds(table, named, kind, points_elsewhere=points_elsewhere)
+        options = column_options(columns)
+        named, groups = name_columns(table, joint_names or (), options)
+        joints = _joints(table, named, joint_names, joint_types or {}, options)
+        is_oriented = bool(conventions_of(named, joint_names or (), options))
+        kinds = _kinds(table, named, kind, is_oriented, points_elsewhere=points_elsewhere)
         present = list(map(registry.get, kinds))
         if points_elsewhere:
             _check_kinds_of_points(table, present)
+        orientation: Orientation | None = None
+        if any(kind.orientation for kind in present):
+            orientation = find_orientation(table, named, joint_names or (), options)
         blocks = {
             "joints": joints,
             "torques": _torques(table, named, joints),
             **_noise(table, named, present),
             **_positions(table, named, present, points_elsewhere=points_elsewhere),
+            **({} if orientation is None else {"orientation": orientation.columns}),
             **_readings(table, named, present),
         }
         words = _words(
             table, named, present, by_column=kind is None, points_elsewhere=points_elsewhere
         )
-        layout = cls(words, groups, blocks, kinds)
+        layout = cls(words, groups, blocks, kinds, orientation=orientation)
         return _with_ignored(layout, table, named, points_elsewhere=points_elsewhere)
 
 
@@ -108,6 +120,7 @@ def _kinds(
     table: Table,
     named: Named,
     kind: str | None,
+    is_oriented: bool,
     *,
     points_elsewhere: bool,
 ) -> tuple[str, ...]:
@@ -118,7 +131,7 @@ def _kinds(
         return _kinds_by_column(table, named)
     if points_elsewhere:
         return ("point",)
-    if any(named.keys() >= set(names) for names in (QUATERNION, ROTATION_VECTOR)):
+    if is_oriented:
         return ("pose",)
     reading = _kind_of_readings(named)
     has_position = any(name in named for name in POINT)
@@ -176,14 +189,11 @@ def _positions(
     *,
     points_elsewhere: bool,
 ) -> dict[str, Columns]:
-    """Return the columns of measured positions and orientations."""
-    blocks: dict[str, Columns] = {}
-    if any(kind.position for kind in present) and not points_elsewhere:
-        columns = [_needed(table, named, name, "length", "measured points") for name in POINT]
-        blocks["points"] = tuple(columns)
-    if any(kind.orientation for kind in present):
-        blocks["orientation"] = _orientation(table, named)
-    return blocks
+    """Return the columns of measured positions."""
+    if points_elsewhere or not any(kind.position for kind in present):
+        return {}
+    columns = [_needed(table, named, name, "length", "measured points") for name in POINT]
+    return {"points": tuple(columns)}
 
 
 def _noise(table: Table, named: Named, present: Sequence[Kind]) -> dict[str, Columns]:
@@ -206,25 +216,6 @@ def _readings(table: Table, named: Named, present: Sequence[Kind]) -> dict[str, 
             column = _needed(table, named, reading.name, reading.quantity, what)
             blocks[reading.name] = (column,)
     return blocks
-
-
-def _orientation(table: Table, named: Named) -> Columns:
-    """Return the columns of a quaternion or of a rotation vector, of which there is one."""
-    forms = [names for names in (QUATERNION, ROTATION_VECTOR) if named.keys() >= set(names)]
-    if len(forms) != 1:
-        raise MeasurementError(
-            f"{table.source}: rows of the kind 'pose' need one orientation: qx, qy, qz, qw (a "
-            "quaternion, no unit) or 'rx [rad]', 'ry [rad]', 'rz [rad]' (a rotation vector). "
-            f'{list_columns(table)} --columns "rx=-" leaves one out; --kind point reads none.'
-        )
-    columns = []
-    for name in forms[0]:
-        if forms[0] == QUATERNION:
-            column = with_unit(table, named[name], None, "a quaternion")
-        else:
-            column = with_unit(table, named[name], "angle", "a rotation vector", "rad")
-        columns.append(column)
-    return tuple(columns)
 
 
 def _torques(table: Table, named: Named, joints: Columns) -> Columns:
@@ -256,22 +247,23 @@ def _joints(
     named: Named,
     joint_names: Sequence[str] | None,
     types: Mapping[str, str],
+    options: ColumnOptions,
 ) -> Columns:
     """Return the columns of joints, in the order of ``joint_names``.
 
     None: every column of angles and of joints in ``types``, but for names with another meaning.
     """
-    available = {n: c for n, c in named.items() if n not in (*reserved(), *ORIENTATION)}
+    taken = {*reserved(), *ORIENTATION}
+    if joint_names is None:
+        taken.update(*(row.columns for row in conventions_of(named, (), options)))
+    available = {name: column for name, column in named.items() if name not in taken}
     if joint_names is None:
         joint_names = _inferred_joints(table, available, types)
     missing = [name for name in joint_names if name not in named]
     if missing:
         others = [name for name in available if name not in joint_names]
         _fail_on_missing_joints(table, missing, others, types)
-    joints = tuple(named[name] for name in joint_names)
-    for column in joints:
-        _check_joint_unit(table, column, types.get(column.name))
-    return joints
+    return tuple(joint_with_unit(table, named[n], types.get(n), options) for n in joint_names)
 
 
 def _fail_on_missing_joints(
@@ -284,10 +276,11 @@ def _fail_on_missing_joints(
     listed = [f"'{name}'{did_you_mean(name, others)}" for name in missing[:_LISTED_JOINTS]]
     unit = "mm" if types.get(missing[0]) == "prismatic" else "deg"
     header = f"{missing[0]} [{unit}]"
+    of_brand = fix_for_brand([split_header(label)[0] for label in table.header])
     raise MeasurementError(
-        f"{table.source}: no column for the joints {', '.join(listed)}. {list_columns(table)} The "
-        f"header of such a column is '{header}'; another name is mapped by --columns \"name in "
-        f'the table={header}".'
+        f"{table.source}: no column for the joints {', '.join(listed)}. {list_columns(table)}"
+        f"{of_brand} The header of such a column is '{header}'; another name is mapped by "
+        f'--columns "name in the table={header}".'
     )
 
 
@@ -304,14 +297,6 @@ def _inferred_joints(table: Table, available: Named, types: Mapping[str, str]) -
             "a column is the joint's name and a unit of angle, 'elbow_joint [deg]'."
         )
     return names
-
-
-def _check_joint_unit(table: Table, column: Column, joint_type: str | None) -> None:
-    """Refuse a joint's column whose unit does not fit its URDF type, or that has no unit."""
-    if joint_type is None and column.unit is not None:
-        return
-    quantity: Quantity = "length" if joint_type == "prismatic" else "angle"
-    with_unit(table, column, quantity, f"{joint_type or 'revolute'} joint '{column.name}'")
 
 
 # Words, and what is not used

@@ -32,11 +32,12 @@ from calib.data.columns import (
     COMMON,
     DEFAULT_TARGET,
     POINT,
-    QUATERNION,
     SETS,
     TORQUE,
     cells_of,
 )
+from calib.data.forms.column_options import ColumnOptions, ColumnsInput
+from calib.data.forms.orientations import QUATERNION
 from calib.data.kinds import SIGMAS, Kind
 from calib.data.layout import Layout
 from calib.data.points_file import read_points
@@ -122,6 +123,9 @@ class Measurements(Value):
     unmeasured: tuple[int, ...] = ()
     #: Row numbers left out by `without_copies`, as the table has them.
     copies: tuple[int, ...] = ()
+    #: Convention in which the table gave the orientations, one of `calib.data.forms.orientations.CONVENTIONS`; empty
+    #: where it gave none.
+    orientation: str = ""
 
     def __post_init__(self) -> None:
         """Copy the arrays, fill in what was not given, and check that all of it fits together."""
@@ -228,7 +232,7 @@ class Measurements(Value):
         path: str | Path | Table,
         joint_names: Sequence[str] | None = None,
         joint_types: Mapping[str, str] | None = None,
-        columns: Mapping[str, str] | None = None,
+        columns: ColumnsInput = None,
         kind: str | None = None,
         points: str | Path | None = None,
         points_unit: str | None = None,
@@ -236,8 +240,8 @@ class Measurements(Value):
         """Read a table with units in its header; docs/data-format.md describes it.
 
         Args:
-            path: A CSV file in UTF-8, separated by commas, semicolons or tabs; or one that was
-                read already.
+            path: A CSV file in UTF-8, separated by commas, semicolons or tabs, or a sheet of an
+                Excel file, ``"table.xlsx#Sheet"``; or one that was read already.
             joint_names: The joints to read, by calib's names (after ``columns``); each must have a
                 column. None: every column in a unit of angle that is not of an orientation.
             joint_types: A joint's URDF type by its name; a ``"prismatic"`` joint is in a unit of
@@ -245,8 +249,9 @@ class Measurements(Value):
             columns: Mapping from names of the table to names of calib,
                 ``{"J1": "shoulder_pan_joint"}``; with a unit,
                 ``{"J1": "shoulder_pan_joint [deg]"}``, for a column that has none; to ``"-"`` to
-                leave a column out. Several columns may be mapped to ``"group"``. None: no column
-                is renamed.
+                leave a column out. Several columns may be mapped to ``"group"``. A
+                `ColumnOptions` says besides the brand that names the others, the convention of
+                orientations and the unit of joints. None: no column is renamed.
             kind: The kind of all rows. None: from the column ``kind``, else from the columns there
                 are: ``pose`` with an orientation, ``distance`` or ``pair`` with a distance and no
                 position, else ``point``.
@@ -492,7 +497,7 @@ class Measurements(Value):
             yield name, "length", self.points[:, i]
         if self.rotations is not None:
             quaternions = to_quaternions(self.rotations)
-            for i, name in enumerate(QUATERNION):
+            for i, name in enumerate(QUATERNION.columns):
                 yield name, None, quaternions[:, i]
         for reading in registry.readings().values() if len(self) else ():
             yield reading.name, reading.quantity, self.reading(reading.name)
@@ -512,5 +517,5 @@ def _check_reading(
     if points is not None:
         check_path("points", points)
     for argument, mapping in (("joint_types", joint_types), ("columns", columns)):
-        if mapping is not None:
+        if mapping is not None and not isinstance(mapping, ColumnOptions):
             check_mapping(argument, mapping)

@@ -27,6 +27,12 @@ _PROPOSED_RANGE_M = (0.01, 20.0)
 #: degrees [rad]: hardly any joint turns so far, and degrees mostly do.
 _TURNS_RAD = 7.0
 
+#: Twice that of a quaternion, as entries of R^T R are squares.
+_MATRIX_TOLERANCE = 2e-3
+
+#: Half a turn, and a little for digits that were not written [rad].
+_HALF_TURN_RAD = np.pi + 0.01
+
 #: A quaternion written with four digits has length one to half of this.
 _LENGTH_TOLERANCE = 1e-3
 
@@ -120,9 +126,11 @@ def _check_block(
     units = [column.unit for column in columns if column.unit]
     fault: Fault | None = None
     if name == "orientation" and not units:
-        fault = _quaternion_fault(values)
+        fault = _quaternion_fault(values) if len(columns) == 4 else _matrix_fault(values)
     elif name in ("orientation", "joints") and {unit.symbol for unit in units} == {"rad"}:
         _check_radians(table, columns[0], values[complete])
+    elif name == "orientation":
+        fault = _degrees_fault(layout, values * [column.to_si for column in columns])
     elif name == "points":
         fault = implausible_length(values, units)
     elif name == "joints" and units[0].quantity == "length":
@@ -143,6 +151,41 @@ def _quaternion_fault(values: Array) -> Fault | None:
         return None
     length = lengths[wrong[0]]
     what = f"the quaternion has the length {length:.6g}; that of an orientation is 1."
+    return Fault(int(wrong[0]), 0, what)
+
+
+def _matrix_fault(values: Array) -> Fault | None:
+    """Return the first matrix, of (N, 9), that is no rotation: R^T R = 1, and the determinant is 1."""
+    R = values.reshape(-1, 3, 3)
+    squares = R.transpose(0, 2, 1) @ R - np.eye(3)
+    is_wrong = np.abs(squares).max(axis=(1, 2)) > _MATRIX_TOLERANCE
+    wrong = np.flatnonzero(is_wrong | (np.linalg.det(R) < 0.0))
+    if not wrong.size:
+        return None
+    what = (
+        "the matrix is no rotation: its columns r11 r21 r31 and so on are perpendicular unit vectors, and its "
+        f"determinant is 1, here {np.linalg.det(R[wrong[0]]):.6g}."
+    )
+    return Fault(int(wrong[0]), 0, what)
+
+
+def _degrees_fault(layout: Layout, values: Array) -> Fault | None:
+    """Return the first rotation vector beyond half a turn, of (N, 3) [rad], that may be three angles just as well.
+
+    Only where the columns may be of another convention, and none was named.
+    """
+    orientation = layout.orientation
+    if orientation is None or not orientation.alternatives:
+        return None
+    angles = np.linalg.norm(values, axis=1)
+    wrong = np.flatnonzero(angles > _HALF_TURN_RAD)
+    if not wrong.size:
+        return None
+    others = " or ".join(f"--orientation {name}" for name in orientation.alternatives)
+    what = (
+        f"{orientation.convention.words} of {np.degrees(angles[wrong[0]]):.4g} deg, more than half a turn. If these "
+        f"are three angles, name their convention: {others}; else --orientation {orientation.convention.name}."
+    )
     return Fault(int(wrong[0]), 0, what)
 
 

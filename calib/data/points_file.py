@@ -1,11 +1,11 @@
-"""Lists of points as laser tracker programs write them, and which row of a table each point belongs to."""
+"""Lists of points as laser tracker programs write them."""
 
 from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple, NoReturn
 
@@ -13,13 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.data.columns import POINT
+from calib.data.forms.numerals import NUMERAL, decimal_sign_in, decimal_sign_of, plain
+from calib.data.forms.points import PARTS, Points
 from calib.data.plausibility import implausible_length
-from calib.errors import MeasurementError, choices, did_you_mean
+from calib.errors import MeasurementError, choices
 from calib.table import Column, Table, read_text
 from calib.units import UNITS, Unit, symbols
-
-#: Between collection, group and point in a point's whole name.
-PARTS = "::"
 
 #: In the order in which they are tried; the last one stands for any number of blanks.
 _SEPARATORS = (";", "\t", ",", " ")
@@ -30,8 +29,14 @@ _COMMENT = ("#", "//", "!", "%", ";")
 #: A ruled line.
 _RULE = re.compile(r"[-=_*+\s]+")
 
-#: A coordinate, with a decimal point or comma.
-_NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?")
+#: A coordinate behind its label, and what separates it from the next.
+_LABELLED = r"[=:,;\s]+([+-]?[.,]?\d[\d.,']*(?:[eE][+-]?\d+)?)(?=[\s,;)}]|$)"
+
+#: A line with labels between the numbers: ``P1 X 1 Y 2 Z 3``, ``P1: X=1, Y=2, Z=3``; what follows is not used.
+_LABELS = re.compile(
+    rf"(?P<name>.*?)(?<![^\s,;:({{])X{_LABELLED}[\s,;]*Y{_LABELLED}[\s,;]*Z{_LABELLED}.*",
+    re.IGNORECASE,
+)
 
 #: A word of a remark.
 _WORDS = re.compile(r"[^\W\d_]+")
@@ -53,114 +58,15 @@ _UNIT_WORDS = {
     **dict.fromkeys(("ft", "foot", "feet", "yd", "yard", "yards"), "ft"),
 }
 
-#: Most lines, and most names, that a message lists.
-_LISTED_LINES = 8
-_COMPARED_NAMES = 1000
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Points:
-    """N measured points of a file."""
-
-    #: Whole names, with collection and group if the file has them, ``"A::Main::P1"``; empty if it has no names.
-    names: tuple[str, ...]
-    #: Positions, shape (N, 3), [m], read-only.
-    points: NDArray[np.float64]
-    #: Line of the file of each point, from 1.
-    lines: tuple[int, ...]
-    #: The file's name, for messages.
-    source: str
-    #: Hash of the file's bytes.
-    sha256: str
-
-    def of_rows(self, source: str, rows: Sequence[int], names: Sequence[str] | None) -> list[int]:
-        """Find the point of each row of a table.
-
-        Args:
-            source: The table's name, for messages.
-            rows: The numbers of the table's rows, for messages.
-            names: Name of each row's point, whole or without collection and group; None: the
-                points are in the order of the rows.
-
-        Returns:
-            Index of each row's point, from 0; -1 for a row whose point is not measured yet. That is
-            taken to be so only if rows name all points of the list; else a name that is not in it
-            is more likely misspelt.
-
-        Raises:
-            MeasurementError: A row's point is not in the list, is ambiguous, or is that of another
-                row; or there are no names, and more or fewer points than rows.
-        """
-        if names is None:
-            self._check_count(source, len(rows))
-            return list(range(len(rows)))
-        indices_by_name = self._indices_by_name()
-        hits = [indices_by_name.get(name, []) for name in names]
-        is_complete = {i for indices in hits for i in indices} == {*range(len(self.points))}
-        row_of_point: dict[int, int] = {}
-        for row, name, indices in zip(rows, names, hits, strict=True):
-            fault = None
-            if len(indices) > 1:
-                fault = self._ambiguous(name, indices)
-            elif not indices and not is_complete:
-                fault = self._unknown(name)
-            elif indices:
-                first_row = row_of_point.setdefault(indices[0], row)
-                if first_row != row:
-                    fault = f"row {first_row} names the point '{name}' too, which was measured once"
-            if fault is not None:
-                raise MeasurementError(
-                    f"{source}, row {row}: in {self.source} {fault}. Correct the name or remove "
-                    "the row; where the points are in the order of the rows, --columns "
-                    '"point=-" does without names.'
-                )
-        return [indices[0] if indices else -1 for indices in hits]
-
-    def _check_count(self, source: str, count: int) -> None:
-        """Refuse a table of another number of rows than points."""
-        if len(self.points) != count:
-            raise MeasurementError(
-                f"{self.source} has {len(self.points)} points and {source} {count} rows to match "
-                "them with, in their order. Add a column 'point' with the points' names, or remove "
-                "what has no counterpart."
-            )
-
-    def _indices_by_name(self) -> Mapping[str, list[int]]:
-        """Return the indices of points, from 0, by whole and by last names; whole names win."""
-        by_last: dict[str, list[int]] = {}
-        by_whole: dict[str, list[int]] = {}
-        for i, name in enumerate(self.names):
-            by_last.setdefault(_last(name), []).append(i)
-            by_whole.setdefault(name, []).append(i)
-        return by_last | by_whole
-
-    def _ambiguous(self, name: str, indices: Sequence[int]) -> str:
-        """Return the fault of a name that several points have."""
-        lines = ", ".join(str(self.lines[i]) for i in indices[:_LISTED_LINES])
-        whole = choices(dict.fromkeys(self.names[i] for i in indices))
-        return (
-            f"several points are called '{name}', in lines {lines}; write the whole name: {whole}"
-        )
-
-    def _unknown(self, name: str) -> str:
-        """Return the fault of a name that no point has."""
-        known = [*self.names, *map(_last, self.names)][:_COMPARED_NAMES]
-        near = did_you_mean(name, known)
-        return f"there is no point '{name}'{near}; it has {choices(self.names)}"
-
-
-def _last(name: str) -> str:
-    """Return the point's own name, without collection and group."""
-    return name.rpartition(PARTS)[2].strip()
-
 
 def read_points(path: str | Path, unit: str | None = None) -> Points:
     """Read a list of points: a name and x, y, z in each line; what follows is not used.
 
-    The cells are separated by blanks, tabs, commas or semicolons. Lines before the first point, and those that begin
-    with #, //, !, % or ;, are remarks. A header with the cells x, y, z tells the order; without one the three
-    numbers behind the name count. The unit comes from a remark (``Units: mm``), from the header (``x [mm]``) or from
-    ``unit``.
+    The cells are separated by blanks, tabs, commas or semicolons; there may be labels between the numbers, ``X 1 Y 2 Z
+    3``. Lines before the first point, and those that begin with #, //, !, % or ;, are remarks. A header with the cells
+    x, y, z tells the order; without one the three numbers behind the name count. All coordinates together, or a remark
+    (``Decimal: comma``), tell whether a comma is decimal or stands between thousands. The unit comes from a remark
+    (``Units: mm``), from the header (``x [mm]``) or from ``unit``.
 
     Args:
         path: The file.
@@ -183,6 +89,7 @@ def read_points(path: str | Path, unit: str | None = None) -> Points:
     table = Table(source, sha256, content.separator, (), tuple(content.lines), cells)
     name_columns, point_columns = _columns(table, content.headings)
     length_unit = _find_unit(content.remarks, unit, source)
+    table = _with_plain_numbers(table, point_columns, decimal_sign_in(content.remarks))
     metres = _positions(table, point_columns, length_unit)
     names = _whole_names(table, name_columns)
     return Points(names, metres, table.lines, source, sha256)
@@ -210,7 +117,8 @@ def _content_of(text: str) -> _Content:
     separator = ""
     lines: list[int] = []
     cells: list[list[str]] = []
-    for number, line in enumerate(text.split("\n"), 1):
+    for number, written in enumerate(text.split("\n"), 1):
+        line = _without_labels(written)
         remark = _remark(line)
         if remark is None and not lines:
             separator = _separator_of(line)
@@ -223,6 +131,16 @@ def _content_of(text: str) -> _Content:
             if not lines:
                 headings.append(remark)
     return _Content(separator, lines, cells, remarks, headings)
+
+
+def _without_labels(line: str) -> str:
+    """Return a line with labels between its numbers as name and numbers between tabs; any other line as it is."""
+    found = _LABELS.fullmatch(line.rstrip())
+    if found is None or _remark(line) is not None:
+        return line
+    name = found["name"].strip(" \t,;:=({\"'")
+    numbers = [number.rstrip(".,") for number in found.groups()[1:]]
+    return "\t".join([name, *numbers] if name else numbers)
 
 
 def _separator_of(line: str) -> str:
@@ -246,6 +164,27 @@ def _whole_names(table: Table, columns: Sequence[int]) -> tuple[str, ...]:
         return ()
     between = " " if table.separator == " " else PARTS
     return tuple(between.join(row[i] for i in columns) for row in table.cells)
+
+
+def _with_plain_numbers(table: Table, columns: Sequence[int], stated: str | None) -> Table:
+    """Return the points' lines with coordinates that have a decimal point and nothing between thousands.
+
+    Args:
+        table: The points' lines.
+        columns: Positions of the columns x, y, z, from 0.
+        stated: The decimal sign that a remark states; None: none does.
+
+    Raises:
+        MeasurementError: It cannot be told which sign is decimal.
+    """
+    lines = zip(table.lines, table.cells, strict=True)
+    numerals = [(line, row[i]) for line, row in lines for i in columns]
+    decimal_sign = decimal_sign_of(numerals, table.source, stated)
+    cells = tuple(row.copy() for row in table.cells)
+    for row in cells:
+        for i in columns:
+            row[i] = plain(row[i], decimal_sign)
+    return replace(table, cells=cells)
 
 
 def _positions(table: Table, columns: Sequence[int], unit: Unit) -> NDArray[np.float64]:
@@ -307,7 +246,7 @@ def _split(line: str, separator: str) -> list[str]:
 def _has_point(cells: Sequence[str], start: int) -> bool:
     """Return True if three cells from ``start`` on are numbers, with a decimal point or comma."""
     three = cells[start : start + 3]
-    return len(three) == 3 and all(map(_NUMBER.fullmatch, three))
+    return len(three) == 3 and all(map(NUMERAL.fullmatch, three))
 
 
 # Columns

@@ -13,12 +13,11 @@ from numpy.typing import NDArray
 import calib.data.kinds as registry
 from calib.channels import RESIDUAL_UNITS
 from calib.data.columns import SETS, STATUS, TORQUE
+from calib.data.forms.points import Points
 from calib.data.kinds import Kind
 from calib.data.layout import Layout, slides
 from calib.data.plausibility import check_units
-from calib.data.points_file import Points
 from calib.errors import MeasurementError, choices
-from calib.numerics.geometry import to_matrices
 from calib.table import Column, Table
 from calib.units import Array, Mask
 
@@ -203,6 +202,8 @@ def _fail_on_number(table: Table, layout: Layout, row: int, column: Column) -> N
     text = table.cells[row][column.index][:_QUOTED]
     if not text:
         what = "the cell is empty. Fill in the number, or remove the row."
+    elif text.startswith("date "):
+        what = f"the cell is the {text}. Write the number; Excel makes dates of such as 1.5 or 1/5."
     elif "," in text:
         what = (
             f"'{text}' has a decimal comma. Write a point, or put semicolons between the columns."
@@ -346,12 +347,20 @@ def _arrays(layout: Layout, si: Blocks, count: int) -> dict[str, Any]:
         "prismatic": [column.name for column in joints if slides(column)],
         "joints": si.get("joints", np.empty((count, 0))),
         "points": si.get("points", np.full((count, 3), np.nan)),
-        "rotations": to_matrices(si["orientation"]) if "orientation" in si else None,
+        "rotations": _rotations(layout, si),
+        "orientation": "" if layout.orientation is None else layout.orientation.convention.name,
         "torques": _torques(layout, si["torques"]) if "torques" in si else None,
         "distances": readings.pop("distance", None),
         "readings": readings,
         "sigma": sigma,
     }
+
+
+def _rotations(layout: Layout, si: Blocks) -> Array | None:
+    """Return the rotation matrices of the rows, shape (rows, 3, 3); None without orientations."""
+    if layout.orientation is None or "orientation" not in si:
+        return None
+    return layout.orientation.convention.matrices(si["orientation"])
 
 
 def _torques(layout: Layout, block: Array) -> Array:

@@ -17,7 +17,8 @@ import numpy as np
 
 import calib.data.kinds as registry
 from calib.channels import RESIDUAL_UNITS
-from calib.data.columns import DEFAULT_TARGET, EXPECTED, POINT, QUATERNION, name_columns
+from calib.data.columns import DEFAULT_TARGET, EXPECTED, POINT, name_columns
+from calib.data.forms.orientations import QUATERNION
 from calib.data.layout import Layout
 from calib.data.measurements import Measurements
 from calib.data.values import read_values
@@ -147,7 +148,7 @@ class _Columns:
         readings = [_Column.of(reading.name, reading.quantity) for reading in kind.readings]
         empty = [column.header for column in lengths]
         if kind.orientation:
-            empty += QUATERNION
+            empty += QUATERNION.columns
         empty += [column.header for column in readings]
         first_reading = kind.size - len(readings)
         return cls(

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
 from calib.data.cell import Cell
+from calib.data.columns import column_names
+from calib.data.forms.column_options import ColumnsInput, column_options
 from calib.data.measurements import Measurements
 from calib.errors import CalibError
 from calib.inputs import CellInput, RobotInput, TableInput, inputs_of
@@ -43,7 +45,7 @@ class FleetRobot:
         data: str | Path,
         cell: Cell | None = None,
         *,
-        columns: Mapping[str, str] | None = None,
+        columns: ColumnsInput = None,
         points: str | Path | None = None,
         points_unit: str | None = None,
     ) -> FleetRobot:
@@ -54,7 +56,7 @@ class FleetRobot:
             robot: URDF or xacro, or a name of example-robot-data such as ``"ur3"``.
             data: Table of measurements.
             cell: Measurement setup; None: the default `Cell`.
-            columns: Mapping from names of the table's columns to names of calib, see `Measurements.read`.
+            columns: What is said of the table's columns, see `Measurements.read`; None: nothing.
             points: List of measured points; None: the table has the positions.
             points_unit: Unit of that list, ``"mm"``; None: the list names it.
 
@@ -62,13 +64,13 @@ class FleetRobot:
             The robot.
         """
         setup = cell or Cell()
-        renamed = dict(columns or {})
+        options = column_options(columns)
 
         def load(read_robot: UrdfReader) -> FleetInputs:
             """Read the table, the URDF, and the measurements of the chain's joints."""
             table = Table.read(data)
             urdf = read_robot(str(robot))
-            measured = table.names(renamed)
+            measured = column_names(table, options)
             nominal = Robot.from_urdf(
                 urdf, setup.base, setup.tip, measured, setup.held, setup.coupling
             )
@@ -76,7 +78,7 @@ class FleetRobot:
                 table,
                 nominal.joint_names,
                 nominal.joint_types,
-                renamed,
+                options,
                 setup.kind,
                 points,
                 points_unit,

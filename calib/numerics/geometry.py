@@ -164,6 +164,22 @@ def to_quaternions(rotations: Array) -> Array:
     return result
 
 
+def to_rotation_vectors(rotations: Array) -> Array:
+    """Convert rotation matrices to rotation vectors, of length pi at most.
+
+    Args:
+        rotations: shape (N, 3, 3); a matrix with a NaN stands for no measurement.
+
+    Returns:
+        Rotation vectors, shape (N, 3), [rad]; NaN where there is no measurement.
+    """
+    result = np.full((len(rotations), 3), np.nan)
+    measured = np.isfinite(rotations).all(axis=(1, 2))
+    if measured.any():
+        result[measured] = Rotation.from_matrix(rotations[measured]).as_rotvec()
+    return result
+
+
 def inverse_right_jacobian(rotations: Rotation) -> Array:
     """Return the inverse right Jacobian of SO(3): log(E exp(w)) = log(E) + J w for small w.
 

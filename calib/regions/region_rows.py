@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -11,6 +10,7 @@ import numpy as np
 
 from calib.data.cell import Cell
 from calib.data.columns import POINT, name_columns
+from calib.data.forms.column_options import ColumnsInput
 from calib.data.measurements import Measurements
 from calib.regions.region import Density, Region
 from calib.robot.chain import rigid_inverse
@@ -52,7 +52,7 @@ class RegionView(Value):
 def read_rows(
     path: str | Path,
     robot: Robot,
-    columns: Mapping[str, str] | None = None,
+    columns: ColumnsInput = None,
     kind: str | None = None,
 ) -> Measurements:
     """Read a table whose positions may be missing: a list of poses, or a plan that is not filled in.
@@ -60,7 +60,7 @@ def read_rows(
     Args:
         path: Path of the table.
         robot: The robot, whose joints have a column each in the table.
-        columns: Names of columns that calib uses, by the names in the table; None: they are the same.
+        columns: Names that calib uses by the table's names, or all that is said of the columns; None: nothing is.
         kind: Name of the kind of measurement of all rows, such as ``"point"``; None: as the table says, or where it has
             no positions none at all, so that rows have joint values alone.
 
@@ -68,7 +68,7 @@ def read_rows(
         The rows: joint values, and what was measured there.
     """
     table = Table.read(path)
-    named, _ = name_columns(table, (), columns or {})
+    named, _ = name_columns(table, robot.joint_names, columns)
     cells = [table.column(named[name]) for name in POINT if name in named]
     has_positions = len(cells) == len(POINT) and any(map(any, cells))
     if kind is None and not has_positions:

@@ -17,7 +17,9 @@ import pinocchio as pin
 
 import calib.report.tables as tables
 import calib.text.summary as texts
+from calib.data.forms.orientations import find_convention
 from calib.data.kinds import get as kind_named
+from calib.data.measurements import Measurements
 from calib.diagnosis.reasons import Why
 from calib.errors import FileError
 from calib.files import write_atomically
@@ -135,6 +137,14 @@ def _picture(drawing: Drawing) -> str:
     return f"data:image/{media_type};base64,{base64.b64encode(data).decode('ascii')}"
 
 
+def _rows_text(m: Measurements) -> str:
+    """Return how many rows there are, and in which convention orientations were given."""
+    text = f"{m.estimation.sum():,} to estimate, {m.validation.sum():,} to validate"
+    if m.orientation:
+        text += f"; orientations as {find_convention(m.orientation).words}"
+    return text
+
+
 def _content(c: CalibrationValues) -> dict[str, Any]:
     """Return the variables of the template, all but date, command and figures.
 
@@ -148,7 +158,7 @@ def _content(c: CalibrationValues) -> dict[str, Any]:
         "tables": tables,
         "known": texts.facts(c),
         "source": m.source or "from memory",
-        "rows_text": f"{m.estimation.sum():,} to estimate, {m.validation.sum():,} to validate",
+        "rows_text": _rows_text(m),
         "reasons": [reason_text(reason) for reason in reasons],
         "robustness": robustness_text(c.robustness) if c.robustness else "",
         "unweighted": int(np.sum(c.weights[m.estimation] <= 0.0)),

@@ -341,7 +341,7 @@ def _assembled(
         **_model_values(geometry, observability, validations.geometry),
         nominal=robot,
         robot=geometry.kinematics.model.apply(robot, estimate.x),
-        source=Source(m.source, m.sha256),
+        source=Source(m.source, m.sha256, m.orientation),
         rows=RowNames(m.rows, m.sets, m.kinds, m.groups, m.targets),
         frame_estimated=cell.estimate_frame,
         frozen=cell.frozen,

@@ -86,6 +86,8 @@ class Source:
     name: str
     #: SHA-256 of its bytes, in hexadecimal digits
     sha256: str
+    #: Convention of its orientations, one of `calib.data.forms.orientations.CONVENTIONS`; empty where it had none
+    orientation: str = ""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -397,7 +397,7 @@ def _derived_values(c: CalibrationValues) -> dict[str, Any]:
         "model": _model_table(c.model),
         "inputs.urdf": {"name": urdf.source, "sha256": urdf.sha256},
         "inputs.urdf.text": urdf.data.decode("utf-8", "surrogateescape"),
-        "inputs.measurements": {"name": c.source.name, "sha256": c.source.sha256},
+        "inputs.measurements": _source_table(c.source),
         "inputs.measurements.rows": len(c.rows),
         "versions": versions(),
     }
@@ -514,9 +514,20 @@ def _calibration(table: Json, folder: Path) -> CalibrationValues:
         **values,
         nominal=nominal,
         robot=values["kinematics"].model.apply(nominal, values["x"]),
-        source=Source(inputs["measurements"]["name"], inputs["measurements"]["sha256"]),
+        source=_source(inputs["measurements"]),
         non_geometric=non_geometric,
     )
+
+
+def _source_table(source: Source) -> dict[str, Any]:
+    """Return the name and the SHA-256 of the measurements, and the convention of their orientations, None without."""
+    convention = source.orientation or None
+    return {"name": source.name, "sha256": source.sha256, "orientation": convention}
+
+
+def _source(table: Json) -> Source:
+    """Return the file of the measurements; a result of an earlier version does not say how it gave orientations."""
+    return Source(table["name"], table["sha256"], table.get("orientation") or "")
 
 
 def _nominal(table: Json, folder: Path) -> Robot:

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from calib.compensation.expected import BAND
+from calib.data.forms.orientations import find_convention
 from calib.robot.robot import rigid_inverse
 from calib.text.layout.lines import fill
 from calib.text.layout.tables import Column, name_column, table_lines
@@ -258,7 +259,7 @@ def _program(commands: Commands) -> str:
     if program.T_wanted is not None:
         content = "poses" if program.oriented else "positions"
         if program.form:
-            content = f"poses ({program.form})"
+            content = f"poses ({find_convention(program.form).words.removeprefix('a ')})"
         if program.q is not None:
             content += " with joint values to start at"
     frame = f"'{robot.base}'"

@@ -382,6 +382,7 @@ def assessment_table(e: Assessment) -> dict[str, Any]:
     accepted = None
     if acceptance is not None:
         accepted = {"robot": e.judged, **acceptance_table(acceptance)}
+    read = {"name": m.source, "sha256": m.sha256, "orientation": m.orientation or None}
     return {
         "schema": "evaluation 4",  # a word, so that it is not taken for a result's
         "robot": {"name": robot.name, "base": robot.base, "tip": robot.tip},
@@ -395,7 +396,7 @@ def assessment_table(e: Assessment) -> dict[str, Any]:
         "errors": {who: _errors_table(evaluation) for who, evaluation in e.evaluations.items()},
         "inputs": {
             "urdf": {"name": robot.urdf.source, "sha256": robot.urdf.sha256},
-            "measurements": {"name": m.source, "sha256": m.sha256, "rows": len(m)},
+            "measurements": {**read, "rows": len(m)},
         },
         "versions": versions(),
         "accuracy": {who: accuracy_table(figures) for who, figures in e.accuracies.items()},

@@ -39,3 +39,11 @@ def test_a_joint_outside_of_the_chain_hints_at_base_and_tip(ur3, paper_table, ca
     text = capsys.readouterr().out
     assert "'forearm_link'" in text
     assert "wrist_1_joint" in text.split("--tip")[1]
+
+
+def test_how_orientations_were_read_is_said_unless_as_quaternions(ur3, paper_table, capsys):
+    plain = replace(paper_table, ignored=())
+    say_ignored(replace(plain, orientation="kuka"), ur3)
+    assert "--orientation kuka" in capsys.readouterr().out
+    say_ignored(replace(plain, orientation="quaternion"), ur3)
+    assert capsys.readouterr().out == ""

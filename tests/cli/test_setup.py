@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from calib.cli.options import TableOptions
 from calib.cli.setup import (
     load,
     load_with_data,
@@ -61,7 +62,7 @@ def test_the_kind_of_the_cell_is_that_of_the_table(shop: Path):
     text = (shop / "joints.csv").read_text(encoding="utf-8").splitlines()
     grouped = [text[0] + ",group", *(line + ",socket" for line in text[1:])]
     (shop / "grouped.csv").write_text("\n".join(grouped), encoding="utf-8")
-    _, table = load_with_data(str(shop / "robot.urdf"), cell, shop / "grouped.csv", None)
+    _, table = load_with_data(str(shop / "robot.urdf"), cell, shop / "grouped.csv")
     assert set(table.kinds) == {"fixed"}
 
 
@@ -69,7 +70,7 @@ def test_data_in_the_place_of_the_robot_are_refused(shop: Path):
     with pytest.raises(CalibError, match="ROBOT comes first"):
         load_with_data(str(shop / "joints.csv"), Cell(), shop / "robot.urdf")
     with pytest.raises(CalibError, match="--points-unit"):
-        load_with_data("robot.urdf", Cell(), shop / "data.csv", points_unit="mm")
+        load_with_data("robot.urdf", Cell(), shop / "data.csv", TableOptions(points_unit="mm"))
 
 
 def test_the_chain_of_a_result_is_that_of_the_cell(examples):
@@ -117,3 +118,21 @@ def test_the_target_of_a_urdf_is_at_its_link(tmp_path: Path):
     target = with_target_link(Robot.load(path, base="base", tip="tool0"), Cell()).target
     assert target is not None
     np.testing.assert_allclose(target, place, rtol=0, atol=1e-12)
+
+
+def test_a_brand_s_columns_are_those_of_the_chain(shop: Path):
+    lines = (shop / "data.csv").read_text(encoding="utf-8").splitlines()
+    names = [f"J{k}" for k in range(1, 7)]
+    header = lines[0].split(",")
+    at = next(k for k, name in enumerate(header) if name.startswith("shoulder_pan_joint"))
+    header[at : at + 6] = names
+    (shop / "brand.csv").write_text("\n".join([",".join(header), *lines[1:]]), encoding="utf-8")
+    robot, cell = str(shop / "robot.urdf"), Cell(base="base")
+    _, plain = load_with_data(robot, cell, shop / "data.csv")
+    pairs = [f"{n}={j}" for n, j in zip(names, plain.joint_names, strict=True)]
+    for options in (TableOptions(["fanuc"]), TableOptions(pairs, joint_unit="deg")):
+        arm, table = load_with_data(robot, cell, shop / "brand.csv", options)
+        assert table.joint_names == arm.joint_names
+        np.testing.assert_array_equal(table.joints, plain.joints)
+    with pytest.raises(CalibError, match="--columns fanuc"):
+        load_with_data(robot, cell, shop / "brand.csv")

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from calib.cli.words import parse_held, parse_pair, parse_payload, parse_point
+from calib.cli.words import parse_columns, parse_held, parse_pair, parse_payload, parse_point
+from calib.data.forms.column_options import ColumnOptions
 from calib.errors import CalibError
 from calib.robot.payload import Payload
 from calib.units import Angle, Length
@@ -41,6 +42,9 @@ def test_a_payload_keeps_the_centre_that_was_given():
     [
         (lambda t: parse_held([t]), "lift", "--hold was given 'lift'; it must be 'joint=value' with a unit"),
         (lambda t: parse_held([t]), "lift=3", "--hold 'lift=3' is '3'; a joint's value needs a unit of angle or"),
+        (lambda t: parse_columns([t]), "kuk", "--columns was given 'kuk'; it must be"),
+        (lambda t: parse_columns(["kuka", t]), "fanuc", "--columns was given 'kuka', 'fanuc'"),
+        (lambda t: parse_columns(["a=b", t]), "a=c", "--columns was given 'a=c'"),
         (lambda t: parse_payload(t, None), "5", "--payload was given as \"5\"; it must be a mass, not below 0, such"),
     ],
 )  # fmt: skip
@@ -61,4 +65,12 @@ def test_words_that_mean_nothing(parse: Callable[[str], Any], text: str, said: s
 def test_a_length_and_an_angle(text: str, pair: tuple[float | None, float | None]):
     assert parse_pair(text, "--limit", "1 mm") == tuple(
         None if value is None else pytest.approx(value) for value in pair
+    )
+
+
+def test_columns_by_name_and_by_brand():
+    assert parse_columns(None) == ColumnOptions()
+    words = ["E1=rail [mm]", " KUKA ", "a=b=c"]
+    assert parse_columns(words, "fanuc", "deg mm") == ColumnOptions(
+        {"E1": "rail [mm]", "a=b": "c"}, "kuka", "fanuc", "deg mm"
     )

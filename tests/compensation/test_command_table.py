@@ -14,6 +14,8 @@ from calib.compensation.command_table import write_commands
 from calib.compensation.commands import Commands, compensate
 from calib.compensation.program import Program
 from calib.compensation.program_file import read_program
+from calib.data.forms.column_options import ColumnOptions
+from calib.data.forms.orientations import CONVENTIONS
 from calib.robot.robot import Robot
 
 JOINTS = [
@@ -81,7 +83,7 @@ def test_what_stands_in_the_table(four: Commands, tmp_path: Path):
     assert set(last.values()) == {""}
 
 
-@pytest.mark.parametrize("form", ["rotation-vector", "quaternion", "rpy"])
+@pytest.mark.parametrize("form", CONVENTIONS)
 def test_every_form_of_an_orientation_is_read_back(
     four: Commands, tmp_path: Path, ur3: Robot, form: str
 ):
@@ -98,10 +100,29 @@ def test_every_form_of_an_orientation_is_read_back(
         writer = csv.DictWriter(file, names, extrasaction="ignore")
         writer.writeheader()
         writer.writerows(table[:3])
-    program = read_program(path, ur3)
+    program = read_program(path, ur3, columns=ColumnOptions(orientation=form))
+    assert program.form == form
     assert np.abs(program.T_wanted - T_send[:3]).max() < 1e-9
     assert np.abs(program.q - four.q[:3]).max() < 1e-11
     assert program.kept == tuple((label, cells[:3]) for label, cells in four.program.kept)
+
+
+@pytest.mark.parametrize(
+    ("form", "orientation", "columns"),
+    [
+        ("kuka", None, ["A [deg]", "B [deg]", "C [deg]"]),
+        ("staubli", None, ["rx [deg]", "ry [deg]", "rz [deg]"]),
+        ("abb", None, ["q1", "q2", "q3", "q4"]),
+        ("kuka", "fanuc", ["W [deg]", "P [deg]", "R [deg]"]),
+        ("", None, ["rx [rad]", "ry [rad]", "rz [rad]"]),
+    ],
+)
+def test_orientations_are_written_as_they_came_unless_another_convention_is_named(
+    four: Commands, tmp_path: Path, form: str, orientation: str | None, columns: list[str]
+):
+    commands = replace(four, program=replace(four.program, form=form))
+    path = write_commands(commands, tmp_path / "c.csv", orientation=orientation)
+    assert list(rows(path)[0])[11 : 11 + len(columns)] == columns
 
 
 def test_zeros_have_no_sign_and_warnings_are_named(ur3: Robot, tmp_path: Path):

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from calib.compensation.program import Program
 from calib.compensation.program_file import read_program
+from calib.data.forms.column_options import ColumnOptions
 from calib.errors import MeasurementError
 from calib.example import paper_measurements, paper_urdf
 from calib.robot.robot import Robot
@@ -99,7 +100,7 @@ def test_the_three_forms_of_an_orientation_are_one(tmp_path_factory, roll, pitch
         assert program.oriented
         assert program.T_wanted is not None
         assert program.q is None
-        form = {"q": "quaternion", "R": "roll, pitch, yaw"}.get(header[0], "rotation vector")
+        form = {"q": "quaternion", "R": "rpy"}.get(header[0], "rotation-vector")
         assert program.form == form
         assert np.abs(program.T_wanted[0, :3, :3] - R.as_matrix()).max() < 1e-14
         assert program.T_wanted[0, :3, 3] == pytest.approx([0.3, 0.2, 0.1])
@@ -117,7 +118,7 @@ def test_a_plan_s_columns_to_fill_in_are_no_poses(read):
     [
         ([f"{IN_DEG},correction position [mm],status", f"{VALUES},0.5,ok"], "corrected already"),
         ([f"{XYZ},rx [rad],ry [rad],rz [rad],qx,qy,qz,qw", "300,200,100,0,0,0,0,0,0,1"], "is there twice"),
-        ([f"{XYZ},rx,ry,rz", "1,2,3,0,0,0"], "column 'rx' (rotation vector): the column has no unit"),
+        ([f"{XYZ},rx,ry,rz", "1,2,3,0,0,0"], "column 'rx' (a rotation vector): the column has no unit"),
         ([f"{XYZ},qx,qy,qz,qw", "300,200,100,0,0,0,1", "300,200,100,0,0,0,0.9"], "line 3 (row 2), column 'qx'"),
         ([f"{XYZ},note", "300,200,100,", ",,,a"], "row 2: there is no position"),
         ([IN_DEG.replace("elbow_joint", "elbow_jont"), VALUES], "'elbow_joint' missing beside"),
@@ -144,3 +145,44 @@ def test_a_joint_that_slides_is_in_a_length(read, tmp_path: Path):
     assert read("lift [mm]", "300", robot=lift).q == pytest.approx(np.array([[0.3]]))
     with pytest.raises(MeasurementError, match="'deg' is not a unit of length"):
         read("lift [deg]", "300", robot=lift)
+
+
+def test_a_brand_s_program(read):
+    header = "step,A1,A2,A3,A4,A5,A6,X,Y,Z,A,B,C"
+    line = "a,10,-80,70,-60,-90,5,300,200,100,20,-30,40"
+    program = read(header, line, columns=ColumnOptions(brand="kuka"))
+    assert program.q == pytest.approx(np.radians([[10, -80, 70, -60, -90, 5]]))
+    R = Rotation.from_euler("ZYX", [20, -30, 40], degrees=True).as_matrix()
+    assert program.T_wanted is not None
+    assert program.T_wanted[0, :3, :3] == pytest.approx(R, abs=1e-15)
+    assert program.T_wanted[0, :3, 3] == pytest.approx([0.3, 0.2, 0.1])
+    assert (program.form, program.kept) == ("kuka", (("step", ("a",)),))
+    with pytest.raises(MeasurementError, match=r"program.csv.*--columns kuka"):
+        read(header, line)
+
+
+def test_an_option_names_the_convention_where_the_columns_fit_it(read):
+    angles = f"{XYZ},Rx [deg],Ry [deg],Rz [deg]", "300,200,100,40,-30,20"
+    for orientation, sequence in (("staubli", "XYZ"), ("yaskawa", "xyz")):
+        R = Rotation.from_euler(sequence, [40, -30, 20], degrees=True).as_matrix()
+        program = read(*angles, columns=ColumnOptions(orientation=orientation))
+        assert program.T_wanted is not None
+        assert program.T_wanted[0, :3, :3] == pytest.approx(R, abs=1e-15)
+        assert program.form == orientation
+    program = read(*angles, columns=ColumnOptions(orientation="abb"))
+    assert program.form == "rotation-vector"
+
+
+def test_one_letter_is_no_part_of_an_orientation(read):
+    program = read(f"A,P,R,{XYZ}", "part 1,1,7,300,200,100")
+    assert [label for label, _ in program.kept] == ["A", "P", "R"]
+    assert not program.oriented
+    with pytest.raises(MeasurementError, match="'C' missing beside 'A', 'B'"):
+        read(f"{XYZ},A [deg],B [deg]", "300,200,100,1,2")
+
+
+def test_one_unit_for_all_joints(read):
+    program = read(JOINTS, VALUES, columns=ColumnOptions(joint_unit="deg"))
+    assert program.q == pytest.approx(np.radians([[10, -80, 70, -60, -90, 5]]))
+    with pytest.raises(MeasurementError, match="--joint-unit deg"):
+        read(JOINTS, VALUES)

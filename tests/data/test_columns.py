@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from calib.data.columns import name_columns, reserved, with_unit
+from calib.data.columns import column_names, name_columns, reserved, with_unit
+from calib.data.forms.column_options import ColumnOptions
 from calib.data.measurements import Measurements
 from calib.errors import MeasurementError
 from calib.table import Column, Table
@@ -96,3 +97,12 @@ def test_headers_that_are_refused(table, header, joint_names, says):
         joint_names=joint_names and [*joint_names],
         says=["data.csv", *says],
     )
+
+
+def test_the_names_of_a_table(tmp_path):
+    path = tmp_path / "data.csv"
+    path.write_text("a [deg];b [m]\n1;2\n")
+    table = Table.read(path)
+    assert column_names(table) == {"a", "b"}
+    assert column_names(table, {"a": "elbow [deg]"}) == {"a", "b", "elbow"}
+    assert column_names(table, ColumnOptions(brand="kuka")) is None

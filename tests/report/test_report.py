@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import re
+from dataclasses import replace
 from html.parser import HTMLParser
 
 import pytest
@@ -11,7 +12,7 @@ import pytest
 from calib.errors import FileError
 from calib.report import figures as figures, report as report
 from calib.report.figures import drawings
-from calib.report.report import report_bytes, write_report
+from calib.report.report import _rows_text, report_bytes, write_report
 from calib.text.verdict import reason_text
 from tests.report.test_tables import every_table
 
@@ -180,3 +181,9 @@ def test_chromium_shows_and_prints_hostile_names(browser, calibrations, tmp_path
         pdf = tab.pdf()
     assert pdf.startswith(b"%PDF")
     assert 8 <= len(re.findall(rb"/Type /Page\b", pdf)) <= 20
+
+
+def test_the_rows_say_in_which_convention_orientations_were_given(paper_calibration):
+    m = paper_calibration.measurements
+    assert "orientations" not in _rows_text(m)
+    assert "orientations as KUKA's A, B, C" in _rows_text(replace(m, orientation="kuka"))

@@ -60,7 +60,7 @@ def everything(make_scene: Callable[..., Any]) -> Calibration:
     rotations[1:4] = rotations[0]
     points[[10, 39]] += 0.03
     sets = ("estimate",) * 34 + ("validate",) * 6
-    m = replace(m, joints=joints, points=points, rotations=rotations, sets=sets)
+    m = replace(m, joints=joints, points=points, rotations=rotations, sets=sets, orientation="kuka")
     cell = Cell(
         estimate_frame=True,
         held={"wrist_3_joint": 0.4},
@@ -128,6 +128,16 @@ def everything_json(
     path = write_result(everything, tmp_path_factory.mktemp("result") / "result.json")
     loaded: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
     return loaded
+
+
+def test_a_result_that_does_not_say_how_orientations_were_given(
+    everything_json: dict[str, Any], tmp_path: Path
+):
+    assert everything_json["inputs"]["measurements"]["orientation"] == "kuka"
+    table = json.loads(json.dumps(everything_json))
+    del table["inputs"]["measurements"]["orientation"]
+    (tmp_path / "r.json").write_text(json.dumps(table), encoding="utf-8")
+    assert read_result(tmp_path / "r.json").source.orientation == ""
 
 
 @pytest.fixture(scope="module")

@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from calib.cli.options import Base, Columns, Force, PointsUnit, Quiet, Tip
+from calib.cli.options import Base, ColumnChoice, Force, PointsUnit, Quiet, Tip
 from calib.cli.outputs import check_outputs, written_lines
 from calib.cli.verb import verb
-from calib.cli.words import parse_columns
 from calib.errors import CalibError
 
 if TYPE_CHECKING:
@@ -43,7 +42,7 @@ class ArmOptions:
 
 
 @dataclass(frozen=True, slots=True)
-class SweepTables:
+class SweepTables(ColumnChoice):
     """Reading of the sweeps."""
 
     points: Annotated[
@@ -54,7 +53,6 @@ class SweepTables:
         ),
     ] = None
     points_unit: PointsUnit = None
-    columns: Columns = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,8 +110,7 @@ def base_frame(
     check_outputs(files, [data, tables.points, arm.robot], force=outputs.force)
     robot = arm.load()
     joint_names = None if robot is None else robot.joint_names
-    columns = parse_columns(tables.columns or [])
-    sweeps = read_sweeps(data, joint_names, columns, tables.points, tables.points_unit)
+    sweeps = read_sweeps(data, joint_names, tables.parsed(), tables.points, tables.points_unit)
     offset = parse_amount(plane_offset, "--plane-offset", LENGTH, "19.05 mm", signed=True)
     survey = estimate_base_frame(sweeps, robot, plane_offset=offset, robust=robust)
     lines = survey_text(survey, sweeps.source, robot)

@@ -64,7 +64,7 @@ def calibrate(
     with executor_of(intervals.workers, intervals.dask, samples, default=1) as executor:
         cell = read_cell(**asdict(setup))
         estimation.check()
-        arm, measurements = load_with_data(robot, cell, data, **asdict(table))
+        arm, measurements = load_with_data(robot, cell, data, table)
 
         from calib.calibration import calibrate as calibrate_robot
 

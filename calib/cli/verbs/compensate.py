@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from calib.cli.notices import say_accepted
-from calib.cli.options import Accept, Columns, Force, Hold, PayloadMass, Quiet, RobotFile
+from calib.cli.options import Accept, ColumnChoice, Force, Hold, PayloadMass, Quiet, RobotFile
 from calib.cli.outputs import check_outputs
 from calib.cli.setup import coupling_of_result, load, read_cell
 from calib.cli.verb import verb
-from calib.cli.words import parse_columns, parse_held, parse_pair, parse_payload, parse_tool
+from calib.cli.words import parse_held, parse_pair, parse_payload, parse_tool
 from calib.errors import CalibError, VerdictError
 
 if TYPE_CHECKING:
@@ -105,7 +105,7 @@ class GoalOptions:
 
 
 @dataclass(frozen=True, slots=True)
-class ChainOptions:
+class ChainOptions(ColumnChoice):
     """Chain of the robot, and the names of the program's columns."""
 
     cell: Annotated[
@@ -118,7 +118,14 @@ class ChainOptions:
     base: Annotated[str | None, typer.Option(help="Base link. Default: the result's.")] = None
     tip: Annotated[str | None, typer.Option(help="Tip link. Default: the result's.")] = None
     hold: Hold = None
-    columns: Columns = None
+    orientation: Annotated[
+        str | None,
+        typer.Option(
+            metavar="CONVENTION",
+            help="Convention of the orientations that are written, and of the program's if it has such columns: "
+            "{conventions}. Default: as the program's columns are named; without orientations rotation-vector.",
+        ),
+    ] = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,10 +137,6 @@ class CommandOutputs:
         Literal["both", "joints", "poses"],
         typer.Option(help="What is written: joint values to command, poses to send, or both."),
     ] = "both"
-    orientation: Annotated[
-        Literal["rotation-vector", "quaternion", "rpy"],
-        typer.Option(help="Form of orientations."),
-    ] = "rotation-vector"
     force: Force = False
 
 
@@ -189,7 +192,7 @@ def compensate(
     none_reached = not commands.reached.any()
     if not commands.reached.all() and (none_reached or not goal.skip):
         raise CalibError(no_commands(commands))
-    _write(commands, outputs)
+    _write(commands, outputs, chain.orientation)
     if not quiet:
         typer.echo(text(commands, Path(source).name, outputs.output))
     say_accepted(f"'{source}'", models.stated)
@@ -199,10 +202,11 @@ def _load_models(robot: str, program: Path, model: ModelChoice, chain: ChainOpti
     """Load the nominal robot and the model of the real one."""
     if model.calibration is not None:
         return _models_of_result(robot, model.calibration, model, chain)
+    from calib.data.columns import column_names
     from calib.inputs import chain_of
     from calib.table import Table
 
-    joints = Table.read(program).names(parse_columns(chain.columns or []))
+    joints = column_names(Table.read(program), chain.parsed())
     nominal = load(robot, _cell(chain), joints)
     actual = load(str(model.corrected), chain_of(nominal))
     return _Models(nominal, actual, payload=None, stated=actual.urdf.verdict)
@@ -244,7 +248,7 @@ def _read_program(path: Path, nominal: Robot, goal: GoalOptions, chain: ChainOpt
     return read_program(
         path,
         nominal,
-        columns=parse_columns(chain.columns or []),
+        columns=chain.parsed(),
         match=goal.match,
         start=parse_held(goal.start or [], "--start"),
     )
@@ -270,7 +274,7 @@ def _compute(models: _Models, program: Program, model: ModelChoice, goal: GoalOp
     )
 
 
-def _write(commands: Commands, outputs: CommandOutputs) -> None:
+def _write(commands: Commands, outputs: CommandOutputs, orientation: str | None) -> None:
     """Write the table of commands, if it was asked for."""
     from calib.compensation.command_table import write_commands
 
@@ -280,6 +284,6 @@ def _write(commands: Commands, outputs: CommandOutputs) -> None:
         commands,
         outputs.output,
         send=outputs.send,
-        orientation=outputs.orientation,
+        orientation=orientation,
         overwrite=outputs.force,
     )

@@ -120,7 +120,7 @@ def evaluate(
     if calibration is not None:
         result = read_result(calibration)
         cell = with_chain_of_result(cell, result, str(calibration))
-    arm, measurements = load_with_data(robot, cell, data, **asdict(table))
+    arm, measurements = load_with_data(robot, cell, data, table)
     cell, target_source = _with_target(arm, cell, setup, result)
     from_result = tuple(name for name in ("frame", "target") if getattr(setup, name) is None)
     assessment = assess(

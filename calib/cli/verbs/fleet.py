@@ -12,7 +12,7 @@ from calib.cli.executor import executor_of
 from calib.cli.exit_status import ExitStatus
 from calib.cli.options import (
     Accept,
-    Columns,
+    ColumnChoice,
     FitOptions,
     JobOptions,
     PointsUnit,
@@ -31,11 +31,10 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True)
-class FleetTables:
+class FleetTables(ColumnChoice):
     """Reading of the tables of all robots; a row of the manifest wins."""
 
     points_unit: PointsUnit = None
-    columns: Columns = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,11 +63,11 @@ Examples:
   calib fleet manifest.csv --out results --dask tcp://192.168.0.10:8786
 
 The manifest has a robot a row: its name, its robot (a URDF, a xacro, or a name such as ur3) and its data, and may say
-cell, points, points_unit, base, tip, target, frame, model, kind, payload, hold and columns of it, as the options of
-'calib calibrate' do. Options on the line are for all robots; what a row says wins. Each robot gets a folder with
-corrected.urdf, result.json, report.html and summary.txt; fleet.csv and fleet.json compare them. Given again, the same
-command keeps what is finished and unchanged. The exit status is 1 if a robot failed; otherwise 3 if one got no
-corrected.urdf because its verdict is 'do not use', which --accept writes all the same. See docs/fleet.md.
+cell, points, points_unit, base, tip, target, frame, model, kind, payload, hold, columns, orientation and joint_unit of
+it, as the options of 'calib calibrate' do. Options on the line are for all robots; what a row says wins. Each robot
+gets a folder with corrected.urdf, result.json, report.html and summary.txt; fleet.csv and fleet.json compare them.
+Given again, the same command keeps what is finished and unchanged. The exit status is 1 if a robot failed; otherwise 3
+if one got no corrected.urdf because its verdict is 'do not use', which --accept writes all the same. See docs/fleet.md.
 """)
 def fleet(
     manifest: Annotated[
@@ -94,7 +93,7 @@ def fleet(
 
     if manifest.resolve() == (out / CSV).resolve():
         raise FileError(f"{manifest} would be the table of results too; choose another --out.")
-    robots = read_manifest(manifest, setup, tables.columns or (), tables.points_unit)
+    robots = read_manifest(manifest, setup, tables, tables.points_unit)
     estimation.check()
     options = FleetOptions(
         solver=estimation.solver,

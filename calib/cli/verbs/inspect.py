@@ -62,7 +62,7 @@ def inspect(
     if data is None:
         arm = load(robot, cell)
     else:
-        arm, measurements = load_with_data(robot, cell, data, **asdict(table))
+        arm, measurements = load_with_data(robot, cell, data, table)
         say_ignored(measurements, arm)
         forecast = forecast_of_table(arm, cell, measurements)
     inspection = inspect_robot(arm, cell, measurements)

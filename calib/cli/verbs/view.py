@@ -124,7 +124,7 @@ def _load(
     """Load the robot, and the table if there is one."""
     if data is None:
         return load(robot, cell), None
-    return load_with_data(robot, cell, data, **asdict(table))
+    return load_with_data(robot, cell, data, table)
 
 
 def _view_of_result(

@@ -9,12 +9,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from calib.cli.options import CellOptions, Columns, Force, Quiet, RobotFile, Seed
+from calib.cli.options import CellOptions, ColumnChoice, Force, Quiet, RobotFile, Seed
 from calib.cli.outputs import check_outputs, written_lines
 from calib.cli.setup import load, read_cell
 from calib.cli.terminal import progress_bar
 from calib.cli.verb import verb
-from calib.cli.words import parse_columns
 
 if TYPE_CHECKING:
     from calib.data.cell import Cell
@@ -27,7 +26,7 @@ _File = Path | None
 
 
 @dataclass(frozen=True, slots=True)
-class RangeOptions:
+class RangeOptions(ColumnChoice):
     """Ranges of the joints, and a table whose rows are checked."""
 
     like: Annotated[_File, typer.Option(help="Table whose estimation rows give the ranges.")] = None
@@ -36,7 +35,6 @@ class RangeOptions:
         typer.Option(metavar="ANGLE", help="Margin around --like (5 mm for prismatic joints)."),
     ] = "0 deg"
     check: Annotated[_File, typer.Option(help="Table: which of its rows lie in the region.")] = None
-    columns: Columns = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,13 +156,15 @@ def _load_with_tables(
     robot: str, cell: Cell, ranges: RangeOptions
 ) -> tuple[Robot, Mapping[Path, Measurements]]:
     """Load the robot and the tables of ``--like`` and ``--check``, whose common joints tell the chain."""
+    from calib.data.columns import column_names
     from calib.regions.region_rows import read_rows
     from calib.table import Table
 
     paths = [path for path in (ranges.like, ranges.check) if path is not None]
-    renamed = parse_columns(ranges.columns or [])
-    columns = [Table.read(path).names(renamed) for path in paths]
-    common = set.intersection(*columns) if columns else None
+    renamed = ranges.parsed()
+    columns = [column_names(Table.read(path), renamed) for path in paths]
+    known = [names for names in columns if names is not None]
+    common = set.intersection(*known) if known else None
     arm = load(robot, cell, common)
     tables = {path: read_rows(path, arm, renamed, cell.kind) for path in paths}
     return arm, tables

@@ -1,0 +1,123 @@
+"""Columns of an orientation in a table, and the convention that they are in."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from typing import NamedTuple
+
+from calib.data.columns import Columns, Named, list_columns, with_unit
+from calib.data.forms.column_options import ColumnOptions
+from calib.data.forms.orientations import CONVENTIONS, Convention
+from calib.errors import MeasurementError
+from calib.table import Table
+
+
+class Orientation(NamedTuple):
+    """The orientation of a table's rows."""
+
+    #: What its numbers mean.
+    convention: Convention
+    #: Its columns, in the order of the convention.
+    columns: Columns
+    #: Names of other conventions with these columns, where nothing but the columns says which one it is.
+    alternatives: tuple[str, ...]
+
+
+def conventions_of(
+    named: Named, joint_names: Collection[str], options: ColumnOptions
+) -> tuple[Convention, ...]:
+    """Return the conventions of which a table has all columns; of those with the same columns the one that is meant.
+
+    Args:
+        named: The columns by calib's names.
+        joint_names: Joints, whose columns are no orientation.
+        options: What is said of the columns; its convention, if its columns are there, is the only one.
+    """
+    complete = [row for row in CONVENTIONS.values() if _is_complete(row, named, joint_names)]
+    for convention in options.conventions:
+        if convention in complete:
+            return (convention,)
+    by_columns: dict[tuple[str, ...], Convention] = {}
+    for row in complete:
+        by_columns.setdefault(row.columns, row)
+    return tuple(by_columns.values())
+
+
+def find_orientation(
+    table: Table, named: Named, joint_names: Collection[str], options: ColumnOptions
+) -> Orientation:
+    """Find the orientation of a table that must have one.
+
+    Args:
+        table: The table.
+        named: Its columns by calib's names.
+        joint_names: Joints, whose columns are no orientation.
+        options: What is said of the columns.
+
+    Returns:
+        The orientation, its columns with units that fit.
+
+    Raises:
+        MeasurementError: There is none or more than one, it is not of the convention of ``options``, or a unit does
+            not fit.
+    """
+    found = conventions_of(named, joint_names, options)
+    is_other = options.orientation not in (None, *(row.name for row in found))
+    if len(found) != 1 or is_other:
+        wanted = f" (--orientation {options.orientation})" if is_other else ""
+        forms = [f"{', '.join(row.columns)} ({row.name})" for row in CONVENTIONS.values()]
+        raise MeasurementError(
+            f"{table.source}: rows of the kind 'pose' need one orientation{wanted}, and the table "
+            f"has {_counted(found)}. {list_columns(table)} An orientation has the columns {'; '.join(forms)}. "
+            f"{_fix(found)}; --kind point reads none."
+        )
+    return in_units(table, named, found[0], options)
+
+
+def in_units(
+    table: Table, named: Named, convention: Convention, options: ColumnOptions
+) -> Orientation:
+    """Return the orientation of a convention, whose columns a table has; raises `MeasurementError` for a wrong unit.
+
+    Args:
+        table: The table, for messages.
+        named: Its columns by calib's names.
+        convention: The convention.
+        options: What is said of the columns.
+    """
+    quantity = "angle" if convention.unit else None
+    columns = []
+    for name in convention.columns:
+        column = with_unit(table, named[name], quantity, convention.words, convention.unit)  # type: ignore[arg-type]
+        columns.append(column)
+    alternatives: tuple[str, ...] = ()
+    if convention not in options.conventions:
+        same = [row for row in CONVENTIONS.values() if row.columns == convention.columns]
+        alternatives = tuple(row.name for row in same if row is not convention)
+    return Orientation(convention, tuple(columns), alternatives)
+
+
+def _is_complete(row: Convention, named: Named, joint_names: Collection[str]) -> bool:
+    """Return True if a table has all columns of a convention, none of them a joint's.
+
+    Numbers without unit are none in a unit of angle, such as joints q1 to q4; of qx to qw that is a mistake.
+    """
+    for name in row.columns:
+        if name not in named or name in joint_names:
+            return False
+        if not row.unit and named[name].is_angle and row.name != "quaternion":
+            return False
+    return True
+
+
+def _counted(found: Collection[Convention]) -> str:
+    """Return which orientations there are, for the message."""
+    return " and ".join(row.words for row in found) or "none"
+
+
+def _fix(found: tuple[Convention, ...]) -> str:
+    """Return how to mend it that there is no orientation or more than one."""
+    if len(found) < 2:
+        return 'Another name is mapped by --columns "name in the table=rx [rad]"'
+    first = found[-1].columns[0]
+    return f'--columns "{first}=-" leaves one out, or --orientation {found[0].name} chooses'

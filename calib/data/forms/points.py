@@ -1,0 +1,137 @@
+"""Measured points of a list, and which row of a table each belongs to."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.errors import MeasurementError, choices, did_you_mean
+
+#: Between collection, group and point in a point's whole name.
+PARTS = "::"
+
+#: Before the last part of a name, such as of ``KR6/P1``, ``Station1_P1`` and ``Ball 1``.
+_BEFORE_LAST = re.compile(r"[\s/:_]+")
+
+#: Most lines, and most names, that a message lists.
+_LISTED_LINES = 8
+_COMPARED_NAMES = 1000
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Points:
+    """N measured points of a file."""
+
+    #: Whole names, with collection and group if the file has them, ``"A::Main::P1"``; empty if it has no names.
+    names: tuple[str, ...]
+    #: Positions, shape (N, 3), [m], read-only.
+    points: NDArray[np.float64]
+    #: Line of the file of each point, from 1.
+    lines: tuple[int, ...]
+    #: The file's name, for messages.
+    source: str
+    #: Hash of the file's bytes.
+    sha256: str
+
+    def of_rows(self, source: str, rows: Sequence[int], names: Sequence[str] | None) -> list[int]:
+        """Find the point of each row of a table.
+
+        Args:
+            source: The table's name, for messages.
+            rows: The numbers of the table's rows, for messages.
+            names: Name of each row's point, whole or without collection and group; if none of the
+                rows' names is in the list so, the last part of each counts, behind a blank, ``/``,
+                ``:`` or ``_``. None: the points are in the order of the rows.
+
+        Returns:
+            Index of each row's point, from 0; -1 for a row whose point is not measured yet. That is
+            taken to be so only if rows name all points of the list; else a name that is not in it
+            is more likely misspelt.
+
+        Raises:
+            MeasurementError: A row's point is not in the list, is ambiguous, or is that of another
+                row; or there are no names, and more or fewer points than rows.
+        """
+        if names is None:
+            self._check_count(source, len(rows))
+            return list(range(len(rows)))
+        indices_by_name = self._indices_by_name()
+        if indices_by_name.keys().isdisjoint(names):
+            # All rows or none: beside P1 a point OLD_P2 is hardly the P2 that was not measured.
+            indices_by_name = self._indices_by_part()
+        hits = [indices_by_name.get(name, []) for name in names]
+        is_complete = {i for indices in hits for i in indices} == {*range(len(self.points))}
+        row_of_point: dict[int, int] = {}
+        for row, name, indices in zip(rows, names, hits, strict=True):
+            fault = None
+            if len(indices) > 1:
+                fault = self._ambiguous(name, indices)
+            elif not indices and not is_complete:
+                fault = self._unknown(name)
+            elif indices:
+                first_row = row_of_point.setdefault(indices[0], row)
+                if first_row != row:
+                    fault = f"row {first_row} names the point '{name}' too, which was measured once"
+            if fault is not None:
+                raise MeasurementError(
+                    f"{source}, row {row}: in {self.source} {fault}. Correct the name or remove "
+                    "the row; where the points are in the order of the rows, --columns "
+                    '"point=-" does without names.'
+                )
+        return [indices[0] if indices else -1 for indices in hits]
+
+    def _check_count(self, source: str, count: int) -> None:
+        """Refuse a table of another number of rows than points."""
+        if len(self.points) != count:
+            raise MeasurementError(
+                f"{self.source} has {len(self.points)} points and {source} {count} rows to match "
+                "them with, in their order. Add a column 'point' with the points' names, or remove "
+                "what has no counterpart."
+            )
+
+    def _indices_by_name(self) -> Mapping[str, list[int]]:
+        """Return the indices of points, from 0, by whole and by last names; whole names win."""
+        by_last: dict[str, list[int]] = {}
+        by_whole: dict[str, list[int]] = {}
+        for i, name in enumerate(self.names):
+            by_last.setdefault(_last(name), []).append(i)
+            by_whole.setdefault(name, []).append(i)
+        return by_last | by_whole
+
+    def _indices_by_part(self) -> Mapping[str, list[int]]:
+        """Return the indices of points, from 0, by what their names end with, from any part on."""
+        by_part: dict[str, list[int]] = {}
+        for i, name in enumerate(self.names):
+            for part in _endings(name):
+                by_part.setdefault(part, []).append(i)
+        return by_part
+
+    def _ambiguous(self, name: str, indices: Sequence[int]) -> str:
+        """Return the fault of a name that several points have."""
+        lines = ", ".join(str(self.lines[i]) for i in indices[:_LISTED_LINES])
+        whole = choices(dict.fromkeys(self.names[i] for i in indices))
+        return (
+            f"several points are called '{name}', in lines {lines}; write the whole name: {whole}"
+        )
+
+    def _unknown(self, name: str) -> str:
+        """Return the fault of a name that no point has."""
+        known = [*self.names, *map(_last, self.names)][:_COMPARED_NAMES]
+        near = did_you_mean(name, known)
+        return f"there is no point '{name}'{near}; it has {choices(self.names)}"
+
+
+def _last(name: str) -> str:
+    """Return the point's own name, without collection and group."""
+    return name.rpartition(PARTS)[2].strip()
+
+
+def _endings(name: str) -> Iterator[str]:
+    """Yield what a name ends with from each of its parts on, but for the first."""
+    for before in _BEFORE_LAST.finditer(name):
+        if name[before.end() :]:
+            yield name[before.end() :]

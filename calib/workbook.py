@@ -1,0 +1,121 @@
+"""Sheets of Excel files as the text of a table: cells between tabs, a line for each row of the sheet.
+
+So tables, programs and lists of points in a sheet are read by the readers of text, with the sheet's row numbers.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from datetime import date, time, timedelta
+from typing import TYPE_CHECKING, Any
+from zipfile import BadZipFile
+
+from calib.errors import MeasurementError, choices, did_you_mean
+
+if TYPE_CHECKING:
+    from openpyxl import Workbook
+
+#: Endings of the files' names, in lower case.
+SUFFIXES = (".xlsx", ".xlsm")
+
+#: Between the name of a file and that of its sheet.
+_BEFORE_SHEET = "#"
+
+#: What openpyxl raises for a file that is none, or is damaged.
+_DAMAGED = (BadZipFile, KeyError, ValueError, TypeError, IndexError, AttributeError, SyntaxError)
+
+
+def split_sheet(path: str) -> tuple[str, str | None]:
+    """Split ``"table.xlsx#Sheet"`` into file and sheet.
+
+    Args:
+        path: Path of any file.
+
+    Returns:
+        The path of the file, and the sheet's name; None for any other path, ``""`` for the first sheet.
+    """
+    file, mark, sheet = path.rpartition(_BEFORE_SHEET)
+    if mark and file.casefold().endswith(SUFFIXES):
+        return file, sheet.strip()
+    return path, "" if path.casefold().endswith(SUFFIXES) else None
+
+
+def sheet_text(data: bytes, source: str, sheet: str) -> str:
+    r"""Return a sheet as text.
+
+    Args:
+        data: The file's bytes.
+        source: The file's name, for messages.
+        sheet: The sheet's name; empty: the first one.
+
+    Returns:
+        Lines that end in ``\n``, one for each row of the sheet from the first; numbers with all their digits.
+
+    Raises:
+        MeasurementError: openpyxl is not installed, the file or the sheet cannot be read, or a formula has no value.
+    """
+    values = _load(data, source, values=True)
+    chosen = _chosen_sheet(values, source, sheet)
+    formulas = _load(data, source, values=False)[chosen.title]
+    text = io.StringIO()
+    writer = csv.writer(text, delimiter="\t", lineterminator="\n")
+    for row in chosen.iter_rows(min_row=1, min_col=1):
+        for cell in row:
+            if cell.value is None and formulas[cell.coordinate].data_type == "f":
+                raise MeasurementError(
+                    f"{source}, sheet '{chosen.title}', cell {cell.coordinate}: the formula has no value. Open and "
+                    "save the file in Excel or LibreOffice, which compute it, or save it as CSV."
+                )
+        writer.writerow([_text(cell.value) for cell in row])
+    return text.getvalue()
+
+
+def _load(data: bytes, source: str, *, values: bool) -> Workbook:
+    """Load an Excel file.
+
+    Args:
+        data: Its bytes.
+        source: Its name, for messages.
+        values: Whether cells have the values of their formulas, or the formulas.
+    """
+    try:
+        from openpyxl import load_workbook
+    except ImportError as error:
+        raise MeasurementError(
+            f"{source}: Excel files are read with openpyxl, which is not installed: pip install calib[xlsx]. Or save "
+            "the sheet as CSV (UTF-8)."
+        ) from error
+    try:
+        return load_workbook(io.BytesIO(data), data_only=values)
+    except _DAMAGED as error:
+        raise MeasurementError(
+            f"{source}: this is no Excel file (.xlsx), or it is damaged ({type(error).__name__}). Save it anew, or as "
+            "CSV (UTF-8)."
+        ) from error
+
+
+def _chosen_sheet(workbook: Workbook, source: str, sheet: str) -> Any:  # noqa: ANN401  openpyxl has several classes
+    """Return a sheet of cells by its name, the first if the name is empty."""
+    sheets = {one.title: one for one in workbook.worksheets}
+    if not sheets or (sheet and sheet not in sheets):
+        file = source.rpartition(_BEFORE_SHEET)[0]
+        first = next(iter(sheets), "")
+        raise MeasurementError(
+            f"{file}: there is no sheet '{sheet}'{did_you_mean(sheet, sheets)}; it has {choices(sheets)}. Name one "
+            f'behind the file, "{file}{_BEFORE_SHEET}{first}".'
+        )
+    return sheets[sheet] if sheet else next(iter(sheets.values()))
+
+
+def _text(value: object) -> str:
+    """Return the text of a cell's value: a number with all its digits, a date as one, nothing of an empty cell."""
+    if value is None:
+        return ""
+    if isinstance(value, bool):
+        return str(value).upper()
+    if isinstance(value, (int, float)):
+        return repr(value)
+    if isinstance(value, (date, time, timedelta)):
+        return f"date {value}"
+    return " ".join(str(value).split())
