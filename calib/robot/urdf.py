@@ -127,8 +127,8 @@ class Urdf(Value):
             return robot_of_json(parsed_json(text, self.source), self.source)
         except CalibError as error:
             raise UrdfError(
-                f"{self.source}: the comment '{REMARK.strip(': ')}' was changed. Remove it, or write the URDF anew from "
-                f"its rows. {error}"
+                f"{self.source}: the comment '{REMARK.strip(': ')}' was changed. Remove it, or write the URDF anew "
+                f"from its rows. {error}"
             ) from error
 
     def elements(self) -> AnyElement:
