@@ -142,7 +142,9 @@ def row_fault(row: DHRow, convention: str) -> str | None:
     if row.prismatic and not limits:
         return "slides and has no limits; give lower and upper"
     if limits and not limits[0] < limits[1]:
-        return f"has the limits {limits[0]:g} to {limits[1]:g}; lower must be less than upper"
+        unit, to_si = ("mm", 1e-3) if row.prismatic else ("deg", np.pi / 180.0)
+        lower, upper = (f"{limit / to_si:g} {unit}" for limit in limits)
+        return f"has the limits {lower} to {upper}; lower must be less than upper"
     return None
 
 

@@ -16,7 +16,7 @@ from xml.etree.ElementTree import Element as AnyElement
 import numpy as np
 import pinocchio as pin
 
-from calib.errors import UrdfError, choices, did_you_mean
+from calib.errors import CalibError, UrdfError, choices, did_you_mean
 from calib.files import check_no_xacro, read_bytes, write_atomically
 from calib.json_files import parsed_json
 from calib.robot.dh_file import ENDINGS, read_dh_robot
@@ -114,15 +114,23 @@ class Urdf(Value):
         Of a corrected URDF they are still those from which the nominal one was made.
 
         Raises:
-            ModelError: The comment was changed, so that it makes no robot.
+            UrdfError: The comment was changed, so that it makes no robot.
         """
         for comment in self._document.comments:
             text = comment.text.strip()
             if text.startswith(REMARK):
-                return robot_of_json(
-                    parsed_json(text.removeprefix(REMARK), self.source), self.source
-                )
+                return self._dh_of(text.removeprefix(REMARK))
         return None
+
+    def _dh_of(self, text: str) -> DHRobot:
+        """Return the DH rows that JSON in a comment states."""
+        try:
+            return robot_of_json(parsed_json(text, self.source), self.source)
+        except CalibError as error:
+            raise UrdfError(
+                f"{self.source}: the comment '{REMARK.strip(': ')}' was changed. Remove it, or write the URDF anew "
+                f"from its rows. {error}"
+            ) from error
 
     def elements(self) -> AnyElement:
         """Return the whole file as elements, a new tree at each call."""

@@ -17,7 +17,7 @@ from calib.robot.urdf import UrdfJoint
 from calib.text.layout.lines import fill, listed, number, wrap
 from calib.text.layout.sizes import with_unit
 from calib.text.layout.tables import Column, name_column, table_lines
-from calib.text.readings import coupling_sentence
+from calib.text.readings import coupling_sentence, rows_sentence
 from calib.text.summary import combination_text
 from calib.units import Array, Mask
 
@@ -83,6 +83,10 @@ def _chain(robot: Robot) -> Iterator[str]:
     coupling = coupling_sentence(robot)
     if coupling:
         yield wrap(coupling, "  ")
+    rows = rows_sentence(robot)
+    if rows:
+        text = f"{rows}. The rows below are of the same robot, with z along each joint's own axis."
+        yield wrap(text, "  ")
     if robot.base_moves:
         text = (
             f"Joints move the base '{robot.base}' itself; they are listed from the base outwards."

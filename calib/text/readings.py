@@ -1,8 +1,10 @@
-"""Coupled joint readings, in one sentence."""
+"""Coupled joint readings, and the DH rows that a robot was made from, in one sentence each."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
+
+from calib.robot.dh import EQUATIONS
 
 if TYPE_CHECKING:
     from calib.robot.robot import Robot
@@ -22,6 +24,22 @@ def coupling_sentence(robot: Robot) -> str:
         terms = "".join(_term(factor, other) for other, factor in factors.items())
         joints.append(f"'{name}' is at its reading{terms}")
     return f"Coupled readings: {'; '.join(joints)}." if joints else ""
+
+
+def rows_sentence(robot: Robot) -> str:
+    """Word from which DH rows a robot was made; empty where it was made from none.
+
+    Args:
+        robot: The robot.
+
+    Returns:
+        Such as ``"Made from DH rows, standard convention: A_i = ..."``, without a full stop.
+    """
+    rows = robot.urdf.dh
+    if rows is None:
+        return ""
+    convention = rows.table.convention
+    return f"Made from DH rows, {convention} convention: {EQUATIONS[convention]}"
 
 
 def _term(factor: float, name: str) -> str:

@@ -22,7 +22,7 @@ from calib.text.layout.lines import listed, mm, number, wrap
 from calib.text.layout.sizes import shown, with_unit
 from calib.text.layout.tables import Column, name_column, table_lines
 from calib.text.places import frame_sentences, target_sentences
-from calib.text.readings import coupling_sentence
+from calib.text.readings import coupling_sentence, rows_sentence
 from calib.text.verdict import reason_text
 from calib.version import __version__
 
@@ -81,8 +81,9 @@ def _heading(c: CalibrationValues) -> str:
         f"{len(c.nominal.joints)} joints; {estimation} rows for estimation and {validation} for validation from "
         f"{c.source.name or 'memory'}"
     )
-    coupling = coupling_sentence(c.nominal)
-    return f"{heading}\n{wrap(coupling)}" if coupling else heading
+    rows = rows_sentence(c.nominal)
+    sentences = [f"{rows}." if rows else "", coupling_sentence(c.nominal)]
+    return "\n".join([heading, *(wrap(sentence) for sentence in sentences if sentence)])
 
 
 def _verdict(c: CalibrationValues) -> str:

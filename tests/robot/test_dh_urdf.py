@@ -9,12 +9,13 @@ import pinocchio as pin
 import pytest
 import yourdfpy
 
+from calib.errors import UrdfError
 from calib.robot.dh import DHRow, DHTable
 from calib.robot.dh_robot import DHRobot
 from calib.robot.dh_urdf import dh_urdf
 from calib.robot.readback import check_written
 from calib.robot.robot import Robot
-from calib.robot.urdf import urdf_of_dh
+from calib.robot.urdf import Urdf, urdf_of_dh
 
 SHIFT = pin.SE3(pin.rpy.rpyToMatrix(0.1, 0.2, 0.3), np.array([0.1, -0.2, 0.3])).homogeneous
 ROWS = (
@@ -82,3 +83,21 @@ def test_bodies():
         pin.buildModelFromXML(data.decode()), data.decode(), pin.GeometryType.COLLISION
     )
     assert geometry.ngeoms == sum(len(link.collisions) for link in model.links)
+
+
+@pytest.mark.parametrize(("old", "new"), [(b'"d_m": ', b'"d": '), (b'"schema"', b"schema")])
+def test_a_comment_that_was_changed_is_named(old, new):
+    urdf = urdf_of_dh(DHRobot(DHTable(ROWS, np.eye(4), np.eye(4), "hayati")), "arm.csv")
+    changed = Urdf.from_bytes(urdf.data.replace(old, new), "arm.urdf")
+    with pytest.raises(UrdfError, match=r"arm\.urdf: the comment 'calib DH rows' was changed"):
+        Robot.from_urdf(changed)
+
+
+def test_a_corrected_urdf_keeps_its_rows():
+    urdf = urdf_of_dh(DHRobot(DHTable(ROWS, np.eye(4), np.eye(4), "hayati")), "arm.csv")
+    robot = Robot.from_urdf(urdf)
+    placements = robot.placements.copy()
+    placements[1, 0, 3] += 0.001
+    moved = robot.with_placements(placements).urdf.with_link("target", "flange", np.eye(4))
+    assert moved.dh is not None
+    assert moved.dh.table.rows == ROWS

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from calib.example import dh_rows
 from calib.robot.robot import Robot
-from calib.text.readings import coupling_sentence
+from calib.text.readings import coupling_sentence, rows_sentence
 
 
 def test_every_coupling_is_named(ur3: Robot):
@@ -17,3 +18,9 @@ def test_every_coupling_is_named(ur3: Robot):
         "Coupled readings: 'elbow_joint' is at its reading minus that of 'shoulder_lift_joint'; 'wrist_3_joint' is at "
         "its reading plus that of 'wrist_1_joint' minus 0.025 times that of 'wrist_2_joint'."
     )
+
+
+def test_the_convention_of_rows_is_named(ur3: Robot):
+    assert rows_sentence(ur3) == ""
+    said = rows_sentence(Robot.load(dh_rows("franka_panda")))
+    assert said.startswith("Made from DH rows, modified convention: M_i = Rx(alpha_(i-1))")
