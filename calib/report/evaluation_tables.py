@@ -125,8 +125,8 @@ def characteristics(e: Assessment) -> Table:
     title = f"Further characteristics by ISO 9283: {NAMES[e.judged]}"
     note = (
         "AD: mean error of the distance between two poses; RD: three standard deviations of it. vAP: distance between "
-        "the mean errors of two approaches to a pose. dAP, dRP: change of AP and RP from the first ten repeats of a pose "
-        "to later ones, in the order of the rows."
+        "the mean errors of two approaches to a pose. dAP, dRP: change of AP and RP from the first ten repeats of a "
+        "pose to later ones, in the order of the rows."
     )
     return Table(title, ("characteristic", *CHARACTERISTIC_HEADS), rows, "llrr", note)
 

@@ -14,6 +14,7 @@ import pytest
 import calib
 from calib.calibration import Calibration, calibrate
 from calib.data.cell import Cell
+from calib.data.record import Record
 from calib.errors import FileError, ModelError
 from calib.example.__init__ import paper_urdf
 from calib.result.acceptance import assess
@@ -67,6 +68,7 @@ def everything(make_scene: Callable[..., Any]) -> Calibration:
         frozen=("d2",),
         ties={"a3": ("a2", 1.0)},
         payload=Payload(1.0, np.array([0.0, 0.0, 0.1])),
+        record=Record(order="4711", temperature_C=(20.5, 21.0)),
     )
     result = calibrate(robot, m, cell=cell)
     assert result.non_geometric is not None
@@ -120,6 +122,16 @@ def test_everything_is_read_back(everything: Calibration, tmp_path: Path):
     assert read.fit is None
     with pytest.raises(ModelError, match="read from a file, which holds neither"):
         _ = read.measurements
+
+
+def test_a_result_of_an_earlier_version_has_no_record(
+    everything_json: dict[str, Any], tmp_path: Path
+):
+    path = tmp_path / "earlier.json"
+    table = {key: value for key, value in everything_json.items() if key != "record"}
+    path.write_text(json.dumps(table), encoding="utf-8")
+    assert everything_json["record"]["temperature_C"] == [20.5, 21.0]
+    assert read_result(path).record == Record()
 
 
 @pytest.fixture(scope="module")
