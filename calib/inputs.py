@@ -1,7 +1,8 @@
 """Robots, tables and cells as users give them: the value itself, or the path or the name that it is read from.
 
-Where a path or a name stands in for a value, it is read as the command line reads it: base, tip and held joints are the
-cell's; a tip that the cell does not name is the end of the longest chain whose joints all have values in the table.
+Where a path or a name stands in for a value, it is read as the command line reads it: base, tip, held joints and
+coupled readings are the cell's; a tip that the cell does not name is the end of the longest chain whose joints all have
+values in the table.
 """
 
 from __future__ import annotations
@@ -11,14 +12,16 @@ from pathlib import Path
 from typing import TypeAlias
 
 from calib.data.cell import Cell
+from calib.data.columns import names_in
 from calib.data.measurements import Measurements
-from calib.data.table import Table
-from calib.errors import CalibError
+from calib.errors import CalibError, choices
+from calib.robot.dh_file import is_other_table
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf, read_urdf
+from calib.table import Table
 from calib.values.arguments import check_type
 
-#: A robot; or the path of its URDF or xacro; or its name in example-robot-data, such as ``"ur3"``.
+#: A robot; or the path of its URDF, xacro or DH rows; or its name in example-robot-data, such as ``"ur3"``.
 RobotInput: TypeAlias = Robot | str | Path
 
 #: Measurements, or the path of their table.
@@ -28,12 +31,9 @@ TableInput: TypeAlias = Measurements | str | Path
 CellInput: TypeAlias = Cell | str | Path | None
 
 #: What messages call these.
-ROBOT = "a Robot, the path of a URDF or xacro, or a name such as 'ur3'"
+ROBOT = "a Robot, the path of a URDF, a xacro or DH rows, or a name such as 'ur3'"
 TABLE = "Measurements, or the path of a table"
 CELL = "a Cell, the path of a cell file, or None"
-
-#: Endings of tables: one of these in the place of a robot is a mistake.
-_TABLES = (".csv", ".txt", ".tsv")
 
 
 def cell_of(cell: CellInput, argument: str = "cell") -> Cell:
@@ -65,21 +65,39 @@ def robot_of(
 
     Args:
         robot: As a user gave it.
-        cell: Names base, tip and held joints of one that is read; None: the URDF's root and its farthest link.
+        cell: Names base, tip, held joints and coupled readings of one that is read; None: the URDF's root and its
+            farthest link.
         measured: Names of the joints whose values are known, which decide a tip that the cell does not name.
         argument: Its name, for messages.
         read: Reads the URDF of a path or a name.
 
     Raises:
         ArgumentError: It is none of these.
-        CalibError: It is the path of a table, or a file that cannot be read.
+        CalibError: It is the path of a table, or a file that cannot be read; or a robot was given, and the cell couples
+            other readings than it does.
         UrdfError: No such robot, link or joint, or a chain that calib cannot take.
     """
     _check_robot(robot, argument)
-    if isinstance(robot, Robot):
-        return robot
     cell = cell or Cell()
-    return Robot.from_urdf(read(str(robot)), cell.base, cell.tip, measured, cell.held)
+    if isinstance(robot, Robot):
+        _check_coupling(robot, cell)
+        return robot
+    urdf = read(str(robot))
+    return Robot.from_urdf(urdf, cell.base, cell.tip, measured, cell.held, cell.coupling)
+
+
+def chain_of(robot: Robot) -> Cell:
+    """Return the base, the tip, the held joints and the coupled readings of a robot, as a cell."""
+    return Cell(base=robot.base, tip=robot.tip, held=robot.held, coupling=robot.reading_coupling)
+
+
+def _check_coupling(robot: Robot, cell: Cell) -> None:
+    """Refuse a cell that couples other readings than a robot that was given, for the robot's would count."""
+    if cell.coupling and cell.coupling != robot.reading_coupling:
+        raise CalibError(
+            f"The cell couples the readings of {choices(cell.coupling)} otherwise than the robot that was given. Give "
+            "the robot's path in place of the Robot, or load it so: Robot.load(..., coupling=cell.coupling)."
+        )
 
 
 def inputs_of(
@@ -107,7 +125,7 @@ def inputs_of(
     if isinstance(table, Measurements):
         return robot_of(robot, setup, measured=table.joint_names, read=read), table, setup
     read_table = Table.read(table)
-    arm = robot_of(robot, setup, measured=read_table.names(), read=read)
+    arm = robot_of(robot, setup, measured=names_in(read_table), read=read)
     measurements = Measurements.read(read_table, arm.joint_names, arm.joint_types, kind=setup.kind)
     return arm, measurements, setup
 
@@ -115,7 +133,8 @@ def inputs_of(
 def _check_robot(robot: object, argument: str) -> None:
     """Refuse what is no robot, and the path of a table in its place."""
     check_type(argument, robot, (Robot, str, Path), ROBOT)
-    if isinstance(robot, (str, Path)) and Path(robot).suffix.lower() in _TABLES:
+    if isinstance(robot, (str, Path)) and is_other_table(robot):
         raise CalibError(
-            f"The argument '{argument}' is '{robot}', a table; it must be {ROBOT}. The robot comes before the table."
+            f"The argument '{argument}' is '{robot}', a table, and not of DH rows: it has no columns of d and alpha. "
+            f"It must be {ROBOT}. The robot comes before the table."
         )

@@ -45,16 +45,30 @@ def read_json(
     Raises:
         FileError: It cannot be read, is no JSON, or of another schema.
     """
-    try:
-        table = json.loads(read_bytes(path, what), parse_constant=_refuse_constant)
-    except (ValueError, RecursionError) as error:
-        raise FileError(
-            f"{path}: this is not a JSON file: {error}. Wanted is a {what} with its 'schema'; {expected}"
-        ) from error
+    table = parsed_json(
+        read_bytes(path, what), f"{path}", f" Wanted is a {what} with its 'schema'; {expected}"
+    )
     stated = table.get("schema") if isinstance(table, dict) else None
     if not isinstance(table, dict) or stated != schema:
         raise FileError(f"{path}: its 'schema' is {stated!r}; {expected}")
     return table
+
+
+def parsed_json(text: str | bytes, source: str, wanted: str = "") -> Any:  # noqa: ANN401  any JSON
+    """Return the value that JSON states.
+
+    Args:
+        text: The JSON.
+        source: The file that holds it, for messages.
+        wanted: What should be there, for messages: a sentence after a blank.
+
+    Raises:
+        FileError: It is no JSON.
+    """
+    try:
+        return json.loads(text, parse_constant=_refuse_constant)
+    except (ValueError, RecursionError) as error:
+        raise FileError(f"{source}: this is not a JSON file: {error}.{wanted}") from error
 
 
 def _refuse_constant(name: str) -> float:

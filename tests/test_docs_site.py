@@ -225,7 +225,15 @@ ELSEWHERE = {
 }
 
 #: Run here, in this order: what one makes, the next may use.
-HERE = ("quick-start.md", "result-json.md", "acceptance.md", "convert.md", "workspace.md")
+HERE = (
+    "quick-start.md",
+    "result-json.md",
+    "acceptance.md",
+    "convert.md",
+    "zeros.md",
+    "workspace.md",
+    "dh-rows.md",
+)
 
 #: What they show takes long and is run by other tests, in smaller ways: here their calls are held to what is called.
 CALLED = ("fleet.md", "report.md")
@@ -261,7 +269,7 @@ def test_the_python_of_these_pages_runs(tmp_path, monkeypatch, capsys):
         if page == "result-json.md":
             names["result"].write_json("result.json")
         exec(compile(python(page), page, "exec"), names)
-        assert capsys.readouterr().out or page in ("convert.md", "result-json.md")
+        assert capsys.readouterr().out or page in ("convert.md", "result-json.md", "dh-rows.md")
         names.update(calibration=names["result"], q=np.zeros(6))
     made = {path.name for path in tmp_path.iterdir() if not path.is_symlink()}
     assert {"from_python.urdf", "rows.csv"} <= made

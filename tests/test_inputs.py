@@ -11,7 +11,7 @@ import pytest
 import calib
 import calib.example
 from calib.errors import ArgumentError, CalibError
-from calib.inputs import cell_of, inputs_of, robot_of
+from calib.inputs import cell_of, chain_of, inputs_of, robot_of
 
 URDF = calib.example.paper_urdf()
 TABLE = calib.example.paper_measurements()
@@ -71,6 +71,19 @@ def test_a_value_is_returned_as_it_is(ur3):
     cell = calib.Cell()
     assert cell_of(cell) is cell
     assert cell_of(None).target is None
+
+
+def test_the_coupled_readings_are_those_of_the_cell(ur3):
+    coupling = {"elbow_joint": {"shoulder_lift_joint": -1.0}}
+    cell = calib.Cell(base="base", tip="tool0", coupling=coupling)
+    read = robot_of(URDF, cell)
+    assert read.reading_coupling == coupling
+    assert robot_of(read, cell) is read
+    assert robot_of(read) is read
+    assert chain_of(read).coupling == cell.coupling
+    assert robot_of(URDF, chain_of(read)) == read
+    with pytest.raises(CalibError, match=r"couples the readings of 'elbow_joint' otherwise"):
+        robot_of(ur3, cell)
 
 
 def test_a_table_in_the_place_of_the_robot_is_named():

@@ -22,6 +22,8 @@ ORDER = (
     "channels",
     "files",
     "json_files",
+    "workbook",
+    "table",
     "plugins",
     "jobs",
     "blas",

@@ -29,6 +29,7 @@ NAMES = [
     "ColumnOptions",
     "Commands",
     "Comparison",
+    "DHRow",
     "Evaluation",
     "Measurements",
     "Plan",

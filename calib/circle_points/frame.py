@@ -66,18 +66,18 @@ def nominal_axes(robot: Robot) -> tuple[Line, ...]:
         One for each joint, [m].
 
     Raises:
-        UrdfError: A joint slides, is held or follows another, or the base moves.
+        UrdfError: A joint slides, is held, follows another or has a coupled reading, or the base moves.
     """
     n = len(robot.joints)
     none_slides = all(joint.type != "prismatic" for joint in robot.joints)
     none_held = all(joint.name in robot.joint_names for joint in robot.joints)
     all_turn = none_slides and none_held
-    independent = np.array_equal(robot.coupling, np.eye(n))
+    independent = np.array_equal(robot.coupling, np.eye(n)) and not robot.reading_coupling
     if not all_turn or not independent or robot.base_moves:
         raise UrdfError(
             f"'{robot.name}' from '{robot.base}' to '{robot.tip}': a base frame needs a chain of joints that turn one "
-            "by one, none of them sliding, held or following another. Choose --base and --tip so that only such joints "
-            "lie between them."
+            "by one, none of them sliding, held, following another or with a coupled reading. Choose --base and --tip "
+            "so that only such joints lie between them."
         )
     T_base_joint, _ = zero_poses(robot)
     axes = []

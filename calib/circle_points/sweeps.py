@@ -18,10 +18,10 @@ from calib.data.forms.points import PARTS, Points
 from calib.data.layout import Layout
 from calib.data.measurements import Measurements
 from calib.data.points_file import read_points
-from calib.data.table import Column, Table
 from calib.data.values import read_values
 from calib.errors import MeasurementError, choices
 from calib.robot.robot import read_only
+from calib.table import Column, Table
 from calib.units import Array
 from calib.values.pickling import Value
 

@@ -1,4 +1,4 @@
-"""Notices of a call: rows and columns that were not used, a verdict that was overridden."""
+"""Notices of a call: rows and columns that were not used, coupled readings, a verdict that was overridden."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import typer
 
 from calib.errors import choices
 from calib.text.layout.lines import fill, row_ranges
+from calib.text.readings import coupling_sentence
 
 if TYPE_CHECKING:
     from calib.data.measurements import Measurements
@@ -69,3 +70,10 @@ def _joints_outside(measurements: Measurements, robot: Robot) -> list[str]:
     outside = moving - {*robot.held, *(joint.name for joint in robot.joints)}
     names = [split_header(label)[0] for label in measurements.ignored]
     return [name for name in names if name in outside]
+
+
+def say_coupled(robot: Robot) -> None:
+    """Say which joint readings are coupled; nothing where none are."""
+    sentence = coupling_sentence(robot)
+    if sentence:
+        typer.echo(fill(sentence) + "\n")

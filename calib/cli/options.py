@@ -19,7 +19,7 @@ RobotFile = Annotated[
     str,
     typer.Argument(
         metavar="ROBOT",
-        help="URDF or xacro file, a xacro's arguments behind it in the same quotes; or a robot "
+        help="URDF or xacro file, a xacro's arguments behind it in the same quotes; DH rows; or a robot "
         "of example-robot-data, such as 'ur3'.",
     ),
 ]
@@ -38,7 +38,7 @@ Tip = Annotated[
     str | None,
     typer.Option(
         help="Link that the target is mounted on. Default: the end of the longest chain, of a "
-        "table's joints if any."
+        "table's joints if any, before a gripper or hand."
     ),
 ]
 Target = Annotated[

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from calib.cli.options import TableOptions
 from calib.cli.words import parse_held, parse_payload, parse_point
-from calib.errors import CalibError
+from calib.errors import CalibError, choices
 
 if TYPE_CHECKING:
     from calib.data.cell import Cell
@@ -84,19 +84,20 @@ def read_cell(
     return replace(of_file, **given)
 
 
-def load(robot: str, cell: Cell) -> Robot:
-    """Load a robot's chain between the cell's base and tip, with the joints that the cell holds.
+def load(robot: str, cell: Cell, measured: Collection[str] | None = None) -> Robot:
+    """Load a robot's chain between the cell's base and tip, with the joints that the cell holds and couples.
 
     Args:
         robot: URDF, xacro, or name.
-        cell: Names base, tip and held joints.
+        cell: Names base, tip, held joints and coupled readings.
+        measured: Names of the joints whose values are known, which decide a tip that the cell does not name.
 
     Returns:
         The chain.
     """
     from calib.robot.robot import Robot
 
-    return Robot.load(robot, cell.base, cell.tip, held=cell.held)
+    return Robot.load(robot, cell.base, cell.tip, measured, cell.held, cell.coupling)
 
 
 def load_with_data(
@@ -121,9 +122,10 @@ def load_with_data(
     Raises:
         CalibError: Arguments in the wrong order, or a unit without a list of points.
     """
+    from calib.data.columns import names_in
     from calib.data.measurements import Measurements
-    from calib.data.table import Table
-    from calib.robot.robot import Robot
+    from calib.robot.dh_file import is_other_table
+    from calib.table import Table
 
     options = table_options or TableOptions()
     points, points_unit = options.points, options.points_unit
@@ -131,11 +133,14 @@ def load_with_data(
         raise CalibError(
             "--points-unit is the unit of a list of points; name the list with --points."
         )
-    if Path(robot).suffix.lower() in (".csv", ".txt", ".tsv"):
-        raise CalibError(f"'{robot}' is in the place of the robot: ROBOT comes first, then DATA.")
+    if is_other_table(robot):
+        raise CalibError(
+            f"'{robot}' is in the place of the robot, and is no table of DH rows: it has no columns of d and alpha. "
+            "ROBOT comes first, then DATA."
+        )
     columns = options.parsed()
     table = Table.read(data)
-    arm = Robot.load(robot, cell.base, cell.tip, measured=table.names(columns), held=cell.held)
+    arm = load(robot, cell, names_in(table, columns))
     measurements = Measurements.read(
         table, arm.joint_names, arm.joint_types, columns, cell.kind, points, points_unit
     )
@@ -143,7 +148,7 @@ def load_with_data(
 
 
 def with_chain_of_result(cell: Cell, result: CalibrationValues, name: str) -> Cell:
-    """Return the cell with base, tip and held joints of a result; joints that the cell holds keep its values.
+    """Return the cell with the chain of a result, its held joints and coupled readings; held values of the cell win.
 
     Args:
         cell: As given.
@@ -151,7 +156,8 @@ def with_chain_of_result(cell: Cell, result: CalibrationValues, name: str) -> Ce
         name: Its file, for messages.
 
     Raises:
-        CalibError: The cell names another base or tip: frame and target of the result would mean another pose.
+        CalibError: The cell names another base or tip: frame and target of the result would mean another pose; or it
+            couples other readings.
     """
     chain = result.nominal
     for option, given, required in (
@@ -163,7 +169,26 @@ def with_chain_of_result(cell: Cell, result: CalibrationValues, name: str) -> Ce
                 f"{name} is the result for --{option} {required}, and '{given}' was given."
             )
     held = {**chain.held, **cell.held}
-    return replace(cell, base=chain.base, tip=chain.tip, held=held)
+    coupling = coupling_of_result(cell, result, name)
+    return replace(cell, base=chain.base, tip=chain.tip, held=held, coupling=coupling)
+
+
+def coupling_of_result(cell: Cell, result: CalibrationValues, name: str) -> Mapping[str, Any]:
+    """Return the coupled readings of a result, by name; CalibError where the cell couples others.
+
+    Args:
+        cell: As given.
+        result: A calibration.
+        name: Its file, for messages.
+    """
+    of_result = result.nominal.reading_coupling
+    if cell.coupling and cell.coupling != of_result:
+        coupled = choices(of_result) or "no joint"
+        raise CalibError(
+            f"{name} is the result for coupled readings of {coupled}, and the cell file couples those of "
+            f"{choices(cell.coupling)} otherwise. Leave out [coupling]: the result knows its own."
+        )
+    return of_result
 
 
 def with_target_link(robot: Robot, cell: Cell) -> Cell:

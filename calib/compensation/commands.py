@@ -40,10 +40,9 @@ from calib.compensation.warnings import (
     warnings_of,
     within,
 )
-from calib.data.cell import Cell
 from calib.diagnosis.reasons import NO
 from calib.errors import VerdictError
-from calib.inputs import ROBOT, RobotInput, robot_of
+from calib.inputs import ROBOT, RobotInput, chain_of, robot_of
 from calib.result.calibration import CalibrationValues
 from calib.result.comparison import RESULT, is_result_file, result_of
 from calib.robot.payload import Payload
@@ -216,24 +215,18 @@ def _models(
     elif is_result_file(calibration):
         true = result_of(calibration)
     else:
-        true = robot_of(calibration, _chain_of(nominal), argument="calibration")
+        chain = chain_of(nominal) if isinstance(nominal, Robot) else None
+        true = robot_of(calibration, chain, argument="calibration")
     if nominal is None or isinstance(nominal, Robot):
         return true, nominal
     known = true if isinstance(true, Robot) else true.nominal
-    return true, robot_of(nominal, _chain_of(known), argument="nominal")
+    return true, robot_of(nominal, chain_of(known), argument="nominal")
 
 
 def _check_tolerance(tolerance: object) -> None:
     """Refuse a tolerance that is no pair of finite numbers."""
     allowed = "an error in position [m] and one in angle [rad], such as (1e-8, 1e-8)"
     finite_numbers("tolerance", tolerance, (2,), allowed)
-
-
-def _chain_of(robot: object) -> Cell | None:
-    """Return the base, the tip and the held joints of a robot, as a cell; None if it is not known."""
-    if not isinstance(robot, Robot):
-        return None
-    return Cell(base=robot.base, tip=robot.tip, held=robot.held)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -7,7 +7,8 @@ at once, with the singular values of the Jacobian J = U S V^T:
     dq = V S (S^2 + lambda^2)^-1 U^T e + (1 - V_r V_r^T) (q_start - q)
 
 The damping lambda is zero until a step fails to lower the error; the second term keeps a redundant arm at the joint
-values nearest to where it started. Steps are short, so that a row stays in its branch. Source: Y. Nakamura,
+values nearest to where it started. Steps are short, so that a row stays in its branch. Where readings are coupled, the
+steps are of the joints' values, which the limits are of; starts and solutions are readings. Source: Y. Nakamura,
 H. Hanafusa, Inverse kinematic solutions with singularity robustness, 1986.
 """
 
@@ -139,9 +140,9 @@ class Matching(NamedTuple):
 
 
 class Solution(NamedTuple):
-    """Joint values, as near to the wanted poses as was found, and the tool there."""
+    """Readings of the joints, as near to the wanted poses as was found, and the tool there."""
 
-    #: Shape (N, m), [rad] or [m].
+    #: Readings, shape (N, m), [rad] or [m].
     q: Array
     #: Shape (N, 4, 4), [m].
     T_base_tool: Array
@@ -192,7 +193,7 @@ class _Task:
 
     def at(self, q: Array) -> _Attempt:
         """Return the arm at joint values (N, m) [rad] or [m], with the error of its tool there."""
-        T_base_tool, twists = self.arm.motion(q)
+        T_base_tool, twists = self.arm.motion(self.arm.robot.readings(q))
         return _Attempt(q, T_base_tool, twists, self.matching.error(T_base_tool, self.T_wanted))
 
 
@@ -217,11 +218,6 @@ class _Attempt(NamedTuple):
     def miss(self) -> Array:
         """Length of each row's error, shape (N,), [m]."""
         return np.asarray(np.linalg.norm(self.error, axis=1))
-
-    @property
-    def solution(self) -> Solution:
-        """The joint values and the tool there, read-only."""
-        return Solution(read_only(self.q), read_only(self.T_base_tool), read_only(self.twists))
 
     def select(self, rows: Mask | Indices) -> _Attempt:
         """Return some rows: a mask (N,), or numbers from 0, shape (n,)."""
@@ -270,24 +266,26 @@ def solve(
     Args:
         arm: The robot with its errors and its tool.
         T_wanted: Poses of the tool in the base, shape (N, 4, 4), [m].
-        start: Joint values to start at, shape (N, m), [rad] or [m].
+        start: Readings of the joints to start at, shape (N, m), [rad] or [m].
         matching: What of the poses is matched: pose, position, or position and axis.
         limits: Lowest and highest joint values, shape (m, 2), [rad] or [m]; None: there are none.
         steps: Number of steps at most.
 
     Returns:
-        The joint values that each row rests at, and the tool there; read-only.
+        The readings of the joints where each row rests, and the tool there; read-only.
     """
     joint_count = start.shape[1]
     is_redundant = joint_count > matching.rows
     if limits is None or not is_redundant:
         limits = np.tile([-np.inf, np.inf], (joint_count, 1))
-    task = _Task(arm, T_wanted, start, matching, limits, pulled=is_redundant)
+    values = arm.robot.input_values(start)
+    task = _Task(arm, T_wanted, values, matching, limits, pulled=is_redundant)
     attempt = _search(task, steps)
     if is_redundant:
         # Next to a singularity the pull can be in the way of what can be reached.
         attempt = _without_pull_where_missed(task, attempt, steps)
-    return attempt.solution
+    readings = arm.robot.readings(attempt.q)
+    return Solution(read_only(readings), read_only(attempt.T_base_tool), read_only(attempt.twists))
 
 
 def _without_pull_where_missed(task: _Task, attempt: _Attempt, steps: int) -> _Attempt:
@@ -460,13 +458,13 @@ def following(arm: Arm, T_wanted: Array, start: Array, matching: Matching) -> So
     Args:
         arm: The robot with its errors and its tool.
         T_wanted: Poses of the tool in the base, shape (N, 4, 4), [m].
-        start: Joint values near which the first pose is solved, shape (m,), [rad] or [m].
+        start: Readings of the joints near which the first pose is solved, shape (m,), [rad] or [m].
         matching: What of the poses is matched.
 
     Returns:
-        The joint values of the N poses, and the tool there; where a pose cannot be reached those that miss it least.
+        The readings at the N poses, and the tool there; where a pose cannot be reached those that miss it least.
     """
-    spread = spread_between(full_ranges(arm.robot), _SPREAD)
+    spread = arm.robot.readings(spread_between(full_ranges(arm.robot), _SPREAD))
     q = np.empty((len(T_wanted), len(start)))
     for i, T in enumerate(T_wanted):
         before = start
@@ -486,25 +484,27 @@ def _nearest(arm: Arm, T: Array, seeds: Array, matching: Matching) -> tuple[Arra
     Args:
         arm: The robot with its errors and its tool.
         T: Pose of the tool in the base, shape (4, 4), [m].
-        seeds: Joint values from which a solution is looked for, shape (n, m), [rad] or [m].
+        seeds: Readings of the joints from which a solution is looked for, shape (n, m), [rad] or [m].
         matching: What of the pose is matched.
 
     Returns:
-        Joint values, shape (m,), [rad] or [m], and whether they are a solution inside the limits.
+        Readings, shape (m,), [rad] or [m], and whether they are a solution inside the limits.
     """
-    limits = column_limits(arm.robot)
+    robot = arm.robot
+    limits = column_limits(robot)
     T_wanted = np.tile(T, (len(seeds), 1, 1))
     solution = solve(arm, T_wanted, seeds, matching, limits, steps=_STEPS)
     allowed = limits + np.array([-_ROUNDING, _ROUNDING])
-    q = _by_whole_turns(arm.robot, solution.q, seeds[0], allowed)
+    first_seed = robot.input_values(seeds[0])[0]
+    q = _by_whole_turns(robot, robot.input_values(solution.q), first_seed, allowed)
     misses = np.linalg.norm(matching.error(solution.T_base_tool, T_wanted), axis=1)
     inside = ((q >= allowed[:, 0]) & (q <= allowed[:, 1])).all(axis=1)
     is_solution = (misses <= 10.0 * _REACHED) & inside
     cost = misses
     if is_solution.any():
-        distance = np.linalg.norm(q - seeds[0], axis=1)
+        distance = np.linalg.norm(q - first_seed, axis=1)
         cost = np.where(is_solution, distance, np.inf)
-    return q[int(np.argmin(cost))], bool(is_solution.any())
+    return robot.readings(q[int(np.argmin(cost))])[0], bool(is_solution.any())
 
 
 def _by_whole_turns(robot: Robot, q: Array, seed: Array, allowed: Array) -> Array:
@@ -538,12 +538,12 @@ def _may_turn(robot: Robot) -> list[bool]:
 def start_values(
     robot: Robot, named: Mapping[str, float] | None, others: float | None = None
 ) -> Array:
-    """Return joint values to start near.
+    """Return readings of the joints to start near.
 
     Args:
         robot: The robot.
-        named: Values of joints by name [rad] or [m]; None: none.
-        others: Value of the other joints; None: the middle of their ranges.
+        named: Readings of joints by name [rad] or [m]; None: none.
+        others: Reading of the other joints; None: that in the middle of their ranges.
 
     Returns:
         shape (m,), [rad] or [m].
@@ -551,7 +551,7 @@ def start_values(
     Raises:
         ModelError: A joint that the chain does not have, or a value in the wrong unit.
     """
-    values = full_ranges(robot).mean(axis=1)
+    values = robot.readings(full_ranges(robot).mean(axis=1))[0].copy()
     if others is not None:
         values[:] = others
     for name, value in (named or {}).items():

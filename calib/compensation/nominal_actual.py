@@ -5,6 +5,8 @@ The motion of a tool with the measured joints is that of a parameter for each jo
 its errors add:
 
     dT/dq_j  =  (1 + sum_k x_k df_k/dq_j) dT/d(displacement of joint j),    dq_j = x_1 f_1(q_j) + x_2 f_2(q_j) + ...
+
+Here q_j is the joint's value, which differs from its reading where readings are coupled.
 """
 
 from __future__ import annotations
@@ -24,7 +26,7 @@ from calib.model.joint_errors import axis_twists
 from calib.model.kinematics import Kinematics, Samples
 from calib.model.parameters import TIP, ErrorModel, Parameter
 from calib.numerics.geometry import not_rotations, position_in_tip
-from calib.result.calibration import CalibrationValues
+from calib.result.calibration import CalibrationValues, check_same_coupling
 from calib.result.prediction import NonGeometric
 from calib.robot.payload import Payload
 from calib.robot.ranges import spread_poses
@@ -117,17 +119,17 @@ class Arm(Value):
         return cls.of(_displaced(nominal, non_geometric), T_tip_tool, terms, values, load)
 
     def poses(self, q: Array) -> Array:
-        """Compute T_base_tool, shape (N, 4, 4), [m], at joint values of shape (N, m), [rad] or [m]."""
+        """Compute T_base_tool, shape (N, 4, 4), [m], at readings of the joints, shape (N, m), [rad] or [m]."""
         return self.kinematics.poses(self.x, self._samples(q))
 
     def motion(self, q: Array) -> tuple[Array, Array]:
-        """Compute poses of the tool, and its velocity with each joint.
+        """Compute poses of the tool, and its velocity with the value of each joint.
 
         The change of the load with q is left out of the velocity: it costs an iteration where joint values are looked
         for, no accuracy.
 
         Args:
-            q: Joint values, shape (N, m), [rad] or [m].
+            q: Readings of the joints, shape (N, m), [rad] or [m].
 
         Returns:
             T_base_tool, shape (N, 4, 4), [m], and twists along the tool's own axes, linear part first, shape (N, 6, m),
@@ -425,7 +427,7 @@ def _pose(value: ArrayLike | str | None, what: str) -> Array:
 
 
 def check_same_joints(robot: Robot, nominal: Robot) -> None:
-    """Refuse two robots whose joints differ in name, type or axis; raises `ModelError`.
+    """Refuse two robots whose joints differ in name, type or axis, or in coupled readings; raises `ModelError`.
 
     Args:
         robot: A corrected robot.
@@ -438,6 +440,7 @@ def check_same_joints(robot: Robot, nominal: Robot) -> None:
             f"'{nominal.name}' {choices(nominal_joints)}. Give the nominal URDF that the robot was "
             "corrected from, with the same base and tip."
         )
+    check_same_coupling(robot, nominal)
 
 
 def _joints(robot: Robot) -> list[str]:

@@ -28,10 +28,10 @@ from calib.data.forms.orientation_columns import Orientation, conventions_of, in
 from calib.data.forms.orientations import CONVENTIONS, Convention
 from calib.data.layout import Layout
 from calib.data.measurements import Measurements
-from calib.data.table import Table
 from calib.data.values import read_values
 from calib.errors import MeasurementError, choices
 from calib.robot.robot import Robot
+from calib.table import Table
 from calib.units import Array
 
 

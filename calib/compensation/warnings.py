@@ -142,11 +142,12 @@ def _rows_beyond_limits(robot: Robot, q: Array) -> Iterator[tuple[int, CommandWa
         robot: Has the joints and their limits.
         q: Joint values to command, shape (N, m), [rad] or [m].
     """
+    values = robot.input_values(q)
     low, high = column_limits(robot).T
-    excess = np.maximum(low - q, q - high)
+    excess = np.maximum(low - values, values - high)
     for row in np.flatnonzero(excess.max(axis=1) > _EXACT).tolist():
         joint = int(np.argmax(excess[row]))
-        value = float(q[row, joint])
+        value = float(values[row, joint])
         limit = float(low[joint] if value < low[joint] else high[joint])
         yield row, CommandWarning("beyond limit", (value, limit), robot.joint_names[joint])
 

@@ -21,6 +21,7 @@ from calib.channels import RESIDUAL_UNITS
 from calib.data.cell_file import checked, read_cell_file
 from calib.data.kinds import SIGMAS
 from calib.data.priors import PRIOR_STD_RANGE, Priors
+from calib.data.record import Record
 from calib.data.surroundings import (
     POSE,
     Box,
@@ -54,6 +55,7 @@ __all__ = [
     "Cell",
     "GroupDistance",
     "Priors",
+    "Record",
     "Reflector",
     "Tracker",
     "TrackerNoise",
@@ -172,6 +174,15 @@ def _bounds(value: tuple[float, float]) -> tuple[float, float] | None:
     return _interval(value) if low <= 0.0 <= high else None
 
 
+def _factors(value: Mapping[str, float]) -> ReadOnlyMapping[str, float] | None:
+    """Return the factors of joints' readings by name, else None."""
+    if not isinstance(value, Mapping) or not all(isinstance(name, str) for name in value):
+        return None
+    if not value or not all(is_number(factor) and factor for factor in value.values()):
+        return None
+    return ReadOnlyMapping({name: float(factor) for name, factor in value.items()})
+
+
 def _repeats(value: str) -> str | None:
     """Return one of `REPEATS`, else None."""
     return value if value in REPEATS else None
@@ -217,6 +228,10 @@ _MAPPINGS: Mapping[str, _Check] = {
     ),
     "parameter_priors": _within(*PRIOR_STD_RANGE, "of the parameter's unit"),
     "held": _within(-FARTHEST, FARTHEST, "rad or m"),
+    "coupling": _Check(
+        "factors of other joints' readings by name, none of them zero, such as {'joint_2': 1.0}",
+        _factors,
+    ),
     "ranges": _Check("the least and the largest value [rad or m]", _interval),
 }
 
@@ -231,6 +246,7 @@ _TYPES = (
     ("tip", str, "the name of a link, or None"),
     ("kind", str, "the name of a kind of measurement, or None"),
     ("priors", Priors, "Priors"),
+    ("record", Record, "a Record"),
     ("payload", Payload, "a Payload, or None"),
     ("tracker", Tracker, "a Tracker, or None"),
     ("reflector", Reflector, "a Reflector, or None"),
@@ -318,14 +334,19 @@ class Cell(Value):
     repeats: str = "weighted"
     #: Values of joints that have no column in the table, by name [rad] or [m].
     held: Mapping[str, float] = field(default_factory=_no_entries)
+    #: Of joints whose readings are coupled, by name, the factors of other joints' readings: the joint's value is its
+    #: reading plus the sum of factor times reading; [rad/rad], [m/m], or [m/rad] and [rad/m] between turn and slide.
+    coupling: Mapping[str, Mapping[str, float]] = field(default_factory=_no_entries)
     #: Obstacles to the robot and to the tracker's beam, where poses are planned.
     boxes: tuple[Box, ...] = ()
     #: Position, range and noise of the instrument; None: not known.
     tracker: Tracker | None = None
     #: Direction and opening of the reflector; None: it is turned by hand, and seen from everywhere.
     reflector: Reflector | None = None
-    #: The least and the largest value of joints by name, within which poses are planned [rad] or [m].
+    #: The least and the largest value of the URDF's joints by name, within which poses are planned [rad] or [m].
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=_no_entries)
+    #: Who measured what for whom, where, when and with what; for reports.
+    record: Record = field(default_factory=Record)
 
     def __post_init__(self) -> None:
         """Check each value, and that they agree; keep read-only copies."""
@@ -437,6 +458,7 @@ def _with_classes(values: Mapping[str, Any]) -> dict[str, Any]:
         result["tracker"] = _tracker(values["tracker"])
     result["boxes"] = tuple(map(_box, values.get("boxes", ())))
     result["distances"] = tuple(GroupDistance(**d) for d in values.get("distances", ()))
+    result["record"] = Record(**values.get("record", {}))
     if "payload" in values:
         result["payload"] = Payload(**values["payload"])
     if "reflector" in values:

@@ -28,8 +28,8 @@ from calib.data.forms.brands import fix_for_brand
 from calib.data.forms.column_options import ColumnOptions, ColumnsInput, column_options
 from calib.data.forms.orientation_columns import Orientation, conventions_of, find_orientation
 from calib.data.kinds import Kind
-from calib.data.table import Column, Table
 from calib.errors import MeasurementError, choices, did_you_mean
+from calib.table import Column, Table
 from calib.units import Quantity, split_header
 
 #: Most joints that a message lists.
@@ -43,7 +43,8 @@ _OF_COMMANDS = "correction position"
 class Layout:
     """Columns of a table of measurements by what they hold, and the kinds of its rows."""
 
-    #: Columns of words that are used, by name: ``row``, ``set``, ``kind``, ``target``, ``pair``, ``point``, ``status``.
+    #: Columns of words that are used, by name: ``row``, ``set``, ``kind``, ``target``, ``pair``, ``point``,
+    #: ``approach``, ``status``.
     words: Named
     #: Columns whose words make the group's name, in the order of the table.
     groups: Columns
@@ -311,7 +312,7 @@ def _words(
     points_elsewhere: bool,
 ) -> dict[str, Column]:
     """Return the columns of words that are used; ``kind`` if ``by_column``."""
-    used = ["row", "set", "target"]
+    used = ["row", "set", "target", "approach"]
     if by_column:
         used.append("kind")
     if points_elsewhere:

@@ -17,8 +17,8 @@ from calib.data.columns import POINT
 from calib.data.forms.numerals import NUMERAL, decimal_sign_in, decimal_sign_of, plain
 from calib.data.forms.points import PARTS, Points
 from calib.data.plausibility import implausible_length
-from calib.data.table import Column, Table, read_text
 from calib.errors import MeasurementError, choices
+from calib.table import Column, Table, read_text
 from calib.units import UNITS, Unit, symbols
 
 #: In the order in which they are tried; the last one stands for any number of blanks.

@@ -17,8 +17,8 @@ from calib.data.forms.points import Points
 from calib.data.kinds import Kind
 from calib.data.layout import Layout, slides
 from calib.data.plausibility import check_units
-from calib.data.table import Column, Table
 from calib.errors import MeasurementError, choices
+from calib.table import Column, Table
 from calib.units import Array, Mask
 
 #: Numbers of a layout's blocks by name, shape (rows, columns) each.
@@ -85,6 +85,7 @@ def read_values(table: Table, layout: Layout, elsewhere: Points | None = None) -
         "targets": chosen.get("target", ()),
         "groups": chosen.get("group", ()),
         "pairs": chosen.get("pair", ()),
+        "approaches": chosen.get("approach", ()),
         "kinds": kinds[measured].tolist(),
         "rows": list(compress(row_numbers, measured)),
         "unmeasured": list(compress(row_numbers, ~measured)),

@@ -104,7 +104,7 @@ def draw(
     seed: int,
     progress: Progress | None = None,
 ) -> Pool:
-    """Draw joint values evenly over their ranges until enough have passed all conditions, or too many are drawn.
+    """Draw readings, evenly over the joints' ranges, until enough have passed all conditions, or too many are drawn.
 
     Too many are 40 times as many as are wanted (but no fewer than 163,840), or 40,960 of which none has passed. Values
     are rounded to whole steps of 0.001 deg or 0.001 mm, as tables are written.
@@ -145,7 +145,7 @@ def draw(
 
 
 def _batches(robot: Robot, ranges: Array, seed: int) -> Iterator[Array]:
-    """Yield batches of joint values from a scrambled Sobol sequence over their ranges, without end.
+    """Yield batches of readings at joint values from a scrambled Sobol sequence over their ranges, without end.
 
     Args:
         robot: The robot, with m measured joints.
@@ -153,16 +153,35 @@ def _batches(robot: Robot, ranges: Array, seed: int) -> Iterator[Array]:
         seed: Seed of the scrambling.
 
     Yields:
-        Joint values, shape (4096, m), [rad] or [m], rounded to whole steps of 0.001 deg or 0.001 mm within the ranges.
+        Readings, shape (4096, m), [rad] or [m], rounded to whole steps of 0.001 deg or 0.001 mm, at which the joints
+        are within their ranges.
     """
     # Not above: SciPy's distributions take as long to import as the rest of calib.
     from scipy.stats import qmc
 
     sequence = qmc.Sobol(len(ranges), scramble=True, seed=seed)
-    low, high = ranges.T
+    is_coupled = bool(robot.reading_coupling)
+    low, high = _ranges_less_rounding(robot, ranges).T if is_coupled else ranges.T
     while True:
         unit = sequence.random(_BATCH)
-        yield rounded(robot, low + unit * (high - low), ranges)
+        values = low + unit * (high - low)
+        if is_coupled:
+            yield rounded(robot, robot.readings(values))
+        else:
+            yield rounded(robot, values, ranges)
+
+
+def _ranges_less_rounding(robot: Robot, ranges: Array) -> Array:
+    """Return ranges of joints less what they move by if all readings are rounded, at most to their middle.
+
+    Args:
+        robot: The robot, with m measured joints whose readings are coupled.
+        ranges: Lowest and highest value of each joint, shape (m, 2), [rad] or for sliding joints [m].
+    """
+    half_steps = 0.5 / _STEPS * _table_units(robot)
+    moved = np.abs(robot.reading_matrix) @ half_steps
+    moved = np.minimum(moved, 0.5 * np.ptp(ranges, axis=1))
+    return np.column_stack([ranges[:, 0] + moved, ranges[:, 1] - moved])
 
 
 def _most_draws(sifted: _Sifted, count: int) -> int:
@@ -305,11 +324,16 @@ def rounded(robot: Robot, q: Array, ranges: Array | None = None) -> Array:
     Returns:
         The rounded values, still in [rad] or [m], shape (n, m).
     """
-    slides = [joint.type == "prismatic" for joint in robot.inputs]
-    unit = np.where(slides, UNITS["mm"].to_si, UNITS["deg"].to_si)
+    unit = _table_units(robot)
     counts = np.round(q / unit * _STEPS)
     if ranges is not None:
         low, high = ranges.T / unit * _STEPS
         counts = np.clip(counts, np.ceil(low), np.floor(high))
     # The number in a table, times the factor that its reader uses: the same to the last bit.
     return np.asarray(counts / _STEPS * unit)
+
+
+def _table_units(robot: Robot) -> Array:
+    """Return the unit of each column of a planned table, 1 deg or of sliding joints 1 mm, shape (m,), [rad] or [m]."""
+    slides = [joint.type == "prismatic" for joint in robot.inputs]
+    return np.where(slides, UNITS["mm"].to_si, UNITS["deg"].to_si)

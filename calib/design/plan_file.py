@@ -21,13 +21,14 @@ from calib.data.columns import DEFAULT_TARGET, EXPECTED, POINT, name_columns
 from calib.data.forms.orientations import QUATERNION
 from calib.data.layout import Layout
 from calib.data.measurements import Measurements
-from calib.data.table import Table
 from calib.data.values import read_values
 from calib.design.forecast import Forecast
 from calib.design.plan import PlanValues
 from calib.errors import MeasurementError
 from calib.files import csv_bytes, write_atomically
+from calib.robot.readings import coupling_table
 from calib.robot.robot import Robot, read_only
+from calib.table import Table
 from calib.units import Array, Mask, Quantity
 from calib.version import __version__
 
@@ -370,7 +371,7 @@ def _robot_table(robot: Robot) -> dict[str, Any]:
     Returns:
         ``name``; ``urdf``, the name of its file, and ``urdf_sha256`` of its bytes; ``base`` and ``tip``, the links that
         the chain leads between; ``joints``, the ``name`` and ``unit``, ``"rad"`` or ``"m"``, of each column of the
-        joint values.
+        joint values; ``coupling``, of coupled readings, a row for each factor: ``joint``, ``reading``, ``factor``.
     """
     joints = []
     for name, joint_type in robot.joint_types.items():
@@ -383,6 +384,7 @@ def _robot_table(robot: Robot) -> dict[str, Any]:
         "base": robot.base,
         "tip": robot.tip,
         "joints": joints,
+        "coupling": coupling_table(robot.reading_coupling),
     }
 
 

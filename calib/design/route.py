@@ -133,7 +133,8 @@ def detour(start: Array, end: Array, poses: Array, free_path: FreePath) -> Array
 def turning(robot: Robot, ranges: Array) -> NDArray[np.bool_]:
     """Find the joints that can be turned by a whole turn, after which the tip is where it was.
 
-    They turn, their range is more than one turn, and no mimic joint follows them, which would end elsewhere.
+    They turn, their range is more than one turn, no mimic joint follows them, which would end elsewhere, and their
+    readings are not coupled.
 
     Args:
         robot: The robot, with m measured joints; ``robot.inputs`` are these joints, ``robot.coupling``, shape (n, m),
@@ -145,7 +146,9 @@ def turning(robot: Robot, ranges: Array) -> NDArray[np.bool_]:
     """
     slides = np.array([joint.type == "prismatic" for joint in robot.inputs])
     is_alone = np.sum(robot.coupling != 0.0, axis=0) <= 1
-    return np.asarray(~slides & is_alone & (np.ptp(ranges, axis=1) > _TURN))
+    has_factors = robot.reading_matrix != np.eye(len(slides))
+    is_coupled = has_factors.any(axis=0) | has_factors.any(axis=1)
+    return np.asarray(~slides & is_alone & ~is_coupled & (np.ptp(ranges, axis=1) > _TURN))
 
 
 def with_whole_turns(

@@ -116,8 +116,13 @@ class Residuals:
 
     @property
     def q(self) -> Array:
-        """Measured joint values of the rows, shape (N, m) [rad] or [m]."""
+        """Measured joint readings of the rows, shape (N, m) [rad] or [m]."""
         return self.fitted.estimate.problem.rows.joints
+
+    @property
+    def values(self) -> Array:
+        """Values of the measured joints at these readings, shape (N, m) [rad] or [m]."""
+        return self.fitted.task.robot.input_values(self.q)
 
     def slides(self, joints: Sequence[int]) -> list[bool]:
         """Tell for each of some measured joints, by their numbers from 0, whether it is prismatic."""
@@ -153,7 +158,7 @@ class Residuals:
         """
         joints = self.joints
         directions = [self.along(joint) for joint in joints]
-        patterns = joint_patterns(stack, self.q[:, joints], self.slides(joints), directions)
+        patterns = joint_patterns(stack, self.values[:, joints], self.slides(joints), directions)
         return [(joints[k], explained, Z) for k, explained, Z in patterns]
 
 
@@ -358,7 +363,7 @@ def _beyond_joint_values(residuals: Residuals) -> Stack:
     joints, stack = residuals.joints, residuals.stack
     of_values = []
     for joint, slides in zip(joints, residuals.slides(joints), strict=True):
-        functions = functions_of_joint(residuals.q[:, joint], slides=slides)
+        functions = functions_of_joint(residuals.values[:, joint], slides=slides)
         of_values.append(stack.times(functions, residuals.along(joint)))
     return stack.beyond(*of_values)
 

@@ -17,7 +17,7 @@ import calib.data.kinds as registry
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.diagnosis.reasons import Reason, Why
-from calib.errors import MeasurementError
+from calib.errors import MeasurementError, UrdfError
 from calib.model.error_model import DIRECTIONS
 from calib.numerics.errors import Errors
 from calib.registration.registration import register
@@ -75,6 +75,9 @@ _ANGLES = {("rad", "deg"): np.degrees(1.0), ("deg", "rad"): np.radians(1.0)}
 
 #: Offsets of joint zeros between conventions [deg].
 _TURNS_DEG = (90.0, -90.0, 180.0)
+
+#: Factors by which the reading of a joint counts that of the one before it: it is shown against the horizontal.
+_COUPLINGS = (1.0, -1.0)
 
 #: Positions that differ by less are one position [m].
 _ONE_PLACE = 1e-6
@@ -396,7 +399,10 @@ def _tips(robot: Robot, cell: Cell, table: Measurements) -> Iterator[Trial]:
         if len(moving) < _FEWEST_JOINTS_OF_TIP or moving in tried or not measured:
             continue
         tried.add(moving)
-        other = robot.rebuilt(tip=link)
+        try:
+            other = robot.rebuilt(tip=link)
+        except UrdfError:  # the reading of a joint beyond this tip is needed
+            continue
         rows, setup = rows_and_setup(other, table, cell)
         free, points = _with_unknown_targets(setup), _as_points(rows)
         yield Trial(_FREE, other, free, points, Why.OTHER_TIP, {"link": link})
@@ -542,7 +548,7 @@ def _turned_joints(
 
 
 def _joint_trials(robot: Robot, q: Array) -> Iterator[tuple[Array, Why, dict[str, Any]]]:
-    """Shift zeros of joints, swap their columns, and scale them from another unit.
+    """Shift zeros of joints, swap their columns, couple their readings, and scale them from another unit.
 
     Args:
         robot: The robot.
@@ -560,6 +566,8 @@ def _joint_trials(robot: Robot, q: Array) -> Iterator[tuple[Array, Why, dict[str
         order[i], order[j] = j, i
         yield q[:, order], Why.COLUMNS_SWAPPED, {"first": names[i], "second": names[j]}
     yield q[:, ::-1], Why.COLUMNS_REVERSED, {}
+    for i in np.flatnonzero(turns[:-1] & turns[1:]).tolist():
+        yield from _coupled_readings(robot, i, q)
     for (unit, header), factor in _ANGLES.items():
         values = {"what": "joints", "unit": unit, "header": header}
         yield np.where(turns, factor, 1.0) * q, Why.WRONG_UNIT, values
@@ -579,3 +587,29 @@ def _shifted_zeros(name: str, joint: int, q: Array) -> Iterator[tuple[Array, Why
     for turn in np.radians(_TURNS_DEG):
         offsets = turn * np.eye(q.shape[1])[joint]
         yield q + offsets, Why.JOINT_ZERO, {"add_rad": float(turn), "joint": name}
+
+
+def _coupled_readings(
+    robot: Robot, joint: int, q: Array
+) -> Iterator[tuple[Array, Why, dict[str, Any]]]:
+    """Add the reading of a joint to that of the next one, or subtract it; leave out a coupling that the cell states.
+
+    Args:
+        robot: The robot.
+        joint: Number of the first of the two joints, from 0.
+        q: Readings of the rows, shape (N, m) [rad] or [m].
+
+    Yields:
+        The readings, the code of the mistake, and the values of its reason.
+    """
+    names = {"joint": robot.joint_names[joint + 1], "reading": robot.joint_names[joint]}
+    stated = float(robot.reading_matrix[joint + 1, joint])
+    for factor in (*_COUPLINGS, 0.0):
+        if factor == stated:
+            continue
+        values = robot.input_values(q).copy()
+        values[:, joint + 1] += (factor - stated) * q[:, joint]
+        if factor:
+            yield robot.readings(values), Why.READINGS_COUPLED, {**names, "factor": factor}
+        else:
+            yield robot.readings(values), Why.READINGS_NOT_COUPLED, names

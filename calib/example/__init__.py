@@ -28,3 +28,12 @@ def paper_urdf() -> Path:
         return installed
     # In a checkout the only copy of the file is in urdf/, where people look for it.
     return Path(__file__).resolve().parents[2] / "urdf" / "ur3.urdf"
+
+
+def dh_rows(robot: str) -> Path:
+    """Return the path of an example of DH rows, from the maker's public data: ``"kuka_kr6_r900"``.
+
+    Args:
+        robot: Name of a file in ``calib/example/rows``, without its ending.
+    """
+    return Path(__file__).with_name("rows") / f"{robot}.csv"

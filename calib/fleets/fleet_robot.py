@@ -9,13 +9,14 @@ from functools import partial
 from pathlib import Path
 
 from calib.data.cell import Cell
+from calib.data.columns import names_in
 from calib.data.forms.column_options import ColumnsInput, column_options
 from calib.data.measurements import Measurements
-from calib.data.table import Table
 from calib.errors import CalibError
 from calib.inputs import CellInput, RobotInput, TableInput, inputs_of
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
+from calib.table import Table
 
 #: Pattern of the names that a robot, and so its folder, may have.
 _NAME = re.compile(r"[^\W_](?:[\w .+-]{0,98}[\w+-])?")
@@ -69,9 +70,9 @@ class FleetRobot:
             """Read the table, the URDF, and the measurements of the chain's joints."""
             table = Table.read(data)
             urdf = read_robot(str(robot))
-            measured = table.names(options)
+            measured = names_in(table, options)
             nominal = Robot.from_urdf(
-                urdf, setup.base, setup.tip, measured=measured, held=setup.held
+                urdf, setup.base, setup.tip, measured, setup.held, setup.coupling
             )
             measurements = Measurements.read(
                 table,

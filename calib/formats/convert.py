@@ -6,7 +6,7 @@ What can be read is a row of `KINDS`, what can be written a row of `FORMATS`: fi
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -19,11 +19,14 @@ from calib.formats.origins import write_origins
 from calib.formats.source import Options, Source
 from calib.formats.source_kinds import KINDS, YAML, result_source, robot_source, source_kind
 from calib.formats.universal_robots import read_ur, write_ur_conf, write_ur_yaml
+from calib.formats.zeros.table import TABLE_ENDINGS
+from calib.formats.zeros.write import write_zeros
 from calib.inputs import RobotInput
-from calib.model.dh import HAYATI, MODIFIED, STANDARD
 from calib.result.calibration import CalibrationValues
+from calib.robot.dh import EQUATIONS, HAYATI, MODIFIED, STANDARD
 from calib.robot.ranges import random_joint_values
 from calib.robot.readback import check_written
+from calib.robot.readings import coupling_lines
 from calib.robot.robot import Robot
 from calib.values.pickling import Value
 
@@ -56,6 +59,8 @@ class Conversion(Value):
     notes: Notes
     #: The verdict ``do not use`` and its reason, where one was accepted.
     against: str = ""
+    #: What went with it.
+    options: Options = field(default_factory=Options)
 
 
 def read_source(
@@ -131,7 +136,11 @@ def _write_urdf(source: Source, path: Path, options: Options) -> Notes:
     written = replace(written, urdf=written.urdf.with_verdict(robot.urdf.verdict))
     check_written(written, robot.poses(q), q)
     written.urdf.write(path, overwrite=options.overwrite)
-    return ()
+    coupled = robot.reading_coupling
+    if not coupled:
+        return ()
+    known = "" if written.urdf.dh is None else ", or the rows in a comment of the URDF do"
+    return (Note("coupled readings", (coupling_lines(coupled), known)),)
 
 
 def _write_origins(source: Source, path: Path, options: Options) -> Notes:
@@ -140,12 +149,20 @@ def _write_origins(source: Source, path: Path, options: Options) -> Notes:
     return ()
 
 
-def _write_dh(convention: str, source: Source, path: Path, options: Options) -> Notes:
-    """Write DH rows, beside the nominal ones where these are another robot's."""
+def _write_dh(convention: str | None, source: Source, path: Path, options: Options) -> Notes:
+    """Write DH rows, beside the nominal ones where these are another robot's.
+
+    Without a convention it is that of the rows that the robot was made from, else the standard one.
+    """
     nominal = None if source.nominal is source.robot else source.nominal
+    notes: Notes = ()
+    if convention is None:
+        made_from = source.robot.urdf.dh
+        convention = STANDARD if made_from is None else made_from.table.convention
+        notes = (Note("rows written", (convention, EQUATIONS[convention])),)
     tables = DHTables.of(source.robot, nominal, convention)
     write_dh(tables, path, overwrite=options.overwrite)
-    return tables.notes
+    return notes + tables.notes
 
 
 def _write_ur_yaml(source: Source, path: Path, options: Options) -> Notes:
@@ -190,11 +207,36 @@ FORMATS: dict[str, Format] = {
     "ur-yaml": Format("kinematics.yaml of Universal Robots' ROS driver", YAML, _write_ur_yaml),
     "ur-conf": Format("DH deltas of a Universal Robots controller", (".conf",), _write_ur_conf),
     "origins": Format("the joints' origins, for a xacro to load", YAML, _write_origins),
-    "dh": Format("DH rows, standard convention", ENDINGS, partial(_write_dh, STANDARD)),
+    "dh": Format(
+        "DH rows in the convention that they came in, else standard",
+        ENDINGS,
+        partial(_write_dh, None),
+    ),
     "modified-dh": Format(
         "DH rows, modified (Craig's) convention", ENDINGS, partial(_write_dh, MODIFIED)
     ),
     "hayati": Format("DH rows with Hayati's beta", ENDINGS, partial(_write_dh, HAYATI)),
+    "zeros": Format("joint zeros to type in", TABLE_ENDINGS, partial(write_zeros, "zeros")),
+    "dynamixel-hardware": Format(
+        "joint zeros as offsets of ROS' dynamixel_hardware",
+        YAML,
+        partial(write_zeros, "dynamixel-hardware"),
+    ),
+    "ros2-transmission": Format(
+        "joint zeros as offsets of ros2_control's transmissions",
+        YAML,
+        partial(write_zeros, "ros2-transmission"),
+    ),
+    "lerobot": Format(
+        "joint zeros as homing_offset of LeRobot's Feetech servos (SO-100, SO-101)",
+        (".json",),
+        partial(write_zeros, "lerobot"),
+    ),
+    "lerobot-dynamixel": Format(
+        "joint zeros as homing_offset of LeRobot's Dynamixel servos",
+        (".json",),
+        partial(write_zeros, "lerobot-dynamixel"),
+    ),
 }
 """The formats by name, as in ``--to``."""
 

@@ -11,7 +11,7 @@ import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -20,9 +20,10 @@ from calib.errors import FileError, ModelError, choices
 from calib.files import write_atomically
 from calib.formats.notes import Note
 from calib.json_files import json_bytes
-from calib.model.dh import EQUATIONS, HAYATI, MODIFIED, STANDARD, DHRow, DHTable
 from calib.model.dh_table import dh_table, near_parallel, taken_as_parallel
-from calib.robot.ranges import column_ranges, spread_between
+from calib.robot.dh import HAYATI, MODIFIED, STANDARD, DHRow, DHTable
+from calib.robot.dh_json import NUMBERS, content, equation, joint_json
+from calib.robot.ranges import spread_poses
 from calib.robot.readback import TOLERANCE
 from calib.robot.robot import Robot, rigid_inverse
 from calib.units import Array
@@ -52,17 +53,17 @@ _HEADS = {
     },
 }
 
-#: The numbers of a row and their units in JSON.
-_NUMBERS = {"theta": "rad", "d": "m", "a": "m", "alpha": "rad", "beta": "rad"}
+#: Headings of a joint's limits; each cell has its unit.
+_LIMITS = ("lower", "upper")
 
 #: Number of joint values at which poses are compared.
 _POSES = 64
 
 
 class Added(NamedTuple):
-    """The value that is added to a row: that of a joint times a factor, plus an offset."""
+    """The value that is added to a row: those of joints times factors, plus an offset."""
 
-    #: The joint; None: none, the row's joint is held.
+    #: The joint, the row's own if it is among them; None: none, the row's joint is held.
     driver: str | None
     #: How many times its value; 0 without a joint.
     factor: float
@@ -70,6 +71,8 @@ class Added(NamedTuple):
     offset: float
     #: The same as text, ``"-2 * arm + 5 deg"``; of most rows the joint's own name.
     formula: str
+    #: How many times the values of other joints, where readings are coupled.
+    others: Mapping[str, float] = {}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,7 +95,7 @@ class DHTables:
         Args:
             robot: The robot.
             nominal: The same chain before the calibration; None: not known.
-            convention: One of `calib.model.dh.CONVENTIONS`.
+            convention: One of `calib.robot.dh.CONVENTIONS`.
 
         Returns:
             The rows of both robots.
@@ -101,9 +104,10 @@ class DHTables:
             ModelError: No such convention, the robots have other joints, or the rows do not hold
                 the robot's poses.
         """
-        after = dh_table(robot, convention, like=nominal)
-        before = None if nominal is None else dh_table(nominal, convention)
-        q = spread_between(column_ranges(robot), _POSES)
+        sheet = _sheet(robot, convention)
+        after = dh_table(robot, convention, nominal, sheet)
+        before = None if nominal is None else dh_table(nominal, convention, sheet=sheet)
+        q = spread_poses(robot, _POSES)
         _check_poses(robot, after, q)
         if nominal is not None and before is not None:
             _check_poses(nominal, before, q)
@@ -114,12 +118,16 @@ class DHTables:
         robot = self.robot
         at_zero = robot.chain_values(np.zeros(len(robot.joint_names)))[0].tolist()
         result = []
-        for coupled, offset, row in zip(robot.coupling, at_zero, self.after.rows, strict=True):
-            drivers = [n for n, c in zip(robot.joint_names, coupled, strict=True) if c]
-            driver = drivers[0] if drivers else None
-            factor = float(coupled.sum())
-            formula = _formula(driver, factor, offset, prismatic=row.prismatic)
-            result.append(Added(driver, factor, offset + 0.0, formula))
+        by_readings = robot.coupling @ robot.reading_matrix
+        for coupled, value, row in zip(by_readings, at_zero, self.after.rows, strict=True):
+            pairs = zip(robot.joint_names, (row.direction * coupled).tolist(), strict=True)
+            factors = {name: factor for name, factor in pairs if factor}
+            offset = row.direction * value + row.offset + 0.0
+            own = [row.joint] if row.joint in factors else list(factors)[:1]
+            driver = own[0] if own else None
+            others = {name: factor for name, factor in factors.items() if name != driver}
+            formula = _formula({name: factors[name] for name in [*own, *others]}, offset, row)
+            result.append(Added(driver, factors.get(driver or "", 0.0), offset, formula, others))
         return result
 
     @property
@@ -134,7 +142,7 @@ class DHTables:
             notes.append(Note("nearly parallel axes", (names, largest_d)))
         unusual = []
         for row, added in zip(rows, self.added(), strict=True):
-            if added.formula != row.joint:
+            if added.driver != row.joint:
                 unusual.append(f"'{row.joint}' ({added.formula})")
         if unusual:
             notes.append(Note("joints without value", (", ".join(unusual),)))
@@ -172,18 +180,42 @@ def _check_poses(robot: Robot, table: DHTable, q: Array) -> None:
         )
 
 
-def _formula(driver: str | None, factor: float, offset: float, *, prismatic: bool) -> str:
-    """Return the formula of `Added`."""
-    shown = f"{1e3 * offset:+.12g} mm" if prismatic else f"{np.degrees(offset):+.12g} deg"
-    if driver is None:
-        return f"held at {shown.removeprefix('+')}"
-    name = driver if factor == 1.0 else f"{factor:.12g} * {driver}"
-    return f"{name} {shown[0]} {shown[1:]}" if offset else name
+def _sheet(robot: Robot, convention: str) -> DHTable | None:
+    """Return the rows that a robot was made from, if they are of its chain and of a convention; else None.
+
+    Standard rows are Hayati's with beta = 0.
+    """
+    stated = robot.urdf.dh
+    joints = tuple(joint.name for joint in robot.joints)
+    if stated is None or (stated.base, stated.tip, stated.joint_names) != (
+        robot.base,
+        robot.tip,
+        joints,
+    ):
+        return None
+    if stated.table.convention == STANDARD and convention == HAYATI:
+        return replace(stated.table, convention=HAYATI)
+    return stated.table if stated.table.convention == convention else None
+
+
+def _formula(factors: Mapping[str, float], offset: float, row: DHRow) -> str:
+    """Return the formula of `Added`: a sum of joints' values and an offset [rad or m]."""
+    constant = f"{1e3 * offset:.12g} mm" if row.prismatic else f"{np.degrees(offset):.12g} deg"
+    if not factors:
+        return f"held at {constant}"
+    terms = []
+    for name, factor in factors.items():
+        terms.append(name if factor == 1.0 else f"{factor:.12g} * {name}")
+    if offset:
+        terms.append(constant)
+    first, *rest = terms
+    signed = [f" - {term[1:]}" if term.startswith("-") else f" + {term}" for term in rest]
+    return first + "".join(signed)
 
 
 def _difference(after: DHRow, before: DHRow) -> DHRow:
     """Return a row with the numbers after minus before."""
-    numbers = {name: getattr(after, name) - getattr(before, name) for name in _NUMBERS}
+    numbers = {name: getattr(after, name) - getattr(before, name) for name in NUMBERS}
     return replace(before, **numbers)
 
 
@@ -210,12 +242,6 @@ def write_dh(tables: DHTables, path: str | os.PathLike[str], *, overwrite: bool 
     return write_atomically(path, data, overwrite=overwrite)
 
 
-def _equation(convention: str) -> str:
-    """Return the equation of a convention: the robot as a product of its rows."""
-    factor = EQUATIONS[convention]
-    return f"T_base_tip = base {factor[0]}_1 ... {factor[0]}_n tool, {factor}"
-
-
 # CSV
 
 
@@ -225,16 +251,20 @@ def _csv(tables: DHTables) -> bytes:
     heads = _HEADS[convention]
     comments = [
         f"DH rows of {robot.name}, {robot.base} to {robot.tip}, {convention} convention, by calib",
-        _equation(convention),
-        "The joint's value is added to theta; that of a sliding joint to d. 'base' and 'tool' are constant poses, "
-        "R = Rz(yaw) Ry(pitch) Rx(roll).",
+        f"robot: {robot.name}",
+        f"base: {robot.base}",
+        f"tip: {robot.tip}",
+        f"convention: {convention}",
+        equation(convention),
+        "The value of 'value added' is added to theta; that of a sliding joint to d. 'base' and 'tool' are constant "
+        "poses, R = Rz(yaw) Ry(pitch) Rx(roll).",
         "change = after - before; of 'base' and 'tool' it is the pose before^-1 after.",
     ]
     formulas = [added.formula for added in tables.added()]
     text = io.StringIO(newline="")
     text.writelines(f"# {' '.join(line.split())}\n" for line in comments)
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["table", "row", "joint", "added to", "value added", *heads, *_POSE])
+    writer.writerow(["table", "row", "joint", "added to", "value added", *heads, *_LIMITS, *_POSE])
     for name, table in tables.states().items():
         writer.writerows(_csv_lines(name, table, formulas, heads))
     return text.getvalue().encode()
@@ -254,12 +284,13 @@ def _csv_lines(
         formulas: What is added to each row.
         heads: The field of a row under each heading.
     """
-    no_row = [""] * (3 + len(heads))
+    no_row = [""] * (3 + len(heads) + len(_LIMITS))
     no_pose = [""] * len(_POSE)
     yield [name, "base", *no_row, *_pose_cells(table.T_base_0)]
     for i, (row, formula) in enumerate(zip(table.rows, formulas, strict=True), start=1):
         numbers = [_number(getattr(row, field), head) for head, field in heads.items()]
-        yield [name, i, row.joint, _added_to(row), formula, *numbers, *no_pose]
+        limits = ["", ""] if name == "change" else [_limit(row, end) for end in _LIMITS]
+        yield [name, i, row.joint, _added_to(row), formula, *numbers, *limits, *no_pose]
     yield [name, "tool", *no_row, *_pose_cells(table.T_n_tip)]
 
 
@@ -276,6 +307,14 @@ def _number(value: float, head: str) -> str:
     return f"{rounded:.{decimals}f}".rstrip("0").rstrip(".")
 
 
+def _limit(row: DHRow, end: str) -> str:
+    """Return a limit of a row's joint with its unit, ``lower`` or ``upper``; empty where there is none."""
+    value = getattr(row, end)
+    if value is None:
+        return ""
+    return f"{1e3 * value:.12g} mm" if row.prismatic else f"{np.degrees(value):.12g} deg"
+
+
 def _added_to(row: DHRow) -> str:
     """Return the number of a row that the joint's value is added to."""
     return "d" if row.prismatic else "theta"
@@ -286,43 +325,11 @@ def _added_to(row: DHRow) -> str:
 
 def _json(tables: DHTables) -> bytes:
     """Return the tables in m and rad, with every digit."""
-    robot, convention = tables.robot, tables.after.convention
+    robot = tables.robot
+    joints = []
+    for row, added in zip(tables.after.rows, tables.added(), strict=True):
+        joints.append(joint_json(row, added.driver, added.factor, added.offset, added.others))
     states = tables.states()
-    joints = [_json_joint(*pair) for pair in zip(tables.after.rows, tables.added(), strict=True)]
-    content: dict[str, Any] = {
-        "schema": "dh 1",
-        "convention": convention,
-        "equation": _equation(convention),
-        "robot": {"name": robot.name, "base": robot.base, "tip": robot.tip},
-        "joints": joints,
-        "before": _json_table(states.get("before")),
-        "after": _json_table(tables.after),
-        "change": _json_table(states.get("change")),
-    }
-    return json_bytes(content)
-
-
-def _json_joint(row: DHRow, added: Added) -> dict[str, Any]:
-    """Return what is added to a row, in m and rad."""
-    return {
-        "joint": row.joint,
-        "type": "prismatic" if row.prismatic else "revolute",
-        "driver": added.driver,
-        "factor": added.factor,
-        "offset_m" if row.prismatic else "offset_rad": added.offset,
-    }
-
-
-def _json_table(table: DHTable | None) -> dict[str, Any] | None:
-    """Return a table in m and rad; None where there is none."""
-    if table is None:
-        return None
-    rows = []
-    for row in table.rows:
-        numbers = {f"{name}_{unit}": getattr(row, name) for name, unit in _NUMBERS.items()}
-        rows.append({"joint": row.joint, "added_to": _added_to(row), **numbers})
-    return {
-        "T_base_0": table.T_base_0.tolist(),
-        "rows": rows,
-        "T_n_tip": table.T_n_tip.tolist(),
-    }
+    tables_of_file = states if tables.before is not None else {"after": tables.after}
+    names = {"name": robot.name, "base": robot.base, "tip": robot.tip}
+    return json_bytes(content(names, joints, tables_of_file))

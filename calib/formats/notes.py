@@ -17,6 +17,15 @@ Code = Literal[
     "geometry alone",
     "nearly parallel axes",
     "joints without value",
+    "coupled readings",
+    "rows read",
+    "rows written",
+    "zeros not determined",
+    "zeros not validated",
+    "zeros no better",
+    "changes alone",
+    "comments not kept",
+    "end positions move",
 ]
 
 

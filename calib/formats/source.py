@@ -11,8 +11,9 @@ from calib.diagnosis.reasons import Verdict
 from calib.formats.notes import Note
 from calib.formats.ur_arms import UrModel
 from calib.formats.ur_conf import Conf
-from calib.inputs import RobotInput, robot_of
+from calib.inputs import RobotInput, chain_of, robot_of
 from calib.mappings import keep_read_only
+from calib.result.calibration import CalibrationValues
 from calib.robot.robot import Robot
 from calib.units import Array
 from calib.values.pickling import Value
@@ -32,30 +33,42 @@ class Options:
     urcontrol: str | Path | None = None
     #: The robot's own ``kinematics.yaml`` or ``calibration.conf``, whose hash a new ``kinematics.yaml`` keeps.
     hash_from: str | Path | None = None
-    #: A ``calibration.conf`` whose other lines a new one keeps.
+    #: A ``calibration.conf`` whose other lines a new one keeps; or a file of offsets, to which zeros are added.
     update: str | Path | None = None
+    #: Ticks a turn of a servo's encoder, in which zeros are stored.
+    ticks: int = 4096
     #: First link of the chain; None: that of the source.
     base: str | None = None
     #: Last link of the chain; None: that of the source.
     tip: str | None = None
     #: Values of joints that stay, by name [rad or m]; None: those of the source.
     held: Mapping[str, float] | None = None
+    #: Factors of other joints' readings by name, of each joint whose readings are coupled; None: those of the source.
+    coupling: Mapping[str, Mapping[str, float]] | None = None
     #: Whether a file that exists is replaced.
     overwrite: bool = False
+    #: Whether what should not be given to a robot is written all the same.
+    accept: bool = False
 
     def __post_init__(self) -> None:
-        """Keep a read-only copy of the held values."""
+        """Keep read-only copies of the held values and the couplings."""
         keep_read_only(self, "held")
+        keep_read_only(self, "coupling")
 
     def load(self, source: RobotInput) -> Robot:
         """Return a robot, given or by its URDF, xacro or name, between the links of these options."""
         if not isinstance(source, Robot):
-            return robot_of(source, Cell(base=self.base, tip=self.tip, held=self.held or {}))
-        held = source.held if self.held is None else self.held
+            held, coupling = self.held or {}, self.coupling or {}
+            return robot_of(
+                source, Cell(base=self.base, tip=self.tip, held=held, coupling=coupling)
+            )
+        chain = chain_of(source)
+        held = chain.held if self.held is None else self.held
+        coupling = chain.coupling if self.coupling is None else self.coupling
         base, tip = self.base or source.base, self.tip or source.tip
-        if (base, tip, held) == (source.base, source.tip, source.held):
+        if (base, tip, held, coupling) == (chain.base, chain.tip, chain.held, chain.coupling):
             return source
-        return Robot.from_urdf(source.urdf, base, tip, held=held)
+        return Robot.from_urdf(source.urdf, base, tip, held=held, coupling=coupling)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,3 +97,5 @@ class Source(Value):
     notes: tuple[Note, ...] = ()
     #: The verdict of a result; None of any other file, and of a result that was not validated.
     verdict: Verdict | None = None
+    #: The result itself; None of any other file.
+    calibration: CalibrationValues | None = None

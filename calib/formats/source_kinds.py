@@ -19,9 +19,12 @@ from calib.formats.source import Options, Source
 from calib.formats.universal_robots import read_ur
 from calib.formats.ur_arms import UrModel, ur_model, ur_robot
 from calib.formats.ur_mount import Mount, the_mount
-from calib.inputs import RobotInput
+from calib.inputs import RobotInput, chain_of
+from calib.json_files import parsed_json
 from calib.result.calibration import CalibrationValues
 from calib.result.calibration_file import read_result
+from calib.robot.dh import EQUATIONS
+from calib.robot.dh_file import ENDINGS as DH_ENDINGS, TABLES
 from calib.robot.robot import Robot
 from calib.robot.xacro_file import is_xacro
 
@@ -54,16 +57,29 @@ def source_kind(source: str) -> str:
     """
     ending = "" if is_xacro(source) else Path(source).suffix.lower()
     keys: tuple[str, ...] = ()
-    if ending in YAML:
+    if ending == ".json":
+        keys = _keys_of_json(source)
+    elif ending in TABLES:
+        keys = ("equation",)
+    elif ending in YAML:
         keys = tuple(map(str, parse_yaml(read_bytes(source, "YAML file"), source, "YAML file")))
     for name, kind in KINDS.items():
         if ending in kind.endings and (not kind.key or kind.key in keys):
             return name
     raise FileError(
         f"{source}: neither its ending nor a key says what it is. Give a calibration.conf or a "
-        "kinematics.yaml of Universal Robots, a result (.json), an origins file (.yaml), a URDF, a "
-        "xacro, or the name of a robot such as 'ur3'."
+        "kinematics.yaml of Universal Robots, a result (.json), an origins file (.yaml), DH rows (.csv, .json), a "
+        "URDF, a xacro, or the name of a robot such as 'ur3'."
     )
+
+
+def _keys_of_json(source: str) -> tuple[str, ...]:
+    """Return the keys of a JSON file; none of a file that is none, of which its reader says so."""
+    try:
+        table = parsed_json(read_bytes(source, "JSON file"), source)
+    except FileError:
+        return ()
+    return tuple(map(str, table)) if isinstance(table, dict) else ()
 
 
 # Readers
@@ -85,7 +101,7 @@ def _on_chain(robot: Robot, options: Options) -> Robot:
     """Return a robot between the links of the options, where they are given."""
     base = options.base or robot.base
     tip = options.tip or robot.tip
-    return Robot.from_urdf(robot.urdf, base, tip, held=options.held)
+    return Robot.from_urdf(robot.urdf, base, tip, held=options.held, coupling=options.coupling)
 
 
 def _result(source: str, options: Options) -> Source:
@@ -114,8 +130,11 @@ def result_source(result: CalibrationValues, options: Options, name: str) -> Sou
             f"{name} holds base, tip and held joints; leave out --base, --tip and --hold."
         )
     if options.robot is not None:
-        links_of_result = replace(options, base=nominal.base, tip=nominal.tip, held=nominal.held)
-        arm = links_of_result.load(options.robot)
+        chain = chain_of(nominal)
+        chain_of_result = replace(
+            options, base=chain.base, tip=chain.tip, held=chain.held, coupling=chain.coupling
+        )
+        arm = chain_of_result.load(options.robot)
         if is_corrected(result, arm):
             nominal, robot = result.uncorrected(arm), arm
         else:
@@ -124,7 +143,15 @@ def result_source(result: CalibrationValues, options: Options, name: str) -> Sou
     if result.non_geometric is not None:
         notes = (Note("geometry alone", (result.non_geometric.name,)),)
     model = _arm(nominal, options)
-    return Source("result", robot, nominal, model=model, notes=notes, verdict=result.verdict)
+    return Source(
+        "result",
+        robot,
+        nominal,
+        model=model,
+        notes=notes,
+        verdict=result.verdict,
+        calibration=result,
+    )
 
 
 def _origins(source: str, options: Options) -> Source:
@@ -140,6 +167,17 @@ def _origins(source: str, options: Options) -> Source:
     missing = [name for name in origins_of(robot) if name not in origins]
     notes = (Note("joints without origin", (choices(missing),)),) if missing else ()
     return Source("origins", robot, nominal, model=_arm(nominal, options), notes=notes)
+
+
+def _rows(source: str, options: Options) -> Source:
+    """Read a file of DH rows: the robot is their nominal one, and theirs is the convention that it goes back in."""
+    result = robot_source(source, options)
+    rows = result.robot.urdf.dh
+    if rows is None:
+        return result
+    convention = rows.table.convention
+    note = Note("rows read", (f"{len(rows.table.rows)}", convention, EQUATIONS[convention]))
+    return replace(result, kind="rows", notes=(note,))
 
 
 def _robot(source: str, options: Options) -> Source:
@@ -192,6 +230,7 @@ def _mount(robot: Robot) -> Mount | None:
 KINDS: Mapping[str, SourceKind] = {
     "ur-conf": SourceKind((".conf",), "", _universal_robots),
     "ur-yaml": SourceKind(YAML, "kinematics", _universal_robots),
+    "rows": SourceKind(DH_ENDINGS, "equation", _rows),
     "result": SourceKind((".json",), "", _result),
     "origins": SourceKind(YAML, "origins", _origins),
     "robot": SourceKind(("", ".urdf", ".xml"), "", _robot),

@@ -21,9 +21,10 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from calib.errors import ModelError, choices
-from calib.model.dh import screw
+from calib.robot.dh import screw
 from calib.robot.robot import Robot, read_only, rigid_inverse
 from calib.robot.urdf import Urdf
+from calib.robot.urdf_text import NewJoint, urdf_bytes
 from calib.units import Array
 from calib.values.pickling import Value
 
@@ -84,9 +85,6 @@ _SEED = 0xC70F6907
 #: The greatest joint value in the bare URDFs [rad]: a turn, but half of one at the elbow.
 _LARGEST_TURN = 2.0 * np.pi
 _LARGEST_ELBOW_TURN = np.pi
-
-#: A joint of the bare URDFs: its name, parent link, child link, xyz [m] and rpy [rad].
-_JointRow = tuple[str, str, str, tuple[float, ...], tuple[float, ...]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -176,7 +174,11 @@ def ur_robot(model: UrModel | str) -> Robot:
         ModelError: No arm of this name is known.
     """
     model = ur_model(model)
-    urdf = Urdf.from_bytes(_urdf_text(model).encode(), f"the nominal {model.name}")
+    remark = f"Kinematics of a Universal Robots {model.name}, without bodies, by calib: efforts and speeds are only"
+    data = urdf_bytes(
+        model.plain, [f"{remark} there because a URDF must have them."], "base_link", _joints(model)
+    )
+    urdf = Urdf.from_bytes(data, f"the nominal {model.name}")
     return Robot.from_urdf(urdf, base="base", tip="tool0")
 
 
@@ -288,62 +290,29 @@ def _murmur_hash(data: bytes) -> int:
 # The bare URDF
 
 
-def _urdf_text(model: UrModel) -> str:
-    """Return the bare URDF of an arm."""
-    lines = [
-        '<?xml version="1.0" encoding="utf-8"?>',
-        f"<!-- Kinematics of a Universal Robots {model.name}, without bodies, by calib: efforts and speeds are only",
-        "     there because a URDF must have them. -->",
-        f'<robot name="{model.plain}">',
-        '  <link name="base_link"/>',
-    ]
-    for row in _joint_rows(model):
-        lines += _joint_lines(row)
-    return "\n".join([*lines, "</robot>", ""])
-
-
-def _joint_rows(model: UrModel) -> list[_JointRow]:
+def _joints(model: UrModel) -> list[NewJoint]:
     """Return the joints of the bare URDF, each with the link that it carries."""
     half, pi = np.pi / 2.0, np.pi
-    zero = (0.0, 0.0, 0.0)
     links = ["base_link_inertia", *(f"{link}_link" for link in LINKS)]
-    rows: list[_JointRow] = [
-        ("base_link-base_link_inertia", "base_link", links[0], zero, (0.0, 0.0, pi)),
-        ("base_link-base_fixed_joint", "base_link", "base", zero, (0.0, 0.0, pi)),
+    joints = [
+        _fixed("base_link-base_link_inertia", "base_link", links[0], (0.0, 0.0, pi)),
+        _fixed("base_link-base_fixed_joint", "base_link", "base", (0.0, 0.0, pi)),
     ]
     for i, (joint, T) in enumerate(zip(JOINTS, model.chain, strict=False)):
-        xyz = tuple(T[:3, 3])
-        rpy = tuple(pin.rpy.matrixToRpy(T[:3, :3]))
-        rows.append((joint, links[i], links[i + 1], xyz, rpy))
-    rows += [
-        ("wrist_3_link-ft_frame", links[-1], "ft_frame", zero, (pi, 0.0, 0.0)),
-        ("wrist_3-flange", links[-1], "flange", zero, (0.0, -half, -half)),
-        ("flange-tool0", "flange", "tool0", zero, (half, 0.0, half)),
-    ]
-    return rows
-
-
-def _joint_lines(row: _JointRow) -> list[str]:
-    """Return the lines of a URDF for a joint and the link that it carries."""
-    joint, parent, child, xyz, rpy = row
-    moves = joint in JOINTS
-    lines = [
-        f'  <link name="{child}"/>',
-        f'  <joint name="{joint}" type="{"revolute" if moves else "fixed"}">',
-        f'    <origin xyz="{_numbers(xyz)}" rpy="{_numbers(rpy)}"/>',
-        f'    <parent link="{parent}"/>',
-        f'    <child link="{child}"/>',
-    ]
-    if moves:
         bound = _LARGEST_ELBOW_TURN if joint == "elbow_joint" else _LARGEST_TURN
-        lines += [
-            '    <axis xyz="0 0 1"/>',
-            f'    <limit lower="{-bound}" upper="{bound}" effort="1000" velocity="{np.pi}"/>',
-        ]
-    lines.append("  </joint>")
-    return lines
+        joints.append(
+            NewJoint(joint, "revolute", links[i], links[i + 1], T, limits=(-bound, bound))
+        )
+    joints += [
+        _fixed("wrist_3_link-ft_frame", links[-1], "ft_frame", (pi, 0.0, 0.0)),
+        _fixed("wrist_3-flange", links[-1], "flange", (0.0, -half, -half)),
+        _fixed("flange-tool0", "flange", "tool0", (half, 0.0, half)),
+    ]
+    return joints
 
 
-def _numbers(values: tuple[float, ...]) -> str:
-    """Return numbers that read back exactly, without a sign before zero."""
-    return " ".join(repr(float(value) + 0.0) for value in values)
+def _fixed(name: str, parent: str, child: str, rpy: tuple[float, float, float]) -> NewJoint:
+    """Return a fixed joint that turns a frame by roll, pitch and yaw [rad]."""
+    T = np.eye(4)
+    T[:3, :3] = pin.rpy.rpyToMatrix(*rpy)
+    return NewJoint(name, "fixed", parent, child, T)

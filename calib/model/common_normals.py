@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calib.model.dh import HAYATI, MODIFIED, NEARLY_PARALLEL_RAD, DHRow
+from calib.robot.dh import HAYATI, MODIFIED, NEARLY_PARALLEL_RAD, DHRow
 from calib.robot.robot import rigid_inverse
 from calib.units import Array
 
@@ -36,10 +36,13 @@ _ALONG = 1e-6
 class Rule:
     """The convention of rows, and the angle below which it takes axes as parallel."""
 
-    #: One of `calib.model.dh.CONVENTIONS`
+    #: One of `calib.robot.dh.CONVENTIONS`
     convention: str
     #: Axes at a smaller angle are parallel, in the standard and modified conventions [rad]
     limit: float
+    #: True if the references are rows as a controller has them, of which every number is kept that can be: d between
+    #: parallel axes, where a sliding axis lies, and that the last row ends on the last axis.
+    keeps: bool = False
 
     @property
     def hayati(self) -> bool:
@@ -112,8 +115,10 @@ def row_to(
     between = point - T[:3, 3]
     if rule.parallel(sine, reference):
         near = x if reference is None else reference.x
-        offset = _offset(between, z, axis)
-        return _parallel_row(T, axis, offset, near, tilted=rule.hayati)
+        d = reference.row.d if reference is not None and rule.keeps else 0.0
+        offset = _offset(between - d * z, z, axis)
+        row = _parallel_row(T, axis, offset, near, tilted=rule.hayati)
+        return row._replace(d=d)
     normal /= sine
     if _points_backwards(normal, x, between, reference):
         normal = -normal
@@ -209,6 +214,8 @@ def last_row(T: Array, T_base_tip: Array, reference: Reference | None, rule: Rul
     z = T[:3, 2]
     axis = T_base_tip[:3, 2]
     sine = np.linalg.norm(cross(z, axis))
+    if reference is not None and rule.keeps:
+        return _last_row_like(T, T_base_tip, reference)
     if sine >= np.sin(NEARLY_PARALLEL_RAD):
         return row_to(T, T_base_tip[:3, 3], axis, reference, rule)
     if reference is not None:
@@ -240,6 +247,46 @@ def _last_row_like(T: Array, T_base_tip: Array, reference: Reference) -> RowNumb
     turn = rigid_inverse(T) @ T_base_tip @ T_tip_row
     theta = np.arctan2(turn[1, 0] - turn[0, 1], turn[0, 0] + turn[1, 1])
     return RowNumbers(float(theta), float(turn[2, 3]), row.a, row.alpha, row.beta)
+
+
+def sliding_axis(
+    T: Array,
+    axis: Array,
+    reference: Reference,
+    rule: Rule,
+    beyond: tuple[Array, Array, Reference] | None,
+) -> Array:
+    """Return a point that a sliding joint's axis is taken through: its place is free, and rows keep their numbers.
+
+    The row to it keeps d and a. Where the axis behind it is parallel, the row from it keeps d, a and theta instead: the
+    row between axes that lie in each other could not hold that the one moves beside the other.
+
+    Args:
+        T: Shape (4, 4), [m], the frame before the row to the sliding axis, in the base at q = 0.
+        axis: Shape (3,), unit vector along the sliding axis.
+        reference: The row to it.
+        rule: The convention, and the angle below which axes count as parallel.
+        beyond: A point (3,) [m] of the axis behind it, that axis (3,), and the row to it; None if the sliding joint is
+            the last, or the joint behind it slides, too.
+
+    Returns:
+        Shape (3,), [m], in the base.
+    """
+    along = row_to(T, T[:3, 3], axis, reference, rule)
+    if beyond is not None:
+        point, next_axis, row_beyond = beyond
+        if rule.parallel(float(np.linalg.norm(cross(axis, next_axis))), row_beyond):
+            x = T[:3, :3] @ np.array([np.cos(along.theta), np.sin(along.theta), 0.0])
+            z = T[:3, 2]
+            is_parallel = rule.parallel(float(np.linalg.norm(cross(z, axis))), reference)
+            # The frame behind the row to the sliding axis lies in a plane across z, or in one along z and x.
+            across = z if is_parallel else cross(z, x)
+            start = T[:3, 3] + z * (reference.row.d if is_parallel else 0.0)
+            back = axis * row_beyond.row.d + _across(axis, row_beyond.x) * row_beyond.row.a
+            end = point - back
+            return np.asarray(end + next_axis * (((start - end) @ across) / (next_axis @ across)))
+    kept = replace(reference.row, theta=along.theta, alpha=0.0, beta=0.0)
+    return np.asarray((T @ kept.matrix())[:3, 3])
 
 
 def first_frame(point: Array, axis: Array, near: Array) -> Array:

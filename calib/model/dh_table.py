@@ -1,4 +1,4 @@
-"""The DH table of a robot's chain, row by row from the base to the tip; see `calib.model.dh` for the conventions."""
+"""The DH table of a robot's chain, row by row from the base to the tip; see `calib.robot.dh` for the conventions."""
 
 from __future__ import annotations
 
@@ -16,8 +16,9 @@ from calib.model.common_normals import (
     first_frame,
     last_row,
     row_to,
+    sliding_axis,
 )
-from calib.model.dh import (
+from calib.robot.dh import (
     HAYATI,
     MODIFIED,
     NEARLY_PARALLEL_RAD,
@@ -35,6 +36,10 @@ from calib.units import Array
 _PARALLEL = (5e-7, 1e-8, 1e-10, 1e-12)
 
 
+#: A number that differs from that of a sheet by less differs by rounding [m or rad].
+_ROUNDING = 1e-13
+
+
 #: Number of joint values at which rows are compared with the robot.
 _POSES = 8
 
@@ -43,7 +48,12 @@ _POSES = 8
 _SEED = 20170401
 
 
-def dh_table(robot: Robot, convention: str = HAYATI, like: Robot | None = None) -> DHTable:
+def dh_table(
+    robot: Robot,
+    convention: str = HAYATI,
+    like: Robot | None = None,
+    sheet: DHTable | None = None,
+) -> DHTable:
     """Return the DH rows of a robot's chain; `DHTable.poses` then equals ``robot.poses`` up to rounding.
 
     Args:
@@ -51,12 +61,17 @@ def dh_table(robot: Robot, convention: str = HAYATI, like: Robot | None = None) 
         convention: One of `CONVENTIONS`.
         like: A robot of the same chain, such as the nominal one, whose open choices are kept so that columns compare;
             None to choose as a data sheet does.
+        sheet: Rows of the same chain in the same convention, as a controller has them: the robot's differ from them by
+            corrections alone. Directions and offsets are theirs. None for none; ``like`` is not used beside it.
 
     Example:
         >>> table = dh_table(Robot.load("ur3", base="base", tip="tool0"))
         >>> [round(1000 * row.a, 2) + 0.0 for row in table.rows]
         [0.0, -243.65, -213.25, 0.0, 0.0, 0.0]
     """
+    if sheet is not None:
+        rule = replace(_rule_for(robot, convention), keeps=True)
+        return _in_form_of(sheet, _product(robot, rule, _standard_form(sheet)))
     reference = None
     if like is not None:
         reference = _product(like, _rule_for(like, convention))
@@ -153,20 +168,33 @@ def _product(robot: Robot, rule: Rule, like: DHTable | None = None) -> DHTable:
         like: Rows of a robot of the same chain, in the same bracketing, whose open choices are kept; None for none.
     """
     T_base_joint, T_base_tip = zero_poses(robot)
-    axes = _axes(robot, T_base_joint)
+    directions = [1] * len(robot.joints) if like is None else [row.direction for row in like.rows]
+    axes = [d * axis for d, axis in zip(directions, _axes(robot, T_base_joint), strict=True)]
     references = _references(like, len(axes))
     near = np.eye(4) if like is None else like.T_base_0
-    T_base_0 = first_frame(T_base_joint[0][:3, 3], axes[0], near)
+    points = [T[:3, 3] for T in T_base_joint]
+    if rule.keeps and robot.joints[0].type == "prismatic":
+        points[0] = near[:3, 3]
+    T_base_0 = first_frame(points[0], axes[0], near)
     # Each row begins where those before it end: digits that one cannot hold, as the last of a d of kilometres, go into
     # the next.
     T = T_base_0
     rows: list[DHRow] = []
     for i, joint in enumerate(robot.joints):
         if i + 1 < len(axes):
-            numbers = row_to(T, T_base_joint[i + 1][:3, 3], axes[i + 1], references[i], rule)
+            if rule.keeps and robot.joints[i + 1].type == "prismatic":
+                points[i + 1] = _free_point(robot, T, (points, axes), references, i, rule)
+            numbers = row_to(T, points[i + 1], axes[i + 1], references[i], rule)
         else:
             numbers = last_row(T, T_base_tip, references[i], rule)
-        row = DHRow(joint.name, joint.type == "prismatic", *numbers)
+        row = DHRow(
+            joint.name,
+            joint.type == "prismatic",
+            *numbers,
+            direction=directions[i],
+            lower=joint.lower,
+            upper=joint.upper,
+        )
         rows.append(_tidy(row, references[i]))
         T = T @ rows[-1].matrix()
     return DHTable(
@@ -175,6 +203,93 @@ def _product(robot: Robot, rule: Rule, like: DHTable | None = None) -> DHTable:
         T_n_tip=read_only(rigid_inverse(T) @ T_base_tip),
         convention=HAYATI if rule.hayati else STANDARD,
     )
+
+
+def _free_point(
+    robot: Robot,
+    T: Array,
+    lines: tuple[list[Array], list[Array]],
+    references: Sequence[Reference | None],
+    i: int,
+    rule: Rule,
+) -> Array:
+    """Return the point (3,) [m] that the sliding axis of joint i + 1, from 0, is taken through; see `sliding_axis`.
+
+    Args:
+        robot: The robot.
+        T: Shape (4, 4), [m], the frame before row i, in the base.
+        lines: A point of each joint's axis, and the axes.
+        references: The rows whose numbers are kept.
+        i: Number of the row, from 0.
+        rule: The convention, and that numbers are kept.
+    """
+    points, axes = lines
+    beyond = None
+    row_beyond = references[i + 1]
+    if i + 2 < len(axes) and robot.joints[i + 2].type != "prismatic" and row_beyond is not None:
+        beyond = (points[i + 2], axes[i + 2], row_beyond)
+    reference = references[i]
+    assert reference is not None, "numbers are kept of rows alone"
+    return sliding_axis(T, axes[i + 1], reference, rule, beyond)
+
+
+def _standard_form(sheet: DHTable) -> DHTable:
+    """Return rows of any convention in the standard bracketing, with their offsets in theta, or d where they slide."""
+    rows = [_with_offset(row) for row in sheet.rows]
+    if sheet.convention != MODIFIED:
+        return replace(sheet, rows=tuple(rows))
+    moved = []
+    for row, behind in zip(rows, [*rows[1:], None], strict=True):
+        a, alpha = (0.0, 0.0) if behind is None else (behind.a, behind.alpha)
+        moved.append(replace(row, a=a, alpha=alpha))
+    first = screw(0, rows[0].alpha, rows[0].a)
+    return DHTable(tuple(moved), sheet.T_base_0 @ first, sheet.T_n_tip, STANDARD)
+
+
+def _in_form_of(sheet: DHTable, table: DHTable) -> DHTable:
+    """Return rows of the standard bracketing in the convention of a sheet, with its offsets."""
+    if sheet.convention == MODIFIED:
+        first = sheet.rows[0]
+        table = _rebracketed(table)
+        own = (replace(table.rows[0], a=first.a, alpha=first.alpha), *table.rows[1:])
+        before = rigid_inverse(screw(0, first.alpha, first.a))
+        table = DHTable(own, read_only(table.T_base_0 @ before), table.T_n_tip, MODIFIED)
+    rows = []
+    for row, of_sheet in zip(table.rows, sheet.rows, strict=True):
+        moved = _with_offset(row, of_sheet.offset)
+        settled = replace(
+            moved,
+            theta=_settled(moved.theta, of_sheet.theta),
+            d=_settled(moved.d, of_sheet.d),
+            a=_settled(moved.a, of_sheet.a),
+            alpha=_settled(moved.alpha, of_sheet.alpha),
+            beta=_settled(moved.beta, of_sheet.beta),
+        )
+        rows.append(settled)
+    return replace(
+        table,
+        rows=tuple(rows),
+        T_base_0=read_only(_settled_pose(table.T_base_0, sheet.T_base_0)),
+        T_n_tip=read_only(_settled_pose(table.T_n_tip, sheet.T_n_tip)),
+    )
+
+
+def _settled(value: float, of_sheet: float) -> float:
+    """Return the number of a sheet where a row's own differs from it by rounding, else the row's [m or rad]."""
+    return of_sheet if abs(value - of_sheet) < _ROUNDING else value
+
+
+def _settled_pose(T: Array, of_sheet: Array) -> Array:
+    """Return the pose of a sheet, (4, 4) [m], where another differs from it by rounding, else the other."""
+    return of_sheet if np.abs(T - of_sheet).max() < _ROUNDING else T
+
+
+def _with_offset(row: DHRow, offset: float = 0.0) -> DHRow:
+    """Return the same row with another offset: theta, or d where the joint slides, takes up the difference."""
+    moved = row.offset - offset
+    if row.prismatic:
+        return replace(row, d=row.d + moved, offset=offset)
+    return replace(row, theta=row.theta + moved, offset=offset)
 
 
 def _rebracketed(table: DHTable) -> DHTable:

@@ -20,7 +20,6 @@ from numpy.typing import ArrayLike
 
 import calib.plugins as plugins
 from calib.errors import ModelError, choices, did_you_mean
-from calib.model.dh import DHRow, dh_frames, screw
 from calib.model.dh_table import dh_table, zero_poses
 from calib.model.families import ANGLE, LENGTH, ZERO, joint_families
 from calib.model.joint_errors import axis_twists, joint_parameters
@@ -32,6 +31,7 @@ from calib.model.parameters import (
     Parameter as Parameter,
     twist_of,
 )
+from calib.robot.dh import DHRow, dh_frames, screw
 from calib.robot.gravity import GRAVITY
 from calib.robot.robot import Robot, read_only, rigid_inverse
 from calib.robot.urdf import UrdfJoint

@@ -1,7 +1,7 @@
 """Errors of the joints' state: the parameters of their families, and how far they move the joints.
 
 A unit of such a parameter moves its joint by the factor of its family, a number of the joints' values and loads; joints
-that mimic it follow (`calib.model.families`).
+that mimic it follow (`calib.model.families`). Where readings are coupled the joint's value counts, not its reading.
 """
 
 from __future__ import annotations
@@ -123,7 +123,7 @@ def joint_displacements(
     Args:
         robot: The nominal robot, n joints in its chain.
         terms: Terms of an error model that have a ``factor``.
-        q: Shape (N, m), values of the measured joints, [rad] or [m].
+        q: Shape (N, m), readings of the measured joints, [rad] or [m].
         load: Shape (N, n, n + 3), see `calib.robot.gravity.gravity_loads`; None if not known.
 
     Returns:
@@ -133,6 +133,7 @@ def joint_displacements(
         ModelError: A term needs the loads, and they are not known.
     """
     chain = tuple(joint.name for joint in robot.joints)
+    values = robot.input_values(q)
     moved = np.zeros((len(q), len(chain), len(terms)))
     for k, term in enumerate(terms):
         assert term.factor is not None
@@ -140,7 +141,7 @@ def joint_displacements(
             driven: Array = np.eye(len(chain))[chain.index(term.place)]
         else:
             driven = robot.coupling[:, robot.joint_names.index(term.place)]
-        state = JointState(term.place, robot.joint_names, q, chain, load, term.factor.point)
+        state = JointState(term.place, robot.joint_names, values, chain, load, term.factor.point)
         of_joint = term.factor.value(state)
         moved[:, :, k] = of_joint[:, None] * driven
     return moved

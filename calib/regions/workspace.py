@@ -96,11 +96,11 @@ def workspace_points(
         limits = finite_numbers("ranges", ranges, (m, 2), f"of shape ({m}, 2), [rad] or [m]")
     points = np.empty((count, 3))
     done = 0
-    for q in _even_joint_values(limits, count, seed):
-        T_base_tip = robot.poses(q)
+    for values in _even_joint_values(limits, count, seed):
+        T_base_tip = robot.poses(robot.readings(values))
         positions = T_base_tip[:, :3, :3] @ p_tip_target + T_base_tip[:, :3, 3]
-        points[done : done + len(q)] = positions
-        done += len(q)
+        points[done : done + len(values)] = positions
+        done += len(values)
         if progress is not None:
             progress(done, count)
     points.setflags(write=False)

@@ -78,8 +78,8 @@ def _joint_panel(ax: Axes, c: CalibrationValues, j: int, parts: Array, reach: fl
     """
     is_prismatic = c.nominal.inputs[j].type == "prismatic"
     scale, unit = (1e3, "mm") if is_prismatic else (np.degrees(1.0), "deg")
-    joints = c.measurements.joints_for(c.nominal.joint_names)
-    values = scale * joints[:, j]
+    readings = c.measurements.joints_for(c.nominal.joint_names)
+    values = scale * c.nominal.input_values(readings)[:, j]
     as_pixels = len(values) > base.MOST_SHAPES
     ax.axhline(0.0, color=base.INK, lw=0.7, zorder=1.5)
     for kind in base.row_kinds(c):
@@ -113,12 +113,13 @@ def along_joints(c: CalibrationValues) -> Array:
     T_frame_base, T_tip_target = setup_of_rows(c.setup, c.measurements)
     are_lengths = c.channels.where("m")
 
-    def lengths(q: Array) -> Array:
+    def lengths(values: Array) -> Array:
         """Residual lengths, shape (N, D), at joint values (N, m); 0 of the other scalars."""
-        residual = rows.residual(T_frame_base @ c.robot.poses(q) @ T_tip_target)
+        T_base_tip = c.robot.poses(c.robot.readings(values))
+        residual = rows.residual(T_frame_base @ T_base_tip @ T_tip_target)
         return np.where(are_lengths, residual, 0.0)
 
-    q = rows.joints
+    q = c.robot.input_values(rows.joints)
     residual = np.where(are_lengths, c.residual_calibrated, 0.0)
     parts = np.full(q.shape, np.nan)
     for j, step in enumerate(_STEP * np.eye(q.shape[1])):

@@ -16,6 +16,7 @@ from calib.channels import Channels
 from calib.data.cell import Cell
 from calib.data.columns import SETS
 from calib.data.measurements import Measurements
+from calib.data.record import BLANK, Record
 from calib.diagnosis.coverage import OutsideRow, outside
 from calib.diagnosis.reasons import Verdict
 from calib.errors import ArgumentError, ModelError, choices, did_you_mean
@@ -26,6 +27,7 @@ from calib.numerics.errors import CrossValidation, Errors
 from calib.numerics.repeats import Repeats
 from calib.numerics.solvers import Solution
 from calib.registration.setup import Setup
+from calib.result.joint_zeros import JointZeros
 from calib.result.prediction import (
     FittedModel,
     NonGeometric,
@@ -174,6 +176,10 @@ class CalibrationValues(FittedModel):
     non_geometric: NonGeometric | None
     #: None without cross-validation, unless a usual mistake explains the rows far better, or a frame was not found
     verdict: Verdict | None
+    #: The best joint zeros alone; None where they cannot be fitted, or where an earlier version wrote the file
+    zeros: JointZeros | None = None
+    #: Who measured what for whom, where, when and with what, as the cell says
+    record: Record = BLANK
     #: Measurements and solved problem; None where the result was read from a file
     fit: FitInMemory | None = field(default=None, repr=False)
 
@@ -515,8 +521,10 @@ def _with_origins_of(source: Robot, robot: Robot) -> Robot:
 
     Raises:
         UrdfError: It lacks one of the joints.
+        ModelError: Its readings are coupled otherwise.
     """
     check_type("robot", robot, Robot, "a Robot")
+    check_same_coupling(robot, source)
     urdf = robot.urdf.with_origins(source.origins())
     return robot.rebuilt(urdf, source.base, source.tip)
 
@@ -545,3 +553,21 @@ def _repeated_index(
         raise ModelError(f"There is no {what} '{name}'; there is {choices(names)}.")
     index = 0 if name is None else names.index(name)
     return np.full(count, index)
+
+
+def check_same_coupling(robot: Robot, source: Robot) -> None:
+    """Refuse a robot whose joint readings are coupled otherwise than those of the robot that it belongs to.
+
+    Args:
+        robot: As given.
+        source: The robot of a result, or another model of the same arm.
+
+    Raises:
+        ModelError: They differ: the same table would mean other joint angles.
+    """
+    if robot.reading_coupling != source.reading_coupling:
+        raise ModelError(
+            f"The joint readings of '{robot.name}' ({robot.urdf.source}) are coupled by {robot.reading_coupling}, "
+            f"those of the robot that it belongs to by {source.reading_coupling}. Give its path in place of the Robot, "
+            f"or load it so: Robot.load(..., coupling={source.reading_coupling})."
+        )

@@ -33,6 +33,7 @@ from calib.registration.setup import Setup
 from calib.result.calibration import CalibrationValues, Source
 from calib.result.prediction import FittedModel, NonGeometric
 from calib.robot.payload import Payload
+from calib.robot.readings import coupling_of_table, coupling_table
 from calib.robot.robot import Robot, read_only
 from calib.robot.urdf import Urdf
 from calib.selection.candidates import Candidate
@@ -365,7 +366,8 @@ def _derived_values(c: CalibrationValues) -> dict[str, Any]:
 
     Returns:
         By their path in the file, in SI units: ``"schema"``, the number of the layout; ``"robot"``, ``"robot.held"``,
-        ``"robot.origins"`` and ``"robot.nominal_origins"``, names, held joint values and joint origins; ``"frames"``
+        ``"robot.coupling"``, ``"robot.origins"`` and ``"robot.nominal_origins"``, names, held joint values, factors of
+        coupled readings and joint origins; ``"frames"``
         with ``"frames.target_given_m"``, None if the first target was not given, and ``"frames.target_estimated"``;
         ``"errors"`` by robot and set of rows; ``"model"``; ``"inputs.urdf"``, ``"inputs.urdf.text"``,
         ``"inputs.measurements"`` and ``"inputs.measurements.rows"``, names, hashes and number of rows; and
@@ -385,6 +387,7 @@ def _derived_values(c: CalibrationValues) -> dict[str, Any]:
             "joints": robot.joint_names,
         },
         "robot.held": [{"joint": name, "value": value} for name, value in robot.held.items()],
+        "robot.coupling": coupling_table(robot.reading_coupling),
         "robot.origins": _origins_table(c.robot),
         "robot.nominal_origins": _origins_table(robot),
         "frames": {**pose_table(c.T_frame_base, "frame_base_"), "target_m": c.target},
@@ -531,18 +534,19 @@ def _nominal(table: Json, folder: Path) -> Robot:
     """Return the nominal robot from the tables of a result file.
 
     Args:
-        table: All tables of the file. Used are ``"robot"``, with base, tip and held joint values, [rad] or [m], and
-            ``"inputs"."urdf"``, with the nominal URDF's name and text.
+        table: All tables of the file. Used are ``"robot"``, with base, tip, held joint values, [rad] or [m], and
+            factors of coupled readings, and ``"inputs"."urdf"``, with the nominal URDF's name and text.
         folder: The folder where the URDF is looked for, if only for the meshes beside it.
 
     Returns:
-        The robot, its base, tip and held joint values as stored.
+        The robot, its base, tip, held joint values and coupled readings as stored.
     """
     robot, stored = table["robot"], table["inputs"]["urdf"]
     data = stored["text"].encode("utf-8", "surrogateescape")
     urdf = Urdf.from_bytes(data, stored["name"], folder / stored["name"])
     held = {row["joint"]: float(row["value"]) for row in robot["held"]}
-    return Robot.from_urdf(urdf, robot["base"], robot["tip"], held=held)
+    coupling = coupling_of_table(robot.get("coupling", ()))  # files of earlier versions have none
+    return Robot.from_urdf(urdf, robot["base"], robot["tip"], held=held, coupling=coupling)
 
 
 def _model_values(kind: type[FittedModel], table: Json, nominal: Robot) -> dict[str, Any]:

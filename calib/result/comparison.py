@@ -13,7 +13,7 @@ import numpy as np
 
 from calib.diagnosis.reasons import NO
 from calib.errors import ModelError
-from calib.inputs import ROBOT, RobotInput
+from calib.inputs import ROBOT, RobotInput, chain_of, robot_of
 from calib.numerics.drift import DriftTest
 from calib.result.calibration import CalibrationValues
 from calib.result.calibration_file import read_result
@@ -163,11 +163,11 @@ def _result_and_name(given: ResultInput, letter: str) -> tuple[CalibrationValues
 def _check_same_chain(
     first: CalibrationValues, second: CalibrationValues, names: tuple[str, str]
 ) -> None:
-    """Refuse calibration results of different chains: of other links, joints, or held joint values.
+    """Refuse calibration results of different chains: of other links, joints, held values, or coupled readings.
 
     Args:
         first: The first result, of whose nominal robot are compared base and tip link, names of the measured joints,
-            names of the joints with origins, and values of held joints, [rad] or [m].
+            names of the joints with origins, values of held joints, [rad] or [m], and coupled readings.
         second: The second.
         names: Names of their files, for the error message.
 
@@ -176,12 +176,12 @@ def _check_same_chain(
     """
     chains = []
     for robot in (first.nominal, second.nominal):
-        joints = (robot.joint_names, set(robot.origins()), dict(robot.held))
+        joints = (robot.joint_names, set(robot.origins()), robot.held, robot.reading_coupling)
         chains.append((robot.base, robot.tip, joints))
     if chains[0] != chains[1]:
         raise ModelError(
             f"{names[0]} and {names[1]} are not of one chain: {first.nominal!r}, {second.nominal!r}. Calibrate "
-            "both with the same --base, --tip and --hold."
+            "both with the same --base, --tip, --hold and, in the cell file, [coupling]."
         )
 
 
@@ -204,7 +204,7 @@ def _robot_to_show(given: RobotInput | None, nominal: Robot) -> Robot:
     check_type("robot", given, (Robot, str, Path), f"{ROBOT}, or None")
     if isinstance(given, Robot):
         return given.rebuilt(base=nominal.base, tip=nominal.tip)
-    return Robot.load(given, nominal.base, nominal.tip, held=nominal.held)
+    return robot_of(given, chain_of(nominal))
 
 
 def _same_origins(first: CalibrationValues, second: CalibrationValues) -> bool:

@@ -228,7 +228,7 @@ def _hardly_moved(robot: Robot, rows: Rows) -> Mask:
         True for a joint whose values span less than `_STILL_RAD`, or `_STILL_M` if it slides, shape (m,).
     """
     least = np.array([_STILL_M if j.type == "prismatic" else _STILL_RAD for j in robot.inputs])
-    return np.asarray(np.ptp(rows.joints, axis=0) < least)
+    return np.asarray(np.ptp(robot.input_values(rows.joints), axis=0) < least)
 
 
 def _sole_postures(result: CalibrationValues, rows: Rows) -> Iterator[Reason]:
@@ -247,12 +247,13 @@ def _sole_postures(result: CalibrationValues, rows: Rows) -> Iterator[Reason]:
     """
     robot, m = result.nominal, result.measurements
     numbers = np.array(m.rows)[m.estimation]
+    values = robot.input_values(rows.joints)
     low, high = column_ranges(robot).T
     joints: dict[int, str] = {}  # by the row's number in the table
     for block in np.unique(rows.blocks[~rows.checked]).tolist():
         of_block = rows.blocks == block
         first = int(np.flatnonzero(of_block)[0])
-        distances = np.abs(rows.joints[~of_block] - rows.joints[first])
+        distances = np.abs(values[~of_block] - values[first])
         nearest = distances.min(axis=0) / (high - low)
         furthest_joint = int(np.argmax(nearest))
         joints[int(numbers[first])] = robot.joint_names[furthest_joint]
@@ -511,7 +512,8 @@ def _corner(fitted: Fitted) -> Iterator[Reason]:
     measured_tips = robot.poses(q)[:, :3, 3]
     possible_tips = robot.poses(spread_poses(robot))[:, :3, 3]
     spread = spread_of(measured_tips, possible_tips)
-    shares = shares_of_ranges(q, column_ranges(robot), [j.type for j in robot.inputs])
+    values = robot.input_values(q)
+    shares = shares_of_ranges(values, column_ranges(robot), [j.type for j in robot.inputs])
     moved = ~_hardly_moved(robot, rows)
     narrow = np.flatnonzero((shares < _NARROW) & moved).tolist()
     if not np.any(moved) or (spread >= _CORNER and not narrow):
@@ -523,7 +525,7 @@ def _corner(fitted: Fitted) -> Iterator[Reason]:
         spread=spread,
         joints=[robot.joint_names[j] for j in narrow],
         shares=[float(shares[j]) for j in narrow],
-        lows=[float(q[:, j].min()) for j in narrow],
-        highs=[float(q[:, j].max()) for j in narrow],
+        lows=[float(values[:, j].min()) for j in narrow],
+        highs=[float(values[:, j].max()) for j in narrow],
         slides=[robot.inputs[j].type == "prismatic" for j in narrow],
     )

@@ -1,4 +1,8 @@
-"""Limits and ranges of joint values, and values drawn or spread between them."""
+"""Limits and ranges of joint values, and readings drawn or spread between them.
+
+Limits and ranges are those of the URDF's joints, the values theta = C q of the columns' joints, also where readings q
+are coupled (`calib.robot.readings`): the readings within them then fill no box.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +38,7 @@ _UNLIMITED_SLIDE = 1.0
 
 
 def random_joint_values(robot: Robot, count: int = _RANDOM, seed: int = _SEED) -> Array:
-    """Return uniformly random joint values within `column_ranges`.
+    """Return readings at uniformly random joint values within `column_ranges`.
 
     Args:
         robot: The robot, with m columns of q.
@@ -46,12 +50,12 @@ def random_joint_values(robot: Robot, count: int = _RANDOM, seed: int = _SEED) -
     """
     low, high = column_ranges(robot).T
     share: Array = np.random.default_rng(seed).uniform(size=(count, len(low)))
-    return np.asarray(low + (high - low) * share)
+    return robot.readings(low + (high - low) * share)
 
 
 @lru_cache(maxsize=16)
 def spread_poses(robot: Robot, count: int = SPREAD) -> Array:
-    """Return joint values spread evenly over `column_ranges`, always the same ones.
+    """Return readings at joint values spread evenly over `column_ranges`, always the same ones.
 
     Args:
         robot: The robot, with m columns of q.
@@ -60,7 +64,7 @@ def spread_poses(robot: Robot, count: int = SPREAD) -> Array:
     Returns:
         Shape (count, m), [rad] or [m], read-only.
     """
-    return spread_between(column_ranges(robot), count)
+    return read_only(robot.readings(spread_between(column_ranges(robot), count)))
 
 
 def spread_between(ranges: Array, count: int) -> Array:
@@ -109,14 +113,14 @@ def sobol(count: int, columns: int) -> Array:
 
 
 def _column_bounds(robot: Robot, bounds_of: Callable[[UrdfJoint], tuple[float, float]]) -> Array:
-    """Return each column's bounds, narrowed so that joints that mimic it stay within theirs, where both can be had.
+    """Return bounds of the columns' joints, narrowed so that joints that mimic them stay within theirs, if possible.
 
     Args:
         robot: The robot, with m columns of q.
         bounds_of: Function of a joint that gives its lowest and highest value [rad or m].
 
     Returns:
-        Shape (m, 2), [rad] or [m], read-only.
+        Shape (m, 2), [rad] or [m], of the values of ``robot.inputs``, read-only.
     """
     bounds = np.array([bounds_of(joint) for joint in robot.inputs])
     values_at_zero = robot.chain_values(np.zeros(len(bounds)))[0]
@@ -149,7 +153,7 @@ def _range_of(joint: UrdfJoint) -> tuple[float, float]:
 
 @lru_cache(maxsize=16)
 def column_limits(robot: Robot) -> Array:
-    """Return the URDF's limits of each column of q, shape (m, 2), [rad] or [m]; infinite where there are none."""
+    """Return the URDF's limits of ``robot.inputs``, shape (m, 2), [rad] or [m]; infinite where there are none."""
     return _column_bounds(robot, _limits_of)
 
 
@@ -189,8 +193,8 @@ def joint_ranges(
     Args:
         robot: The robot, with m columns of q.
         given: Lowest and highest value by the joint's name [rad or m]; they win over ``like``.
-        like: Shape (N, m), joint values that were measured, in the order of ``robot.joint_names``; their least and
-            greatest value are the range. None: the ranges are those of `full_ranges`.
+        like: Shape (N, m), readings that were measured, in the order of ``robot.joint_names``; the least and the
+            greatest value of each joint there are the range. None: the ranges are those of `full_ranges`.
         margin: Added at both ends of ``like`` [rad or m], not beyond a limit; one number, or one for each joint.
 
     Returns:
@@ -202,9 +206,10 @@ def joint_ranges(
     limits = column_limits(robot)
     ranges = np.array(full_ranges(robot))
     if like is not None:
-        values = np.atleast_2d(np.asarray(like, dtype=np.float64))
-        if not values.size:
+        readings = np.atleast_2d(np.asarray(like, dtype=np.float64))
+        if not readings.size:
             raise CalibError("There are no rows to take the ranges of joints from; give one.")
+        values = robot.input_values(readings)
         least = values.min(axis=0)
         most = values.max(axis=0)
         # The margin ends at a limit; a value that was measured beyond it stays in.

@@ -7,12 +7,15 @@ pose of joint i in the frame of the joint before it, and the pose of the tip in 
 
 Every correction is a change of these placements, each carried by the ``<origin>`` of one URDF joint. The joints may lie
 on both sides of the link where the branches to base and tip part (`calib.robot.chain`), and may be more than the
-columns of q, where some mimic others or are held (`calib.robot.chain`).
+columns of q, where some mimic others or are held (`calib.robot.chain`). q are joint readings, which may be coupled
+(`calib.robot.readings`):
+
+    q_chain = A theta + b,    theta = C q
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
@@ -27,11 +30,14 @@ from calib.robot.chain import (
     all_values,
     chain_between,
     checked_held,
-    coupling,
+    coupling_of,
     farthest_link,
     rigid_inverse,
 )
-from calib.robot.urdf import Urdf, UrdfJoint, read_only, read_urdf
+from calib.robot.dh import STANDARD, DHRow, DHTable
+from calib.robot.dh_robot import DHRobot
+from calib.robot.readings import ReadingCoupling, checked_coupling, reading_matrix
+from calib.robot.urdf import Urdf, UrdfJoint, read_only, read_urdf, urdf_of_dh
 from calib.units import Array, Mask
 from calib.values.arguments import check_mapping, check_names, check_type, finite_numbers, numbers
 from calib.values.pickling import Value
@@ -47,7 +53,7 @@ _ROUNDING = 1e-12
 class Robot(Value):
     """A chain of a URDF, immutable: a changed robot is a new one. Lengths [m], angles [rad].
 
-    Two are equal when URDF, base, tip and held joints are.
+    Two are equal when URDF, base, tip, held joints and coupled readings are.
     """
 
     #: The n moving joints, base to tip, mimic and held ones too; those on the base's side with the axis turned round.
@@ -70,12 +76,16 @@ class Robot(Value):
     tip: str
     #: Held joints and their values [rad or m], by name.
     _held: tuple[tuple[str, float], ...]
+    #: Joints whose readings are coupled to others', sorted by name.
+    _reading_coupling: ReadingCoupling
     #: The joint of each column of q, m of them; a driver that lies outside the chain is among them.
     inputs: tuple[UrdfJoint, ...] = field(compare=False)
-    #: A of q_chain = A q + b, shape (n, m): how the joints of the chain follow the columns of q.
+    #: A of q_chain = A theta + b, shape (n, m): how the joints of the chain follow those of the columns.
     coupling: Array = field(compare=False)
-    #: b of q_chain = A q + b, shape (n,): offsets of mimic joints and held values [rad] or [m].
+    #: b of q_chain = A theta + b, shape (n,): offsets of mimic joints and held values [rad] or [m].
     _offset: Array = field(compare=False)
+    #: C of theta = C q, shape (m, m): the values of the columns' joints by their readings; identity: not coupled.
+    reading_matrix: Array = field(compare=False)
 
     @classmethod
     def load(
@@ -85,17 +95,21 @@ class Robot(Value):
         tip: str | None = None,
         measured: Collection[str] | None = None,
         held: Mapping[str, float] | None = None,
+        coupling: Mapping[str, Mapping[str, float]] | None = None,
     ) -> Robot:
-        """Load a robot from a URDF or xacro file, or by its name from example-robot-data.
+        """Load a robot from a URDF, a xacro or a file of DH rows, or by its name from example-robot-data.
 
         Args:
-            source: Path of a URDF; or of a xacro, with arguments behind it as in ``"ur.urdf.xacro ur_type:=ur5e"``; or
-                a name such as ``"ur3"`` or ``"panda"``.
+            source: Path of a URDF; or of a file of DH rows; or of a xacro, with arguments behind it as in
+                ``"ur.urdf.xacro ur_type:=ur5e"``; or a name such as ``"ur3"`` or ``"panda"``.
             base: Link in whose frame the poses are given; default the URDF's root link.
             tip: Link that the chain ends at; default the link with the most moving joints before it.
             measured: Names of the joints whose values are known: the default tip is reached by these alone, if it can.
             held: Values [rad or m] of joints that stay where they are, so that no column of q is theirs. Joints
                 beside the chain may be among them; they matter for gravity only, and are at zero if not named.
+            coupling: For each joint whose reading is coupled to others' the factors of these by name: with
+                ``{"joint_3": {"joint_2": 1.0}}`` the angle of joint_3 is its reading plus that of joint_2. Factors
+                between joints that turn and joints that slide are [m/rad] and [rad/m]. None: q are the joints' values.
 
         Raises:
             ArgumentError: It is no path and no name, but of another type.
@@ -107,9 +121,12 @@ class Robot(Value):
             'shoulder_pan_joint'
         """
         check_type(
-            "source", source, (str, Path), "the path of a URDF or xacro, or a name such as 'ur3'"
+            "source",
+            source,
+            (str, Path),
+            "the path of a URDF, a xacro or DH rows, or a name such as 'ur3'",
         )
-        return cls.from_urdf(read_urdf(source), base, tip, measured, held)
+        return cls.from_urdf(read_urdf(source), base, tip, measured, held, coupling)
 
     @classmethod
     def from_urdf(
@@ -119,6 +136,7 @@ class Robot(Value):
         tip: str | None = None,
         measured: Collection[str] | None = None,
         held: Mapping[str, float] | None = None,
+        coupling: Mapping[str, Mapping[str, float]] | None = None,
     ) -> Robot:
         """Return the chain from ``base`` to ``tip`` of a URDF that has been read.
 
@@ -128,18 +146,26 @@ class Robot(Value):
             tip: Link that the chain ends at; default the link with the most moving joints before it.
             measured: Names of the joints whose values are known: the default tip is reached by these alone, if it can.
             held: Values [rad or m] of joints that stay where they are, by name; see `load`.
+            coupling: Factors by name of readings that are added to those of each coupled joint; see `load`. None or
+                empty: those of the DH rows that the URDF was made from, if it was.
 
         Raises:
             UrdfError: No such link or joint, or a chain that calib cannot take.
         """
         _check_chain(base, tip, measured, held)
+        _check_coupling(coupling)
         held_values = checked_held(urdf, held)
+        dh = None if coupling else urdf.dh
+        if dh is not None:
+            coupling = dh.coupling
+        couplings = checked_coupling(urdf, coupling, dict(held_values))
         if base is None:
             base = urdf.root
         if tip is None:
             tip = farthest_link(urdf, base, measured, dict(held_values))
         chain = chain_between(urdf, base, tip)
-        columns = coupling(urdf, chain.joints, dict(held_values))
+        columns = coupling_of(urdf, chain.joints, dict(held_values))
+        names = [joint.name for joint in columns.inputs]
         return cls(
             joints=chain.joints,
             placements=chain.placements,
@@ -151,10 +177,70 @@ class Robot(Value):
             base=base,
             tip=tip,
             _held=held_values,
+            _reading_coupling=couplings,
             inputs=columns.inputs,
             coupling=columns.matrix,
             _offset=columns.offset,
+            reading_matrix=reading_matrix(urdf, names, couplings),
         )
+
+    @classmethod
+    def from_dh(
+        cls,
+        rows: Sequence[DHRow],
+        convention: str = STANDARD,
+        *,
+        name: str = "robot",
+        T_base_0: ArrayLike | None = None,
+        T_n_tip: ArrayLike | None = None,
+        coupling: Mapping[str, Mapping[str, float]] | None = None,
+    ) -> Robot:
+        """Return the robot that DH rows state, from the link ``base`` to the link ``flange``.
+
+            standard   T_base_tip = T_base_0  A_1 ... A_n  T_n_tip,   A_i = Rz(theta_i) Tz(d_i) Tx(a_i) Rx(alpha_i)
+            hayati     the same with A_i Ry(beta_i)
+            modified   M_i = Rx(alpha_(i-1)) Tx(a_(i-1)) Rz(theta_i) Tz(d_i)   (Craig)
+
+        where ``direction q_i + offset`` is added to theta_i, or to d_i of a joint that slides. Its URDF, `Robot.urdf`,
+        has links drawn as cylinders, and the rows in a comment.
+
+        Args:
+            rows: One for each joint, base to tip [m and rad].
+            convention: ``"standard"``, ``"modified"`` or ``"hayati"``.
+            name: Name of the robot.
+            T_base_0: Shape (4, 4), [m], pose before the first row; None: the identity.
+            T_n_tip: Shape (4, 4), [m], pose behind the last row; None: the identity.
+            coupling: Factors of the readings of other joints in a joint's value, by joint:
+                ``{"joint_3": {"joint_2": 1.0}}``, value_3 = reading_3 + reading_2.
+
+        Raises:
+            ArgumentError: An argument of another type.
+            ModelError: The rows make no robot.
+
+        Example:
+            A SCARA with arms of 325 and 275 mm, whose third joint slides down:
+
+            >>> import math
+            >>> from calib import DHRow
+            >>> robot = Robot.from_dh([
+            ...     DHRow("J1", d=0.4, a=0.325, lower=-2.3, upper=2.3),
+            ...     DHRow("J2", a=0.275, alpha=math.pi, lower=-2.6, upper=2.6),
+            ...     DHRow("J3", prismatic=True, lower=0.0, upper=0.2),
+            ...     DHRow("J4", lower=-6.28, upper=6.28),
+            ... ])
+            >>> robot.poses([0.0, 0.0, 0.1, 0.0])[0, :3, 3].round(3).tolist()
+            [0.6, -0.0, 0.3]
+        """
+        _check_rows(rows, convention, name)
+        poses = []
+        for argument, pose in (("T_base_0", T_base_0), ("T_n_tip", T_n_tip)):
+            given = np.eye(4) if pose is None else pose
+            poses.append(
+                read_only(finite_numbers(argument, given, (4, 4), "a pose of shape (4, 4)"))
+            )
+        table = DHTable(tuple(rows), poses[0], poses[1], convention)
+        stated = DHRobot(table, name, coupling=coupling or {})
+        return cls.from_urdf(urdf_of_dh(stated, name), stated.base, stated.tip)
 
     def rebuilt(
         self,
@@ -162,7 +248,7 @@ class Robot(Value):
         base: str | None = None,
         tip: str | None = None,
     ) -> Robot:
-        """Return the robot read anew from another URDF or between other links, with the same joints held.
+        """Return the robot read anew from another URDF or between other links, with the same joints held and coupled.
 
         Args:
             urdf: The URDF to read; None for this robot's.
@@ -177,6 +263,7 @@ class Robot(Value):
             self.base if base is None else base,
             self.tip if tip is None else tip,
             held=self.held,
+            coupling=self.reading_coupling,
         )
 
     def __repr__(self) -> str:
@@ -203,6 +290,11 @@ class Robot(Value):
     def held(self) -> dict[str, float]:
         """The values of joints that stay where they are [rad or m] by name, a new dictionary each time."""
         return dict(self._held)
+
+    @property
+    def reading_coupling(self) -> dict[str, dict[str, float]]:
+        """The factors of other joints' readings by name, by the coupled joint's name, as given; a new dictionary."""
+        return {name: dict(factors) for name, factors in self._reading_coupling}
 
     def poses(self, q: ArrayLike) -> Array:
         """Return T_base_tip, the pose of the tip in the base, shape (N, 4, 4), [m].
@@ -277,7 +369,7 @@ class Robot(Value):
         return values
 
     def chain_values(self, q: ArrayLike) -> Array:
-        """Return the values of ``joints``, q_chain = A q + b, shape (N, n), [rad] or [m].
+        """Return the values of ``joints``, q_chain = A C q + b, shape (N, n), [rad] or [m].
 
         Args:
             q: Shape (N, m) or (m,), [rad] or [m], columns in the order of ``joint_names``.
@@ -285,10 +377,40 @@ class Robot(Value):
         Raises:
             ModelError: The shape does not fit the chain, or a value is not finite.
         """
-        values = self.columns(q)
+        values = self.input_values(q)
         if tuple(joint.name for joint in self.joints) == self.joint_names:
             return values  # every joint is its own column
         result: Array = values @ self.coupling.T + self._offset
+        return result
+
+    def input_values(self, q: ArrayLike) -> Array:
+        """Return the values of ``inputs``, the joints of the columns, theta = C q, shape (N, m), [rad] or [m].
+
+        Args:
+            q: Shape (N, m) or (m,), readings [rad] or [m], columns in the order of ``joint_names``.
+
+        Raises:
+            ModelError: The shape does not fit the chain, or a value is not finite.
+        """
+        readings = self.columns(q)
+        if not self._reading_coupling:
+            return readings
+        result: Array = readings @ self.reading_matrix.T
+        return result
+
+    def readings(self, values: ArrayLike) -> Array:
+        """Return the readings q = C^-1 theta at values of ``inputs``, the inverse of `input_values`, shape (N, m).
+
+        Args:
+            values: Shape (N, m) or (m,), [rad] or [m], columns in the order of ``joint_names``.
+
+        Raises:
+            ModelError: The shape does not fit the chain, or a value is not finite.
+        """
+        theta = self.columns(values, "values")
+        if not self._reading_coupling:
+            return theta
+        result: Array = np.linalg.solve(self.reading_matrix, theta.T).T
         return result
 
     def urdf_values(self, q: ArrayLike) -> dict[str, Array]:
@@ -302,10 +424,9 @@ class Robot(Value):
         Raises:
             ModelError: The shape does not fit the chain, or a value is not finite.
         """
-        count = len(self.chain_values(q))  # checks shape and numbers
-        columns = np.reshape(np.asarray(q, dtype=np.float64), (count, -1)).T
-        by_name = dict(zip(self.joint_names, columns, strict=True))
-        return all_values(self.urdf, by_name, self.held, count)
+        values = self.input_values(q)
+        by_name = dict(zip(self.joint_names, values.T, strict=True))
+        return all_values(self.urdf, by_name, self.held, len(values))
 
     def with_placements(self, placements: Array) -> Robot:
         """Return a new robot with other placements, and the ``<origin>`` elements to match.
@@ -351,6 +472,16 @@ class Robot(Value):
         return origins
 
 
+def _check_rows(rows: object, convention: object, name: object) -> None:
+    """Refuse rows, a convention or a name of another type."""
+    allowed = "a sequence of DHRow, one for each joint"
+    check_type("rows", rows, Sequence, allowed)
+    for i, row in enumerate(rows):  # type: ignore[var-annotated,arg-type]
+        check_type(f"rows[{i}]", row, DHRow, "a DHRow")
+    check_type("convention", convention, str, "one of 'standard', 'modified' and 'hayati'")
+    check_type("name", name, str, "the name of the robot")
+
+
 def _check_chain(
     base: str | None,
     tip: str | None,
@@ -366,6 +497,14 @@ def _check_chain(
         check_mapping("held", held)
         for name, value in held.items():
             check_type(f"held[{name!r}]", value, (int, float, np.number), "a value [rad] or [m]")
+
+
+def _check_coupling(coupling: Mapping[str, Mapping[str, float]] | None) -> None:
+    """Refuse couplings of readings that are no mappings from names to mappings from names."""
+    if coupling is not None:
+        check_mapping("coupling", coupling)
+        for name, factors in coupling.items():
+            check_mapping(f"coupling[{name!r}]", factors)
 
 
 @lru_cache(maxsize=16)

@@ -6,6 +6,7 @@ import difflib
 import hashlib
 import importlib.metadata
 import os
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -17,6 +18,11 @@ import pinocchio as pin
 
 from calib.errors import UrdfError, choices, did_you_mean
 from calib.files import check_no_xacro, read_bytes, write_atomically
+from calib.json_files import parsed_json
+from calib.robot.dh_file import ENDINGS, read_dh_robot
+from calib.robot.dh_json import robot_of_json
+from calib.robot.dh_robot import DHRobot
+from calib.robot.dh_urdf import REMARK, dh_urdf
 from calib.robot.urdf_tree import UrdfJoint, read_only, read_tree
 from calib.robot.urdf_xml import Document
 from calib.robot.xacro_file import XacroCall, flattened, is_xacro
@@ -100,6 +106,23 @@ class Urdf(Value):
         stated = [comment.text.strip() for comment in self._document.comments]
         verdicts = [text.removeprefix(_VERDICT) for text in stated if text.startswith(_VERDICT)]
         return verdicts[0] if verdicts else ""
+
+    @property
+    def dh(self) -> DHRobot | None:
+        """The DH rows that a comment of the file states, from which it was made; None of any other URDF.
+
+        Of a corrected URDF they are still those from which the nominal one was made.
+
+        Raises:
+            ModelError: The comment was changed, so that it makes no robot.
+        """
+        for comment in self._document.comments:
+            text = comment.text.strip()
+            if text.startswith(REMARK):
+                return robot_of_json(
+                    parsed_json(text.removeprefix(REMARK), self.source), self.source
+                )
+        return None
 
     def elements(self) -> AnyElement:
         """Return the whole file as elements, a new tree at each call."""
@@ -313,15 +336,33 @@ def _origin_tag(T: Array) -> bytes:
     return '<origin xyz="{xyz}" rpy="{rpy}"/>'.format(**_xyz_rpy(T)).encode()
 
 
+def urdf_of_dh(robot: DHRobot, source: str, path: Path | None = None) -> Urdf:
+    """Return the URDF of a robot that DH rows state, with links drawn as cylinders.
+
+    Args:
+        robot: The robot; the joints of the URDF have the values of its joints, not coupled readings.
+        source: Name of the file that has the rows, for messages.
+        path: That file; None for none.
+    """
+    return Urdf.from_bytes(dh_urdf(robot), source, path)
+
+
 def read_urdf(source: str | Path) -> Urdf:
     """Read the URDF of a file, of a xacro with the arguments behind it, or of a robot of example-robot-data.
 
+    A file of DH rows is read as the URDF that they state.
+
     Raises:
         FileError: The file cannot be read.
+        MeasurementError: It is a table of something else than DH rows, or has a fault.
+        ModelError: DH rows make no robot.
         UrdfError: There is no such robot, the xacro has a fault, or it is not a URDF that can be calibrated.
     """
     if not is_xacro(source):
-        return Urdf.read(find_urdf(source))
+        path = find_urdf(source)
+        if path.suffix.lower() in ENDINGS:
+            return urdf_of_dh(read_dh_robot(path), path.name, path)
+        return Urdf.read(path)
     call = XacroCall.parse(source)
     data = flattened(call)
     try:
@@ -345,15 +386,17 @@ def robot_data_urdfs() -> dict[str, Path]:
 def find_urdf(source: str | Path) -> Path:
     """Return the URDF file that a path, or the name of a robot of example-robot-data, means; UrdfError if none.
 
-    ``<name>_robot.urdf`` comes before ``<name>.urdf``: that package's own loader returns a UR5 for ``"ur3"``.
+    ``<name>_robot.urdf`` comes before ``<name>.urdf``: that package's own loader returns a UR5 for ``"ur3"``. Names are
+    read in any case.
     """
     path = Path(source)
     if path.suffix or len(path.parts) != 1 or os.path.isfile(path):  # noqa: PTH113  of any length
         return path
     urdfs = robot_data_urdfs()
+    plain = {name.casefold(): path for name, path in urdfs.items()}
     for name in (f"{source}_robot.urdf", f"{source}.urdf"):
-        if name in urdfs:
-            return urdfs[name]
+        if name.casefold() in plain:
+            return plain[name.casefold()]
     known = sorted({name.removesuffix(".urdf").removesuffix("_robot") for name in urdfs})
     raise UrdfError(
         f"'{source}' is neither a file here nor a robot of example-robot-data{_similar(str(source), known)}. Give "
@@ -364,22 +407,31 @@ def find_urdf(source: str | Path) -> Path:
 def _similar(name: str, known: list[str]) -> str:
     """Return names of robots like the one given, as the end of a message that says they may be others.
 
-    A ``ur10e`` is no ``ur10``: its first link is 53 mm longer.
+    A ``ur10e`` is no ``ur10``: its first link is 53 mm longer. Only names with the same numbers are proposed.
 
     Args:
         name: The name given.
         known: The names of all robots of example-robot-data.
 
     Returns:
-        Names that begin with the one given, or that it begins with; else those that differ by few letters.
+        Names that continue the one given, or that it continues, after a separator; else those that differ by few
+        letters.
     """
     given = name.casefold()
-    similar = [
-        robot
-        for robot in known
-        if robot.casefold().startswith(given) or given.startswith(robot.casefold())
-    ]
-    similar = similar or difflib.get_close_matches(given, known, n=3)
+    similar = [robot for robot in known if _continues(given, robot) or _continues(robot, given)]
+    numbered = [robot for robot in known if _numbers_in(robot) == _numbers_in(given)]
+    similar = similar or difflib.get_close_matches(given, numbered, n=3)
     if not similar:
         return ""
     return f" (similar names there, which may be other robots: {choices(similar)})"
+
+
+def _continues(longer: str, shorter: str) -> bool:
+    """Return True if a name is another one, in any case, or that and more after a separator, as ``ur5-limited`` is."""
+    end = longer.casefold().removeprefix(shorter.casefold())
+    return end == "" or (end != longer.casefold() and not end[0].isalnum())
+
+
+def _numbers_in(name: str) -> list[str]:
+    """Return the numbers in a name, with the letters behind them as in ``["10e"]``: they tell kinds of robots apart."""
+    return re.findall(r"\d+[a-z]*", name.casefold())

@@ -141,7 +141,7 @@ class Scenario(Value):
         return VirtualCell(self, truth)
 
     def random_poses(self, count: int, seed: int, *, validation: bool = False) -> Array:
-        """Draw joint values inside the limits, or the cell's ranges.
+        """Draw readings at joint values inside the limits, or the cell's ranges.
 
         Args:
             count: Number of poses.
@@ -154,7 +154,8 @@ class Scenario(Value):
         check_whole("count", count, 0)
         low, high = joint_ranges(self.robot, self.cell.ranges).T
         rng = stream(seed, "validation poses" if validation else "poses")
-        return np.asarray(low + (high - low) * rng.uniform(size=(count, len(low))))
+        values = low + (high - low) * rng.uniform(size=(count, len(low)))
+        return self.robot.readings(values)
 
     def poses(
         self,

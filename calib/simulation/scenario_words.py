@@ -12,6 +12,7 @@ import numpy as np
 from calib.channels import RESIDUAL_UNITS
 from calib.data.cell import Cell, TrackerNoise
 from calib.data.cell_file import DEGREES, MM, POINT, TEXT, Field, numbers, read_table, read_toml
+from calib.inputs import chain_of, robot_of
 from calib.model.error_model import error_model
 from calib.model.families import unit_of
 from calib.model.parameters import ErrorModel
@@ -112,7 +113,7 @@ def _true_robot(robot: Robot, path: Path | None) -> Robot | None:
     """Load the true robot, with the chain of the nominal one; None without a file."""
     if path is None:
         return None
-    return Robot.load(path, robot.base, robot.tip, held=robot.held)
+    return robot_of(path, chain_of(robot))
 
 
 def _target_error(text: str | None) -> float:

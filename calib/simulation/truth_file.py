@@ -13,6 +13,7 @@ import pinocchio as pin
 from calib.files import write_atomically
 from calib.json_files import json_bytes
 from calib.model.parameters import ErrorModel
+from calib.robot.readings import coupling_table
 from calib.robot.robot import Robot
 from calib.simulation.scenario import Scenario, Simulated
 from calib.simulation.truth import Truth
@@ -80,6 +81,7 @@ def _robot_table(robot: Robot) -> dict[str, Any]:
         "tip": robot.tip,
         "joints": robot.joint_names,
         "held": held,
+        "coupling": coupling_table(robot.reading_coupling),
     }
 
 

@@ -14,6 +14,7 @@ from calib.data.forms.orientations import find_convention
 from calib.robot.robot import rigid_inverse
 from calib.text.layout.lines import fill
 from calib.text.layout.tables import Column, name_column, table_lines
+from calib.text.readings import coupling_sentence
 from calib.text.verdict import reason_text
 from calib.units import Array
 
@@ -273,7 +274,8 @@ def _program(commands: Commands) -> str:
     kept = ", ".join(label for label, _ in program.kept if label)
     if kept:
         text += f" Copied as they are: {kept}."
-    return fill(text)
+    coupling = coupling_sentence(robot)
+    return fill(f"{text} {coupling}" if coupling else text)
 
 
 def _corrections(commands: Commands) -> str:

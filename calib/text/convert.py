@@ -10,6 +10,7 @@ import numpy as np
 
 from calib.robot.ranges import spread_poses
 from calib.text.layout.lines import deg, fill, mm
+from calib.text.readings import coupling_sentence
 from calib.units import Array
 
 if TYPE_CHECKING:
@@ -39,6 +40,20 @@ _NOTES: dict[Code, str] = {
     "nearly parallel axes": "Nearly parallel axes: {0}. d and theta of their rows may be large (here up to {1:.3g} mm) "
     "and cancel over the rows: enter every digit, and all rows together. 'hayati' has no such rows.",
     "joints without value": "Joints without a value of their own: {0}.",
+    "coupled readings": "The joints of the URDF are at their angles, not at the controller's readings. For calib the "
+    "cell file says {0}{1}.",
+    "rows read": "{0} DH rows, {1} convention, {2}.",
+    "rows written": "The convention of the rows is {0}, {1}.",
+    "zeros not determined": "The measurements do not determine the zero of {0}, or it was frozen: leave it as it is. "
+    "An unknown frame turns with the first joint, and a target whose place is not given with the last.",
+    "zeros not validated": "These errors are of the fitted rows, and prove nothing: calibrate without --no-validate, "
+    "or with validation rows.",
+    "zeros no better": "Joint zeros alone are no better than the nominal robot on these {0} rows. They were accepted.",
+    "changes alone": "The file has the changes alone, to be added to the numbers of the robot's own file; with "
+    "--update FILE it is a copy of that file with the sums.",
+    "comments not kept": "The comments of {0} are not in the new file.",
+    "end positions move": "range_min and range_max stay as they are, so that each joint's end positions move with its "
+    "zero: check them. The readings must grow with the servo's ticks; where they fall, turn the sign.",
 }
 
 
@@ -53,17 +68,24 @@ def text(conversion: Conversion, name: str) -> str:
         What was read, its verdict, the displacement of the tip, notes, and the file written, in lines of 100 columns.
     """
     from calib.formats.convert import FORMATS
+    from calib.text.zeros import has_zeros, zeros_text
 
     notes = [note_text(note) for note in (*conversion.source.notes, *conversion.notes)]
     written = FORMATS[conversion.format].what
     sentences = [
         _read(conversion, name),
         *_verdict(conversion, name),
-        _displacement(conversion),
+    ]
+    last = [
         *dict.fromkeys(notes),  # reader and writer may say the same
         f"Written: {conversion.path}, {written}.",
     ]
     paragraphs = [fill(sentence) for sentence in sentences]
+    if has_zeros(conversion):
+        paragraphs += zeros_text(conversion)
+    elif _displacement(conversion):
+        paragraphs.append(fill(_displacement(conversion)))
+    paragraphs += [fill(sentence) for sentence in last]
     if conversion.format == "ur-yaml":
         paragraphs.append(_launch(conversion))
     return "\n\n".join(paragraphs)
@@ -79,7 +101,9 @@ def _read(conversion: Conversion, name: str) -> str:
         parts.append(source.hash)
     robot = source.robot
     parts += [f"'{robot.base}' to '{robot.tip}'", f"{len(robot.joints)} joints"]
-    return ", ".join(parts) + "."
+    coupling = coupling_sentence(robot)
+    sentence = ", ".join(parts) + "."
+    return f"{sentence} {coupling}" if coupling else sentence
 
 
 def _launch(conversion: Conversion) -> str:
@@ -122,8 +146,10 @@ def _verdict(conversion: Conversion, name: str) -> Iterator[str]:
 
 
 def _displacement(conversion: Conversion) -> str:
-    """Word the displacement of the tip from that of the nominal robot, over the joint limits."""
+    """Word the displacement of the tip from that of the nominal robot, over the joint limits; nothing of rows alone."""
     source = conversion.source
+    if source.nominal is None and source.kind == "rows":
+        return ""
     if source.nominal is None:
         return "The distance from its nominal robot is not known; --robot names that robot."
     if source.robot is source.nominal:

@@ -10,13 +10,14 @@ import pinocchio as pin
 from calib.channels import RESIDUAL_UNITS
 from calib.design.forecast import Forecast
 from calib.diagnosis.inspection import GENERIC_ANCHOR, GENERIC_TARGET, Inspection
-from calib.model.dh import DHRow
 from calib.model.dh_table import dh_table
+from calib.robot.dh import DHRow
 from calib.robot.robot import Robot
 from calib.robot.urdf import UrdfJoint
 from calib.text.layout.lines import fill, listed, number, wrap
 from calib.text.layout.sizes import with_unit
 from calib.text.layout.tables import Column, name_column, table_lines
+from calib.text.readings import coupling_sentence
 from calib.text.summary import combination_text
 from calib.units import Array, Mask
 
@@ -79,6 +80,9 @@ def _chain(robot: Robot) -> Iterator[str]:
         text = _coupled(robot, joint, factors, float(offset))
         if text:
             yield wrap(text, "  ")
+    coupling = coupling_sentence(robot)
+    if coupling:
+        yield wrap(coupling, "  ")
     if robot.base_moves:
         text = (
             f"Joints move the base '{robot.base}' itself; they are listed from the base outwards."

@@ -10,8 +10,9 @@ import numpy as np
 
 from calib.channels import RESIDUAL_UNITS
 from calib.robot.ranges import range_text
-from calib.text.layout.lines import fill, row_ranges
+from calib.text.layout.lines import fill, row_ranges, wrap
 from calib.text.layout.tables import Column, labelled, name_column, table_lines
+from calib.text.readings import coupling_sentence
 
 if TYPE_CHECKING:
     from calib.design.forecast import Forecast
@@ -116,6 +117,9 @@ def _head(plan: PlanValues) -> Iterator[str]:
         ("rejected", rejected or "none"),
     ):
         yield labelled(label, text, _PLAN_LABEL, "  ")
+    coupling = coupling_sentence(robot)
+    if coupling:
+        yield wrap(coupling, "  ")
 
 
 def _forecasts(plan: PlanValues) -> Iterator[str]:

@@ -55,6 +55,12 @@ SENTENCES = {
     + "the poses are inverted: give the pose of the target in the measurement frame, not that of "
     "the frame in the target (solvePnP gives the board in the camera).",
     Why.COLUMNS_REVERSED: _OFF + "the joint columns are in reverse order: check the header.",
+    Why.READINGS_COUPLED: _OFF
+    + "the readings of '{joint}' are coupled to those of '{reading}': write "
+    "{joint} = {{ {reading} = {factor:.1f} }} below [coupling] in the cell file.",
+    Why.READINGS_NOT_COUPLED: _OFF
+    + "the readings of '{joint}' are not coupled to those of '{reading}': omit '{reading}' there, "
+    "below [coupling] in the cell file.",
     Why.ROWS_SHIFTED: _OFF
     + "joint values and measurements are shifted by one row against each other: check which "
     "measurement belongs to which pose.",

@@ -354,6 +354,8 @@ def _content(shown: Shown, other: RobotInput | None) -> View:
     first = robot_of(shown, argument="shown")
     second = None
     if other is not None:
-        second = robot_of(other, Cell(base=first.base, tip=first.tip), argument="other")
+        coupling = first.reading_coupling
+        chain = Cell(base=first.base, tip=first.tip, coupling=coupling)
+        second = robot_of(other, chain, argument="other")
     names = (("First", first.urdf.source), ("Second", (second or first).urdf.source))
     return view_of_robots(first, second, names=names)

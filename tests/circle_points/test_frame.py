@@ -7,8 +7,15 @@ import pinocchio as pin
 import pytest
 
 from calib.circle_points.fits import Circle, Plane, fit_circle, fit_plane
-from calib.circle_points.frame import BaseFrame, Line, frame_of, nominal_axes_frame
-from calib.robot.robot import rigid_inverse
+from calib.circle_points.frame import (
+    BaseFrame,
+    Line,
+    frame_of,
+    nominal_axes,
+    nominal_axes_frame,
+)
+from calib.errors import UrdfError
+from calib.robot.robot import Robot, rigid_inverse
 
 SIGMA = 33e-6
 T_TRUE = pin.exp6(np.array([2.0, 1.0, -0.5, 0.3, -0.8, 1.2])).homogeneous
@@ -115,3 +122,11 @@ def test_a_plane_of_four_points_widens_the_intervals_as_its_one_degree_of_freedo
         within.append(np.abs(error(frame)) <= frame.within())
     assert frame.dof[2] < 1.5
     assert np.all((np.mean(within, axis=0) > 0.91) & (np.mean(within, axis=0) < 0.99))
+
+
+def test_a_joint_with_a_coupled_reading_does_not_turn_alone(ur3: Robot):
+    coupling = {"elbow_joint": {"shoulder_lift_joint": -1.0}}
+    coupled = Robot.from_urdf(ur3.urdf, ur3.base, ur3.tip, coupling=coupling)
+    assert len(nominal_axes(ur3)) == 6
+    with pytest.raises(UrdfError, match="or with a coupled reading"):
+        nominal_axes(coupled)

@@ -166,6 +166,37 @@ def test_what_is_printed_with_an_estimated_frame(call, large: Path):
     assert "it has 'left', 'right'" in call(large, *words, "--poses-in", "middle").err
 
 
+def test_coupled_readings_of_the_cell_file(call, folder: Path):
+    """The program in readings of a controller that couples them: its commands are the same joint angles."""
+    write(
+        folder / "cell.toml",
+        'base = "base"',
+        'tip = "tool0"',
+        "[coupling]",
+        "elbow_joint = { shoulder_lift_joint = -1.0 }",
+    )
+    write(folder / "readings.csv", HEADER, "-40,-85,-10,-120,-45,0", "-20,-75,10,-140,-45,0")
+    model = ("--corrected", "corrected.urdf", "--accept")
+    chain = ("--base", "base", "--tip", "tool0")
+    plain = call(folder, "compensate", "robot.urdf", "program.csv", *model, *chain, "-o", "a.csv")
+    words = ("--cell", "cell.toml", "-o", "b.csv")
+    coupled = call(folder, "compensate", "robot.urdf", "readings.csv", *model, *words)
+    assert (plain.code, coupled.code) == (0, 0)
+    assert "'elbow_joint' is at its reading minus that of 'shoulder_lift_joint'." in said(coupled)
+    for angles, readings in zip(table(folder / "a.csv"), table(folder / "b.csv"), strict=True):
+        for name in JOINTS:
+            value = float(readings[f"{name}_joint [deg]"])
+            if name == "elbow":
+                value -= float(readings["shoulder_lift_joint [deg]"])
+            assert value == pytest.approx(float(angles[f"{name}_joint [deg]"]), abs=1e-8)
+        assert readings["x [mm]"] == angles["x [mm]"]
+    # A result knows its own readings, and this one has none that are coupled.
+    words = ("--calibration", "result.json", "--cell", "cell.toml", "-o", "c.csv")
+    refused = call(folder, "compensate", "robot.urdf", "readings.csv", *words)
+    assert refused.code != 0
+    assert "coupled readings of no joint" in refused.err
+
+
 def test_a_corrected_urdf_in_place_of_a_result(call, folder: Path):
     names = ("--corrected", "corrected.urdf", "--base", "base", "--tip", "tool0")
     words = ("compensate", "robot.urdf", "program.csv")

@@ -2,11 +2,13 @@ from __future__ import annotations
 
 import csv
 import json
+import shutil
 from pathlib import Path
 from typing import get_args
 
 import pytest
 
+from calib.example import dh_rows
 from calib.formats.notes import Code
 from calib.text.convert import _NOTES
 from tests.formats.forms import write_forms
@@ -49,6 +51,44 @@ def test_what_is_printed(call, folder, tmp_path):
     words = ("--tip", "tool0", "--hold", "elbow_joint=30 deg", "--to", "dh", "-o")
     assert call(folder, "convert", "robot.urdf", *words, tmp_path / "h.csv").code == 0
     assert ",held at 30 deg," in (tmp_path / "h.csv").read_text()
+
+
+def test_zeros_are_written_with_the_servo_s_own_file(call, folder, tmp_path):
+    names = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
+    own = {f"{name}_joint": {"homing_offset": 100} for name in names}
+    (tmp_path / "own.json").write_text(json.dumps(own))
+    words = ("--to", "lerobot", "--update", tmp_path / "own.json", "--ticks", "8192", "-o")
+    done = call(folder, "convert", "result.json", *words, tmp_path / "new.json")
+    assert done.code == 0
+    assert "Rms error of validation rows" in done.out
+    new = json.loads((tmp_path / "new.json").read_text())
+    assert new["shoulder_pan_joint"]["homing_offset"] == 92  # 0.345 deg of 0.044 deg a tick
+    assert new["wrist_3_joint"]["homing_offset"] == 100
+    done = call(folder, "convert", "robot.urdf", "--to", "zeros", "-o", tmp_path / "z.csv")
+    assert (done.code, "calib calibrate" in done.err) == (1, True)
+
+
+def test_a_robot_of_rows_from_its_file_to_corrected_rows(call, tmp_path):
+    """The way of an owner of an arm without a URDF: a table of rows is the robot everywhere."""
+    shutil.copy(dh_rows("fanuc_lrmate200id"), tmp_path / "rows.csv")
+    done = call(tmp_path, "convert", "rows.csv", "--to", "urdf", "-o", "robot.urdf")
+    assert done.code == 0
+    assert "6 DH rows, standard convention" in said(done.out)
+    assert "[coupling] J3 = { J2 = 1 }, or the rows in a comment" in said(done.out)
+    words = ("rows.csv", "--count", "30", "--validation", "5", "-o", "data.csv")
+    assert call(tmp_path, "simulate", *words).code == 0
+    words = ("rows.csv", "data.csv", "--model", "zeros", "--json", "result.json", "-o", "c.urdf")
+    assert call(tmp_path, "calibrate", *words, "--accept").code == 0
+    words = ("result.json", "--to", "dh", "-o", "corrected.csv", "--accept")
+    done = call(tmp_path, "convert", *words)
+    assert "The convention of the rows is standard" in said(done.out)
+    lines = (tmp_path / "corrected.csv").read_text().splitlines()
+    rows = list(csv.DictReader(line for line in lines if not line.startswith("#")))
+    assert {row["value added"] for row in rows if row["joint"] == "J3"} == {"J3 + J2"}
+    assert call(tmp_path, "inspect", "corrected.csv").code == 0
+    done = call(tmp_path, "calibrate", "data.csv", "rows.csv")
+    assert done.code == 1
+    assert "ROBOT comes first" in said(done.err)
 
 
 def test_every_note_has_words():

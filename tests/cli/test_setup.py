@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from calib.cli.options import TableOptions
-from calib.cli.setup import load_with_data, read_cell, with_chain_of_result, with_target_link
+from calib.cli.setup import (
+    load,
+    load_with_data,
+    read_cell,
+    with_chain_of_result,
+    with_target_link,
+)
 from calib.data.cell import Cell
 from calib.errors import CalibError
 from calib.example import paper_urdf
@@ -61,7 +68,7 @@ def test_the_kind_of_the_cell_is_that_of_the_table(shop: Path):
 
 def test_data_in_the_place_of_the_robot_are_refused(shop: Path):
     with pytest.raises(CalibError, match="ROBOT comes first"):
-        load_with_data("data.csv", Cell(), shop / "robot.urdf")
+        load_with_data(str(shop / "joints.csv"), Cell(), shop / "robot.urdf")
     with pytest.raises(CalibError, match="--points-unit"):
         load_with_data("robot.urdf", Cell(), shop / "data.csv", TableOptions(points_unit="mm"))
 
@@ -74,6 +81,25 @@ def test_the_chain_of_a_result_is_that_of_the_cell(examples):
     for wrong in (Cell(base="elsewhere"), Cell(tip="elsewhere")):
         with pytest.raises(CalibError, match="elsewhere"):
             with_chain_of_result(wrong, result, "result.json")
+
+
+def test_the_coupled_readings_of_a_result_are_those_of_the_cell(examples):
+    result = read_result(examples.folder / "result.json")
+    nominal = result.nominal
+    coupling = {"elbow_joint": {"shoulder_lift_joint": 1.0}}
+    robot = Robot.from_urdf(nominal.urdf, nominal.base, nominal.tip, coupling=coupling)
+    coupled = replace(result, nominal=robot)
+    assert with_chain_of_result(Cell(), coupled, "r.json").coupling == coupling
+    assert with_chain_of_result(Cell(coupling=coupling), coupled, "r.json").coupling == coupling
+    assert with_chain_of_result(Cell(), result, "r.json").coupling == {}
+    with pytest.raises(CalibError, match="coupled readings of no joint, and the cell file couples"):
+        with_chain_of_result(Cell(coupling=coupling), result, "r.json")
+    other = Cell(coupling={"elbow_joint": {"shoulder_lift_joint": -1.0}})
+    with pytest.raises(CalibError, match=r"Leave out \[coupling\]"):
+        with_chain_of_result(other, coupled, "r.json")
+    assert (
+        load("ur3", Cell(base="base", tip="tool0", coupling=coupling)).reading_coupling == coupling
+    )
 
 
 def test_the_target_of_a_urdf_is_at_its_link(tmp_path: Path):

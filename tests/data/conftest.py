@@ -1,18 +1,16 @@
 """Files of a table and of a list of points."""
 
+import functools
+
 import pytest
+
+from tests.data.tables import write_lines
 
 
 @pytest.fixture
 def table(tmp_path):
     """Writes a table's lines to a file and gives its path."""
-
-    def write(*lines, encoding="utf-8", name="data.csv"):
-        path = tmp_path / name
-        path.write_bytes("\n".join([*lines, ""]).encode(encoding))
-        return path
-
-    return write
+    return functools.partial(write_lines, tmp_path)
 
 
 @pytest.fixture

@@ -14,6 +14,13 @@ HEADER = "row,set,a [deg],b [deg],x [mm],y [mm],z [mm]"
 ROWS = ("1,estimate,10,20,300,400,500", "2,validate,-30,420.75,301.5,-400,500")
 
 
+def write_lines(folder, *lines, encoding="utf-8", name="data.csv"):
+    """The path of a file with these lines."""
+    path = folder / name
+    path.write_bytes("\n".join([*lines, ""]).encode(encoding))
+    return path
+
+
 def refused(path, says, **arguments):
     """The text with which a table is refused; it holds each of the words."""
     with pytest.raises(MeasurementError) as caught:

@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
-from calib.data.columns import name_columns, reserved, with_unit
+from calib.data.columns import name_columns, names_in, reserved, with_unit
+from calib.data.forms.column_options import ColumnOptions
 from calib.data.measurements import Measurements
-from calib.data.table import Column, Table
 from calib.errors import MeasurementError
+from calib.table import Column, Table
 from tests.data.tables import assert_same, refused
 
 
@@ -96,3 +97,10 @@ def test_headers_that_are_refused(table, header, joint_names, says):
         joint_names=joint_names and [*joint_names],
         says=["data.csv", *says],
     )
+
+
+def test_the_names_of_a_table(table):
+    value = Table.read(table("A1 [deg];b [m]", "1,5;2"))
+    assert names_in(value) == {"A1", "b"}
+    assert names_in(value, {"A1": "elbow [deg]"}) == {"A1", "b", "elbow"}
+    assert names_in(value, ColumnOptions(brand="kuka")) is None

@@ -114,3 +114,33 @@ def test_nothing_left_names_the_reasons(ur3):
     ]
     with pytest.raises(ModelError, match=r"^None of (\d+) .*: \d+ by region, \d+ by collision\."):
         draw(ur3, planning_ranges(ur3, {}, 0.0), tests, 10, 0)
+
+
+# Coupled readings
+
+
+@pytest.mark.parametrize("factor", [1.0, -1.0, 0.37])
+def test_candidates_of_coupled_readings_keep_the_joints_in_their_ranges(mixed, factor):
+    robot = Robot.from_urdf(
+        mixed.urdf, mixed.base, mixed.tip, coupling={"j3": {"j1": factor}, "j2": {"j1": 0.1}}
+    )
+    ranges = planning_ranges(robot, {"j2": (0.0123456, 0.3)}, 0.0)
+    np.testing.assert_array_equal(ranges, planning_ranges(mixed, {"j2": (0.0123456, 0.3)}, 0.0))
+    q = draw(robot, ranges, [], 3000, 0).q
+    low, high = ranges.T
+    values = q.copy()
+    values[:, 1] += 0.1 * q[:, 0]
+    values[:, 2] += factor * q[:, 0]
+    assert (values >= low).all()
+    assert (values <= high).all()
+    assert (np.ptp(values, axis=0) > 0.99 * (high - low)).all()
+    # The readings are what a table writes, whole steps of 0.001 deg and 0.001 mm.
+    steps = q / np.array([DEG, 1e-3, DEG]) * 1000.0
+    np.testing.assert_allclose(steps, np.round(steps), rtol=0, atol=1e-6)
+
+
+def test_a_range_narrower_than_the_rounding_is_kept_in_its_middle(mixed):
+    robot = Robot.from_urdf(mixed.urdf, mixed.base, mixed.tip, coupling={"j3": {"j1": 1.0}})
+    ranges = planning_ranges(robot, {"j3": (0.1, 0.1 + 1e-7)}, 0.0)
+    q = draw(robot, ranges, [], 100, 0).q
+    np.testing.assert_allclose(q[:, 2] + q[:, 0], 0.1, rtol=0, atol=1.01e-3 * DEG)

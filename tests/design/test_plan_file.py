@@ -173,7 +173,11 @@ def keys(value):
 
 
 def test_the_document_has_every_key(planned):
-    blocked = replace(planned, blocked=(Blocked(1, 2, None),))
+    coupling = {"elbow_joint": {"shoulder_lift_joint": -1.0}}
+    robot = Robot.from_urdf(planned.robot.urdf, "base", "tool0", coupling=coupling)
+    blocked = replace(planned, blocked=(Blocked(1, 2, None),), robot=robot)
+    stored = plan_table(blocked)["robot"]["coupling"]
+    assert stored == [{"joint": "elbow_joint", "reading": "shoulder_lift_joint", "factor": -1.0}]
     lines = (Path(__file__).parents[2] / "docs" / "planning.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\| (`.*?) \|", lines.partition("## The plan as JSON")[2], re.MULTILINE)
     documented = set(re.findall(r"[A-Za-z0-9_]+", " ".join(rows))) | {"schema"}

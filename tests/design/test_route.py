@@ -38,6 +38,10 @@ def test_joints_of_more_than_a_turn():
     assert limits[3] == pytest.approx([-1.0, 1.0])
     # The elbow has one turn, and a joint with a range is kept in it.
     assert turning(ur3, limits).tolist() == [True, True, False, False, True, True]
+    # A turn of a reading that another joint counts would turn that one as well, and the other way round.
+    coupling = {"elbow_joint": {"shoulder_lift_joint": 1.0}, "wrist_3_joint": {"elbow_joint": 1.0}}
+    coupled = Robot.load("urdf/ur3.urdf", base="base", tip="tool0", coupling=coupling)
+    assert turning(coupled, limits).tolist() == [True, False, False, False, True, False]
 
 
 # A pose in between

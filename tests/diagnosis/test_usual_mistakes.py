@@ -93,6 +93,35 @@ def test_each_usual_mistake_is_named(ur3: Robot, thirty: Measurements, mistake, 
     assert all(one in " ".join(map(str, told.values.values())) for one in values)
 
 
+@pytest.mark.parametrize(
+    ("stated", "true", "why"),
+    [
+        ({}, {ELBOW: {LIFT: 1.0}}, Why.READINGS_COUPLED),
+        ({}, {WRISTS[1]: {WRISTS[0]: -1.0}}, Why.READINGS_COUPLED),
+        ({ELBOW: {LIFT: 1.0}}, {ELBOW: {LIFT: -1.0}}, Why.READINGS_COUPLED),
+        ({ELBOW: {LIFT: 1.0}}, {}, Why.READINGS_NOT_COUPLED),
+        (
+            {ELBOW: {LIFT: 1.0}, WRISTS[0]: {ELBOW: 1.0}},
+            {ELBOW: {LIFT: -1.0}, WRISTS[0]: {ELBOW: 1.0}},
+            Why.READINGS_COUPLED,
+        ),
+    ],
+)
+def test_coupled_readings_are_named(ur3: Robot, thirty: Measurements, stated, true, why):
+    """The paper's joint values as readings of a controller that couples them."""
+    there, here = (
+        Robot.from_urdf(ur3.urdf, ur3.base, ur3.tip, coupling=coupling)
+        for coupling in (true, stated)
+    )
+    told = find_usual_mistake(here, Cell(), replace(thirty, joints=there.readings(thirty.joints)))
+    assert told.why == why
+    assert 2e-3 < told.values["error_m"] < 3e-3
+    assert "others" not in told.values
+    (joint, factors), *_ = (true or stated).items()
+    assert (told.values["joint"], told.values["reading"]) == (joint, next(iter(factors)))
+    assert told.values.get("factor") == next(iter(true.get(joint, {}).values()), None)
+
+
 def test_all_explanations_that_the_rows_cannot_tell_apart_are_named(
     ur3: Robot, thirty: Measurements
 ):

@@ -9,9 +9,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calib.errors import FileError, ModelError
+from calib.example import dh_rows
 from calib.formats.dh_files import ENDINGS, DHTables, write_dh
-from calib.model.dh import CONVENTIONS
 from calib.model.dh_table import dh_table
+from calib.robot.dh import CONVENTIONS
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
 
@@ -152,8 +153,8 @@ def test_notes(ur3):
 
 def test_joints_that_follow_others_and_held_ones(crooked):
     tables = DHTables.of(crooked)
-    added = ["lift, up", "_arm|*a*_", "-2 * _arm|*a*_ + 5.72957795131 deg"]
-    assert [formula for *_, formula in tables.added()] == added
+    wanted = ["lift, up", "_arm|*a*_", "-2 * _arm|*a*_ + 5.72957795131 deg"]
+    assert [added.formula for added in tables.added()] == wanted
     assert tables.notes[-1].code == "joints without value"
     held = Robot.from_urdf(crooked.urdf, tip="t", held={"lift, up": 0.25})
     assert DHTables.of(held).added()[0][3] == "held at 250 mm"
@@ -167,3 +168,27 @@ def test_what_is_refused(ur3, tmp_path, monkeypatch):
     monkeypatch.setattr("calib.formats.dh_files.dh_table", lambda *_, **__: other)
     with pytest.raises(ModelError, match=r"standard.*nothing is written"):
         DHTables.of(ur3)
+
+
+def test_rows_in_the_form_that_they_came_in(tmp_path):
+    nominal = Robot.load(dh_rows("fanuc_lrmate200id"))
+    robot = moved(nominal, 1e-4)
+    tables = DHTables.of(robot, nominal)
+    formulas = [added.formula for added in tables.added()]
+    assert formulas == ["J1", "J2 - 90 deg", "J3 + J2", "J4", "J5", "J6"]
+    assert tables.added()[2].others == {"J2": 1.0}
+    records = by_csv(write_dh(tables, tmp_path / "rows.csv"))
+    by = {(record["table"], record["row"]): record for record in records}
+    assert [by["before", row]["d [mm]"] for row in "1456"] == ["330", "-335", "0", "-80"]
+    assert by["before", "3"]["lower"] == "-140 deg"
+    assert by["change", "3"]["lower"] == ""
+    assert abs(float(by["change", "4"]["d [mm]"])) < 1.0
+    # Hayati's rows are the standard ones, and hold the tilt of the parallel axes.
+    hayati = DHTables.of(robot, nominal, "hayati")
+    assert [added.formula for added in hayati.added()] == formulas
+    change = hayati.states()["change"].rows
+    assert max(abs(row.d) for row in change) < 1e-3
+    # Of another chain, or in another convention, open choices are made as of any robot.
+    other = Robot.from_urdf(nominal.urdf, tip="link_5")
+    assert [a.formula for a in DHTables.of(other).added()] == ["J1", "J2", "J3 + J2", "J4", "J5"]
+    assert DHTables.of(nominal, None, "modified").after.rows[1].offset == 0.0

@@ -10,6 +10,7 @@ import pytest
 
 import calib.example
 from calib.errors import CalibError, FileError, ModelError, UrdfError
+from calib.formats.dh_files import DHTables, write_dh
 from calib.formats.source import Options, Source
 from calib.formats.source_kinds import KINDS, source_kind
 from calib.result.calibration_file import write_result
@@ -47,9 +48,27 @@ def test_the_kind_of_a_file(shop, name, kind):
     assert source_kind("ur3") == "robot"
 
 
+def test_rows_are_a_source(tmp_path):
+    given = calib.example.dh_rows("kuka_kr6_r900")
+    assert source_kind(str(given)) == "rows"
+    source = read_source(str(given), Options())
+    assert (source.nominal, [note.code for note in source.notes]) == (None, ["rows read"])
+    assert source.notes[0].values[:2] == ("6", "standard")
+    for ending in (".csv", ".json"):
+        path = write_dh(DHTables.of(source.robot), tmp_path / f"rows{ending}")
+        again = read_source(str(path), Options())
+        assert again.kind == "rows"
+        q = np.random.default_rng(1).uniform(-2, 2, (5, 6))
+        np.testing.assert_allclose(again.robot.poses(q), source.robot.poses(q), atol=1e-12)
+    with pytest.raises(CalibError, match="not of DH rows"):
+        read_source(str(calib.example.paper_measurements()), Options())
+    (tmp_path / "broken.json").write_text("{")
+    assert source_kind(str(tmp_path / "broken.json")) == "result"
+
+
 def test_other_files_are_no_sources(tmp_path):
     (tmp_path / "x.yaml").write_text("joints: {}\nlimits: {}\n")
-    for name in ("data.csv", "x.yaml"):
+    for name in ("data.bin", "x.yaml"):
         with pytest.raises(FileError, match="what it is"):
             source_kind(str(tmp_path / name))
 

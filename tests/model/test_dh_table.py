@@ -5,9 +5,11 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from scipy.spatial.transform import Rotation
 
-from calib.model.dh import CONVENTIONS, DHTable
 from calib.model.dh_table import dh_table, near_parallel, taken_as_parallel
+from calib.robot.dh import CONVENTIONS, DHRow, DHTable, screw
+from calib.robot.dh_robot import DHRobot
 from calib.robot.robot import Robot
+from calib.robot.urdf import urdf_of_dh
 from tests.robot.shared import SOME_AND_SLOWLY_ALL
 
 LENGTHS_MM = {  # the maker's d1, a2, a3, d4, d5, d6
@@ -210,3 +212,51 @@ def test_axes_that_are_parallel_but_for_rounding_are_taken_as_parallel(ur3):
     assert np.abs(column(rows, "d")).max() < 0.2
     assert_same_poses(rows, corrected, 2 * 3e-8)
     assert_same_poses(dh_table(corrected, "hayati", like=ur3), corrected, 1e-12)
+
+
+# In the form of rows that a controller has
+
+
+def sheet_of(seed: int, convention: str) -> DHTable:
+    """Rows as data sheets have them: square, parallel and coincident axes, directions, offsets, sliding joints."""
+    rng = np.random.default_rng(seed)
+    angles = (0.0, np.pi / 2, -np.pi / 2, np.pi, 0.3)
+    rows = []
+    for i in range(6):
+        slides = bool(rng.random() < 0.3)
+        rows.append(
+            DHRow(
+                joint=f"j{i}",
+                prismatic=slides,
+                theta=float(rng.choice(angles[:3])),
+                d=float(rng.choice((0.0, 0.2, -0.35))),
+                a=float(rng.choice((0.0, 0.4, -0.05))),
+                alpha=float(rng.choice(angles)),
+                direction=int(rng.choice((1, -1))),
+                offset=float(rng.choice((0.0, 0.1))),
+                lower=-0.5,
+                upper=1.0,
+            )
+        )
+    shift = screw(0, 0.3, 0.1) @ screw(2, -0.4, 0.2)
+    return DHTable(tuple(rows), shift, shift @ screw(1, np.pi / 2, 0.3), convention)
+
+
+@pytest.mark.parametrize("convention", CONVENTIONS)
+@pytest.mark.parametrize("seed", range(8))
+def test_a_robot_of_rows_has_these_rows(seed, convention):
+    sheet = sheet_of(seed, convention)
+    robot = Robot.from_urdf(urdf_of_dh(DHRobot(sheet), "sheet.csv"))
+    table = dh_table(robot, convention, sheet=sheet)
+    assert table.convention == convention
+    for row, wanted in zip(table.rows, sheet.rows, strict=True):
+        for key in KEYS:
+            assert getattr(row, key) == pytest.approx(getattr(wanted, key), abs=1e-9), row.joint
+        for key in ("direction", "offset", "joint", "prismatic", "lower", "upper"):
+            assert getattr(row, key) == getattr(wanted, key)
+    np.testing.assert_allclose(table.T_base_0, sheet.T_base_0, atol=1e-9)
+    np.testing.assert_allclose(table.T_n_tip, sheet.T_n_tip, atol=1e-9)
+    corrected = displaced(robot)
+    after = dh_table(corrected, convention, sheet=sheet)
+    q = np.random.default_rng(3).uniform(-3, 3, (5, 6))
+    np.testing.assert_allclose(after.poses(q), corrected.poses(q), rtol=0, atol=1e-9)

@@ -6,7 +6,6 @@ import pytest
 
 from calib.errors import ModelError
 from calib.example import PAPER_TARGET
-from calib.model.dh import DHTable
 from calib.model.dh_table import dh_table
 from calib.model.error_model import (
     DIRECTIONS,
@@ -15,6 +14,7 @@ from calib.model.error_model import (
 from calib.model.families import ANGLE, LENGTH, ZERO
 from calib.model.kinematics import Kinematics
 from calib.model.parameters import FRAME, TARGET, TIP, ErrorModel
+from calib.robot.dh import DHTable
 from calib.robot.robot import Robot
 from tests.robot.shared import joint, urdf_of
 

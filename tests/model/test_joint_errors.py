@@ -135,3 +135,53 @@ def test_both_sides_of_the_fork_sag_as_the_full_robot_does():
         pin.framesForwardKinematics(full, data, pin.integrate(full, pin.neutral(full), v))
         T_base_tip = data.oMf[ends[0]].inverse() * data.oMf[ends[1]]
         np.testing.assert_allclose(T_base_tip.homogeneous, expected_pose, rtol=0, atol=1e-12)
+
+
+# Coupled readings
+
+
+@pytest.fixture(scope="module")
+def coupled(mixed: Robot) -> Robot:
+    """The spin counts the turn's reading, the turn the outside's, which a slide moves too [rad/m]."""
+    coupling = {"spin": {"turn": -1.0}, "turn": {"outside": 0.5}, "outside": {"slide": 2.0}}
+    return Robot.from_urdf(mixed.urdf, "base", "tip", held=mixed.held, coupling=coupling)
+
+
+@pytest.mark.parametrize("family", [GAIN, ECCENTRICITY])
+def test_errors_are_of_the_joint_s_value_and_not_of_its_reading(mixed, coupled, family):
+    terms = joint_parameters(coupled, family)
+    assert [term.name for term in terms] == [term.name for term in joint_parameters(mixed, family)]
+    turn, slide, spin, outside = Q.T
+    values = np.stack([turn + 0.5 * outside, slide, spin - turn, outside + 2.0 * slide], axis=1)
+    moved = joint_displacements(coupled, terms, Q, None)
+    np.testing.assert_allclose(
+        moved, joint_displacements(mixed, terms, values, None), rtol=0, atol=1e-14
+    )
+
+
+def test_the_jacobian_of_coupled_readings_agrees_with_differences(coupled):
+    model = error_model(coupled, "placement+gain+eccentricity+compliance", target=True)
+    place = pin.exp6(np.arange(6.0) / 10.0).homogeneous
+    kinematics = Kinematics(coupled, model, np.eye(4), place)
+    q = np.vstack([Q, 0.3 * Q + 0.1])
+    samples = Samples.at(q, gravity_loads(coupled, q, Payload(2.0, (0.1, 0.0, 0.2))))
+    x = np.random.default_rng(2).normal(size=len(model)) * 1e-3
+    _, twists = kinematics.twists(x, samples)
+    step = 1e-6
+    for k, unit in enumerate(np.eye(len(model))):
+        T_before = kinematics.poses(x - step * unit, samples)
+        T_after = kinematics.poses(x + step * unit, samples)
+        velocity = (T_after[:, :3, 3] - T_before[:, :3, 3]) / (2.0 * step)
+        np.testing.assert_allclose(twists[:, :3, k], velocity, rtol=0, atol=1e-6)
+        spin = (T_after[:, :3, :3] - T_before[:, :3, :3]) / (2.0 * step)
+        turning = spin @ np.swapaxes(kinematics.poses(x, samples)[:, :3, :3], 1, 2)
+        angular = np.stack([turning[:, 2, 1], turning[:, 0, 2], turning[:, 1, 0]], axis=1)
+        np.testing.assert_allclose(twists[:, 3:, k], angular, rtol=0, atol=1e-6)
+
+
+def test_gravity_loads_of_readings_are_those_of_the_joint_values(mixed, coupled):
+    loads = gravity_loads(coupled, Q, Payload(2.0, (0.1, 0.0, 0.2)))
+    values = coupled.input_values(Q)
+    of_values = gravity_loads(mixed, values, Payload(2.0, (0.1, 0.0, 0.2)))
+    assert np.abs(loads).max() > 1.0
+    np.testing.assert_allclose(loads, of_values, rtol=0, atol=1e-12)

@@ -24,10 +24,10 @@ from calib.result.calibration_file import (
     write_table,
 )
 from calib.result.evaluation import evaluate
+from calib.result.evaluation_file import assessment_table
 from calib.robot.payload import Payload
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
-from calib.text.evaluation import assessment_table
 from calib.text.summary import summary
 
 DOC = Path(__file__).parents[2] / "docs" / "result-json.md"
@@ -111,6 +111,7 @@ def test_a_result_read_back_is_the_one_written(case: Any, tmp_path: Path):
         == []
     )
     assert summary(read) == c.summary()
+    assert set(read.zeros.errors) == set(c.cross_validation.errors_without_outliers.units)
 
 
 def test_everything_is_read_back(everything: Calibration, tmp_path: Path):
@@ -212,8 +213,8 @@ WHOLE = {
     "cross_validation", "verdict", "non_geometric", "non_geometric.payload", "non_geometric.cross_validation",
     "noise.repeats",
     "noise.prior_std", "parameters", "outliers", "suspects", "observability.unidentifiable", "model.candidates",
-    "model.ties", "robot.held", "robustness", "outside", "verdict.reasons", "verdict.reasons[].values",
-    "plugins",
+    "model.ties", "robot.held", "robot.coupling", "robustness", "outside", "verdict.reasons",
+    "verdict.reasons[].values", "plugins",
 }  # fmt: skip
 
 
@@ -228,6 +229,7 @@ def test_the_document_has_every_key_of_a_file_and_no_other(everything_json: dict
                 "outside",
                 "model.ties",
                 "robot.held",
+                "robot.coupling",
                 "non_geometric.payload",
                 "noise.sigma_given",
                 "plugins",
@@ -308,6 +310,7 @@ def test_another_schema(tmp_path: Path, text: str):
     [
         ("robot.tip", "nowhere"),
         ("robot.held", [{"joint": "a", "value": "b", "unit": "rad"}]),
+        ("robot.coupling", [{"joint": "a", "reading": "b", "factor": 1.0}]),
         ("robot.ranges", []),
         ("frames.T_tip_target.0.0.0", None),
         ("frames.targets", 7),

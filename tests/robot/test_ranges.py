@@ -178,3 +178,36 @@ def test_spread_rows_are_scipys_sequence(count, columns):
     q = spread_between(np.column_stack([low, high]), count)
     np.testing.assert_array_equal(q, low + sobol(count, columns) * (high - low))
     assert not q.flags.writeable
+
+
+# Coupled readings
+
+
+KNEE_AGAINST_TURN = {"knee": {"turn": 2.0}}
+
+
+@pytest.fixture(scope="module")
+def coupled_leg():
+    urdf = Urdf.from_bytes(LEG.encode(), "leg.urdf")
+    return Robot.from_urdf(urdf, "a", "e", coupling=KNEE_AGAINST_TURN)
+
+
+def test_limits_and_ranges_are_those_of_the_joints_and_not_of_their_readings(leg, coupled_leg):
+    np.testing.assert_array_equal(column_limits(coupled_leg), column_limits(leg))
+    np.testing.assert_array_equal(full_ranges(coupled_leg), full_ranges(leg))
+    # Ranges of measured readings: the knee is at its reading plus twice that of the turn.
+    like = [[0.2, 0.1, 0.3], [0.3, 0.2, -0.2]]
+    expected = [[0.2, 0.3], [0.1, 0.2], [0.2, 0.5]]
+    np.testing.assert_allclose(joint_ranges(coupled_leg, like=like), expected, atol=1e-15)
+
+
+def test_readings_are_spread_so_that_the_joints_fill_their_ranges(leg, coupled_leg):
+    for made in (
+        spread_poses,
+        lambda robot, count: random_joint_values(robot, count, 3),
+    ):
+        values, readings = made(leg, 64), made(coupled_leg, 64)
+        by_hand = values - 2.0 * values[:, [1]] * np.array([0.0, 0.0, 1.0])
+        np.testing.assert_allclose(readings, by_hand, rtol=0, atol=1e-14)
+        chain = coupled_leg.chain_values(readings)
+        np.testing.assert_allclose(chain, leg.chain_values(values), rtol=0, atol=1e-13)

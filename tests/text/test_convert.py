@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import get_args
 
@@ -58,6 +59,13 @@ def test_the_displacement_of_the_tip_is_that_of_the_robots(source: Source, tmp_p
     assert [float(number) for number in shown] == pytest.approx(expected, abs=6e-4)
     assert max(map(len, printed.splitlines()[:-1])) <= 100
     assert "Verdict on result.json: use" in printed
+    assert "Coupled readings" not in printed
+    coupling = {"elbow_joint": {"shoulder_lift_joint": 1.0}}
+    nominal = source.nominal
+    robot = Robot.from_urdf(nominal.urdf, nominal.base, nominal.tip, coupling=coupling)
+    coupled = Conversion(replace(source, robot=robot), "dh", tmp_path / "rows.csv", ())
+    said = " ".join(text(coupled, "result.json").split())
+    assert "'elbow_joint' is at its reading plus that of 'shoulder_lift_joint'." in said
 
 
 def test_a_nominal_robot_has_nothing_to_compare_with(ur3: Robot, tmp_path: Path):

@@ -83,3 +83,11 @@ def test_lines_are_of_100_columns(ur3: Robot, inspection: Inspection, forecast: 
     assert "poses spread over the joint limits, target " in " ".join(
         inspection_text(ur3, assumed).split()
     )
+
+
+def test_coupled_readings_are_told(ur3: Robot):
+    coupling = {"elbow_joint": {"shoulder_lift_joint": 1.0}}
+    robot = Robot.from_urdf(ur3.urdf, ur3.base, ur3.tip, coupling=coupling)
+    said = " ".join(inspection_text(robot, inspect_robot(robot, Cell(model="zeros"), None)).split())
+    assert "'elbow_joint' is at its reading plus that of 'shoulder_lift_joint'." in said
+    assert "follows" not in said

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -11,6 +11,7 @@ import typer
 from calib.cli.notices import say_accepted
 from calib.cli.options import Accept, ColumnChoice, Force, Hold, PayloadMass, Quiet, RobotFile
 from calib.cli.outputs import check_outputs
+from calib.cli.setup import coupling_of_result, load, read_cell
 from calib.cli.verb import verb
 from calib.cli.words import parse_held, parse_pair, parse_payload, parse_tool
 from calib.errors import CalibError, VerdictError
@@ -18,6 +19,7 @@ from calib.errors import CalibError, VerdictError
 if TYPE_CHECKING:
     from calib.compensation.commands import Commands
     from calib.compensation.program import Program
+    from calib.data.cell import Cell
     from calib.result.calibration import CalibrationValues
     from calib.robot.payload import Payload
     from calib.robot.robot import Robot
@@ -106,6 +108,13 @@ class GoalOptions:
 class ChainOptions(ColumnChoice):
     """Chain of the robot, and the names of the program's columns."""
 
+    cell: Annotated[
+        Path | None,
+        typer.Option(
+            "--cell",
+            help="Cell file, for --corrected: base, tip, held joints and coupled readings.",
+        ),
+    ] = None
     base: Annotated[str | None, typer.Option(help="Base link. Default: the result's.")] = None
     tip: Annotated[str | None, typer.Option(help="Tip link. Default: the result's.")] = None
     hold: Hold = None
@@ -176,7 +185,7 @@ def compensate(
     from calib.text.verdict import refusal
 
     source = model.source
-    check_outputs([outputs.output], [robot, program, source], force=outputs.force)
+    check_outputs([outputs.output], [robot, program, source, chain.cell], force=outputs.force)
     models = _load_models(robot, program, model, chain)
     if models.stated and not model.accept:
         raise VerdictError(refusal(f"'{source}'", models.stated) + models.remedy)
@@ -194,30 +203,37 @@ def _load_models(robot: str, program: Path, model: ModelChoice, chain: ChainOpti
     """Load the nominal robot and the model of the real one."""
     if model.calibration is not None:
         return _models_of_result(robot, model.calibration, model, chain)
-    from calib.data.table import Table
-    from calib.robot.robot import Robot
+    from calib.data.columns import names_in
+    from calib.inputs import chain_of
+    from calib.table import Table
 
-    held = parse_held(chain.hold or [])
-    joints = Table.read(program).names(chain.parsed())
-    nominal = Robot.load(robot, chain.base, chain.tip, joints, held)
-    actual = Robot.load(str(model.corrected), nominal.base, nominal.tip, held=held)
+    joints = names_in(Table.read(program), chain.parsed())
+    nominal = load(robot, _cell(chain), joints)
+    actual = load(str(model.corrected), chain_of(nominal))
     return _Models(nominal, actual, payload=None, stated=actual.urdf.verdict)
+
+
+def _cell(chain: ChainOptions) -> Cell:
+    """Return the cell of the chain's options: the cell file's, with the options on top."""
+    return read_cell(chain.cell, base=chain.base, tip=chain.tip, hold=chain.hold)
 
 
 def _models_of_result(robot: str, path: Path, model: ModelChoice, chain: ChainOptions) -> _Models:
     """Load a result, and the nominal robot with its chain unless the options name another."""
     from calib.result.calibration_file import read_result
-    from calib.robot.robot import Robot
     from calib.text.verdict import against
 
     result = read_result(path)
     calibrated_chain = result.nominal
-    nominal = Robot.load(
-        robot,
-        chain.base or calibrated_chain.base,
-        chain.tip or calibrated_chain.tip,
-        held={**calibrated_chain.held, **parse_held(chain.hold or [])},
+    given = _cell(chain)
+    cell = replace(
+        given,
+        base=given.base or calibrated_chain.base,
+        tip=given.tip or calibrated_chain.tip,
+        held={**calibrated_chain.held, **given.held},
+        coupling=coupling_of_result(given, result, str(path)),
     )
+    nominal = load(robot, cell)
     payload = result.non_geometric.payload if result.non_geometric else None
     stated = against(result.verdict_on(non_geometric=not model.geometry))
     remedy = ""

@@ -10,7 +10,7 @@ import typer
 
 from calib.cli.options import Force, ModelOptions, Quiet, RobotFile, Seed
 from calib.cli.outputs import check_outputs, written_lines
-from calib.cli.setup import read_cell
+from calib.cli.setup import load, read_cell
 from calib.cli.terminal import stages_bar
 from calib.cli.verb import verb
 from calib.cli.words import parse_held, parse_tracker
@@ -111,11 +111,11 @@ def plan(
 
 def _load_chain(robot: str, cell: Cell, taken: Path | None) -> Robot:
     """Load the robot; without a tip the chain is that of the joints in the table of poses already measured."""
-    from calib.data.table import Table
-    from calib.robot.robot import Robot
+    from calib.data.columns import names_in
+    from calib.table import Table
 
-    joints = None if taken is None else Table.read(taken).names()
-    return Robot.load(robot, cell.base, cell.tip, measured=joints, held=cell.held)
+    joints = None if taken is None else names_in(Table.read(taken))
+    return load(robot, cell, joints)
 
 
 def _request(arm: Robot, options: PoseOptions) -> PlanRequest:
@@ -207,4 +207,4 @@ def _write(planned: PlanValues, outputs: PlanOutputs, first_row: int) -> None:
     if outputs.view is not None:
         from calib.viewer.design_view import plan_page
 
-        plan_page(planned).write(outputs.view, overwrite=outputs.force)
+        plan_page(planned, first_row=first_row).write(outputs.view, overwrite=outputs.force)

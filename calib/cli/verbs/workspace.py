@@ -11,7 +11,7 @@ import typer
 
 from calib.cli.options import CellOptions, ColumnChoice, Force, Quiet, RobotFile, Seed
 from calib.cli.outputs import check_outputs, written_lines
-from calib.cli.setup import read_cell
+from calib.cli.setup import load, read_cell
 from calib.cli.terminal import progress_bar
 from calib.cli.verb import verb
 
@@ -156,16 +156,16 @@ def _load_with_tables(
     robot: str, cell: Cell, ranges: RangeOptions
 ) -> tuple[Robot, Mapping[Path, Measurements]]:
     """Load the robot and the tables of ``--like`` and ``--check``, whose common joints tell the chain."""
-    from calib.data.table import Table
+    from calib.data.columns import names_in
     from calib.regions.region_rows import read_rows
-    from calib.robot.robot import Robot
+    from calib.table import Table
 
     paths = [path for path in (ranges.like, ranges.check) if path is not None]
     renamed = ranges.parsed()
-    columns = [Table.read(path).names(renamed) for path in paths]
+    columns = [names_in(Table.read(path), renamed) for path in paths]
     known = [names for names in columns if names is not None]
     common = set.intersection(*known) if known else None
-    arm = Robot.load(robot, cell.base, cell.tip, measured=common, held=cell.held)
+    arm = load(robot, cell, common)
     tables = {path: read_rows(path, arm, renamed, cell.kind) for path in paths}
     return arm, tables
 

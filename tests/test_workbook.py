@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from openpyxl import Workbook
 
-from calib.data.forms.workbook import split_sheet
 from calib.data.measurements import Measurements
 from calib.data.points_file import read_points
-from calib.data.table import Table
 from calib.errors import MeasurementError
+from calib.table import Table
+from calib.workbook import split_sheet
 from tests.data.tables import refused
 
 

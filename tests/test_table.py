@@ -1,14 +1,15 @@
 """Tables as programs write them, read to the same bits, and files that are no tables."""
 
+import functools
 import itertools
 
 import numpy as np
 import pytest
 
 from calib.data.measurements import Measurements
-from calib.data.table import Column, Table
 from calib.errors import MeasurementError
-from tests.data.tables import HEADER, ROWS, assert_same, refused
+from calib.table import Column, Table
+from tests.data.tables import HEADER, ROWS, assert_same, refused, write_lines
 
 FORM = [
     "joint_1 [deg],joint_2 [deg],x [mm],y [mm],z [mm]",
@@ -17,13 +18,18 @@ FORM = [
 ]
 
 
+@pytest.fixture
+def table(tmp_path):
+    """Writes a table's lines to a file and gives its path."""
+    return functools.partial(write_lines, tmp_path)
+
+
 def test_the_value(table):
     path = table("# remark", "a [deg];b [m]", "1,5;x", "", "2;")
     value = Table.read(path)
     assert (value.source, value.separator, value.header) == ("data.csv", ";", ("a [deg]", "b [m]"))
     assert value.lines == (3, 5)
     assert value.cells == (["1,5", "x"], ["2", ""])
-    assert value.names({"a": "elbow [deg]"}) == {"a", "b", "elbow"}
     first, second = Column(0, "a [deg]", "a", "deg"), Column(1, "b [m]", "b", "m")
     assert value.column(second) == ["x", ""]
     np.testing.assert_array_equal(value.numbers([first, second]), [[1.5, np.inf], [2, np.nan]])

@@ -18,11 +18,10 @@ from typing import NoReturn
 
 import numpy as np
 
-from calib.data.forms.column_options import ColumnsInput, column_options
-from calib.data.forms.workbook import sheet_text, split_sheet
 from calib.errors import CalibError, FileError, MeasurementError
 from calib.files import read_bytes
-from calib.units import NUMBER, Array, Unit, find_unit, split_header
+from calib.units import NUMBER, Array, Unit, find_unit
+from calib.workbook import sheet_text, split_sheet
 
 #: What may separate cells; in a tie the first wins.
 SEPARATORS = (",", ";", "\t")
@@ -148,21 +147,6 @@ class Table:
                 f"{self.source}, line {line} (row {number}): the row has {len(row)} cells, the "
                 f"header has {width}. Make them as many.{comma}"
             )
-
-    def names(self, columns: ColumnsInput = None) -> set[str] | None:
-        """Return the names that columns may be called by, without their units.
-
-        Args:
-            columns: What is said of the columns, as by ``--columns``; None: nothing.
-
-        Returns:
-            The names in the header, and those that they are mapped to; None where a brand maps them
-            to the joints of a robot, whichever these are.
-        """
-        options = column_options(columns)
-        if options.brand is not None:
-            return None
-        return {split_header(label)[0] for label in (*self.header, *options.names.values())}
 
     def column(self, column: Column) -> list[str]:
         """Return the cells of a column, one a row."""

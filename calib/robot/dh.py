@@ -4,7 +4,8 @@
     hayati     the same with A_i Ry(beta_i), which is 0 but between nearly parallel axes; there d_i = 0
     modified   M_i = Rx(alpha_(i-1)) Tx(a_(i-1)) Rz(theta_i + q_i) Tz(d_i)   (Craig), with a_0 = alpha_0 = 0
 
-(a prismatic joint adds q_i to d_i instead). Standard and modified rows are the same product of the same common normals,
+(a prismatic joint adds q_i to d_i instead). What is added may be direction q_i + offset, where a controller counts the
+other way round or from another zero. Standard and modified rows are the same product of the same common normals,
 bracketed otherwise, and they are pure: the common normal of nearly parallel axes may lie kilometres away, and is given
 there. Hayati's rows, which the error model stands on, have no far normals: of a nearly parallel row, the last one
 apart, beta_i tilts the axis (S. Hayati, 1983).
@@ -48,22 +49,35 @@ NEARLY_PARALLEL_RAD = np.radians(3.0)
 
 @dataclass(frozen=True, slots=True)
 class DHRow:
-    """One row; lengths [m], angles [rad]."""
+    """One DH row of a robot; lengths [m], angles [rad].
+
+    Example:
+        >>> DHRow("A1", d=0.4, a=0.025, alpha=-1.5707963267948966, direction=-1).matrix()[:3, 3].tolist()
+        [0.025, 0.0, 0.4]
+    """
 
     #: The joint whose value is added.
     joint: str
     #: True if it is added to d instead of theta.
-    prismatic: bool
+    prismatic: bool = False
     #: About z.
-    theta: float
+    theta: float = 0.0
     #: Along z.
-    d: float
+    d: float = 0.0
     #: Along x: a_i, or a_(i-1) in the modified convention.
-    a: float
+    a: float = 0.0
     #: About x: alpha_i, or alpha_(i-1) in the modified convention.
-    alpha: float
+    alpha: float = 0.0
     #: About y, Hayati's; 0 in the others.
     beta: float = 0.0
+    #: 1 or -1: the factor of the joint's value.
+    direction: int = 1
+    #: Added besides [rad], or [m] of a joint that slides.
+    offset: float = 0.0
+    #: Least value of the joint [rad or m]; None: not known, or it turns without end.
+    lower: float | None = None
+    #: Largest value of the joint [rad or m].
+    upper: float | None = None
 
     @property
     def near_parallel(self) -> bool:
@@ -81,7 +95,7 @@ class DHRow:
         Returns:
             Shape (4, 4) or (N, 4, 4), [m].
         """
-        values = np.asarray(q, dtype=np.float64)
+        values = self.direction * np.asarray(q, dtype=np.float64) + self.offset
         turn: float | Array = 0.0
         slide: float | Array = 0.0
         if self.prismatic:

@@ -1,0 +1,337 @@
+"""Files of DH rows: a table, one line a joint, or calib's own JSON; docs/dh-rows.md describes them.
+
+Of calib's own files, as written by ``calib convert --to dh``, the rows ``after`` are read, or ``robot``.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+
+from calib.errors import CalibError, MeasurementError, ModelError, choices
+from calib.json_files import read_json
+from calib.robot.dh import DHRow, DHTable
+from calib.robot.dh_columns import POSE, DHColumns, dh_columns, is_dh_table
+from calib.robot.dh_json import SCHEMA, robot_of_json
+from calib.robot.dh_robot import BASE, TIP, DHRobot, coupling_fault, row_fault
+from calib.robot.urdf_tree import read_only
+from calib.table import Table, read_text
+from calib.units import ANGLE, LENGTH, NUMBER, Array, parse_quantity
+
+TABLES = (".csv", ".txt", ".tsv")
+"""Endings of tables; a table in the place of a robot holds DH rows."""
+
+ENDINGS = (*TABLES, ".json")
+"""Endings of files of DH rows."""
+
+#: Tables of calib's own files, those that are read first.
+_READ = ("after", "robot")
+
+#: The other tables of calib's own files.
+_NOT_READ = ("before", "change")
+
+#: A comment that states something: ``# base: base_link``.
+_STATEMENT = re.compile(r'"?#\s*(robot|base|tip|convention)\s*[:=]\s*(.*?)"?', re.IGNORECASE)
+
+#: Words for the types of joints, and whether the joint slides.
+_TYPES = {
+    "": False,
+    "revolute": False,
+    "rotary": False,
+    "r": False,
+    "continuous": False,
+    "prismatic": True,
+    "linear": True,
+    "sliding": True,
+    "p": True,
+}
+
+#: What a cell of the directions may say.
+_DIRECTIONS = {"": 1, "1": 1, "+1": 1, "+": 1, "-1": -1, "-": -1, "1.0": 1, "-1.0": -1}
+
+#: The numbers of a row.
+_NUMBERS = ("theta", "d", "a", "alpha", "beta")
+
+#: Lines of constant poses.
+_POSES = ("base", "tool")
+
+
+@dataclass(frozen=True, slots=True)
+class _Added:
+    """What is added to a row: direction times a joint's value, readings of others, an offset."""
+
+    #: 1 or -1.
+    direction: int
+    #: Added besides [rad or m].
+    offset: float
+    #: Factors of other joints' readings in the joint's value.
+    coupling: dict[str, float]
+
+
+def read_dh_robot(path: str | Path) -> DHRobot:
+    """Read a robot from a file of DH rows.
+
+    Args:
+        path: A table, or a JSON file as written by ``calib convert --to dh``.
+
+    Raises:
+        FileError: It does not exist, or is JSON of another kind.
+        MeasurementError: It is no table, or one of something else, or has a fault; the text names row and column.
+        ModelError: The rows make no robot.
+    """
+    source = Path(path).name
+    if Path(path).suffix.lower() == ".json":
+        expected = (
+            f"'{SCHEMA}' is wanted: a robot is a URDF, or a file written by calib convert --to dh."
+        )
+        return robot_of_json(read_json(path, "file of DH rows", SCHEMA, expected), source)
+    table = Table.read(path)
+    if not is_dh_table(table):
+        raise MeasurementError(
+            f"'{path}' is in the place of the robot, and is no table of DH rows: it has no columns of d and alpha. The "
+            f"robot comes before the table. The headings found: {choices(table.header, 30)}."
+        )
+    stated = _statements(path)
+    columns = dh_columns(table, stated.get("convention"))
+    lines = _lines(columns)
+    poses = {}
+    joints = []
+    for i in lines:
+        place = _place(columns, i)
+        if place in poses:
+            raise columns.fail(i, _naming(columns), f"a second line '{place}'. Keep one.")
+        if place:
+            poses[place] = _pose(columns, i)
+        else:
+            joints.append(i)
+    names = _names(columns, joints)
+    rows = []
+    coupling = {}
+    for i, name in zip(joints, names, strict=True):
+        row, others = _row(columns, i, name, names)
+        rows.append(row)
+        if others:
+            coupling[name] = others
+    if not rows:
+        raise MeasurementError(f"{source}: there is no row of a joint; one line a joint is wanted.")
+    identity = np.eye(4)
+    dh = DHTable(
+        rows=tuple(rows),
+        T_base_0=read_only(poses.get("base", identity)),
+        T_n_tip=read_only(poses.get("tool", identity)),
+        convention=columns.convention,
+    )
+    try:
+        return DHRobot(
+            dh,
+            stated.get("robot", Path(path).stem),
+            stated.get("base", BASE),
+            stated.get("tip", TIP),
+            coupling,
+        )
+    except ModelError as error:
+        raise ModelError(f"{source}: {error}") from error
+
+
+def is_other_table(path: str | Path) -> bool:
+    """Return True for a table of something else than DH rows, False for any other file.
+
+    Raises:
+        MeasurementError: It has the ending of a table, and does not exist or is none.
+    """
+    return Path(path).suffix.lower() in TABLES and not is_dh_table(Table.read(path))
+
+
+def _statements(path: str | Path) -> dict[str, str]:
+    """Return what comments state: robot, base, tip, convention."""
+    _, _, text = read_text(path, "The table")
+    matches = [_STATEMENT.fullmatch(line.strip().rstrip(",;\t")) for line in text.splitlines()]
+    return {match[1].lower(): match[2].strip() for match in matches if match and match[2].strip()}
+
+
+def _lines(columns: DHColumns) -> list[int]:
+    """Return the lines, from 0, of the table that is read: ``after``, or ``robot``, or all."""
+    count = range(len(columns.table.cells))
+    if "table" not in columns.by_name:
+        return list(count)
+    words = [columns.text(i, "table").lower() for i in count]
+    for i, word in enumerate(words):
+        if word not in (*_READ, *_NOT_READ):
+            what = f"'{word}' is no table; they are {choices((*_NOT_READ, *_READ))}."
+            raise columns.fail(i, "table", what)
+    for name in _READ:
+        if name in words:
+            return [i for i, word in enumerate(words) if word == name]
+    raise MeasurementError(
+        f"{columns.table.source}: there is no row of the table {choices(_READ)}, which are read."
+    )
+
+
+def _naming(columns: DHColumns) -> str:
+    """Return the column that says which line is a constant pose."""
+    return "row" if "row" in columns.by_name else "joint"
+
+
+def _place(columns: DHColumns, i: int) -> str:
+    """Return ``"base"`` or ``"tool"`` for the line of a constant pose, else nothing."""
+    if _naming(columns) not in columns.by_name:
+        return ""
+    word = columns.text(i, _naming(columns)).lower()
+    return word if word in _POSES else ""
+
+
+def _pose(columns: DHColumns, i: int) -> Array:
+    """Return the constant pose of a line, shape (4, 4), [m]."""
+    if not {*POSE} & columns.by_name.keys():
+        what = f"a constant pose needs the columns {choices(POSE)}, with units."
+        raise columns.fail(i, _naming(columns), what)
+    for name in _NUMBERS:
+        if columns.text(i, name):
+            what = f"the line of a constant pose has no {name}. Leave the cell empty."
+            raise columns.fail(i, name, what)
+    values = [columns.number(i, name) or 0.0 for name in POSE]
+    T = np.eye(4)
+    T[:3, :3] = pin.rpy.rpyToMatrix(*values[3:])
+    T[:3, 3] = values[:3]
+    return T
+
+
+def _names(columns: DHColumns, joints: Sequence[int]) -> list[str]:
+    """Return the names of the joints of lines: joint_1, joint_2, ... where there are none."""
+    names: list[str] = []
+    for number, i in enumerate(joints, start=1):
+        name = columns.text(i, "joint") or f"joint_{number}"
+        if name in names:
+            column = "joint" if "joint" in columns.by_name else "d"
+            raise columns.fail(i, column, f"a second joint '{name}'. Rename one of them.")
+        names.append(name)
+    return names
+
+
+def _row(
+    columns: DHColumns, i: int, name: str, names: Sequence[str]
+) -> tuple[DHRow, dict[str, float]]:
+    """Return the row of a line, and the factors of other joints' readings in the joint's value."""
+    slides = _slides(columns, i)
+    for column in POSE:
+        if columns.text(i, column):
+            raise columns.fail(
+                i, column, "only the lines 'base' and 'tool' have a pose. Leave the cell empty."
+            )
+    added = _added(columns, i, name, slides=slides)
+    numbers = {field: columns.number(i, field) or 0.0 for field in _NUMBERS}
+    row = DHRow(
+        joint=name,
+        prismatic=slides,
+        **numbers,
+        direction=added.direction,
+        offset=added.offset,
+        lower=columns.number(i, "lower", slides=slides),
+        upper=columns.number(i, "upper", slides=slides),
+    )
+    fault = row_fault(row, columns.convention)
+    if fault:
+        column = "upper" if "upper" in columns.by_name else _naming_of_row(columns)
+        raise columns.fail(i, column, f"the row of '{name}' {fault}.")
+    fault = coupling_fault(name, added.coupling, names)
+    if fault:
+        column = "coupling" if "coupling" in columns.by_name else "value added"
+        raise columns.fail(i, column, f"the coupling of '{name}' {fault}.")
+    return row, added.coupling
+
+
+def _naming_of_row(columns: DHColumns) -> str:
+    """Return a column that every table of rows has, for messages: that of the names, else d."""
+    return "joint" if "joint" in columns.by_name else "d"
+
+
+def _slides(columns: DHColumns, i: int) -> bool:
+    """Return True if the joint of a line slides."""
+    word = columns.text(i, "type").lower()
+    if word not in _TYPES:
+        what = f"'{word}' is no type of joint; it must be 'revolute' or 'prismatic'."
+        raise columns.fail(i, "type", what)
+    added_to = columns.text(i, "added to").lower()
+    if added_to not in ("", "theta", "d"):
+        what = f"'{added_to}' is nothing that a value is added to; it must be 'theta' or 'd'."
+        raise columns.fail(i, "added to", what)
+    if word and added_to and _TYPES[word] != (added_to == "d"):
+        what = f"'{added_to}' does not fit the type '{word}'. Correct one of them."
+        raise columns.fail(i, "added to", what)
+    return _TYPES[word] or added_to == "d"
+
+
+def _added(columns: DHColumns, i: int, name: str, *, slides: bool) -> _Added:
+    """Return what is added to a row: by ``value added``, else by ``direction``, ``offset`` and ``coupling``."""
+    formula = columns.text(i, "value added")
+    if not formula:
+        word = columns.text(i, "direction")
+        if word not in _DIRECTIONS:
+            what = f"'{word}' is no direction; it must be 1 or -1."
+            raise columns.fail(i, "direction", what)
+        offset = columns.number(i, "offset", slides=slides)
+        coupling = (
+            _terms(columns, i, "coupling", slides=slides) if columns.text(i, "coupling") else {}
+        )
+        if coupling.pop("", 0.0):
+            raise columns.fail(i, "coupling", "a number without a joint. Write '1 * joint_2'.")
+        return _Added(_DIRECTIONS[word], offset or 0.0, coupling)
+    for other in ("direction", "offset", "coupling"):
+        if columns.text(i, other):
+            what = f"the column 'value added' says it already. Leave '{other}' empty."
+            raise columns.fail(i, other, what)
+    terms = _terms(columns, i, "value added", slides=slides)
+    offset = terms.pop("", 0.0)
+    direction = terms.pop(name, 0.0)
+    if direction not in (1.0, -1.0):
+        what = (
+            f"'{formula}' is not 1 or -1 times the value of '{name}': a joint that follows another one, or is held, "
+            "has no row of its own here. Give such a robot as a URDF (calib convert -o robot.urdf)."
+        )
+        raise columns.fail(i, "value added", what)
+    others = {joint: direction * factor for joint, factor in terms.items()}
+    return _Added(int(direction), offset, others)
+
+
+def _terms(columns: DHColumns, i: int, column: str, *, slides: bool) -> dict[str, float]:
+    """Return the factors of joints in a sum such as ``-1 * joint_3 + joint_2 - 90 deg``; of the constant under ''."""
+    text = columns.text(i, column)
+    result: dict[str, float] = {}
+    words = re.split(r"\s+([+-])\s+", text)
+    signs = ["+", *words[1::2]]
+    for sign, word in zip(signs, words[::2], strict=True):
+        factor, star, name = (part.strip() for part in word.partition("*"))
+        if star and NUMBER.fullmatch(factor):
+            key, value = name, float(factor)
+        else:
+            key, value = _term(columns, i, column, word.strip(), slides=slides)
+        if key in result:
+            raise columns.fail(i, column, f"'{text}' names '{key or word}' twice. Add them up.")
+        result[key] = value if sign == "+" else -value
+    return result
+
+
+def _term(columns: DHColumns, i: int, column: str, word: str, *, slides: bool) -> tuple[str, float]:
+    """Return a term without a star: the name of a joint, once, or a constant [rad or m], without a name."""
+    for sign, factor in (("", 1.0), ("-", -1.0), ("+", 1.0)):
+        if word.startswith(sign) and word.removeprefix(sign) in _joint_words(columns):
+            return word.removeprefix(sign), factor
+    try:
+        value, quantity = parse_quantity(word)
+    except CalibError:
+        return word, 1.0
+    wanted = LENGTH if slides else ANGLE
+    if quantity != wanted:
+        what = f"'{word}' is {quantity}; {wanted} is wanted, with its unit."
+        raise columns.fail(i, column, what)
+    return "", value
+
+
+def _joint_words(columns: DHColumns) -> set[str]:
+    """Return the names in the column of the joints."""
+    return {columns.text(i, "joint") for i in range(len(columns.table.cells))} - {""}

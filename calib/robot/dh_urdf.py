@@ -1,0 +1,182 @@
+"""The URDF of a robot that DH rows state: each joint at the end of its row's d, and links drawn as cylinders.
+
+With X_i the part of the rows along and about x (y) that lies before joint i, and Z_i = Rz(theta_i) Tz(d_i), the origins
+are T_base_0 X_1 Z_1, X_2 Z_2, ... and X_(n+1) T_n_tip: a joint turns about, or slides along, z of its frame, or -z
+where its direction is -1. Where a row is longer than any robot, because it lies between nearly parallel axes, the
+joints' frames are moved along their axes instead, so that each is nearest to the one before it.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+
+from calib.robot import kernel
+from calib.robot.dh import MODIFIED, DHRow, DHTable, screw
+from calib.robot.dh_json import robot_json
+from calib.robot.dh_robot import DHRobot, link_names
+from calib.robot.urdf_text import Cylinder, NewJoint, urdf_bytes
+from calib.units import Array
+
+REMARK = "calib DH rows: "
+"""Begins the comment of a URDF that holds the rows it was made from, as JSON."""
+
+#: A row longer than this lies between nearly parallel axes [m].
+_FAR = 20.0
+
+#: Radius of the first link, and of the last, in lengths of the stretched robot.
+_THICK, _THIN = 0.035, 0.018
+
+#: Radius of a joint in radii of its link, and its length in the same.
+_JOINT, _JOINT_LENGTH = 1.3, 2.8
+
+#: Radius of the rail that a joint slides on, in radii of its link.
+_RAIL = 0.5
+
+#: A stretch of a link shorter than this share of its radius lies inside its joints, and is not drawn.
+_SHORT = 0.5
+
+#: Colours of links and joints: red, green, blue.
+_GREY, _ORANGE = (0.75, 0.77, 0.8), (0.9, 0.5, 0.15)
+
+
+def dh_urdf(robot: DHRobot) -> bytes:
+    """Return the URDF of a robot, with its rows in a comment."""
+    origins, corners = _origins(robot.table)
+    radii = _radii(origins)
+    names = link_names(robot)
+    rows = robot.table.rows
+    joints = []
+    for i, row in enumerate(rows):
+        half = 0.5 * _JOINT_LENGTH * radii[i]
+        own = _bar(-half, half, _JOINT * radii[i], _ORANGE)
+        path = _path(origins[i + 1], corners[i + 1])
+        rail = _rail(rows[i + 1 : i + 2], origins[i + 1], radii[i])
+        joints.append(
+            NewJoint(
+                name=row.joint,
+                type=_type(row),
+                parent=names[i],
+                child=names[i + 1],
+                T_parent_joint=origins[i],
+                axis=(0, 0, row.direction),
+                limits=_limits(row),
+                bodies=(own, *_rods(path, radii[i]), *rail),
+            )
+        )
+    joints.append(NewJoint(f"{robot.tip}_joint", "fixed", names[-2], robot.tip, origins[-1]))
+    base = (*_rods(_path(origins[0], corners[0]), radii[0]), *_rail(rows[:1], origins[0], radii[0]))
+    remarks = [
+        f"A robot of DH rows, {robot.table.convention} convention, made by calib: its cylinders are not the robot's "
+        "shape, and efforts and speeds are only there because a URDF must have them.",
+        REMARK + _in_comment(json.dumps(robot_json(robot))),
+    ]
+    return urdf_bytes(robot.name, remarks, robot.base, joints, base)
+
+
+def _in_comment(text: str) -> str:
+    """Return JSON without ``--``, which no comment may hold; it stands in names only."""
+    return text.replace("--", "-\\u002d")
+
+
+def _type(row: DHRow) -> str:
+    """Return the URDF type of a row's joint."""
+    if row.prismatic:
+        return "prismatic"
+    return "continuous" if row.lower is None else "revolute"
+
+
+def _limits(row: DHRow) -> tuple[float, float] | None:
+    """Return the limits of a row's joint [rad or m]; None without."""
+    if row.lower is None or row.upper is None:
+        return None
+    return float(row.lower), float(row.upper)
+
+
+def _origins(table: DHTable) -> tuple[list[Array], list[Array]]:
+    """Return the origins of the n joints and of the tip, and the corner between each and the link before it.
+
+    Returns:
+        n + 1 poses (4, 4) in the frame of the joint before, and as many points (3,): the ends of X_i, [m].
+    """
+    before = [_along_x(row) for row in table.rows]
+    last = np.eye(4)
+    if table.convention != MODIFIED:
+        before, last = [np.eye(4), *before[:-1]], before[-1]
+    before[0] = table.T_base_0 @ before[0]
+    turns = [_along_axis(row) for row in table.rows]
+    origins = [X @ Z for X, Z in zip(before, turns, strict=True)] + [last @ table.T_n_tip]
+    lengths = [abs(length) for row in table.rows for length in (row.a, row.d)]
+    if max(lengths) > _FAR:
+        origins = _nearer(origins)
+        return origins, [0.0 * T[:3, 3] for T in origins]
+    return origins, [X[:3, 3] for X in (*before, last)]
+
+
+def _along_x(row: DHRow) -> Array:
+    """Return the part of a row along and about x, and about y, (4, 4) [m]."""
+    return np.asarray(screw(0, row.alpha, row.a) @ screw(1, row.beta, 0.0))
+
+
+def _along_axis(row: DHRow) -> Array:
+    """Return the part of a row along and about the joint's axis at the value zero, (4, 4) [m]."""
+    if row.prismatic:
+        return screw(2, row.theta, row.d + row.offset)
+    return screw(2, row.theta + row.offset, row.d)
+
+
+def _nearer(origins: Sequence[Array]) -> list[Array]:
+    """Return the same chain with each joint's frame moved along its axis to where it is nearest to the one before."""
+    result = []
+    undo = np.eye(4)
+    for i, origin in enumerate(origins):
+        T = undo @ origin
+        slide = 0.0 if i + 1 == len(origins) else -float(T[:3, 3] @ T[:3, 2])
+        result.append(T @ screw(2, 0.0, slide))
+        undo = screw(2, 0.0, -slide)
+    return result
+
+
+# Bodies
+
+
+def _radii(origins: Sequence[Array]) -> Array:
+    """Return the radius of each moving link, shape (n,), [m], less and less towards the tip."""
+    length = sum(float(np.linalg.norm(T[:3, 3])) for T in origins)
+    shares = np.linspace(_THICK, _THIN, len(origins) - 1)
+    return np.asarray(max(length, 0.1) * shares)
+
+
+def _path(origin: Array, corner: Array) -> list[Array]:
+    """Return the points (3,) [m] of the link before a joint, in its frame: its own joint, the corner, the joint."""
+    return [np.zeros(3), corner, origin[:3, 3]]
+
+
+def _rods(path: Sequence[Array], radius: float) -> Iterator[Cylinder]:
+    """Yield the cylinders between the points of a path."""
+    for start, end in pairwise(path):
+        length = float(np.linalg.norm(end - start))
+        if length > _SHORT * radius:
+            T = np.eye(4)
+            T[:3, :3] = kernel.turns_to(((end - start) / length)[None])[0]
+            T[:3, 3] = (start + end) / 2.0
+            yield Cylinder(T, radius, length, _GREY)
+
+
+def _rail(row: Sequence[DHRow], origin: Array, radius: float) -> Iterator[Cylinder]:
+    """Yield the rail of the next joint, if it slides, in the link before it."""
+    for joint in row:
+        limits = _limits(joint)
+        if joint.prismatic and limits is not None:
+            ends = sorted(joint.direction * limit for limit in limits)
+            rail = _bar(ends[0], ends[1], _RAIL * radius, _GREY)
+            yield replace(rail, T_link_cylinder=origin @ rail.T_link_cylinder)
+
+
+def _bar(start: float, end: float, radius: float, colour: tuple[float, float, float]) -> Cylinder:
+    """Return a cylinder along z from start to end [m]."""
+    return Cylinder(screw(2, 0.0, (start + end) / 2.0), radius, end - start, colour)

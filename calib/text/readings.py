@@ -1,0 +1,32 @@
+"""Coupled joint readings, in one sentence."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from calib.robot.robot import Robot
+
+
+def coupling_sentence(robot: Robot) -> str:
+    """Word how the joints follow from their readings; empty where none are coupled.
+
+    Args:
+        robot: The robot.
+
+    Returns:
+        Such as ``"Coupled readings: 'joint_3' is at its reading plus that of 'joint_2'."``
+    """
+    joints = []
+    for name, factors in robot.reading_coupling.items():
+        terms = "".join(_term(factor, other) for other, factor in factors.items())
+        joints.append(f"'{name}' is at its reading{terms}")
+    return f"Coupled readings: {'; '.join(joints)}." if joints else ""
+
+
+def _term(factor: float, name: str) -> str:
+    """Word what one joint's reading adds to another's."""
+    sign = "plus" if factor > 0.0 else "minus"
+    if abs(factor) == 1.0:
+        return f" {sign} that of '{name}'"
+    return f" {sign} {abs(factor):.6g} times that of '{name}'"
