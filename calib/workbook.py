@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import csv
 import io
+import warnings
 from datetime import date, time, timedelta
 from typing import TYPE_CHECKING, Any
 from zipfile import BadZipFile
@@ -87,7 +88,9 @@ def _load(data: bytes, source: str, *, values: bool) -> Workbook:
             "the sheet as CSV (UTF-8)."
         ) from error
     try:
-        return load_workbook(io.BytesIO(data), data_only=values)
+        with warnings.catch_warnings():  # of what a table does not need, such as styles
+            warnings.simplefilter("ignore")
+            return load_workbook(io.BytesIO(data), data_only=values)
     except _DAMAGED as error:
         raise MeasurementError(
             f"{source}: this is no Excel file (.xlsx), or it is damaged ({type(error).__name__}). Save it anew, or as "

@@ -90,8 +90,8 @@ PointsFile = Annotated[
     typer.Option(
         "--points",
         metavar="FILE",
-        help="Measured points in a separate list, as laser tracker programs write them; DATA has "
-        "the joint values.",
+        help="Measured points in a separate list, as laser tracker programs write them, or in a "
+        "sheet, 'data.xlsx#Sheet'; DATA has the joint values.",
     ),
 ]
 PointsUnit = Annotated[

@@ -12,7 +12,7 @@ import numpy as np
 import calib.data.kinds as registry
 from calib.channels import RESIDUAL_UNITS
 from calib.data.forms import orientations
-from calib.data.forms.brands import names_by_brand
+from calib.data.forms.brands import brands_like, names_by_brand
 from calib.data.forms.column_options import ColumnOptions, ColumnsInput, column_options
 from calib.errors import MeasurementError, choices, did_you_mean
 from calib.table import Column, Table
@@ -279,7 +279,10 @@ def joint_with_unit(
     if joint_type is None and column.unit is not None:
         return column
     what = f"{joint_type or 'revolute'} joint '{column.name}'"
-    return with_unit(table, column, quantity, what, also=f"--joint-unit {COMMON[quantity]}")
+    names = [split_header(label)[0] for label in table.header]
+    remedies = [f"--columns {brand.name}" for brand in brands_like(names) if not options.brand]
+    remedies.append(f"--joint-unit {COMMON[quantity]}")
+    return with_unit(table, column, quantity, what, also=" or ".join(remedies))
 
 
 def cells_of(values: Array, unit: str) -> list[object]:

@@ -171,7 +171,8 @@ reached, nothing is written, unless --skip leaves such rows empty; and nothing w
 def compensate(
     robot: RobotFile,
     program: Annotated[
-        Path, typer.Argument(metavar="PROGRAM", help="CSV table: joint values, poses, or both.")
+        Path,
+        typer.Argument(metavar="PROGRAM", help="Table (CSV, .xlsx): joint values, poses, or both."),
     ],
     model: ModelChoice,
     goal: GoalOptions,

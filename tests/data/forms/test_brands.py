@@ -110,3 +110,12 @@ def test_a_brand_s_table_in_another_convention(table):
     m = Measurements.read(path, ["one", "two"], columns=options)
     np.testing.assert_allclose(m.rotations, [TURN.as_matrix()], atol=1e-15)
     assert m.orientation == "kuka"
+
+
+def test_a_robot_whose_joints_are_called_as_the_brand_s_axes(table):
+    names = ["A1", "A2", "A3", "A4", "A5", "A6"]
+    header, orientation = HEADERS["kuka"]
+    path = table(header, row(orientation))
+    refused(path, ["column 'A1'", "--columns kuka or --joint-unit deg"], joint_names=names)
+    m = Measurements.read(path, names, columns=ColumnOptions(brand="kuka"))
+    np.testing.assert_allclose(m.joints, np.radians([ANGLES]), rtol=1e-15)
