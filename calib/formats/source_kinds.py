@@ -17,7 +17,7 @@ from calib.formats.notes import Note
 from calib.formats.origins import origins_of, parse_yaml, read_origins, with_origins
 from calib.formats.source import Options, Source
 from calib.formats.universal_robots import read_ur
-from calib.formats.ur_arms import UrModel, ur_model, ur_robot
+from calib.formats.ur_arms import ur_robot
 from calib.formats.ur_mount import Mount, the_mount
 from calib.inputs import RobotInput, chain_of
 from calib.json_files import parsed_json
@@ -26,6 +26,7 @@ from calib.result.calibration_file import read_result
 from calib.robot.dh import EQUATIONS
 from calib.robot.dh_file import ENDINGS as DH_ENDINGS, TABLES
 from calib.robot.robot import Robot
+from calib.robot.universal_robots import UrModel, ur_model
 from calib.robot.xacro_file import is_xacro
 
 #: Endings of YAML files.

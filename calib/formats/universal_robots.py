@@ -23,16 +23,7 @@ from calib.files import write_atomically
 from calib.formats.anchored_placements import anchored_placements
 from calib.formats.notes import Code, Note
 from calib.formats.source import Source
-from calib.formats.ur_arms import (
-    MODELS,
-    UrModel,
-    at_flange,
-    chain_of_rows,
-    chain_poses,
-    kinematics_hash,
-    ur_model,
-    ur_robot,
-)
+from calib.formats.ur_arms import at_flange, chain_poses, kinematics_hash, ur_robot
 from calib.formats.ur_conf import LINEARISED, Conf, conf_bytes, read_nominal
 from calib.formats.ur_mount import Mount, distance_from, the_mount
 from calib.formats.ur_yaml import kinematics_bytes, read_kinematics, read_numbers
@@ -40,6 +31,7 @@ from calib.model.dh_table import dh_table
 from calib.robot.dh import STANDARD
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot, read_only
+from calib.robot.universal_robots import MODELS, UrModel, chain_of_rows, ur_model
 from calib.units import Array
 
 PathLike = str | os.PathLike[str]

@@ -172,15 +172,16 @@ def _of_robot(fitted: Fitted) -> Mask:
 def reading_offsets(robot: Robot) -> Array:
     """Return the matrix from offsets of the joints in the chain to those of the readings.
 
-        q_chain = A q + b,    q -> q + A^+ d    moves the joints by d
+        q_chain = A C q + b,    q -> q + (A C)^+ d    moves the joints by d
 
     Args:
         robot: The robot, of n joints in its chain that follow m readings.
 
     Returns:
-        The pseudo-inverse of A, shape (m, n). A joint that follows no other has its own offset.
+        The pseudo-inverse of A C, shape (m, n), C the coupling of the readings. A joint that follows no other has its
+        own offset.
     """
-    return np.asarray(np.linalg.pinv(robot.coupling))
+    return np.asarray(np.linalg.pinv(robot.coupling @ robot.reading_matrix))
 
 
 def _reading_offsets(fitted: Fitted) -> Array:

@@ -11,11 +11,10 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 
-from calib.robot import kernel
+from calib.robot.cylinders import GREY, bar, joint_body, link_radii, rods
 from calib.robot.dh import MODIFIED, DHRow, DHTable, screw
 from calib.robot.dh_json import robot_json
 from calib.robot.dh_robot import DHRobot, link_names
@@ -28,32 +27,19 @@ REMARK = "calib DH rows: "
 #: A row longer than this lies between nearly parallel axes [m].
 _FAR = 20.0
 
-#: Radius of the first link, and of the last, in lengths of the stretched robot.
-_THICK, _THIN = 0.035, 0.018
-
-#: Radius of a joint in radii of its link, and its length in the same.
-_JOINT, _JOINT_LENGTH = 1.3, 2.8
-
 #: Radius of the rail that a joint slides on, in radii of its link.
 _RAIL = 0.5
-
-#: A stretch of a link shorter than this share of its radius lies inside its joints, and is not drawn.
-_SHORT = 0.5
-
-#: Colours of links and joints: red, green, blue.
-_GREY, _ORANGE = (0.75, 0.77, 0.8), (0.9, 0.5, 0.15)
 
 
 def dh_urdf(robot: DHRobot) -> bytes:
     """Return the URDF of a robot, with its rows in a comment."""
     origins, corners = _origins(robot.table)
-    radii = _radii(origins)
+    radii = link_radii(origins)
     names = link_names(robot)
     rows = robot.table.rows
     joints = []
     for i, row in enumerate(rows):
-        half = 0.5 * _JOINT_LENGTH * radii[i]
-        own = _bar(-half, half, _JOINT * radii[i], _ORANGE)
+        own = joint_body(radii[i])
         path = _path(origins[i + 1], corners[i + 1])
         rail = _rail(rows[i + 1 : i + 2], origins[i + 1], radii[i])
         joints.append(
@@ -65,11 +51,11 @@ def dh_urdf(robot: DHRobot) -> bytes:
                 T_parent_joint=origins[i],
                 axis=(0, 0, row.direction),
                 limits=_limits(row),
-                bodies=(own, *_rods(path, radii[i]), *rail),
+                bodies=(own, *rods(path, radii[i]), *rail),
             )
         )
     joints.append(NewJoint(f"{robot.tip}_joint", "fixed", names[-2], robot.tip, origins[-1]))
-    base = (*_rods(_path(origins[0], corners[0]), radii[0]), *_rail(rows[:1], origins[0], radii[0]))
+    base = (*rods(_path(origins[0], corners[0]), radii[0]), *_rail(rows[:1], origins[0], radii[0]))
     remarks = [
         f"A robot of DH rows, {robot.table.convention} convention, made by calib: its cylinders are not the robot's "
         "shape, and efforts and speeds are only there because a URDF must have them.",
@@ -141,42 +127,16 @@ def _nearer(origins: Sequence[Array]) -> list[Array]:
     return result
 
 
-# Bodies
-
-
-def _radii(origins: Sequence[Array]) -> Array:
-    """Return the radius of each moving link, shape (n,), [m], less and less towards the tip."""
-    length = sum(float(np.linalg.norm(T[:3, 3])) for T in origins)
-    shares = np.linspace(_THICK, _THIN, len(origins) - 1)
-    return np.asarray(max(length, 0.1) * shares)
-
-
-def _path(origin: Array, corner: Array) -> list[Array]:
-    """Return the points (3,) [m] of the link before a joint, in its frame: its own joint, the corner, the joint."""
-    return [np.zeros(3), corner, origin[:3, 3]]
-
-
-def _rods(path: Sequence[Array], radius: float) -> Iterator[Cylinder]:
-    """Yield the cylinders between the points of a path."""
-    for start, end in pairwise(path):
-        length = float(np.linalg.norm(end - start))
-        if length > _SHORT * radius:
-            T = np.eye(4)
-            T[:3, :3] = kernel.turns_to(((end - start) / length)[None])[0]
-            T[:3, 3] = (start + end) / 2.0
-            yield Cylinder(T, radius, length, _GREY)
-
-
 def _rail(row: Sequence[DHRow], origin: Array, radius: float) -> Iterator[Cylinder]:
     """Yield the rail of the next joint, if it slides, in the link before it."""
     for joint in row:
         limits = _limits(joint)
         if joint.prismatic and limits is not None:
             ends = sorted(joint.direction * limit for limit in limits)
-            rail = _bar(ends[0], ends[1], _RAIL * radius, _GREY)
+            rail = bar(ends[0], ends[1], _RAIL * radius, GREY)
             yield replace(rail, T_link_cylinder=origin @ rail.T_link_cylinder)
 
 
-def _bar(start: float, end: float, radius: float, colour: tuple[float, float, float]) -> Cylinder:
-    """Return a cylinder along z from start to end [m]."""
-    return Cylinder(screw(2, 0.0, (start + end) / 2.0), radius, end - start, colour)
+def _path(origin: Array, corner: Array) -> list[Array]:
+    """Return the points (3,) [m] of the link before a joint, in its frame: its own joint, the corner, the joint."""
+    return [np.zeros(3), corner, origin[:3, 3]]

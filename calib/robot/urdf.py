@@ -23,6 +23,7 @@ from calib.robot.dh_file import ENDINGS, read_dh_robot
 from calib.robot.dh_json import robot_of_json
 from calib.robot.dh_robot import DHRobot
 from calib.robot.dh_urdf import REMARK, dh_urdf
+from calib.robot.universal_robots import MODELS, named_ur_urdf, ur_model
 from calib.robot.urdf_tree import UrdfJoint, read_only, read_tree
 from calib.robot.urdf_xml import Document
 from calib.robot.xacro_file import XacroCall, flattened, is_xacro
@@ -356,9 +357,10 @@ def urdf_of_dh(robot: DHRobot, source: str, path: Path | None = None) -> Urdf:
 
 
 def read_urdf(source: str | Path) -> Urdf:
-    """Read the URDF of a file, of a xacro with the arguments behind it, or of a robot of example-robot-data.
+    """Read the URDF of a file, of a xacro with the arguments behind it, or of a robot by its name.
 
-    A file of DH rows is read as the URDF that they state.
+    A file of DH rows is read as the URDF that they state. Names are those of example-robot-data and, for arms that it
+    does not have, those of Universal Robots' arms, such as ``"ur10e"``.
 
     Raises:
         FileError: The file cannot be read.
@@ -366,11 +368,18 @@ def read_urdf(source: str | Path) -> Urdf:
         ModelError: DH rows make no robot.
         UrdfError: There is no such robot, the xacro has a fault, or it is not a URDF that can be calibrated.
     """
-    if not is_xacro(source):
-        path = find_urdf(source)
-        if path.suffix.lower() in ENDINGS:
-            return urdf_of_dh(read_dh_robot(path), path.name, path)
-        return Urdf.read(path)
+    if is_xacro(source):
+        return _flattened(source)
+    path = find_urdf(source)
+    if path is None:
+        return _named_arm(str(source))
+    if path.suffix.lower() in ENDINGS:
+        return urdf_of_dh(read_dh_robot(path), path.name, path)
+    return Urdf.read(path)
+
+
+def _flattened(source: str | Path) -> Urdf:
+    """Return the URDF of a xacro with the arguments behind it; raises as `read_urdf` does."""
     call = XacroCall.parse(source)
     data = flattened(call)
     try:
@@ -379,6 +388,19 @@ def read_urdf(source: str | Path) -> Urdf:
         raise UrdfError(
             f"{str(error).rstrip('.')}. This is about the flattened text: xacro FILE ARGUMENTS > robot.urdf"
         ) from error
+
+
+def _named_arm(name: str) -> Urdf:
+    """Return the URDF of an arm of Universal Robots by its name; UrdfError, which lists all names, if there is none."""
+    data = named_ur_urdf(name)
+    if data is not None:
+        return Urdf.from_bytes(data, f"the nominal {ur_model(name).name}")
+    files = {file.removesuffix(".urdf").removesuffix("_robot") for file in robot_data_urdfs()}
+    known = sorted(files | {model.plain for model in MODELS})
+    raise UrdfError(
+        f"'{name}' is neither a file here nor a robot whose name calib knows{_similar(name, known)}. Give the path of "
+        f"a URDF, a xacro or DH rows, or one of {choices(known)}."
+    )
 
 
 @lru_cache(maxsize=1)
@@ -391,8 +413,8 @@ def robot_data_urdfs() -> dict[str, Path]:
     return {file.name: Path(str(file.locate())) for file in files if file.suffix == ".urdf"}
 
 
-def find_urdf(source: str | Path) -> Path:
-    """Return the URDF file that a path, or the name of a robot of example-robot-data, means; UrdfError if none.
+def find_urdf(source: str | Path) -> Path | None:
+    """Return the file that a path, or the name of a robot of example-robot-data, means; None if it is no such name.
 
     ``<name>_robot.urdf`` comes before ``<name>.urdf``: that package's own loader returns a UR5 for ``"ur3"``. Names are
     read in any case.
@@ -400,16 +422,11 @@ def find_urdf(source: str | Path) -> Path:
     path = Path(source)
     if path.suffix or len(path.parts) != 1 or os.path.isfile(path):  # noqa: PTH113  of any length
         return path
-    urdfs = robot_data_urdfs()
-    plain = {name.casefold(): path for name, path in urdfs.items()}
+    urdfs = {name.casefold(): path for name, path in robot_data_urdfs().items()}
     for name in (f"{source}_robot.urdf", f"{source}.urdf"):
-        if name.casefold() in plain:
-            return plain[name.casefold()]
-    known = sorted({name.removesuffix(".urdf").removesuffix("_robot") for name in urdfs})
-    raise UrdfError(
-        f"'{source}' is neither a file here nor a robot of example-robot-data{_similar(str(source), known)}. Give "
-        f"the path of a URDF or xacro, or one of {choices(known)}."
-    )
+        if name.casefold() in urdfs:
+            return urdfs[name.casefold()]
+    return None
 
 
 def _similar(name: str, known: list[str]) -> str:
@@ -419,7 +436,7 @@ def _similar(name: str, known: list[str]) -> str:
 
     Args:
         name: The name given.
-        known: The names of all robots of example-robot-data.
+        known: The names of all robots.
 
     Returns:
         Names that continue the one given, or that it continues, after a separator; else those that differ by few
@@ -431,7 +448,7 @@ def _similar(name: str, known: list[str]) -> str:
     similar = similar or difflib.get_close_matches(given, numbered, n=3)
     if not similar:
         return ""
-    return f" (similar names there, which may be other robots: {choices(similar)})"
+    return f" (similar names, which may be other robots: {choices(similar)})"
 
 
 def _continues(longer: str, shorter: str) -> bool:

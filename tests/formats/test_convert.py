@@ -19,8 +19,9 @@ from calib.errors import CalibError, ModelError
 from calib.formats.convert import FORMATS, KINDS, Options, chosen_format
 from calib.formats.source import Source
 from calib.formats.source_kinds import source_kind
-from calib.formats.ur_arms import chain_of_rows, chain_poses, ur_model
+from calib.formats.ur_arms import chain_poses
 from calib.robot.robot import Robot
+from calib.robot.universal_robots import chain_of_rows, ur_model
 from tests.formats.forms import UR3, write_forms
 from tests.formats.ur_cases import CALIBRATIONS, rows, write_deltas
 

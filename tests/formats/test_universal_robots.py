@@ -12,10 +12,11 @@ import pytest
 from calib.errors import FileError, ModelError
 from calib.formats.source import Source
 from calib.formats.universal_robots import read_ur, write_ur_conf, write_ur_yaml
-from calib.formats.ur_arms import chain_of_rows, chain_poses, kinematics_hash, ur_model, ur_robot
+from calib.formats.ur_arms import chain_poses, kinematics_hash, ur_robot
 from calib.formats.ur_mount import the_mount
 from calib.formats.ur_yaml import kinematics_bytes, read_numbers
 from calib.robot.robot import Robot
+from calib.robot.universal_robots import chain_of_rows, ur_model
 from tests.formats.ur_cases import WITH_DELTAS, rows, write_deltas
 
 Q = np.random.default_rng(12).uniform(-2 * np.pi, 2 * np.pi, (100, 6))
