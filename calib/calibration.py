@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from calib.errors import ModelError, UrdfError, VerdictError, choices
 from calib.model.kinematics import Samples
+from calib.result.acceptance import Acceptance, Assessment
 from calib.result.calibrate import calibrate as calibrate_values
 from calib.result.calibration import CalibrationValues
 from calib.result.comparison import ComparisonValues, compare as compare_values
@@ -20,7 +21,7 @@ from calib.robot.readback import check_written
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
 from calib.text.verdict import against, refusal
-from calib.values.arguments import check_path
+from calib.values.arguments import check_path, check_type
 from calib.values.with_methods import as_kind, returning
 
 __all__ = [
@@ -62,6 +63,7 @@ class Calibration(CalibrationValues):
         cross_validation     CrossValidation, errors on held-out rows; None without
         nominal_cross_validation  the same of the nominal robot
         new_point            (near the measured poses, over the joint limits), expected error, rms [m]
+        zeros                JointZeros, the best joint zeros alone, with their errors; None where they cannot be fitted
         expected_measured    rms standard deviation of predictions at the measured poses [m]
         expected_everywhere  the same over the joint limits [m]
         expected_elsewhere   the same with what the model lacks [m]
@@ -100,6 +102,10 @@ class Calibration(CalibrationValues):
         observability        Observability, rank and unobservable combinations
         candidates           Candidates that "auto" chose from
         solver, solution     name of the solver, and its Solution; seconds, its time [s]
+
+    The record:
+
+        record               Record, who measured what for whom, where, when and with what, as the cell says
 
     In memory only (ModelError where the result was read from a file, which does not hold them):
 
@@ -341,6 +347,30 @@ class Evaluation(EvaluationValues):
         from calib.text.evaluation import evaluation_text
 
         return evaluation_text(self)
+
+    def write_report(
+        self, path: str | Path, *, accepted: Acceptance | None = None, overwrite: bool = False
+    ) -> Path:
+        """Write the report, a page that prints on A4, with the figures of ISO 9283 and a first page to sign.
+
+        Args:
+            path: The HTML file.
+            accepted: What `calib.acceptance` found of this evaluation; None: no tolerance is tested.
+            overwrite: Whether a file that exists is replaced.
+
+        Returns:
+            The path.
+
+        Raises:
+            ArgumentError: An argument of another type.
+            MeasurementError: No row measures anything.
+            FileError: The file exists, or cannot be written.
+        """
+        from calib.report.evaluation_report import write_evaluation_report
+
+        check_path("path", path)
+        check_type("accepted", accepted, (Acceptance, type(None)), "of calib.acceptance, or None")
+        return write_evaluation_report(Assessment.of_one(self, accepted), path, overwrite=overwrite)
 
 
 calibrate = returning(Calibration, calibrate_values, __name__)

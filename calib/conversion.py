@@ -42,14 +42,16 @@ def convert(
         robot: The nominal robot, or its URDF, xacro or name; None: that of the calibration.
         options: What else goes with the conversion, such as ``hash_from``; None: nothing. Arguments beside it win.
         overwrite: Whether a file that exists is replaced.
-        accept: Whether to write even where the verdict is ``do not use``; a URDF then states it in a comment.
+        accept: Whether to write even where the verdict is ``do not use``, which a URDF then states in a comment, or
+            where joint zeros alone are no better than the nominal robot.
 
     Returns:
         What was read and written, and what there is to say about it.
 
     Raises:
         ArgumentError: An argument of another type.
-        VerdictError: The verdict on the source is ``do not use``, and ``accept`` is not given.
+        VerdictError: The verdict on the source is ``do not use``, or joint zeros alone are no better than the nominal
+            robot, and ``accept`` is not given.
         FileError: A file cannot be read or written.
         UrdfError: A URDF cannot be read, or, read back, is not the robot.
         ModelError: The robot has no form in this format, or things do not fit each other.
@@ -66,22 +68,22 @@ def convert(
     check_type(
         "options", options, (Options, type(None)), "Options, or None; the format's name is 'to'"
     )
-    chosen = _with_arguments(options or Options(), to, robot, overwrite=overwrite)
+    chosen = _with_arguments(options or Options(), to, robot, overwrite=overwrite, accept=accept)
     path = Path(path)
     content, format_name = read_source(source, path, chosen)
     verdict_against = _verdict_against(content)
-    if verdict_against and not accept:
+    if verdict_against and not chosen.accept:
         named = f"'{source}'" if isinstance(source, (str, Path)) else "the calibration"
         raise VerdictError(refusal(named, verdict_against))
     urdf = content.robot.urdf.with_verdict(verdict_against)
     if urdf != content.robot.urdf:
         content = replace(content, robot=replace(content.robot, urdf=urdf))
     notes = FORMATS[format_name].write(content, path, chosen)
-    return Conversion(content, format_name, path, notes, verdict_against)
+    return Conversion(content, format_name, path, notes, verdict_against, chosen)
 
 
 def _with_arguments(
-    options: Options, to: str | None, robot: RobotInput | None, *, overwrite: bool
+    options: Options, to: str | None, robot: RobotInput | None, *, overwrite: bool, accept: bool
 ) -> Options:
     """Return options with the arguments of `convert` that are among them, where these are given."""
     return replace(
@@ -89,6 +91,7 @@ def _with_arguments(
         to=options.to if to is None else to,
         robot=options.robot if robot is None else robot,
         overwrite=overwrite or options.overwrite,
+        accept=accept or options.accept,
     )
 
 

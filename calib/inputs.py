@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TypeAlias
 
 from calib.data.cell import Cell
-from calib.data.columns import column_names
+from calib.data.columns import names_in
 from calib.data.measurements import Measurements
 from calib.errors import CalibError, choices
 from calib.robot.dh_file import is_other_table
@@ -125,7 +125,7 @@ def inputs_of(
     if isinstance(table, Measurements):
         return robot_of(robot, setup, measured=table.joint_names, read=read), table, setup
     read_table = Table.read(table)
-    arm = robot_of(robot, setup, measured=column_names(read_table), read=read)
+    arm = robot_of(robot, setup, measured=names_in(read_table), read=read)
     measurements = Measurements.read(read_table, arm.joint_names, arm.joint_types, kind=setup.kind)
     return arm, measurements, setup
 

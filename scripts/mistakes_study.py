@@ -114,6 +114,7 @@ MISTAKES = {
     "joints in rad for deg": Mistake(joints(np.degrees), "wrong_unit"),
     "joint columns swapped": Mistake(joints(lambda q: q[:, [0, 2, 1, 3, 4, 5]]), "columns_swapped"),
     "joint columns reversed": Mistake(joints(lambda q: q[:, ::-1]), "columns_reversed"),
+    "readings coupled": Mistake(joints(lambda q: q - q[:, [1]] * np.eye(6)[2]), "readings_coupled"),
     "rows shifted": Mistake(joints(lambda q: np.roll(q, 1, axis=0)), "rows_shifted"),
     "points in mm for m": Mistake(points(lambda p: 1e-3 * p), "wrong_unit"),
     "x in inches": Mistake(points(scaled(0, 25.4)), "wrong_unit"),

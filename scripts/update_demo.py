@@ -27,7 +27,7 @@ DOCS = Path(__file__).parents[1] / "docs"
 #: The pictures: the file below docs/, the page and what its address asks for, and the window's size [px].
 PICTURES = (
     ("view.png", "view.html", (1600, 900)),
-    ("overlaid.png", "view.html#mode=over&robots=50", (1600, 900)),
+    ("overlaid.png", "view.html#mode=over&factor=50", (1600, 900)),
     ("report.png", "report.html", (1000, 1320)),
 )
 

@@ -17,7 +17,16 @@ from calib.text.convert import text
 from tests.formats.forms import write_forms
 
 LOST = Reason.of(Why.PARAMETER_FAR, largest=0.2)
-ENDINGS = {"urdf": ".urdf", "ur-yaml": ".yaml", "ur-conf": ".conf", "origins": ".yaml"}
+ENDINGS = {
+    "urdf": ".urdf",
+    "ur-yaml": ".yaml",
+    "ur-conf": ".conf",
+    "origins": ".yaml",
+    "dynamixel-hardware": ".yaml",
+    "ros2-transmission": ".yaml",
+    "lerobot": ".json",
+    "lerobot-dynamixel": ".json",
+}
 
 
 @pytest.fixture(scope="module")

@@ -230,6 +230,7 @@ HERE = (
     "result-json.md",
     "acceptance.md",
     "convert.md",
+    "zeros.md",
     "workspace.md",
     "dh-rows.md",
 )

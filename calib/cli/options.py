@@ -38,7 +38,7 @@ Tip = Annotated[
     str | None,
     typer.Option(
         help="Link that the target is mounted on. Default: the end of the longest chain, of a "
-        "table's joints if any."
+        "table's joints if any, before a gripper or hand."
     ),
 ]
 Target = Annotated[

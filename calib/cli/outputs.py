@@ -103,7 +103,7 @@ class Outputs:
         if self.figures is not None and self.figures.is_file():
             raise CalibError(f"{self.figures} is a file; --figures names a folder.")
         if self.report is not None:
-            from calib.report.report import check_ending
+            from calib.report.page import check_ending
 
             check_ending(self.report)
         files = (self.output, self.json, self.view, self.report)
@@ -145,7 +145,7 @@ class Outputs:
         if self.view is not None:
             from calib.viewer.page import write_page
 
-            yield write_page(result, self.view, overwrite=self.force)
+            yield write_page(result, self.view, overwrite=self.force, accepted=self.accept)
         if self.report is not None:
             from calib.report.report import write_report
 

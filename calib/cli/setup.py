@@ -122,7 +122,7 @@ def load_with_data(
     Raises:
         CalibError: Arguments in the wrong order, or a unit without a list of points.
     """
-    from calib.data.columns import column_names
+    from calib.data.columns import names_in
     from calib.data.measurements import Measurements
     from calib.robot.dh_file import is_other_table
     from calib.table import Table
@@ -140,7 +140,7 @@ def load_with_data(
         )
     columns = options.parsed()
     table = Table.read(data)
-    arm = load(robot, cell, column_names(table, columns))
+    arm = load(robot, cell, names_in(table, columns))
     measurements = Measurements.read(
         table, arm.joint_names, arm.joint_types, columns, cell.kind, points, points_unit
     )

@@ -24,7 +24,7 @@ from calib.data.columns import (
 )
 from calib.data.forms.brands import fix_for_brand
 from calib.data.forms.column_options import ColumnOptions, ColumnsInput, column_options
-from calib.data.forms.orientation_columns import Orientation, conventions_of, in_units
+from calib.data.forms.orientation_columns import Orientation, conventions_of, in_units, is_complete
 from calib.data.forms.orientations import CONVENTIONS, Convention
 from calib.data.layout import Layout
 from calib.data.measurements import Measurements
@@ -124,7 +124,7 @@ class _Header:
         Raises:
             MeasurementError: Some columns of one are missing; a single letter that is no angle means something else.
         """
-        complete = conventions_of(self.named, self.joint_names, self.options)
+        complete = conventions_of(self.table, self.named, self.joint_names, self.options)
         taken = {name for row in complete for name in row.columns}
         for row in CONVENTIONS.values():
             there = [name for name in row.columns if name in self.named and name not in taken]
@@ -205,7 +205,8 @@ def _labels(header: _Header) -> tuple[str, ...]:
 def _kept(header: _Header) -> tuple[tuple[str, tuple[str, ...]], ...]:
     """Return header and cells of the columns that have no meaning here, in the order of the table."""
     table = header.table
-    forms = conventions_of(header.named, header.joint_names, header.options)
+    named, joint_names = header.named, header.joint_names
+    forms = [row for row in CONVENTIONS.values() if is_complete(row, named, joint_names)]
     of_poses = {name for form in (POINT, *(row.columns for row in forms)) for name in form}
     known = of_poses | {*header.joint_names, EXPECTED, STATUS}
     kept = {column.index for name, column in header.named.items() if name not in known}

@@ -21,6 +21,7 @@ from calib.channels import RESIDUAL_UNITS
 from calib.data.cell_file import checked, read_cell_file
 from calib.data.kinds import SIGMAS
 from calib.data.priors import PRIOR_STD_RANGE, Priors
+from calib.data.record import Record
 from calib.data.surroundings import (
     POSE,
     Box,
@@ -54,6 +55,7 @@ __all__ = [
     "Cell",
     "GroupDistance",
     "Priors",
+    "Record",
     "Reflector",
     "Tracker",
     "TrackerNoise",
@@ -244,6 +246,7 @@ _TYPES = (
     ("tip", str, "the name of a link, or None"),
     ("kind", str, "the name of a kind of measurement, or None"),
     ("priors", Priors, "Priors"),
+    ("record", Record, "a Record"),
     ("payload", Payload, "a Payload, or None"),
     ("tracker", Tracker, "a Tracker, or None"),
     ("reflector", Reflector, "a Reflector, or None"),
@@ -342,6 +345,8 @@ class Cell(Value):
     reflector: Reflector | None = None
     #: The least and the largest value of the URDF's joints by name, within which poses are planned [rad] or [m].
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=_no_entries)
+    #: Who measured what for whom, where, when and with what; for reports.
+    record: Record = field(default_factory=Record)
 
     def __post_init__(self) -> None:
         """Check each value, and that they agree; keep read-only copies."""
@@ -453,6 +458,7 @@ def _with_classes(values: Mapping[str, Any]) -> dict[str, Any]:
         result["tracker"] = _tracker(values["tracker"])
     result["boxes"] = tuple(map(_box, values.get("boxes", ())))
     result["distances"] = tuple(GroupDistance(**d) for d in values.get("distances", ()))
+    result["record"] = Record(**values.get("record", {}))
     if "payload" in values:
         result["payload"] = Payload(**values["payload"])
     if "reflector" in values:

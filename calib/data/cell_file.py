@@ -9,6 +9,7 @@ import re
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from datetime import date
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ from scipy.spatial.transform import Rotation
 
 import calib.plugins as plugins
 from calib.channels import RESIDUAL_UNITS
+from calib.data.record import TEXTS
 from calib.errors import CalibError, FileError, choices, did_you_mean
 from calib.files import read_bytes
 from calib.model.error_model import DIRECTIONS
@@ -343,6 +345,28 @@ _REFLECTOR = _fields(normal=("normal!", NUMBERS), acceptance_deg=("acceptance", 
 _BOX = _POSE | _fields(name=("name!", TEXT), size_mm=("size!", POINT), xyz_mm=("xyz!", POINT))
 
 
+def _entry(value: Any) -> str | None:  # noqa: ANN401
+    """Return an entry of a record: a text, a whole number such as a serial number, or a date; None for others."""
+    if isinstance(value, date):
+        return value.isoformat()
+    is_count = isinstance(value, int) and not isinstance(value, bool)
+    return str(value) if is_count or isinstance(value, str) else None
+
+
+def _temperatures(value: Any) -> tuple[Any, ...] | None:  # noqa: ANN401
+    """Return one temperature or a list of two as a tuple; None for others."""
+    values = value if isinstance(value, list) else [value]
+    return tuple(values) if all(map(is_number, values)) else None
+
+
+def _record_fields() -> dict[str, Field]:
+    """Return the fields of the table ``[record]``, whose keys are the names of a record's entries."""
+    read = _form("a text in quotes, a whole number or a date", _entry)
+    result = {name: Field(name, read) for name in TEXTS}
+    read_temperatures = _form("a number, or a list of two: [21.5, 23.0]", _temperatures)
+    return result | {"temperature_C": Field("temperature_C", read_temperatures)}
+
+
 def _frame_pose(value: Any, where: str) -> Array:  # noqa: ANN401
     """Read the pose of the base in a measurement frame, T_frame_base, shape (4, 4) [m]."""
     return pose_of(**read_table(_TABLE(value, where), _POSE, where))
@@ -380,6 +404,7 @@ FIELDS: dict[str, Field] = {
     "reflector": Field("reflector", _table("reflector", _REFLECTOR)),
     "boxes": Field("boxes", _tables("boxes", _BOX)),
     "ranges": Field("ranges", _named("ranges", parse_joint_range)),
+    "record": Field("record", _table("record", _record_fields())),
 }
 
 

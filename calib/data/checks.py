@@ -336,6 +336,7 @@ def check_argument_types(given: object) -> None:
         "groups",
         "kinds",
         "pairs",
+        "approaches",
     ):
         check_names(name, value(name))
     for name in ("rows", "unmeasured", "copies"):

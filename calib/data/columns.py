@@ -25,7 +25,7 @@ POINT = ("x", "y", "z")
 ORIENTATION = (*orientations.ROTATION_VECTOR.columns, *orientations.QUATERNION.columns)
 
 #: Columns of words.
-WORDS = ("row", "set", "kind", "target", "group", "pair", "point")
+WORDS = ("row", "set", "kind", "target", "group", "pair", "point", "approach")
 
 #: The column of a table of commands that says whether a row has one.
 STATUS = "status"
@@ -67,27 +67,27 @@ def reserved() -> tuple[str, ...]:
     return (*WORDS, *noise, *registry.readings(), *POINT)
 
 
-def column_names(table: Table, columns: ColumnsInput = None) -> set[str] | None:
-    """Return the names that a table's columns may be called by, without their units.
+def list_columns(table: Table) -> str:
+    """Return the sentence that lists a table's columns, for messages."""
+    labels = [label for label in table.header if label]
+    return f"The columns found: {choices(labels, limit=30)}."
+
+
+def names_in(table: Table, columns: ColumnsInput = None) -> set[str] | None:
+    """Return the names that the columns of a table may be called by, without their units.
 
     Args:
         table: The table.
         columns: What is said of the columns, as by ``--columns``; None: nothing.
 
     Returns:
-        The names in the header, and those that they are mapped to; None where a brand maps them to the joints of a
-        robot, whichever these are.
+        The names in the header, and those that they are mapped to; None where a brand maps them
+        to the joints of a robot, whichever these are.
     """
     options = column_options(columns)
     if options.brand is not None:
         return None
     return {split_header(label)[0] for label in (*table.header, *options.names.values())}
-
-
-def list_columns(table: Table) -> str:
-    """Return the sentence that lists a table's columns, for messages."""
-    labels = [label for label in table.header if label]
-    return f"The columns found: {choices(labels, limit=30)}."
 
 
 def name_columns(

@@ -43,7 +43,8 @@ _OF_COMMANDS = "correction position"
 class Layout:
     """Columns of a table of measurements by what they hold, and the kinds of its rows."""
 
-    #: Columns of words that are used, by name: ``row``, ``set``, ``kind``, ``target``, ``pair``, ``point``, ``status``.
+    #: Columns of words that are used, by name: ``row``, ``set``, ``kind``, ``target``, ``pair``, ``point``,
+    #: ``approach``, ``status``.
     words: Named
     #: Columns whose words make the group's name, in the order of the table.
     groups: Columns
@@ -90,7 +91,7 @@ class Layout:
         options = column_options(columns)
         named, groups = name_columns(table, joint_names or (), options)
         joints = _joints(table, named, joint_names, joint_types or {}, options)
-        is_oriented = bool(conventions_of(named, joint_names or (), options))
+        is_oriented = bool(conventions_of(table, named, joint_names or (), options))
         kinds = _kinds(table, named, kind, is_oriented, points_elsewhere=points_elsewhere)
         present = list(map(registry.get, kinds))
         if points_elsewhere:
@@ -255,7 +256,7 @@ def _joints(
     """
     taken = {*reserved(), *ORIENTATION}
     if joint_names is None:
-        taken.update(*(row.columns for row in conventions_of(named, (), options)))
+        taken.update(*(row.columns for row in conventions_of(table, named, (), options)))
     available = {name: column for name, column in named.items() if name not in taken}
     if joint_names is None:
         joint_names = _inferred_joints(table, available, types)
@@ -311,7 +312,7 @@ def _words(
     points_elsewhere: bool,
 ) -> dict[str, Column]:
     """Return the columns of words that are used; ``kind`` if ``by_column``."""
-    used = ["row", "set", "target"]
+    used = ["row", "set", "target", "approach"]
     if by_column:
         used.append("kind")
     if points_elsewhere:

@@ -54,7 +54,12 @@ from calib.values.pickling import Value
 from calib.values.short import one_line
 
 #: Attributes with a word a row, and the word where they are not given.
-_WORDS = {"sets": SETS[0], "targets": DEFAULT_TARGET, "groups": "", "kinds": "point", "pairs": ""}
+_WORDS = {
+    **dict.fromkeys(("groups", "pairs", "approaches"), ""),
+    "sets": SETS[0],
+    "targets": DEFAULT_TARGET,
+    "kinds": "point",
+}
 
 #: Attributes that are arrays with an entry a row.
 _ARRAYS = ("joints", "points", "rotations", "distances", "torques")
@@ -126,6 +131,8 @@ class Measurements(Value):
     #: Convention in which the table gave the orientations, one of `calib.data.forms.orientations.CONVENTIONS`; empty
     #: where it gave none.
     orientation: str = ""
+    #: Names of the directions that the poses were approached from; ``""`` when not given.
+    approaches: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         """Copy the arrays, fill in what was not given, and check that all of it fits together."""
@@ -480,11 +487,8 @@ class Measurements(Value):
             columns["kind"] = self.kinds
         if set(self.targets) - {DEFAULT_TARGET}:
             columns["target"] = self.targets
-        if any(self.groups):
-            columns["group"] = self.groups
-        if any(self.pairs):
-            columns["pair"] = self.pairs
-        return columns
+        further = {"group": self.groups, "pair": self.pairs, "approach": self.approaches}
+        return columns | {name: words for name, words in further.items() if any(words)}
 
     def _number_columns(self) -> Iterator[_NumberColumn]:
         """Return the columns of numbers to write, in SI units; None or NaN where there are none."""

@@ -6,6 +6,7 @@ import csv
 import re
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import pairwise, takewhile
 from pathlib import Path
 from typing import NamedTuple, NoReturn
 
@@ -37,6 +38,9 @@ _LABELS = re.compile(
     rf"(?P<name>.*?)(?<![^\s,;:({{])X{_LABELLED}[\s,;]*Y{_LABELLED}[\s,;]*Z{_LABELLED}.*",
     re.IGNORECASE,
 )
+
+#: A number that a comma between its thousands parted in two.
+_PARTED = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}(?:\.\d*)?")
 
 #: A word of a remark.
 _WORDS = re.compile(r"[^\W\d_]+")
@@ -122,6 +126,9 @@ def _content_of(text: str) -> _Content:
         remark = _remark(line)
         if remark is None and not lines:
             separator = _separator_of(line)
+            if line != written:  # the labels are its header
+                is_named = line.count("\t") == 3
+                headings.append("name\tx\ty\tz" if is_named else "x\ty\tz")
             remark = None if separator else line.strip()
         if remark is None:
             lines.append(number)
@@ -163,7 +170,7 @@ def _whole_names(table: Table, columns: Sequence[int]) -> tuple[str, ...]:
     if not columns:
         return ()
     between = " " if table.separator == " " else PARTS
-    return tuple(between.join(row[i] for i in columns) for row in table.cells)
+    return tuple(between.join(row[i] for i in columns).rstrip(":") for row in table.cells)
 
 
 def _with_plain_numbers(table: Table, columns: Sequence[int], stated: str | None) -> Table:
@@ -270,7 +277,35 @@ def _columns(table: Table, headings: Sequence[str]) -> tuple[list[int], list[int
     x = _first_coordinate(table)
     if _is_numbered(table, x):
         x += 1
+    if table.separator == ",":
+        _check_no_thousands(table, x)
     return list(range(x)), [x, x + 1, x + 2]
+
+
+def _check_no_thousands(table: Table, x: int) -> None:
+    """Refuse numbers between commas that a comma between their thousands seems to have parted, 1,992.4945.
+
+    They are so where some lines have more numbers than others, or where each line has such a number.
+
+    Args:
+        table: The points' lines.
+        x: Position of the first coordinate, from 0.
+    """
+    counts, parted, parted_decimals = [], [], []
+    for row in table.cells:
+        numbers = list(takewhile(NUMERAL.fullmatch, row[x:]))
+        pairs = [",".join(pair) for pair in pairwise(numbers[:4])]
+        counts.append(len(numbers))
+        parted.append(len(numbers) > 3 and any(map(_PARTED.fullmatch, pairs)))
+        parted_decimals.append(parted[-1] and any("." in p for p in pairs if _PARTED.fullmatch(p)))
+    if any(parted) and (len(set(counts)) > 1 or all(parted_decimals)):
+        i = parted.index(True)
+        raise MeasurementError(
+            f"{table.source}, line {table.lines[i]}: '{','.join(table.cells[i])[:80]}' seems to have commas between "
+            "thousands, and commas separate the cells too. Export it with semicolons or tabs, or with such numbers in "
+            'double quotes; if all is right, write a header line above the points, "name,x,y,z" and a name for what '
+            "follows."
+        )
 
 
 def _columns_of_header(table: Table, remark: str) -> tuple[list[int], list[int]] | None:

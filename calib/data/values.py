@@ -85,6 +85,7 @@ def read_values(table: Table, layout: Layout, elsewhere: Points | None = None) -
         "targets": chosen.get("target", ()),
         "groups": chosen.get("group", ()),
         "pairs": chosen.get("pair", ()),
+        "approaches": chosen.get("approach", ()),
         "kinds": kinds[measured].tolist(),
         "rows": list(compress(row_numbers, measured)),
         "unmeasured": list(compress(row_numbers, ~measured)),

@@ -205,6 +205,26 @@ def forecast(robot: Robot, cell: Cell, joints: ArrayLike) -> Forecast:
     return Forecast.of(sensitivity, workspace, np.asarray(joints))
 
 
+def position_std(robot: Robot, cell: Cell, measured: Array, joints: Array) -> Array:
+    """Forecast how far a calibrated robot's targets are from where it predicts them, at single poses.
+
+    The root of the variances of x, y, z added up, sqrt(tr(J C J^T)); its rms over the workspace is `Forecast.rms`.
+
+    Args:
+        robot: The nominal robot.
+        cell: The measurement setup of the fit: frames, its k targets, noise, priors and model.
+        measured: Joint values of the poses to measure and to fit, shape (N, m), [rad] or for sliding joints [m].
+        joints: Joint values of the poses in question, shape (n, m), likewise.
+
+    Returns:
+        Shape (n, k), [m].
+    """
+    sensitivity = Sensitivity.of(robot, cell)
+    root = covariance_root(sensitivity.measured(measured), sensitivity.precision)
+    moves = sensitivity.located(joints) @ root
+    return np.asarray(np.linalg.norm(moves.reshape(len(joints), -1, 3 * len(root)), axis=2))
+
+
 def forecast_of_table(robot: Robot, cell: Cell, measurements: Measurements) -> Forecast | None:
     """Forecast a fit of a table's estimation rows, by their poses alone.
 

@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 
 from calib.data.cell import Cell
-from calib.data.columns import column_names
+from calib.data.columns import names_in
 from calib.data.forms.column_options import ColumnsInput, column_options
 from calib.data.measurements import Measurements
 from calib.errors import CalibError
@@ -70,7 +70,7 @@ class FleetRobot:
             """Read the table, the URDF, and the measurements of the chain's joints."""
             table = Table.read(data)
             urdf = read_robot(str(robot))
-            measured = column_names(table, options)
+            measured = names_in(table, options)
             nominal = Robot.from_urdf(
                 urdf, setup.base, setup.tip, measured, setup.held, setup.coupling
             )

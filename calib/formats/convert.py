@@ -6,7 +6,7 @@ What can be read is a row of `KINDS`, what can be written a row of `FORMATS`: fi
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -19,6 +19,8 @@ from calib.formats.origins import write_origins
 from calib.formats.source import Options, Source
 from calib.formats.source_kinds import KINDS, YAML, result_source, robot_source, source_kind
 from calib.formats.universal_robots import read_ur, write_ur_conf, write_ur_yaml
+from calib.formats.zeros.table import TABLE_ENDINGS
+from calib.formats.zeros.write import write_zeros
 from calib.inputs import RobotInput
 from calib.result.calibration import CalibrationValues
 from calib.robot.dh import EQUATIONS, HAYATI, MODIFIED, STANDARD
@@ -57,6 +59,8 @@ class Conversion(Value):
     notes: Notes
     #: The verdict ``do not use`` and its reason, where one was accepted.
     against: str = ""
+    #: What went with it.
+    options: Options = field(default_factory=Options)
 
 
 def read_source(
@@ -212,6 +216,27 @@ FORMATS: dict[str, Format] = {
         "DH rows, modified (Craig's) convention", ENDINGS, partial(_write_dh, MODIFIED)
     ),
     "hayati": Format("DH rows with Hayati's beta", ENDINGS, partial(_write_dh, HAYATI)),
+    "zeros": Format("joint zeros to type in", TABLE_ENDINGS, partial(write_zeros, "zeros")),
+    "dynamixel-hardware": Format(
+        "joint zeros as offsets of ROS' dynamixel_hardware",
+        YAML,
+        partial(write_zeros, "dynamixel-hardware"),
+    ),
+    "ros2-transmission": Format(
+        "joint zeros as offsets of ros2_control's transmissions",
+        YAML,
+        partial(write_zeros, "ros2-transmission"),
+    ),
+    "lerobot": Format(
+        "joint zeros as homing_offset of LeRobot's Feetech servos (SO-100, SO-101)",
+        (".json",),
+        partial(write_zeros, "lerobot"),
+    ),
+    "lerobot-dynamixel": Format(
+        "joint zeros as homing_offset of LeRobot's Dynamixel servos",
+        (".json",),
+        partial(write_zeros, "lerobot-dynamixel"),
+    ),
 }
 """The formats by name, as in ``--to``."""
 

@@ -20,6 +20,12 @@ Code = Literal[
     "coupled readings",
     "rows read",
     "rows written",
+    "zeros not determined",
+    "zeros not validated",
+    "zeros no better",
+    "changes alone",
+    "comments not kept",
+    "end positions move",
 ]
 
 

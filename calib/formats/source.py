@@ -13,6 +13,7 @@ from calib.formats.ur_arms import UrModel
 from calib.formats.ur_conf import Conf
 from calib.inputs import RobotInput, chain_of, robot_of
 from calib.mappings import keep_read_only
+from calib.result.calibration import CalibrationValues
 from calib.robot.robot import Robot
 from calib.units import Array
 from calib.values.pickling import Value
@@ -32,8 +33,10 @@ class Options:
     urcontrol: str | Path | None = None
     #: The robot's own ``kinematics.yaml`` or ``calibration.conf``, whose hash a new ``kinematics.yaml`` keeps.
     hash_from: str | Path | None = None
-    #: A ``calibration.conf`` whose other lines a new one keeps.
+    #: A ``calibration.conf`` whose other lines a new one keeps; or a file of offsets, to which zeros are added.
     update: str | Path | None = None
+    #: Ticks a turn of a servo's encoder, in which zeros are stored.
+    ticks: int = 4096
     #: First link of the chain; None: that of the source.
     base: str | None = None
     #: Last link of the chain; None: that of the source.
@@ -44,6 +47,8 @@ class Options:
     coupling: Mapping[str, Mapping[str, float]] | None = None
     #: Whether a file that exists is replaced.
     overwrite: bool = False
+    #: Whether what should not be given to a robot is written all the same.
+    accept: bool = False
 
     def __post_init__(self) -> None:
         """Keep read-only copies of the held values and the couplings."""
@@ -92,3 +97,5 @@ class Source(Value):
     notes: tuple[Note, ...] = ()
     #: The verdict of a result; None of any other file, and of a result that was not validated.
     verdict: Verdict | None = None
+    #: The result itself; None of any other file.
+    calibration: CalibrationValues | None = None

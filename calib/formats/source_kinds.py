@@ -143,7 +143,15 @@ def result_source(result: CalibrationValues, options: Options, name: str) -> Sou
     if result.non_geometric is not None:
         notes = (Note("geometry alone", (result.non_geometric.name,)),)
     model = _arm(nominal, options)
-    return Source("result", robot, nominal, model=model, notes=notes, verdict=result.verdict)
+    return Source(
+        "result",
+        robot,
+        nominal,
+        model=model,
+        notes=notes,
+        verdict=result.verdict,
+        calibration=result,
+    )
 
 
 def _origins(source: str, options: Options) -> Source:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -150,3 +150,8 @@ class CrossValidation:
     errors: Errors
     #: Of the rows that the fit to all rows did not flag
     errors_without_outliers: Errors
+
+    def without_rows(self) -> CrossValidation:
+        """Return the same figures without what there is of each row: ``poses`` and ``residual`` are empty."""
+        nothing = read_only(np.zeros(0))
+        return replace(self, poses=np.zeros(0, dtype=int), residual=nothing)

@@ -104,6 +104,18 @@ def saved(figure: Figure, kind: str, title: str = "", caption: str = "", dpi: in
         caption: Description in the file's metadata.
         dpi: Dots per inch of PNG, and of the parts of SVG and PDF that are pixels.
     """
+    import matplotlib as mpl
+    from matplotlib.backend_bases import get_registered_canvas_class
+
+    # Laid out here, once: savefig would draw all of it twice, the first time for the layout alone.
+    get_registered_canvas_class(kind)(figure)
+    layout = figure.get_layout_engine()
+    if layout is not None:
+        figure.set_dpi(dpi)
+        layout.execute(figure)
+        # Without a default layout None is none at all; "none" would stand for a layout that is drawn for.
+        with mpl.rc_context({"figure.constrained_layout.use": False}):
+            figure.set_layout_engine(None)
     data = io.BytesIO()
     description = "Subject" if kind == "pdf" else "Description"
     metadata: dict[str, Any] = {"Title": title, description: caption}

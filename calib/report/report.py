@@ -1,16 +1,12 @@
-"""The report of a calibration: verdict first, then errors before and after, figures, parameters, and the method.
+"""The report of a calibration: a first page to sign, then errors before and after, figures, parameters, and the method.
 
-One HTML page, ``report.html.j2`` filled in: figures inside, no script, nothing from the network; it prints on A4.
+One HTML page, ``report.html.j2`` filled in; see `calib.report.page`.
 """
 
 from __future__ import annotations
 
-import base64
-import os
-from collections import Counter
-from datetime import datetime, timezone
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -18,29 +14,27 @@ import pinocchio as pin
 import calib.report.tables as tables
 import calib.text.summary as texts
 from calib.data.forms.orientations import find_convention
-from calib.data.kinds import get as kind_named
 from calib.data.measurements import Measurements
 from calib.diagnosis.reasons import Why
-from calib.errors import FileError
 from calib.files import write_atomically
 from calib.numerics.intervals import interval_factor
-from calib.report.tables import MOST_LISTED
+from calib.report.first_page import (
+    FirstPage,
+    Outcome,
+    left_lines,
+    right_lines,
+    robot_name,
+)
+from calib.report.page import check_ending, page_bytes
+from calib.report.row_values import kinds_text
+from calib.report.table import MOST_LISTED
 from calib.result.calibration import CalibrationValues
 from calib.result.calibration_file import versions
 from calib.text.layout.doubtful_rows import outside_text, robustness_text
-from calib.text.layout.lines import deg, mm
+from calib.text.layout.lines import deg, mm, plural, times
 from calib.text.places import frame_sentences, target_sentences
 from calib.text.readings import coupling_sentence
 from calib.text.verdict import reason_text
-
-if TYPE_CHECKING:
-    from calib.report.figures import Drawing
-
-#: A drawing with more bytes than this as SVG goes into the page as PNG: browsers scroll slowly over large SVG.
-_LARGE = 260_000
-
-#: A longer word in a table [letters] may be broken anywhere: it would push its table off the page.
-_LONGEST_WORD = 24
 
 
 def write_report(
@@ -69,72 +63,18 @@ def write_report(
     return write_atomically(path, page, overwrite=overwrite)
 
 
-def check_ending(path: str | Path) -> None:
-    """Refuse a file name that does not end in .html or .htm.
-
-    Raises:
-        FileError: It does not.
-    """
-    if Path(path).suffix.lower() not in (".html", ".htm"):
-        raise FileError(
-            f"'{path}': a report is a page; let the name end in .html. The summary is its text."
-        )
-
-
 def report_bytes(calibration: CalibrationValues, *, command: str = "") -> bytes:
-    """Return the page, UTF-8.
-
-    Two reports of one calibration differ in their date only: that of the environment variable ``SOURCE_DATE_EPOCH``
-    (seconds since 1970), else now.
+    """Return the page, UTF-8, see `calib.report.page.page_bytes`.
 
     Args:
         calibration: The result.
         command: The command line that made it; empty where there was none.
     """
-    import jinja2
-
     from calib.report.figures import drawings
 
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(Path(__file__).parent),
-        autoescape=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        undefined=jinja2.StrictUndefined,
-    )
-    environment.tests["long"] = _has_long_word
     content = _content(calibration)
     content["command"] = command or "not from the command line"
-    content["date"] = _date()
-    content["figures"] = [(figure, _picture(figure)) for figure in drawings(calibration)]
-    page = environment.get_template("report.html.j2").render(**content)
-    return page.encode("utf-8", "replace")
-
-
-def _has_long_word(text: str) -> bool:
-    """Tell if a cell holds a word that must be broken to fit its column."""
-    return any(len(word) > _LONGEST_WORD for word in text.split())
-
-
-def _date() -> str:
-    """Return the date and time of the report, UTC."""
-    epoch = os.environ.get("SOURCE_DATE_EPOCH", "")
-    date = datetime.now(timezone.utc)
-    if epoch.isdecimal():
-        date = datetime.fromtimestamp(int(epoch), timezone.utc)
-    return f"{date:%Y-%m-%d %H:%M} UTC"
-
-
-def _picture(drawing: Drawing) -> str:
-    """Draw a figure and return it as a data address: SVG, or PNG where SVG would be large."""
-    from calib.report.figures import rendered
-
-    media_type = "svg+xml"
-    data = rendered(drawing, "svg")
-    if len(data) > _LARGE:
-        media_type = "png"
-        data = rendered(drawing, "png")
-    return f"data:image/{media_type};base64,{base64.b64encode(data).decode('ascii')}"
+    return page_bytes("report.html.j2", content, drawings(calibration))
 
 
 def _rows_text(m: Measurements) -> str:
@@ -150,26 +90,58 @@ def _content(c: CalibrationValues) -> dict[str, Any]:
 
     The template calls `calib.report.tables` and `calib.text.summary` itself; here are the texts that need more.
     """
-    m = c.measurements
-    reasons = c.verdict.reasons if c.verdict else ()
+    reasons = _reasons(c)
     return {
         "c": c,
+        "document": "Calibration report",
+        "first": _first_page(c, reasons),
         "texts": texts,
         "tables": tables,
         "known": texts.facts(c),
-        "source": m.source or "from memory",
-        "rows_text": _rows_text(m),
-        "reasons": [reason_text(reason) for reason in reasons],
+        "source": c.measurements.source or "from memory",
+        "rows_text": _rows_text(c.measurements),
+        "reasons": reasons,
         "robustness": robustness_text(c.robustness) if c.robustness else "",
-        "unweighted": int(np.sum(c.weights[m.estimation] <= 0.0)),
+        "unweighted": int(np.sum(c.weights[c.measurements.estimation] <= 0.0)),
         "factor": f"{interval_factor(c.fitted.estimate.freedom):.2f}",
         "places": [*target_sentences(c, MOST_LISTED), *frame_sentences(c, MOST_LISTED)],
         "combinations": _combinations(c),
-        "kinds": _kinds(c),
+        "kinds": kinds_text(c.measurements),
         "outside": _outside(c),
         "versions": ", ".join(f"{name} {version}" for name, version in versions().items()),
         **_measurement_setup(c),
     }
+
+
+def _reasons(c: CalibrationValues) -> list[str]:
+    """Word the reasons of the verdict, or why there is none."""
+    if c.verdict is None:
+        return ["No verdict: the result was not cross-validated."]
+    return [reason_text(reason) for reason in c.verdict.reasons]
+
+
+def _first_page(c: CalibrationValues, reasons: list[str]) -> FirstPage:
+    """Return the first page; ``reasons`` are those of the verdict in words."""
+    noise = texts.facts(c)["Noise"]
+    poses = c.fitted.estimate.problem.rows.poses
+    _, repeats = np.unique(poses, return_counts=True)
+    return FirstPage(
+        robot=robot_name(c.nominal),
+        outcome=Outcome.of("none" if c.verdict is None else c.verdict.use),
+        reasons=reasons,
+        section="Verdict",
+        left=left_lines(c.record, c.nominal),
+        right=right_lines(c.record, ("Noise (1 sigma)", noise.partition(" (")[0]), c.source.name),
+        note=c.record.note,
+        table=tables.before_and_after(c),
+        rule=[
+            f"Rows: {_rows_text(c.measurements)}; the estimate is from {plural(len(repeats), 'pose')}, each measured "
+            f"{times(int(repeats.min()), int(repeats.max()))}.",
+            "The verdict rests on rows that took no part in the fit, not on a tolerance: 'calib evaluate --tolerance' "
+            "tests one, on rows measured afterwards.",
+        ],
+        parties=("Calibrated by", "Approved by"),
+    )
 
 
 def _combinations(c: CalibrationValues) -> list[str]:
@@ -182,12 +154,6 @@ def _combinations(c: CalibrationValues) -> list[str]:
     if more:
         listed.append(f"and {more} more")
     return listed
-
-
-def _kinds(c: CalibrationValues) -> str:
-    """Word the kinds of measurements with their numbers of rows."""
-    counts = Counter(c.measurements.kinds)
-    return "; ".join(f"{kind_named(kind).words} ({n:,} rows)" for kind, n in counts.items())
 
 
 def _outside(c: CalibrationValues) -> str:

@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
+from collections import Counter
+
 import numpy as np
 
+from calib.data.kinds import get as kind_named
 from calib.data.measurements import Measurements
 from calib.registration.setup import Setup
 from calib.result.calibration import CalibrationValues
 from calib.robot.robot import rigid_inverse
 from calib.units import Array, Mask
+
+
+def kinds_text(m: Measurements) -> str:
+    """Word the kinds of measurements with their numbers of rows."""
+    counts = Counter(m.kinds)
+    return "; ".join(f"{kind_named(kind).words} ({n:,} rows)" for kind, n in counts.items())
 
 
 def flagged_rows(c: CalibrationValues) -> Mask:

@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import chain
-from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -18,6 +17,7 @@ import calib.text.summary as texts
 from calib.channels import RESIDUAL_UNITS, Channels
 from calib.model.dh_table import dh_table
 from calib.numerics.errors import Errors, UnitErrors
+from calib.report.table import MOST_LISTED, Table
 from calib.result.calibration import CalibrationValues
 from calib.result.prediction import ParameterEstimate
 from calib.robot.dh import DHRow
@@ -25,9 +25,6 @@ from calib.robot.robot import rigid_inverse
 from calib.text.layout.lines import number
 from calib.text.layout.sizes import shown
 from calib.units import Array
-
-#: Rows, targets or combinations of parameters that a report lists at most; the others are counted.
-MOST_LISTED = 40
 
 #: Number of validation rows listed where there are more than `MOST_LISTED`: those with the largest errors.
 MOST_WORST = 20
@@ -49,25 +46,6 @@ _DH_FORMATS = ((_MM, 3), (_DEG, 4), (_MM, 3), (_DEG, 4), (_DEG, 4))
 
 #: Indices of the angles alpha, theta and beta among the five DH parameters of a row.
 _DH_ANGLES = [1, 3, 4]
-
-
-class Table(NamedTuple):
-    """A table whose cells are text; without rows it is not shown."""
-
-    #: Its caption, with the unit where all numbers have the same
-    title: str
-    #: Labels of the columns
-    head: Sequence[str]
-    #: Cells, one for each column
-    rows: Sequence[Sequence[str]]
-    #: A letter for each column: ``l`` for text, ``r`` for numbers
-    align: str
-    #: Sentences below the table
-    note: str = ""
-    #: Labels above the head, each with the number of columns that it spans
-    groups: Sequence[tuple[str, int]] = ()
-    #: Indices of the rows in bold, from 0
-    strong: Sequence[int] = ()
 
 
 def errors(c: CalibrationValues, unit: str) -> Table:
@@ -106,6 +84,38 @@ def errors(c: CalibrationValues, unit: str) -> Table:
     return Table(title, head, rows, align, " ".join(notes), groups, strong)
 
 
+def before_and_after(c: CalibrationValues) -> Table:
+    """Tabulate the errors of rows that took no part in the fit, of the nominal robot beside the calibrated one.
+
+    In each unit that was measured these are validation and held-out rows; the estimation rows where there are neither.
+    """
+    before, after = c.errors["nominal"], c.errors["calibrated"]
+    sets = [("validation rows", before["validation"], after["validation"])]
+    if c.cross_validation is not None and c.nominal_cross_validation is not None:
+        nominal, fitted = c.nominal_cross_validation, c.cross_validation
+        sets.append(("held-out rows", nominal.errors, fitted.errors))
+        if c.outliers:
+            without = (nominal.errors_without_outliers, fitted.errors_without_outliers)
+            sets.append(("held-out, without outliers", *without))
+    if not any(of_rows.leading.n for _, _, of_rows in sets):
+        sets = [("estimation rows", before["estimation"], after["estimation"])]
+    rows = []
+    for unit in c.channels.present:
+        name = f"{RESIDUAL_UNITS[unit].measured} [{RESIDUAL_UNITS[unit].shown}]"
+        for label, nominal_errors, errors in sets:
+            if errors[unit].n:
+                cells = [_error_cells(of_robot[unit]) for of_robot in (nominal_errors, errors)]
+                rows.append((name, label, f"{errors[unit].n:,}", *cells[0], *cells[1]))
+                name = ""
+    return Table(
+        "Size of the error by set of rows",
+        ("error of", "rows", "number", *(2 * ("max", "mean", "rms"))),
+        rows,
+        "llrrrrrrr",
+        groups=(("", 3), ("before: nominal", 3), ("after: calibrated", 3)),
+    )
+
+
 def _full_labels(labelled: Iterable[tuple[str, Errors]]) -> list[str]:
     """Return the labels of sets so that they need no look at the row above: ``the same ...`` is spelt out."""
     full = []
@@ -122,7 +132,7 @@ def _has_span(e: UnitErrors) -> bool:
     return e.n > 0 and bool(np.any(np.isfinite(e.span_axis)))
 
 
-def _error_cells(e: UnitErrors, *, with_span: bool) -> list[str]:
+def _error_cells(e: UnitErrors, *, with_span: bool = False) -> list[str]:
     """Write largest, mean and rms error of a set, and the spans by axis, in the unit that is shown."""
     values = [e.max, e.mean, e.rms]
     if with_span:

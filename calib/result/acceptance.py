@@ -29,6 +29,7 @@ from calib.errors import CalibError, MeasurementError, choices
 from calib.mappings import ReadOnlyMapping, keep_read_only
 from calib.result.accuracy import Accuracy, PoseAccuracy, accuracy, fitted_rows
 from calib.result.calibration import CalibrationValues
+from calib.result.characteristics import Characteristic, characteristics
 from calib.result.evaluation import EvaluationValues, evaluate, moved_place, registration_rows
 from calib.robot.robot import Robot
 from calib.units import Array, Mask, split_header
@@ -316,6 +317,8 @@ class Assessment(Value):
     evaluations: Mapping[str, EvaluationValues]
     #: Their pose accuracy, by the same names
     accuracies: Mapping[str, Accuracy]
+    #: Their further characteristics by ISO 9283, by the same names
+    characteristics: Mapping[str, tuple[Characteristic, ...]]
     #: Name of the robot that is judged
     judged: str
     #: The acceptance, where a tolerance was stated
@@ -328,7 +331,26 @@ class Assessment(Value):
 
     def __post_init__(self) -> None:
         """Keep read-only copies of the mappings."""
-        keep_read_only(self, "evaluations", "accuracies")
+        keep_read_only(self, "evaluations", "accuracies", "characteristics")
+
+    @classmethod
+    def of_one(cls, evaluation: EvaluationValues, accepted: Acceptance | None = None) -> Assessment:
+        """Return the assessment of a single robot, called ``"urdf"``.
+
+        Args:
+            evaluation: Residuals of the robot at the rows of a table.
+            accepted: Its acceptance, of the same evaluation; None: no tolerance was stated.
+        """
+        judged = accuracy(evaluation) if accepted is None else accepted.accuracy
+        return cls(
+            evaluations={"urdf": evaluation},
+            accuracies={"urdf": judged},
+            characteristics={"urdf": characteristics(evaluation, judged)},
+            judged="urdf",
+            accepted=accepted,
+            outside=((), ()),
+            hint=None,
+        )
 
 
 def assess(
@@ -377,6 +399,10 @@ def assess(
     return Assessment(
         evaluations=evaluations,
         accuracies=accuracies,
+        characteristics={
+            name: characteristics(evaluations[name], figures)
+            for name, figures in accuracies.items()
+        },
         judged=judged,
         accepted=accepted,
         outside=_outside(table, calibration, accuracies[judged], judged),

@@ -390,7 +390,7 @@ def _figures(e: Array, unit: str, *, are_vectors: bool) -> PoseFigures:
     by_axis = 3.0 * e.std(axis=0, ddof=1) if enough else np.full(len(mean), np.nan)
     rp = np.nan
     if enough:
-        rp = float(np.max(by_axis)) if unit == "rad" else _repeatability(e)
+        rp = repeatability(e, unit)
     nothing = np.full(3, np.nan)
     return PoseFigures(
         ap=float(np.linalg.norm(mean)),
@@ -413,17 +413,21 @@ def _largest_norm(vectors: Array) -> float:
     return float(np.linalg.norm(vectors, axis=1).max())
 
 
-def _repeatability(e: Array) -> float:
-    """Return the pose repeatability RP = mean l + 3 S_l, where l_j = |e_j - mean e|; of one scalar RP = 3 S_e.
+def repeatability(e: Array, unit: str) -> float:
+    """Return the pose repeatability RP of repeats of one pose.
+
+    Of vectors RP = mean l + 3 S_l with l_j = |e_j - mean e|, of one scalar RP = 3 S_e, and of orientations the largest
+    3 S about an axis; standard deviations S are over n - 1.
 
     Args:
-        e: Residuals of n >= 2 repeats of one pose, measured minus predicted, shape (n, d).
+        e: Residuals of n >= 2 repeats, measured minus predicted, shape (n, d).
+        unit: Symbol of their unit.
 
     Returns:
-        RP in their unit; the standard deviations S are over n - 1.
+        RP in the unit.
     """
-    if e.shape[1] == 1:
-        return float(3.0 * e[:, 0].std(ddof=1))
+    if unit == "rad" or e.shape[1] == 1:
+        return float(np.max(3.0 * e.std(axis=0, ddof=1)))
     distances = np.linalg.norm(e - e.mean(axis=0), axis=1)
     return float(distances.mean() + 3.0 * distances.std(ddof=1))
 

@@ -38,6 +38,7 @@ from calib.result.calibration import CalibrationValues, FitInMemory, RowNames, S
 from calib.result.doubts import doubts_of
 from calib.result.evidence import evidence_of
 from calib.result.fits import TableFits, fit_table
+from calib.result.joint_zeros import joint_zeros
 from calib.result.prediction import (
     NonGeometric,
     Outlier,
@@ -335,8 +336,7 @@ def _assembled(
     m, geometry, all_rows = measurements, fits.geometry, fits.all_rows
     robot, cell, estimate = geometry.task.robot, geometry.task.cell, geometry.estimate
     observability = estimate.problem.observability(estimate.x)
-    scored = _scored(m, fits)
-    nominal_places = _nominal_places(m, fits)
+    scored, nominal_places = _scored(m, fits), _nominal_places(m, fits)
     return CalibrationValues(
         **_model_values(geometry, observability, validations.geometry),
         nominal=robot,
@@ -371,6 +371,8 @@ def _assembled(
         candidates=_without_rows(fits.candidates),
         non_geometric=_non_geometric(fits, validations.non_geometric),
         verdict=verdict,
+        zeros=joint_zeros(fits, m.validation, cross_validated=validations.geometry is not None),
+        record=cell.record,
         fit=FitInMemory(m, cell, geometry, fits.non_geometric),
     )
 
@@ -620,11 +622,7 @@ def _without_rows(candidates: Iterable[Candidate]) -> tuple[Candidate, ...]:
     """
     result = []
     for candidate in candidates:
-        validation = replace(
-            candidate.cross_validation,
-            poses=np.zeros(0, dtype=int),
-            residual=read_only(np.zeros(0)),
-        )
+        validation = candidate.cross_validation.without_rows()
         result.append(replace(candidate, cross_validation=validation))
     return tuple(result)
 

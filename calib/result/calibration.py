@@ -16,6 +16,7 @@ from calib.channels import Channels
 from calib.data.cell import Cell
 from calib.data.columns import SETS
 from calib.data.measurements import Measurements
+from calib.data.record import BLANK, Record
 from calib.diagnosis.coverage import OutsideRow, outside
 from calib.diagnosis.reasons import Verdict
 from calib.errors import ArgumentError, ModelError, choices, did_you_mean
@@ -26,6 +27,7 @@ from calib.numerics.errors import CrossValidation, Errors
 from calib.numerics.repeats import Repeats
 from calib.numerics.solvers import Solution
 from calib.registration.setup import Setup
+from calib.result.joint_zeros import JointZeros
 from calib.result.prediction import (
     FittedModel,
     NonGeometric,
@@ -174,6 +176,10 @@ class CalibrationValues(FittedModel):
     non_geometric: NonGeometric | None
     #: None without cross-validation, unless a usual mistake explains the rows far better, or a frame was not found
     verdict: Verdict | None
+    #: The best joint zeros alone; None where they cannot be fitted, or where an earlier version wrote the file
+    zeros: JointZeros | None = None
+    #: Who measured what for whom, where, when and with what, as the cell says
+    record: Record = BLANK
     #: Measurements and solved problem; None where the result was read from a file
     fit: FitInMemory | None = field(default=None, repr=False)
 

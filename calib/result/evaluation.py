@@ -12,6 +12,7 @@ from calib.channels import Channels
 from calib.data.cell import Cell
 from calib.data.columns import DEFAULT_TARGET
 from calib.data.measurements import Measurements
+from calib.data.record import BLANK, Record
 from calib.diagnosis.reasons import Reason, Why
 from calib.errors import CalibError, ModelError, choices
 from calib.inputs import CellInput, RobotInput, TableInput, inputs_of
@@ -60,6 +61,8 @@ class EvaluationValues(Value):
     residual: Array
     #: Unit of each entry of the residual, and which were measured
     channels: Channels
+    #: Who measured what for whom, where, when and with what, as the cell says
+    record: Record = BLANK
 
     @property
     def used(self) -> Mask:
@@ -148,6 +151,7 @@ def evaluate(
         registered=_not_given(setup),
         residual=read_only(rows.residual(T_frame_target)),
         channels=rows.channels,
+        record=known_cell.record,
     )
 
 

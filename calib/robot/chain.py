@@ -32,6 +32,13 @@ MOVING = ("revolute", "continuous", "prismatic")
 #: Names of a tip, in the order of preference, where several links lie equally far out.
 _USUAL_TIPS = ("tool0", "tcp", "tool", "flange", "ee_link")
 
+#: What the names of the joints and links of a gripper or hand contain, in lower case.
+_FINGER_WORDS = ("finger", "thumb", "pinky", "jaw")
+_HAND_WORDS = (*_FINGER_WORDS, "gripper", "hand")
+
+#: What tells a wrist joint from a hand's, as in ``gripper_yaw_joint``.
+_WRIST_WORDS = ("roll", "pitch", "yaw")
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OriginFactors(Value):
@@ -231,7 +238,8 @@ def farthest_link(
 ) -> str:
     """Return the link with the most moving joints between it and the base: the default tip.
 
-    Among links equally far out a usual name such as ``tool0`` wins, else the last one.
+    Joints of a gripper or hand, which their names tell, do not count unless no other joint moves. Among links equally
+    far out a usual name such as ``tool0`` wins, else the last one that is not part of a gripper or hand.
 
     Args:
         urdf: The robot.
@@ -243,16 +251,53 @@ def farthest_link(
         UrdfError: There is no link ``base``.
     """
     urdf.chain(base, base)  # raises, with the names of all links, for one that does not exist
+    count = _joints_of_arm_to(urdf, base, measured, held)
+    most = max(count.values())
+    farthest = [link for link, number in count.items() if number == most]
+    before_hand = [link for link in farthest if not _is_in_hand(urdf, link)] or farthest
+    return next((name for name in _USUAL_TIPS if name in farthest), before_hand[-1])
+
+
+def _joints_of_arm_to(
+    urdf: Urdf,
+    base: str,
+    measured: Collection[str] | None,
+    held: Collection[str],
+) -> dict[str, int]:
+    """Return the number of moving joints from the base to each link that they lead to.
+
+    Those that are measured and no gripper's or hand's count; where none of them moves, those that are one or the other;
+    where none of these does, all. The arguments are those of `farthest_link`.
+    """
     every = {joint.name for joint in urdf.joints}
+    arm = every - {joint.name for joint in urdf.joints if _moves_hand(joint)}
+    given = every if measured is None else set(measured)
     start = _fixed_ancestor(urdf, base)
     count: dict[str, int] = {}
-    for known in (every if measured is None else measured, every):
+    for known in (given & arm, given, arm, every):
         count = _moving_joints_to(urdf, start, known, held)
         if max(count.values()):
             break
-    most = max(count.values())
-    farthest = [link for link, number in count.items() if number == most]
-    return next((name for name in _USUAL_TIPS if name in farthest), farthest[-1])
+    return count
+
+
+def _moves_hand(joint: UrdfJoint) -> bool:
+    """Return True if a joint is one of a gripper or hand, by its name and that of the link that it moves."""
+    name, link = joint.name.casefold(), joint.child.casefold()
+    if any(word in name or word in link for word in _FINGER_WORDS):
+        return True
+    of_hand = any(word in name for word in _HAND_WORDS)
+    return of_hand and not any(word in name for word in _WRIST_WORDS)
+
+
+def _is_in_hand(urdf: Urdf, link: str) -> bool:
+    """Return True if a link, or one that it is fixed to, is part of a gripper or hand, by its name."""
+    above = {joint.child: joint for joint in urdf.joints}
+    while not any(word in link.casefold() for word in _HAND_WORDS):
+        if link not in above or above[link].type != "fixed":
+            return False
+        link = above[link].parent
+    return True
 
 
 def _fixed_ancestor(urdf: Urdf, link: str) -> str:

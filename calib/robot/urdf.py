@@ -6,6 +6,7 @@ import difflib
 import hashlib
 import importlib.metadata
 import os
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -393,15 +394,17 @@ def robot_data_urdfs() -> dict[str, Path]:
 def find_urdf(source: str | Path) -> Path:
     """Return the URDF file that a path, or the name of a robot of example-robot-data, means; UrdfError if none.
 
-    ``<name>_robot.urdf`` comes before ``<name>.urdf``: that package's own loader returns a UR5 for ``"ur3"``.
+    ``<name>_robot.urdf`` comes before ``<name>.urdf``: that package's own loader returns a UR5 for ``"ur3"``. Names are
+    read in any case.
     """
     path = Path(source)
     if path.suffix or len(path.parts) != 1 or os.path.isfile(path):  # noqa: PTH113  of any length
         return path
     urdfs = robot_data_urdfs()
+    plain = {name.casefold(): path for name, path in urdfs.items()}
     for name in (f"{source}_robot.urdf", f"{source}.urdf"):
-        if name in urdfs:
-            return urdfs[name]
+        if name.casefold() in plain:
+            return plain[name.casefold()]
     known = sorted({name.removesuffix(".urdf").removesuffix("_robot") for name in urdfs})
     raise UrdfError(
         f"'{source}' is neither a file here nor a robot of example-robot-data{_similar(str(source), known)}. Give "
@@ -412,22 +415,31 @@ def find_urdf(source: str | Path) -> Path:
 def _similar(name: str, known: list[str]) -> str:
     """Return names of robots like the one given, as the end of a message that says they may be others.
 
-    A ``ur10e`` is no ``ur10``: its first link is 53 mm longer.
+    A ``ur10e`` is no ``ur10``: its first link is 53 mm longer. Only names with the same numbers are proposed.
 
     Args:
         name: The name given.
         known: The names of all robots of example-robot-data.
 
     Returns:
-        Names that begin with the one given, or that it begins with; else those that differ by few letters.
+        Names that continue the one given, or that it continues, after a separator; else those that differ by few
+        letters.
     """
     given = name.casefold()
-    similar = [
-        robot
-        for robot in known
-        if robot.casefold().startswith(given) or given.startswith(robot.casefold())
-    ]
-    similar = similar or difflib.get_close_matches(given, known, n=3)
+    similar = [robot for robot in known if _continues(given, robot) or _continues(robot, given)]
+    numbered = [robot for robot in known if _numbers_in(robot) == _numbers_in(given)]
+    similar = similar or difflib.get_close_matches(given, numbered, n=3)
     if not similar:
         return ""
     return f" (similar names there, which may be other robots: {choices(similar)})"
+
+
+def _continues(longer: str, shorter: str) -> bool:
+    """Return True if a name is another one, in any case, or that and more after a separator, as ``ur5-limited`` is."""
+    end = longer.casefold().removeprefix(shorter.casefold())
+    return end == "" or (end != longer.casefold() and not end[0].isalnum())
+
+
+def _numbers_in(name: str) -> list[str]:
+    """Return the numbers in a name, with the letters behind them as in ``["10e"]``: they tell kinds of robots apart."""
+    return re.findall(r"\d+[a-z]*", name.casefold())

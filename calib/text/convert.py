@@ -44,6 +44,16 @@ _NOTES: dict[Code, str] = {
     "cell file says {0}{1}.",
     "rows read": "{0} DH rows, {1} convention, {2}.",
     "rows written": "The convention of the rows is {0}, {1}.",
+    "zeros not determined": "The measurements do not determine the zero of {0}, or it was frozen: leave it as it is. "
+    "An unknown frame turns with the first joint, and a target whose place is not given with the last.",
+    "zeros not validated": "These errors are of the fitted rows, and prove nothing: calibrate without --no-validate, "
+    "or with validation rows.",
+    "zeros no better": "Joint zeros alone are no better than the nominal robot on these {0} rows. They were accepted.",
+    "changes alone": "The file has the changes alone, to be added to the numbers of the robot's own file; with "
+    "--update FILE it is a copy of that file with the sums.",
+    "comments not kept": "The comments of {0} are not in the new file.",
+    "end positions move": "range_min and range_max stay as they are, so that each joint's end positions move with its "
+    "zero: check them. The readings must grow with the servo's ticks; where they fall, turn the sign.",
 }
 
 
@@ -58,17 +68,24 @@ def text(conversion: Conversion, name: str) -> str:
         What was read, its verdict, the displacement of the tip, notes, and the file written, in lines of 100 columns.
     """
     from calib.formats.convert import FORMATS
+    from calib.text.zeros import has_zeros, zeros_text
 
     notes = [note_text(note) for note in (*conversion.source.notes, *conversion.notes)]
     written = FORMATS[conversion.format].what
     sentences = [
         _read(conversion, name),
         *_verdict(conversion, name),
-        _displacement(conversion),
+    ]
+    last = [
         *dict.fromkeys(notes),  # reader and writer may say the same
         f"Written: {conversion.path}, {written}.",
     ]
-    paragraphs = [fill(sentence) for sentence in sentences if sentence]
+    paragraphs = [fill(sentence) for sentence in sentences]
+    if has_zeros(conversion):
+        paragraphs += zeros_text(conversion)
+    elif _displacement(conversion):
+        paragraphs.append(fill(_displacement(conversion)))
+    paragraphs += [fill(sentence) for sentence in last]
     if conversion.format == "ur-yaml":
         paragraphs.append(_launch(conversion))
     return "\n\n".join(paragraphs)

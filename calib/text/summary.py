@@ -14,7 +14,7 @@ from calib.channels import RESIDUAL_UNITS, Channels
 from calib.model.families import FAMILIES, unit_of
 from calib.model.observability import Combination
 from calib.model.parameters import FRAME, TARGET
-from calib.numerics.errors import Errors
+from calib.numerics.errors import Errors, UnitErrors
 from calib.result.calibration import CalibrationValues
 from calib.result.prediction import Outlier, ParameterEstimate
 from calib.text.layout.doubtful_rows import robustness_text
@@ -268,22 +268,31 @@ def error_table(title: str, unit: str, rows: Iterable[tuple[str, Errors] | str])
     Returns:
         Its lines: rows, maximum, mean, rms, and of lengths the span of the error along each axis.
     """
-    of_unit = RESIDUAL_UNITS[unit]
-    spans = ("span x", "y", "z") if of_unit.shows_span else ()
-    columns = [name_column(f"{title} [{of_unit.shown}]", 33), Column("rows", 4)]
-    columns += [Column(head, 9) for head in ("max", "mean", "rms", *spans)]
+    count, *heads = error_heads(unit)
+    columns = [name_column(f"{title} [{RESIDUAL_UNITS[unit].shown}]", 33), Column(count, 4)]
+    columns += [Column(head, 9) for head in heads]
     cells: list[Sequence[str] | str] = []
     for row in rows:
         if isinstance(row, str):
             cells.append(row)
             continue
         label, errors = row
-        figures = errors[unit]
-        values = [figures.max, figures.mean, figures.rms]
-        if of_unit.shows_span:
-            values += figures.span_axis.tolist()
-        cells.append((label, str(figures.n), *(shown(value, unit) for value in values)))
+        cells.append((label, *error_cells(errors[unit])))
     return table_lines(columns, cells)
+
+
+def error_heads(unit: str) -> tuple[str, ...]:
+    """Return the heads of the columns of a table of errors in one unit, but for the first."""
+    spans = ("span x", "y", "z") if RESIDUAL_UNITS[unit].shows_span else ()
+    return ("rows", "max", "mean", "rms", *spans)
+
+
+def error_cells(figures: UnitErrors) -> list[str]:
+    """Return a cell for each of `error_heads` of the unit of some errors."""
+    values = [figures.max, figures.mean, figures.rms]
+    if RESIDUAL_UNITS[figures.unit].shows_span:
+        values += figures.span_axis.tolist()
+    return [str(figures.n), *(shown(value, figures.unit) for value in values)]
 
 
 def weights_text(c: CalibrationValues) -> str:

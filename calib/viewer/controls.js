@@ -5,6 +5,7 @@
 function arrange() {
   const over = state.mode === "over";
   document.body.dataset.mode = state.mode;
+  if (element("anchors")) element("anchors").hidden = !over;
   for (const who of names) {
     group(who).position.fromArray(over ? table.over : table.places[who]);
     for (const { inner } of Object.values(marks[who].kinds)) inner.visible = !(over && both && who === "nominal");
@@ -18,14 +19,15 @@ function arrange() {
       object.material.needsUpdate = true;
     });
   }
-  for (const button of document.querySelectorAll("[data-mode]")) {
-    button.setAttribute("aria-pressed", String(button.dataset.mode === state.mode));
+  for (const name of ["mode", "anchor"]) {
+    for (const button of document.querySelectorAll(`button[data-${name}]`)) {
+      button.setAttribute("aria-pressed", String(button.dataset[name] === state[name]));
+    }
   }
 }
 
 function look() {
-  viewer.camera.position.fromArray(table.cameras[state.mode]);
-  stepBack();
+  placeCamera(table.cameras[state.mode]);
 }
 
 // ---- from row to row ----
@@ -73,14 +75,15 @@ if (element("row")) {
 // The mark nearest to the mouse, if it is near: its row.
 const screen = new THREE.Vector3();
 function rowAt(event) {
-  let best = null, nearest = 14;
+  const { left, top, width, height } = pane.getBoundingClientRect();
+  let best = null, nearest = event.pointerType === "touch" ? 26 : 14;
   for (const who of names) {
     const parent = group(who);
     if (!both || who === "calibrated" || state.mode === "side") {
       for (let row = 0; row < count; row++) {
-        const at = measuredPlace(row) || target(who, row);
+        const at = measuredPlace(who, row) || target(who, row);
         parent.localToWorld(screen.copy(at)).project(viewer.camera);
-        const x = (0.5 + 0.5 * screen.x) * window.innerWidth, y = (0.5 - 0.5 * screen.y) * window.innerHeight;
+        const x = left + (0.5 + 0.5 * screen.x) * width, y = top + (0.5 - 0.5 * screen.y) * height;
         const far = Math.hypot(x - event.clientX, y - event.clientY);
         if (screen.z < 1 && far < nearest) [best, nearest] = [row, far];
       }
@@ -95,14 +98,14 @@ function pointAt(event) {
   hint.hidden = row === null;
   element("meshcat-pane").style.cursor = row === null ? "" : "pointer";
   if (row === null) return;
-  hint.style.left = event.clientX + "px";
-  hint.style.top = event.clientY + "px";
+  const { left, top } = pane.getBoundingClientRect();
+  hint.style.left = event.clientX - left + "px";
+  hint.style.top = event.clientY - top + "px";
   hint.textContent = brief(row);
 }
 
 // A click on a mark shows its row; a drag turns the scene.
 const pressed = { x: NaN, y: NaN };
-const pane = element("meshcat-pane");
 if (count > 1) {
   pane.addEventListener("pointermove", pointAt);
   pane.addEventListener("pointerdown", (event) => Object.assign(pressed, { x: event.clientX, y: event.clientY }), true);
@@ -115,7 +118,7 @@ if (count > 1) {
   }, true);
 }
 
-for (const button of document.querySelectorAll("[data-mode]")) {
+for (const button of document.querySelectorAll("button[data-mode]")) {
   button.addEventListener("click", () => {
     state.mode = button.dataset.mode;
     arrange();
@@ -123,10 +126,16 @@ for (const button of document.querySelectorAll("[data-mode]")) {
     update();
   });
 }
-for (const name of ["arrows", "robots"]) {
-  if (!element(name)) continue;
-  element(name).addEventListener("change", () => {
-    state[name] = Number(element(name).value);
+for (const button of document.querySelectorAll("button[data-anchor]")) {
+  button.addEventListener("click", () => {
+    state.anchor = button.dataset.anchor;
+    arrange();
+    update();
+  });
+}
+if (element("factor")) {
+  element("factor").addEventListener("change", () => {
+    state.factor = Number(element("factor").value);
     update();
   });
 }
@@ -140,6 +149,10 @@ window.addEventListener("beforeprint", () => {
   [paper.width, paper.height] = [drawn.width, drawn.height];
   viewer.renderer.render(viewer.scene, viewer.camera);
   paper.getContext("2d").drawImage(drawn, 0, 0);
+  // A4, 1122 by 793 px: picture and labels as on the screen, reduced as a whole.
+  const { clientWidth: width, clientHeight: height } = pane;
+  const style = { "--w": `${width}px`, "--h": `${height}px`, "--k": Math.min(1122 / width, 793 / height) };
+  for (const [name, value] of Object.entries(style)) element("picture").style.setProperty(name, value);
 });
 
 // The server that this page came from tells what meshcat draws, and a pose of the program's own.
@@ -160,19 +173,22 @@ function show(pose) {
   update();
 }
 
-// An address may say what is shown at first, such as view.html#row=35&mode=over&robots=50.
+// An address may say what is shown at first, such as view.html#row=35&mode=over&factor=50.
 function start() {
   const parameters = new URLSearchParams(location.hash.slice(1));
-  for (const name of ["arrows", "robots"]) {
-    const choice = element(name) && [...element(name).options].find((one) => one.value === parameters.get(name));
-    if (!choice) continue;
+  const mode = parameters.get("mode");
+  // Older addresses have two factors.
+  const factor = ["factor", ...(mode === "over" ? ["robots", "arrows"] : ["arrows"])].map((name) => parameters.get(name)).find(Boolean);
+  const choice = element("factor") && [...element("factor").options].find((one) => one.value === factor);
+  if (choice) {
     choice.selected = true;
-    state[name] = Number(choice.value);
+    state.factor = Number(choice.value);
   }
-  const row = table.labels.indexOf(`row ${parameters.get("row")}`);
+  const pose = Number(parameters.get("pose")) - 1;
+  const row = pose in table.labels ? pose : table.labels.indexOf(`row ${parameters.get("row")}`);
   if (row >= 0) [state.row, state.alone] = [row, null];
   if (element("row")) element("row").value = state.row;
-  const mode = parameters.get("mode");
+  if (bases && ["base", "tracker"].includes(parameters.get("anchor"))) state.anchor = parameters.get("anchor");
   if (both && Object.hasOwn(table.cameras, mode) && mode !== state.mode) {
     state.mode = mode;
     look();

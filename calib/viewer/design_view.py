@@ -1,8 +1,8 @@
 """The pages of a plan and of a region: one HTML file each.
 
-A plan: the robot at its first pose, the targets of all poses, the boxes about it, the way from pose to pose and the
-lines of sight. A region: its voxels as coloured points about the nominal robot, in bands by density. Each can be
-hidden.
+A plan: the robot at one pose after the other, in the order to drive, with its numbers; the targets of all poses, the
+boxes about it, and the tracker with its lines of sight. A region: its voxels as coloured points about the nominal
+robot, in bands by density. Each can be shown and hidden.
 """
 
 from __future__ import annotations
@@ -15,12 +15,14 @@ import meshcat
 import numpy as np
 from meshcat import geometry as mc
 
+from calib.design.forecast import position_std
 from calib.design.plan import PlanValues
 from calib.regions.region_rows import RegionView
 from calib.report.figure_base import BEAM, ESTIMATION, LITTLE_TO_MUCH, NOMINAL, VALIDATION
 from calib.report.figure_region import headings
 from calib.units import Array
 from calib.viewer.html_page import Key, Page
+from calib.viewer.page import WAY_COLOUR, About, view_page
 from calib.viewer.puppet import translation
 from calib.viewer.scene import (
     draw_boxes,
@@ -30,6 +32,7 @@ from calib.viewer.scene import (
     single_page,
     solid,
 )
+from calib.viewer.view import View, joint_texts
 
 #: Radius of a target's ball, as a part of the scene's size.
 _BALL = 0.008
@@ -37,17 +40,11 @@ _BALL = 0.008
 #: Radius of the ball of a row of a table, as a part of the scene's size.
 _ROW_BALL = 0.007
 
-#: Length of the drawn piece of a line of sight at most, as a part of the scene's size.
-_SIGHT = 0.12
-
 #: Colour of the boxes.
 _BOXES_COLOUR = "#b9a58c"
 
 #: Colour of poses measured already.
 _TAKEN_COLOUR = "#8a94a0"
-
-#: Colour of the way from pose to pose.
-_WAY_COLOUR = "#5b6775"
 
 #: Shares of the samples at which the bands of a region end, as far as the region goes.
 _BANDS = (0.5, 0.8)
@@ -62,7 +59,7 @@ _MOST_POINTS = 60_000
 _CAMERA_POINTS = 5000
 
 #: Edge of a point, as a part of a voxel; the robot is seen between them.
-_POINT = 0.36
+_POINT = 0.09
 
 
 class _Dots(NamedTuple):
@@ -78,31 +75,81 @@ class _Dots(NamedTuple):
     points: Array
 
 
-def plan_page(plan: PlanValues) -> Page:
-    """Make the page of a plan, with the robot at its first pose."""
+def plan_page(plan: PlanValues, *, first_row: int = 1) -> Page:
+    """Make the page of a plan: the robot at each pose, in the order to drive, with its numbers.
+
+    Args:
+        plan: The plan.
+        first_row: Number of the first row of its table, see `calib.design.plan_file.write_plan`.
+    """
     places = plan.places(plan.joints)
     taken = plan.places(plan.taken).reshape(-1, 3)
 
-    def draw(scene: meshcat.Visualizer, size: float) -> list[Key]:
-        keys = _draw_dots(scene, _plan_dots(plan, places, taken), _BALL * size)
+    def draw(group: meshcat.Visualizer, size: float) -> list[Key]:
+        keys = _draw_dots(group, _plan_dots(plan, places, taken), _BALL * size)
+        keys += _draw_boxes_of(group, plan)
+        keys += _sight_keys(plan)
+        keys.append(Key("line to the next pose", WAY_COLOUR, "next"))
         ways = np.stack([places[:-1, 0], places[1:, 0]], axis=1)
-        draw_lines(scene["way"], ways, _WAY_COLOUR, 0.55)
-        keys.append(Key("order to drive", _WAY_COLOUR, "way"))
-        keys += _draw_boxes_of(scene, plan)
-        keys += _draw_sight(scene, plan, places.reshape(-1, 3), _SIGHT * size)
+        draw_lines(group["way"], ways, WAY_COLOUR, 0.55)
+        keys.append(Key("order of all poses", WAY_COLOUR, "way", on=False))
         return keys
 
-    forecast = plan.forecast
-    return single_page(
-        plan.robot,
-        plan.joints[0],
-        np.concatenate([places.reshape(-1, 3), taken, _box_ends(plan)]),
-        draw,
-        title=f"{plan.robot.name}: {len(plan.joints)} poses to measure",
-        text=f"Expected error of a predicted position after the calibration: {1e3 * forecast.rms:.3f} mm rms over the "
-        f"workspace, {1e3 * forecast.rms_low:.3f} to {1e3 * forecast.rms_high:.3f} mm in 90 % of calibrations.",
-        legend=f"{plan.robot.name} at the first pose",
+    tracker = plan.cell.tracker
+    about = About(
+        points=np.concatenate([places.reshape(-1, 3), taken, _box_ends(plan)]),
+        draw=draw,
+        tracker=None if tracker is None else tracker.position,
+        targets=places,
     )
+    return view_page(_plan_view(plan, first_row), about=about)
+
+
+def _plan_view(plan: PlanValues, first_row: int) -> View:
+    """Return the view of a plan's robot at its poses; the first row of its table has the number ``first_row``."""
+    count = len(plan.joints)
+    forecast = plan.forecast
+    name = plan.robot.name or "Robot"
+    kinds = ["estimation" if word == "estimate" else "validation" for word in plan.sets]
+    return View(
+        plan.robot,
+        None,
+        plan.joints,
+        labels=tuple(f"pose {k + 1} of {count}" for k in range(count)),
+        kinds=tuple(kinds),
+        nominal_target=plan.T_tip_target[0],
+        title=f"{name}: {count} poses to measure",
+        note=f"Expected error of a predicted position after the calibration: {1e3 * forecast.rms:.3f} mm rms over the "
+        f"workspace, {1e3 * forecast.rms_low:.3f} to {1e3 * forecast.rms_high:.3f} mm in 90 % of calibrations.",
+        names=((name, "as planned"),),
+        numbers=_plan_numbers(plan, first_row),
+    )
+
+
+def _plan_numbers(plan: PlanValues, first_row: int) -> dict[str, tuple[str, ...]]:
+    """Return what is shown in words for each pose of a plan: its joint values and where its targets are expected.
+
+    Args:
+        plan: The plan, of K poses and T targets.
+        first_row: Number of the first row of its table; each target has a row, and a point named after it.
+
+    Returns:
+        K texts by what they are about: millimetres and degrees.
+    """
+    numbers = joint_texts(plan.robot, plan.joints)
+    count = len(plan.targets)
+    points = first_row + np.arange(len(plan.joints) * count).reshape(-1, count)
+    for k, target in enumerate(plan.targets):
+        suffix = f" of {target}" if count > 1 else ""
+        numbers[f"point{suffix}"] = tuple(f"P{number}" for number in points[:, k])
+        for axis, values in zip("xyz", 1e3 * plan.expected[:, k].T + 0.0, strict=True):
+            numbers[f"expected {axis}{suffix}"] = tuple(f"{value:.3f} mm" for value in values)
+    measured = np.concatenate([plan.taken, plan.estimation])
+    error = position_std(plan.robot, plan.cell, measured, plan.joints).max(axis=1)
+    numbers["expected error once calibrated"] = tuple(
+        f"{1e3 * value:.3f} mm rms" for value in error
+    )
+    return numbers
 
 
 def _plan_dots(plan: PlanValues, places: Array, taken: Array) -> tuple[_Dots, ...]:
@@ -134,28 +181,14 @@ def _draw_boxes_of(scene: meshcat.Visualizer, plan: PlanValues) -> list[Key]:
     return [Key(", ".join(box.name for box in boxes), _BOXES_COLOUR, "around")]
 
 
-def _draw_sight(
-    scene: meshcat.Visualizer, plan: PlanValues, points: Array, longest: float
-) -> list[Key]:
-    """Draw the last piece of each line of sight from the tracker, if there is one.
-
-    Args:
-        scene: Node of the scene.
-        plan: The plan.
-        points: shape (N, 3), the targets in the base [m].
-        longest: Length of a piece at most [m].
-
-    Returns:
-        The entry of the legend.
-    """
-    tracker = plan.cell.tracker
-    if tracker is None:
+def _sight_keys(plan: PlanValues) -> list[Key]:
+    """Return the entries of the legend of the tracker and its lines of sight, which the script draws."""
+    if plan.cell.tracker is None:
         return []
-    towards = tracker.position - points
-    length = np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), 1e-9)
-    ends = points + towards / length * np.minimum(length, longest)
-    draw_lines(scene["sight"], np.stack([points, ends], axis=1), BEAM, 0.7)
-    return [Key("towards the tracker", BEAM, "sight")]
+    return [
+        Key("tracker and its line of sight", BEAM, "tracker"),
+        Key("lines of sight to all poses", BEAM, "sight", on=False),
+    ]
 
 
 def _box_ends(plan: PlanValues) -> Array:

@@ -1,6 +1,10 @@
-// What stands about the robots: measured and predicted targets, arrows, frames, instruments.
-function many(geometry, colour, number, parent) {
-  const material = new THREE.MeshPhongMaterial({ color: colour, shininess: 20 });
+// What stands about the robots: measured and predicted targets, arrows, frames, instruments, the tracker of a plan.
+// Of more rows than these the arrows are thin and faint, but for that of the row shown.
+const crowd = count > 40;
+const faint = { transparent: true, opacity: 0.3, depthWrite: false };
+
+function many(geometry, colour, number, parent, surface = {}) {
+  const material = new THREE.MeshPhongMaterial({ color: colour, shininess: 20, ...surface });
   const mesh = new THREE.InstancedMesh(geometry, material, Math.max(number, 1));
   mesh.count = number;
   mesh.frustumCulled = false;
@@ -35,11 +39,15 @@ for (const who of names) {
     kinds[kind] = { rows, inner, mesh: many(ball, table.colours[kind], rows.length, inner) };
   }
   const arrows = group(who, "arrows");
+  const surface = crowd ? faint : {};
   const colour = dark(table.colours[who]);
   const frames = [0.16, 0.1, 0.1].map((length) => triad(length * table.size));
   frames.forEach((frame) => group(who, "frames").add(frame));
   const predicted = many(ball, table.colours[who], hasMeasured ? count : 0, group(who, "predicted"));
-  marks[who] = { kinds, frames, predicted, shafts: many(shaft, colour, count, arrows), heads: many(head, colour, count, arrows) };
+  const shafts = many(shaft, colour, count, arrows, surface), heads = many(head, colour, count, arrows, surface);
+  // The arrow of the row shown.
+  const now = { shafts: many(shaft, colour, 1, arrows), heads: many(head, colour, 1, arrows) };
+  marks[who] = { kinds, frames, predicted, shafts, heads, now };
 }
 addInstruments(names[names.length - 1]);
 
@@ -54,37 +62,76 @@ function addInstruments(who) {
   }
 }
 
+function lines(node, number, colour, opacity) {
+  const geometry = new THREE.BufferGeometry();
+  geometry.setAttribute("position", new THREE.BufferAttribute(new Float32Array(6 * number), 3));
+  const material = new THREE.LineBasicMaterial({ color: colour, transparent: opacity < 1, opacity });
+  const object = new THREE.LineSegments(geometry, material);
+  object.frustumCulled = false;
+  group("nominal", node).add(object);
+  return object;
+}
+function setLines(object, ends) {
+  object.geometry.attributes.position.array.set(ends.flat());
+  object.geometry.attributes.position.needsUpdate = true;
+}
+
+// Of a plan: the tracker, the line of sight to each target of the pose shown, and a line to the next pose.
+const each = targets ? targets.length / 3 / count : 0;
+const sight = targets ? lines("tracker", each, table.colours.beam, 1) : null;
+const next = table.planned ? lines("next", 1, table.colours.way, 1) : null;
+if (targets) {
+  const body = new THREE.Mesh(ball, new THREE.MeshPhongMaterial({ color: table.colours.beam }));
+  body.scale.setScalar(2.2 * table.ball);
+  body.position.fromArray(table.tracker);
+  group("nominal", "tracker").add(body);
+  const all = Array.from({ length: count * each }, (_, k) => [...table.tracker, ...targets.slice(3 * k, 3 * k + 3)]);
+  setLines(lines("sight", count * each, table.colours.beam, 0.35), all);
+}
+function drawLines() {
+  if (sight) {
+    const first = state.row * each;
+    const seen = Array.from({ length: each }, (_, k) => [...targets.slice(3 * (first + k), 3 * (first + k + 1))]);
+    setLines(sight, seen.map((at) => [...table.tracker, ...at]));
+  }
+  if (next) setLines(next, [trueTarget("nominal", state.row).toArray(), trueTarget("nominal", Math.min(state.row + 1, count - 1)).toArray()]);
+}
+
 const matrix = new THREE.Matrix4(), y = new THREE.Vector3(0, 1, 0), scale = new THREE.Vector3();
 const nothing = new THREE.Matrix4().makeScale(0, 0, 0);
 let cut = 0;
 
 function setArrow(who, row) {
-  const { shafts, heads } = marks[who];
+  const { shafts, heads, now } = marks[who];
   const start = target(who, row);
-  let end = null;
-  if (!(state.alone && row === state.row)) {
-    if (Number.isFinite(measured[3 * row])) end = new THREE.Vector3().fromArray(measured, 3 * row);
-    else if (!hasMeasured && both && who === "nominal") end = trueTarget("calibrated", row);
+  shafts.setMatrixAt(row, nothing);
+  heads.setMatrixAt(row, nothing);
+  if (row === state.row) {
+    now.shafts.setMatrixAt(0, nothing);
+    now.heads.setMatrixAt(0, nothing);
   }
-  const vector = end && end.sub(trueTarget(who, row)).multiplyScalar(state.arrows);
-  const longest = 0.8 * table.size;
-  let length = vector ? vector.length() : 0;
-  if (!(length > 0)) {
-    shafts.setMatrixAt(row, nothing);
-    heads.setMatrixAt(row, nothing);
-    return;
-  }
+  let end = trueMeasured(who, row);
+  const alone = state.alone && row === state.row;
+  if (!alone && !hasMeasured && both && who === "nominal") end = trueTarget("calibrated", row);
+  if (!end) return;
+  const vector = end.sub(trueTarget(who, row)).multiplyScalar(state.factor);
+  let length = vector.length();
+  if (!(length > 0)) return;
   vector.divideScalar(length);
-  if (length > longest) {
+  // Side by side a long arrow would reach the other robot; overlaid each ends at what was measured.
+  const longest = 0.8 * table.size;
+  if (length > longest && state.mode === "side") {
     length = longest;
     cut += 1;
   }
-  const thick = (row === state.row ? 0.0032 : 0.002) * table.size;
+  const shown = row === state.row;
+  const thick = (shown ? 0.0032 : crowd ? 0.0011 : 0.002) * table.size;
   const tip = Math.min(4.5 * thick, 0.5 * length);
+  const parts = shown ? now : marks[who], index = shown ? 0 : row;
   turn.setFromUnitVectors(y, vector);
-  shafts.setMatrixAt(row, matrix.compose(start, turn, scale.set(thick, length - tip, thick)));
+  parts.shafts.setMatrixAt(index, matrix.compose(start, turn, scale.set(thick, length - tip, thick)));
   start.addScaledVector(vector, length - tip);
-  heads.setMatrixAt(row, matrix.compose(start, turn, scale.set(2.2 * thick, tip, 2.2 * thick)));
+  parts.heads.setMatrixAt(index, matrix.compose(start, turn, scale.set(2.2 * thick, tip, 2.2 * thick)));
 }
 
 function drawMarks() {
@@ -92,19 +139,19 @@ function drawMarks() {
   for (const who of names) {
     for (const { rows, mesh } of Object.values(marks[who].kinds)) {
       rows.forEach((row, k) => {
-        const at = measuredPlace(row);
-        const radius = (row === state.row ? 1.15 : 0.5) * table.ball;
+        const at = measuredPlace(who, row);
+        const radius = (row === state.row ? 1.15 : crowd ? 0.32 : 0.5) * table.ball;
         mesh.setMatrixAt(k, at ? matrix.compose(at, turn.identity(), scale.setScalar(radius)) : nothing);
       });
       mesh.instanceMatrix.needsUpdate = true;
     }
-    const radius = 0.38 * table.ball;
+    const radius = (crowd ? 0.24 : 0.38) * table.ball;
     for (let row = 0; row < count; row++) {
       setArrow(who, row);
       marks[who].predicted.setMatrixAt(row, matrix.compose(target(who, row), turn.identity(), scale.setScalar(radius)));
     }
-    marks[who].predicted.instanceMatrix.needsUpdate = true;
-    marks[who].shafts.instanceMatrix.needsUpdate = true;
-    marks[who].heads.instanceMatrix.needsUpdate = true;
+    const { predicted, shafts, heads, now } = marks[who];
+    for (const mesh of [predicted, shafts, heads, now.shafts, now.heads]) mesh.instanceMatrix.needsUpdate = true;
   }
+  drawLines();
 }

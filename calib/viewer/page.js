@@ -1,5 +1,22 @@
 "use strict";
-const viewer = new MeshCat.Viewer(document.getElementById("meshcat-pane"));
+const pane = document.getElementById("meshcat-pane");
+const viewer = new MeshCat.Viewer(pane);
+
+// Narrower than the 16:9 that the camera was placed for: step back.
+let stepped = 1;
+function stepBack() {
+  const narrow = Math.max(1, (16 / 9) * (pane.clientHeight / pane.clientWidth));
+  viewer.camera.position.multiplyScalar(narrow / stepped);
+  stepped = narrow;
+}
+
+// The viewer would be as high as the window, and coarse on a screen with fine pixels.
+const fit = viewer.set_3d_pane_size;
+viewer.set_3d_pane_size = () => {
+  fit.call(viewer, pane.clientWidth, pane.clientHeight);
+  stepBack();
+};
+viewer.renderer.setPixelRatio(Math.min(window.devicePixelRatio, 2));
 const text = atob(document.getElementById("scene").textContent);
 const bytes = Uint8Array.from(text, (letter) => letter.charCodeAt(0));
 // The viewer's decoder is not exported: let its own method decode and hand the message to this function.
@@ -14,12 +31,14 @@ function draw(scene) {
   }
 }
 
-// Narrower than the 16:9 that the camera was placed for: step back.
-function stepBack() {
-  const narrow = 16 / 9 / (window.innerWidth / window.innerHeight);
-  if (narrow > 1) viewer.camera.position.multiplyScalar(narrow);
+// Place the camera as for 16:9, or take it as the scene has placed it.
+function placeCamera(position) {
+  if (position) viewer.camera.position.fromArray(position);
+  stepped = 1;
+  stepBack();
 }
-stepBack();
+placeCamera();
+new ResizeObserver(() => viewer.set_3d_pane_size()).observe(pane);
 
 // The boxes of the legend show and hide.
 function showOrHide(box) {
@@ -33,6 +52,15 @@ for (const box of document.querySelectorAll("[data-show]")) {
   if (!box.checked) showOrHide(box);
 }
 
+// On a small screen, where the page is stacked, the layers are folded away at first.
+const layers = document.getElementById("layers");
+const stacked = window.matchMedia("screen and (max-width: 760px), screen and (max-aspect-ratio: 1/1), screen and (max-height: 520px)");
+function fold() {
+  layers.open = !stacked.matches;
+}
+fold();
+stacked.addEventListener("change", fold);
+
 // Labels stay below their robots; one that stands for another arrangement of them is hidden.
 const labels = [...document.querySelectorAll(".label")];
 const point = new MeshCat.THREE.Vector3();
@@ -41,8 +69,11 @@ function follow() {
   for (const label of labels) {
     viewer.scene.updateMatrixWorld();
     point.fromArray(label.dataset.at.split(" ").map(Number)).applyMatrix4(viewer.scene.matrixWorld).project(viewer.camera);
-    label.style.left = (0.5 + 0.5 * point.x) * window.innerWidth + "px";
-    label.style.top = (0.5 - 0.5 * point.y) * window.innerHeight + "px";
+    // Beside the edge the text stays inside.
+    const half = 0.5 * label.offsetWidth;
+    const x = Math.min(Math.max((0.5 + 0.5 * point.x) * pane.clientWidth, half), pane.clientWidth - half);
+    label.style.left = x + "px";
+    label.style.top = (0.5 - 0.5 * point.y) * pane.clientHeight + "px";
     const wanted = !mode || label.dataset.in === mode;
     label.style.visibility = wanted && point.z < 1 ? "visible" : "hidden";
   }

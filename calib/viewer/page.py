@@ -7,11 +7,12 @@ name is escaped; the page opens from disk and loads nothing.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import meshcat
 import numpy as np
 
 import calib.report.figure_base as look
@@ -19,9 +20,10 @@ import calib.viewer.scene as stage
 from calib.channels import RESIDUAL_UNITS
 from calib.result.calibration import CalibrationValues
 from calib.units import Array
-from calib.viewer.html_page import COLOURS, Page, filled_page, floats
+from calib.viewer.html_page import COLOURS, Key, Page, filled_page, floats
+from calib.viewer.layout import Layout, layout_of, outline_of
 from calib.viewer.puppet import Puppet, Visual, packed, read_visuals, translation
-from calib.viewer.scene import Camera, Scene
+from calib.viewer.scene import Scene
 from calib.viewer.view import View, view_of
 
 #: Colour and text in the legend of the rows of each kind.
@@ -30,9 +32,6 @@ _ROWS = {
     "validation": (look.VALIDATION, "measured, validation"),
     "flagged": (look.OUTLIER, "measured, flagged"),
 }
-
-#: Ends of the text below and of the heading above, as a part of the picture's half height, see `look_at`.
-_TEXT = (-0.54, 0.67)
 
 #: Radius of the target's ball, as a part of the scene's size.
 _BALL = 0.009
@@ -43,34 +42,38 @@ _ARROW = 0.12
 #: Factors that arrows and the robots' difference can be magnified by.
 FACTORS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
 
-#: Gap between two robots side by side, as a part of the scene's size.
-_GAP = 0.06
+#: Colour of the way from pose to pose.
+WAY_COLOUR = "#5b6775"
 
-#: Least distance of two robots side by side, as a part of the scene's size.
-_LEAST_DISTANCE = 0.4
+#: A tracker is in the picture if it is no further from the base than this, in sizes of the scene.
+_NEAR_TRACKER = 3.0
 
-#: Labels stand in front of the parts of a robot up to this height above its foot, as a part of the scene's size.
-_FOOT_HEIGHT = 0.2
+
+def _draw_nothing(_group: meshcat.Visualizer, _size: float) -> list[Key]:
+    """Draw nothing and return no entry of the legend."""
+    return []
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Layout:
-    """Places of the robots, labels and cameras of a page; the frame is the base of the calibrated robot."""
+class About:
+    """What stands about a robot besides measured targets, in its base."""
 
-    #: Diagonal of a robot's bounding box over all poses [m]
-    size: float
-    #: Shape (3,), displacement of each robot side by side [m]
-    offsets: dict[str, Array]
-    #: Shape (3,), place of the label of a robot that is not displaced [m]
-    foot: Array
-    #: The camera for the robots side by side
-    side: Camera
-    #: The camera for the overlaid robots
-    over: Camera
+    #: Shape (K, 3), points that the camera sees too [m]
+    points: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    #: Draws it below the node given, gets the scene's size [m], and returns its entries of the legend
+    draw: Callable[[meshcat.Visualizer, float], list[Key]] = _draw_nothing
+    #: Shape (3,), the tracker [m]; None without one
+    tracker: Array | None = None
+    #: Shape (N, T, 3), of a plan all targets at each pose, which the tracker sees one after the other [m]
+    targets: Array = field(default_factory=lambda: np.zeros((0, 1, 3)))
 
 
 def write_page(
-    calibration: CalibrationValues, path: str | Path, *, overwrite: bool = False
+    calibration: CalibrationValues,
+    path: str | Path,
+    *,
+    overwrite: bool = False,
+    accepted: bool = False,
 ) -> Path:
     """Write the page of a calibration.
 
@@ -78,6 +81,7 @@ def write_page(
         calibration: The result.
         path: Name of the file.
         overwrite: Replace an existing file.
+        accepted: The corrected URDF is used whatever the verdict says.
 
     Returns:
         The file's path.
@@ -85,21 +89,34 @@ def write_page(
     Raises:
         FileError: The file exists or cannot be written.
     """
-    return view_page(view_of(calibration)).write(path, overwrite=overwrite)
+    view = view_of(calibration, accepted=accepted)
+    return view_page(view).write(path, overwrite=overwrite)
 
 
-def view_page(view: View, *, live: bool = False) -> Page:
+def view_page(view: View, *, live: bool = False, about: About | None = None) -> Page:
     """Make the page of a view.
 
     Args:
         view: The content.
         live: The page listens to the server that it came from.
+        about: What stands about the only robot; None for nothing.
     """
+    about = about or About()
     visuals, warnings = _read_visuals(view)
     shown = puppets(view, visuals)
-    layout = _layout(view, shown)
+    size = stage.span(outline_of(shown))
+    factor = magnification(view, size)
+    layout = layout_of(
+        shown,
+        view.start,
+        size,
+        magnified=_magnified(view, factor),
+        around=_seen_around(about, size),
+        tracker=about.tracker,
+    )
     scene = _draw(view, shown, layout)
-    factor = magnification(view, layout.size)
+    drawn = about.draw(scene.root[stage.SCENE]["nominal"], size)
+    keys = [key._replace(nodes=f"nominal/{key.nodes}") for key in drawn]
     names = [name.lower() for name, _ in view.names[: len(shown)]]
     html = filled_page(
         "robots.html",
@@ -114,9 +131,10 @@ def view_page(view: View, *, live: bool = False) -> Page:
         view=view,
         two=len(shown) > 1,
         factors=FACTORS,
-        labels=_labels(view, layout),
-        table=script_table(view, shown) | _layout_table(layout, factor),
-        arrows=factor,
+        factor=factor,
+        keys=keys,
+        labels=_labels(view, layout, about),
+        table=script_table(view, shown) | _layout_table(layout, factor) | _about_table(about),
         live=live,
     )
     return Page(html, warnings)
@@ -133,98 +151,46 @@ def _read_visuals(view: View) -> tuple[dict[str, Sequence[Visual]], tuple[str, .
 
 
 def puppets(view: View, visuals: Mapping[str, Sequence[Visual]]) -> dict[str, Puppet]:
-    """Place the robots of a view in the base of the calibrated one.
+    """Place the robots of a view at their bases.
 
     Args:
-        view: The robots, their poses, targets and bases.
+        view: The robots, their poses and targets.
         visuals: The shapes of each robot, by ``"nominal"`` and ``"calibrated"``.
 
     Returns:
         The robots by the same names.
     """
-    nominal = Puppet.of(
-        view.nominal, view.q, visuals["nominal"], view.T_base_nominal, view.nominal_target
-    )
+    base = np.broadcast_to(np.eye(4), (len(view.q), 4, 4))
+    nominal = Puppet.of(view.nominal, view.q, visuals["nominal"], base, view.nominal_target)
     if view.calibrated is None:
         return {"nominal": nominal}
-    base = np.broadcast_to(np.eye(4), (len(view.q), 4, 4))
     calibrated = Puppet.of(
         view.calibrated, view.q, visuals["calibrated"], base, view.calibrated_target
     )
     return {"nominal": nominal, "calibrated": calibrated}
 
 
-def _layout(view: View, shown: Mapping[str, Puppet]) -> _Layout:
-    """Place robots, labels and cameras.
+def _magnified(view: View, factor: int) -> Array:
+    """Return the targets of the calibrated robot (N, 3) [m], moved away from the nominal one's by the factor.
 
-    Only the robots count, not the measured positions: a wild measurement must not make the robots small.
-
-    Args:
-        view: The content, of which the pose shown first counts.
-        shown: The robots by ``"nominal"`` and ``"calibrated"``, in the base of the latter.
+    Bases are one above the other; rows that are flagged do not count.
     """
-    first = slice(view.start, view.start + 1)
-    at_start = _outline(shown, first)
-    outline = np.concatenate([at_start, _outline(shown, slice(None))])
-    size = stage.span(outline)
-    origins = shown["nominal"].poses[view.start, :, :3, 3]
-    towards_camera = stage.camera_direction(origins)
-    foot = _foot(at_start, towards_camera, size)
-    overlaid = np.vstack([outline, foot])
-    offsets = {"nominal": np.zeros(3)}
-    if len(shown) > 1:
-        offsets = _offsets(outline, towards_camera, size)
-    side_by_side = np.concatenate([overlaid + offset for offset in offsets.values()])
-    side = stage.look_at(side_by_side, towards_camera, _TEXT)
-    over = stage.look_at(overlaid, towards_camera, _TEXT)
-    return _Layout(size, offsets, foot, side, over)
+    if view.calibrated is None:
+        return np.zeros((0, 3))
+    nominal = (view.nominal.poses(view.q) @ view.nominal_target)[:, :3, 3]
+    is_shown = np.array(view.kinds) != "flagged"
+    moved = nominal + factor * (view.predicted[1] - nominal)
+    return np.asarray(moved[is_shown])
 
 
-def _outline(shown: Mapping[str, Puppet], poses: slice) -> Array:
-    """Return points (K, 3) [m] that enclose all robots at some of their poses; see `Puppet.outline`."""
-    return np.concatenate([puppet.outline(poses) for puppet in shown.values()])
+def _seen_around(about: About, size: float) -> Array:
+    """Return the points (K, 3) [m] about a robot that the camera sees, and the tracker where it is near."""
+    if about.tracker is None or np.linalg.norm(about.tracker) > _NEAR_TRACKER * size:
+        return about.points
+    return np.vstack([about.points, about.tracker])
 
 
-def _to_the_right(towards_camera: Array) -> Array:
-    """Return the horizontal unit vector to the right of the picture, shape (3,)."""
-    return np.array([-towards_camera[1], towards_camera[0], 0.0])
-
-
-def _offsets(outline: Array, towards_camera: Array, size: float) -> dict[str, Array]:
-    """Return the displacements (3,) [m] of two robots side by side, which then do not overlap.
-
-    Args:
-        outline: shape (K, 3), points that enclose both robots at all poses [m].
-        towards_camera: shape (3,), horizontal unit vector.
-        size: The scene's size [m].
-
-    Returns:
-        By ``"nominal"``, to the left of the picture, and ``"calibrated"``, to the right.
-    """
-    right = _to_the_right(towards_camera)
-    width = np.ptp(outline @ right) + _GAP * size
-    half_distance = 0.5 * max(width, _LEAST_DISTANCE * size) * right
-    return {"nominal": -half_distance, "calibrated": half_distance}
-
-
-def _foot(at_start: Array, towards_camera: Array, size: float) -> Array:
-    """Return the point (3,) [m] for a label: below the middle of a robot, in front of what stands on the floor.
-
-    Args:
-        at_start: shape (K, 3), points that enclose the robot at the first pose [m].
-        towards_camera: shape (3,), horizontal unit vector.
-        size: The scene's size [m].
-    """
-    right = _to_the_right(towards_camera)
-    across = at_start @ right
-    foot: Array = 0.5 * (across.min() + across.max()) * right
-    foot[2] = at_start[:, 2].min()
-    low = at_start[at_start[:, 2] < foot[2] + _FOOT_HEIGHT * size]
-    foot += (low @ towards_camera).max() * towards_camera
-    return foot
-
-
-def _draw(view: View, shown: Mapping[str, Puppet], layout: _Layout) -> Scene:
+def _draw(view: View, shown: Mapping[str, Puppet], layout: Layout) -> Scene:
     """Draw the robots side by side at the pose shown first; return the scene."""
     scene = stage.new_scene(layout.side, layout.size, layout.foot[2])
     for name, puppet in shown.items():
@@ -235,13 +201,17 @@ def _draw(view: View, shown: Mapping[str, Puppet], layout: _Layout) -> Scene:
     return scene
 
 
-def _labels(view: View, layout: _Layout) -> list[tuple[Array, str, str, str]]:
+def _labels(view: View, layout: Layout, about: About) -> list[tuple[Array, str, str, str]]:
     """Return the labels in the scene: place (3,) [m], arrangement ``"side"`` or ``"over"``, name and description.
 
-    A robot alone has none: the heading names it.
+    A robot alone has none: the heading names it; its tracker has one.
     """
     if view.calibrated is None:
-        return []
+        if about.tracker is None:
+            return []
+        meaning = ", ".join(f"{1e3 * value:.0f}" for value in about.tracker)
+        below = about.tracker - [0.0, 0.0, 2.5 * _BALL * layout.size]
+        return [(below - layout.side.centre, "side", "Tracker", f"{meaning} mm")]
     labels = []
     for offset, (name, meaning) in zip(layout.offsets.values(), view.names, strict=True):
         labels.append((offset + layout.foot - layout.side.centre, "side", name, meaning))
@@ -262,7 +232,7 @@ def _legend(view: View) -> list[tuple[str, str, str]]:
     return legend
 
 
-def _layout_table(layout: _Layout, factor: int) -> dict[str, Any]:
+def _layout_table(layout: Layout, factor: int) -> dict[str, Any]:
     """Return places, cameras and sizes for the script, as values that JSON can hold; ``factor`` magnifies arrows."""
     side = layout.side
     over = layout.over
@@ -274,8 +244,16 @@ def _layout_table(layout: _Layout, factor: int) -> dict[str, Any]:
         "cameras": {"side": side.position, "over": over.position},
         "size": layout.size,
         "ball": _BALL * layout.size,
-        "arrows": factor,
+        "factor": factor,
     }
+
+
+def _about_table(about: About) -> dict[str, Any]:
+    """Return whether the poses are planned, the tracker and the targets that it sees, as values that JSON can hold."""
+    table = {"planned": len(about.targets) > 0, "tracker": None, "targets": ""}
+    if about.tracker is not None:
+        table |= {"tracker": about.tracker.tolist(), "targets": floats(about.targets)}
+    return table
 
 
 def magnification(view: View, size: float) -> int:
@@ -305,7 +283,8 @@ def script_table(view: View, shown: Mapping[str, Puppet]) -> dict[str, Any]:
         shown: The robots by ``"nominal"`` and ``"calibrated"``.
 
     Returns:
-        Values that JSON can hold; arrays as text, see `floats`.
+        Values that JSON can hold; arrays as text, see `floats`. ``bases`` is `View.T_base_nominal`, empty where the
+        robots share their base.
     """
     colours = {kind: colour for kind, (colour, _) in _ROWS.items()}
     links = shown["nominal"].links
@@ -314,11 +293,13 @@ def script_table(view: View, shown: Mapping[str, Puppet]) -> dict[str, Any]:
         "labels": list(view.labels),
         "kinds": list(view.kinds),
         "names": [name for name, _ in view.names],
-        "colours": {**COLOURS, **colours, "beam": look.BEAM},
+        "colours": {**COLOURS, **colours, "beam": look.BEAM, "way": WAY_COLOUR},
         "robots": {name: _robot_table(puppet, links) for name, puppet in shown.items()},
         "measured": floats(view.measured),
         "errors": [_errors_table(unit, errors) for unit, errors in view.errors.items()],
         "instruments": packed(view.instruments).tolist(),
+        "bases": floats(packed(view.T_base_nominal)) if view.is_registered_apart else "",
+        "numbers": {name: list(texts) for name, texts in view.numbers.items()},
     }
 
 

@@ -181,16 +181,16 @@ class Puppet(NamedTuple):
         """Return points that enclose the robot at some poses: origins, and corners of the parts' bounding boxes.
 
         Args:
-            poses: Indices of the poses in ``self.poses``; of more than 60 an even choice is taken.
+            poses: Indices of the poses in ``self.poses``; of more than 60 an even choice has its corners taken.
 
         Returns:
             shape (K, 3), in the scene [m].
         """
         T_scene_movers = self.poses[poses]
+        origins = T_scene_movers[:, :, :3, 3]
         count = len(T_scene_movers)
         evenly = np.linspace(0, count - 1, min(count, _MOST_OUTLINED))
         T_scene_movers = T_scene_movers[evenly.round().astype(int)]
-        origins = T_scene_movers[:, :, :3, 3]
         points = [origins.reshape(-1, 3)]
         for mover, (vertices, _), T_mover_shape in self.parts:
             corners = _box_corners(vertices)

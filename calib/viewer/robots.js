@@ -1,11 +1,12 @@
 // Where the robots are: the table that the page brings, the row shown, and what is magnified.
+// Each robot stands at its own base, unless the overlaid ones are to be seen as they were registered.
 const THREE = MeshCat.THREE;
 const table = JSON.parse(document.getElementById("table").textContent);
 const element = (name) => document.getElementById(name);
 const names = Object.keys(table.robots);
 const both = names.length > 1;
 const count = table.labels.length;
-const state = { row: table.start, mode: "side", arrows: table.arrows, robots: 1, alone: null };
+const state = { row: table.start, mode: "side", anchor: "base", factor: table.factor, alone: null };
 
 function floats(text) {
   return new Float32Array(Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0)).buffer);
@@ -20,32 +21,53 @@ for (const who of names) {
   robots[who] = { ...table.robots[who], poses: floats(table.robots[who].poses) };
 }
 const hasMeasured = measured.some((value) => Number.isFinite(value));
+// Base of the nominal robot in the calibrated one's at each row, as registered; null where both are one.
+const bases = table.bases ? floats(table.bases) : null;
+const targets = table.targets ? floats(table.targets) : null;
 
 // ---- where a mover is at a row, the calibrated robot's difference magnified ----
 
 const place = new THREE.Vector3(), turn = new THREE.Quaternion();
 const nominalPlace = new THREE.Vector3(), nominalTurn = new THREE.Quaternion(), step = new THREE.Quaternion();
 
-function read(who, row, mover, atPlace, atTurn) {
+const basePlace = new THREE.Vector3(), baseTurn = new THREE.Quaternion();
+function readBase(row) {
+  basePlace.fromArray(bases, 7 * row);
+  baseTurn.fromArray(bases, 7 * row + 3);
+}
+function asRegistered() {
+  return state.mode === "over" && state.anchor === "tracker";
+}
+// Side by side the robots are true to scale.
+function robotsFactor() {
+  return state.mode === "over" ? state.factor : 1;
+}
+
+function read(who, row, mover, atPlace, atTurn, registered = asRegistered()) {
   const robot = robots[who];
   const values = state.alone && row === state.row ? state.alone[who] : robot.poses;
   const start = 7 * ((state.alone && row === state.row ? 0 : row * robot.movers) + mover);
   atPlace.fromArray(values, start);
   atTurn.fromArray(values, start + 3);
+  if (!(bases && registered && who === "nominal")) return;
+  readBase(row);
+  atPlace.applyQuaternion(baseTurn).add(basePlace);
+  atTurn.premultiply(baseTurn);
 }
 
 // The displacement from the nominal mover times a factor: the way along a line, the turn about its own axis.
 function locate(who, row, mover) {
   read(who, row, mover, place, turn);
   const same = robots[who].same[mover];
-  if (who === "nominal" || state.robots === 1 || same < 0) return;
+  const factor = robotsFactor();
+  if (who === "nominal" || factor === 1 || same < 0) return;
   read("nominal", row, same, nominalPlace, nominalTurn);
-  place.sub(nominalPlace).multiplyScalar(state.robots).add(nominalPlace);
+  place.sub(nominalPlace).multiplyScalar(factor).add(nominalPlace);
   step.copy(nominalTurn).conjugate().multiply(turn);
   if (step.w < 0) step.set(-step.x, -step.y, -step.z, -step.w);
   const half = Math.atan2(Math.hypot(step.x, step.y, step.z), step.w);
-  const scale = half > 1e-12 ? Math.sin(state.robots * half) / Math.sin(half) : state.robots;
-  step.set(scale * step.x, scale * step.y, scale * step.z, Math.cos(state.robots * half)).normalize();
+  const scale = half > 1e-12 ? Math.sin(factor * half) / Math.sin(half) : factor;
+  step.set(scale * step.x, scale * step.y, scale * step.z, Math.cos(factor * half)).normalize();
   turn.copy(nominalTurn).multiply(step);
 }
 
@@ -54,19 +76,27 @@ function target(who, row) {
   return place.clone();
 }
 
-function trueTarget(who, row) {
+function trueTarget(who, row, registered) {
   const from = new THREE.Vector3();
-  read(who, row, robots[who].movers - 1, from, turn);
+  read(who, row, robots[who].movers - 1, from, turn, registered);
   return from;
 }
 
-// Where the target was measured, moved away from the nominal one by the same factor; null where it was not.
-function measuredPlace(row) {
+// Where the target was measured, true to scale: side by side as each robot was registered; null where it was not.
+function trueMeasured(who, row) {
   if (state.alone && row === state.row) return null;
   if (!Number.isFinite(measured[3 * row])) return null;
   const at = new THREE.Vector3().fromArray(measured, 3 * row);
-  const from = trueTarget("nominal", row);
-  return at.sub(from).multiplyScalar(state.robots).add(from);
+  if (!bases || who === "calibrated" || state.mode === "over") return at;
+  readBase(row);
+  return at.sub(basePlace).applyQuaternion(baseTurn.conjugate());
+}
+
+// The same, moved away from the nominal target by the robots' factor.
+function measuredPlace(who, row) {
+  const at = trueMeasured(who, row);
+  const from = at && trueTarget("nominal", row);
+  return at && at.sub(from).multiplyScalar(robotsFactor()).add(from);
 }
 
 // ---- the robots ----

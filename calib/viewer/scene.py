@@ -33,8 +33,8 @@ _STALK = 0.3
 #: More points than this are a cloud of dots instead of balls: the page stays quick.
 _MOST_BALLS = 300
 
-#: Vertical angle of view [deg]: a long lens, so that robots at the side are not distorted.
-_FOV_DEG = 28.0
+#: Vertical angle of view [deg]: a long lens, so that two equal robots side by side look equal.
+_FOV_DEG = 10.0
 
 #: Angle by which the camera looks down [rad].
 _DOWN = np.deg2rad(16.0)
@@ -112,17 +112,18 @@ class Camera(NamedTuple):
         return [x, z, -y]
 
 
-def camera_direction(points: Array) -> Array:
+def camera_direction(points: Array, side_view: float = _SIDE_VIEW) -> Array:
     """Choose the side from which an arm is seen: it reaches to the right and a little towards the camera.
 
     Args:
         points: shape (K, 3), joints of the arm from the base to the tip.
+        side_view: Angle between the arm and the direction to the camera, seen from above [rad].
 
     Returns:
         shape (3,), horizontal unit vector from the arm to the camera.
     """
     x, y = points[-1, :2] - points[0, :2]
-    angle = np.arctan2(y, x) - _SIDE_VIEW
+    angle = np.arctan2(y, x) - side_view
     return np.array([np.cos(angle), np.sin(angle), 0.0])
 
 
@@ -183,7 +184,7 @@ def new_scene(camera: Camera, size: float, floor: float) -> Scene:
     """
     window = SceneWindow()
     root = meshcat.Visualizer.view_into(window, meshcat.path.Path())
-    lens = mc.PerspectiveCamera(fov=_FOV_DEG, aspect=16 / 9, near=0.02 * size, far=100 * size)
+    lens = mc.PerspectiveCamera(fov=_FOV_DEG, aspect=16 / 9, near=0.05 * size, far=100 * size)
     root["/Cameras/default/rotated"].set_object(lens)
     light = camera.axes[2] - 0.6 * camera.axes[0] + 1.1 * np.array([0.0, 0.0, 1.0])
     properties = (
@@ -336,7 +337,9 @@ def draw_cloud(node: meshcat.Visualizer, points: ArrayLike, colour: str, edge: f
     levels = [int(colour[i : i + 2], 16) for i in (1, 3, 5)]
     rgb = np.array(levels, dtype=np.float32) / 255
     colours = np.repeat(rgb[:, None], positions.shape[1], axis=1)
-    node.set_object(mc.PointCloud(positions, colours, size=edge))
+    # three.js takes a size for an angle of view of 90 deg, whatever the camera's is.
+    size = edge / np.tan(0.5 * np.deg2rad(_FOV_DEG))
+    node.set_object(mc.PointCloud(positions, colours, size=float(size)))
 
 
 def draw_lines(node: meshcat.Visualizer, ends: Array, colour: str, opacity: float = 1.0) -> None:

@@ -26,7 +26,7 @@ from calib.result.evaluation import PLACES, EvaluationValues, evaluate
 from calib.robot.ranges import column_ranges, spread_poses
 from calib.robot.robot import Robot, rigid_inverse
 from calib.text.comparison import sentence
-from calib.text.verdict import reason_text
+from calib.text.verdict import against, reason_text
 from calib.units import Array, Integers, Mask
 from calib.viewer.puppet import translation
 
@@ -73,7 +73,7 @@ class View:
     nominal_target: Array = field(default_factory=lambda: np.eye(4))
     #: Of the calibrated one
     calibrated_target: Array = field(default_factory=lambda: np.eye(4))
-    #: shape (N, 4, 4) or (4, 4), base of the nominal robot in the calibrated one's [m]
+    #: shape (N, 4, 4) or (4, 4), base of the nominal robot in the calibrated one's as each was registered [m]
     T_base_nominal: Array = field(default_factory=lambda: np.eye(4))
     #: shape (N, 3), the measured targets in the base [m]; NaN where nothing was measured
     measured: Array = field(default_factory=lambda: np.array(np.nan))
@@ -93,6 +93,8 @@ class View:
     note: str = ""
     #: Name and description of each robot
     names: Names = (("Nominal", "the URDF as given"), ("Calibrated", "the corrected URDF"))
+    #: What is shown in words for each pose, by the name of it: N texts, such as a joint's values with their unit
+    numbers: Mapping[str, Sequence[str]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Fill in fields that were not given, and broadcast arrays to their shapes."""
@@ -110,6 +112,7 @@ class View:
             unit: np.broadcast_to(of_unit, (2, count)) for unit, of_unit in self.errors.items()
         }
         object.__setattr__(self, "errors", ReadOnlyMapping(errors))
+        object.__setattr__(self, "numbers", ReadOnlyMapping(self.numbers))
         labels = self.labels or tuple(f"pose {k + 1}" for k in range(count))
         object.__setattr__(self, "labels", labels)
         object.__setattr__(self, "kinds", self.kinds or ("pose",) * count)
@@ -137,23 +140,50 @@ class View:
         return bool(np.any(np.isfinite(self.measured)))
 
     @property
+    def is_registered_apart(self) -> bool:
+        """True if the bases of the two robots were registered at different places."""
+        return not np.allclose(self.T_base_nominal, np.eye(4), 0.0, _SAME_FRAME)
+
+    @property
     def predicted(self) -> Array:
-        """Target of the nominal and of the calibrated robot in the base, shape (2, N, 3), [m]; of one robot twice."""
+        """Target of each robot as registered, in the calibrated one's base, (2, N, 3) [m]; of one robot twice."""
         T_base_first = self.T_base_nominal @ self.nominal.poses(self.q) @ self.nominal_target
         second = self.calibrated or self.nominal
         T_base_second = second.poses(self.q) @ self.calibrated_target
         return np.array([T_base_first[:, :3, 3], T_base_second[:, :3, 3]])
 
 
-def view_of(calibration: CalibrationValues) -> View:
-    """Return the view of a calibration: every row a pose."""
+def view_of(calibration: CalibrationValues, *, accepted: bool = False) -> View:
+    """Return the view of a calibration: every row a pose.
+
+    Args:
+        calibration: The result.
+        accepted: The corrected URDF is used whatever the verdict says.
+    """
     c = calibration
     m = c.measurements
     before = EvaluationValues(c.nominal, m, c.nominal_setup, (), c.residual_nominal, c.channels)
     after = EvaluationValues(c.robot, m, c.setup, (), c.residual_calibrated, c.channels)
     view = _at_rows(before, after, flagged_rows(c))
-    view = replace(view, title=f"{c.nominal.name or 'Robot'}: nominal and calibrated")
+    names = (view.names[0], ("Calibrated", _calibrated_is(c, accepted=accepted)))
+    view = replace(view, title=f"{c.nominal.name or 'Robot'}: nominal and calibrated", names=names)
     return _with_verdict(view, c)
+
+
+def _calibrated_is(c: CalibrationValues, *, accepted: bool) -> str:
+    """Describe the calibrated robot: what its URDF is, if it has one.
+
+    Args:
+        c: The calibration.
+        accepted: The corrected URDF is used whatever the verdict says.
+    """
+    if np.array_equal(c.robot.placements, c.nominal.placements):
+        return "unchanged: no joint origin was corrected"
+    if not against(c.verdict):
+        return "the corrected URDF"
+    if accepted:
+        return "the corrected URDF, accepted all the same"
+    return "as fitted, not to be used: no URDF is written"
 
 
 def view_of_result(
@@ -193,7 +223,10 @@ def view_of_result(
         first = evaluate(before, table, cell, known=result.nominal_setup, which=which)
         second = evaluate(after, table, cell, known=result.setup, which=which)
         view = _at_rows(first, second, _flagged_by(result, table))
-    names = (("Nominal", "before the calibration"), ("Calibrated", f"joint origins of {source}"))
+    origins = f"joint origins of {source}"
+    if np.array_equal(before.placements, after.placements):
+        origins = "unchanged: no joint origin was corrected"
+    names = (("Nominal", "before the calibration"), ("Calibrated", origins))
     return _with_verdict(replace(view, names=names), result)
 
 
@@ -232,6 +265,8 @@ def view_of_robots(
     q, labels = _poses_without_table(nominal, alone=calibrated is None)
     targets = [_first_target(cell) for cell in cells]
     view = View(nominal, calibrated, q, labels, names=names, title=title)
+    if calibrated is None:
+        view = replace(view, numbers=joint_texts(nominal, q))
     return replace(view, nominal_target=targets[0], calibrated_target=targets[-1])
 
 
@@ -291,8 +326,7 @@ def _at_rows(first: EvaluationValues, second: EvaluationValues | None, flagged: 
         flagged: shape (N,), the flagged rows.
 
     Returns:
-        The view of all rows, or of an even choice of many, with flagged ones. The row with the largest error of the
-        first robot is shown first, of the validation rows if there are any, flagged ones aside.
+        The view of all rows, or of an even choice of many, with flagged ones; a typical row is shown first.
     """
     m = first.measurements
     last = second or first
@@ -300,7 +334,7 @@ def _at_rows(first: EvaluationValues, second: EvaluationValues | None, flagged: 
     for unit in first.channels.present:
         errors[unit] = np.array([e.channels.norms(e.residual, unit) for e in (first, last)])
     leading = next(iter(errors.values()), np.full((2, len(m)), np.nan))
-    start = _first_shown(leading[0], m.validation, flagged)
+    start = _typical_row(leading, m.estimation & ~flagged)
     at = _shown_rows(start, flagged)
     _, nominal_target = setup_of_rows(first.setup, m)
     T_frame_base, calibrated_target = setup_of_rows(last.setup, m)
@@ -343,21 +377,27 @@ def _row_kinds(m: Measurements, flagged: Mask, at: Integers) -> tuple[str, ...]:
     return tuple(kinds[at].tolist())
 
 
-def _first_shown(errors: Array, validation: Mask, flagged: Mask) -> int:
-    """Return the index of the row that is shown first.
+def _typical_row(errors: Array, fitted: Mask) -> int:
+    """Return the index of the row that is shown first: the one whose errors, of both robots, are nearest the median.
+
+    Of each robot's errors the rows have ranks; the larger of a row's two distances from the middle rank is least.
 
     Args:
-        errors: shape (N,), in one unit; NaN where none was measured.
-        validation: shape (N,), the validation rows.
-        flagged: shape (N,), the flagged rows.
+        errors: shape (2, N), in one unit; NaN where none was measured.
+        fitted: shape (N,), the rows to choose from, if any has an error: fitted, and not flagged.
 
     Returns:
-        The index of the largest error; of validation rows before estimation rows, flagged ones behind both.
+        The index, from 0; of equal ones the first. 0 where no row has an error.
     """
-    rank = np.where(validation, 2e6, 1e6)
-    rank = np.where(flagged, 0.0, rank)
-    ranked_errors = np.where(np.isfinite(errors), rank + errors, -1.0)
-    return int(np.argmax(ranked_errors))
+    is_known = np.all(np.isfinite(errors), axis=0)
+    rows = np.flatnonzero(is_known & fitted)
+    if not len(rows):
+        rows = np.flatnonzero(is_known)
+    if not len(rows):
+        return 0
+    ranks = errors[:, rows].argsort(axis=1).argsort(axis=1)
+    from_middle = np.abs(ranks - 0.5 * (len(rows) - 1)).max(axis=0)
+    return int(rows[from_middle.argmin()])
 
 
 def _shown_rows(start: int, flagged: Mask) -> Integers:
@@ -398,8 +438,7 @@ def _one_joint_after_the_other(robot: Robot) -> tuple[Array, tuple[str, ...]]:
     poses = [middle]
     labels = ["all joints at zero, or as near as they can be"]
     for k, joint in enumerate(robot.inputs):
-        is_prismatic = joint.type == "prismatic"
-        scale, unit = (1e3, "mm") if is_prismatic else (np.degrees(1.0), "deg")
+        scale, unit = _shown_unit(joint.type)
         low, high = ranges[k]
         for value in np.linspace(low, high, _POSES_PER_JOINT):
             pose = middle.copy()
@@ -407,3 +446,25 @@ def _one_joint_after_the_other(robot: Robot) -> tuple[Array, tuple[str, ...]]:
             poses.append(pose)
             labels.append(f"{joint.name} at {scale * value:.4g} {unit}")
     return robot.readings(np.array(poses)), tuple(labels)
+
+
+def _shown_unit(joint_type: str) -> tuple[float, str]:
+    """Return the unit that a joint's values are shown in, and its number in one SI unit, before it."""
+    return (1e3, "mm") if joint_type == "prismatic" else (float(np.degrees(1.0)), "deg")
+
+
+def joint_texts(robot: Robot, q: Array) -> dict[str, tuple[str, ...]]:
+    """Return the values of each joint as texts with their unit.
+
+    Args:
+        robot: The robot.
+        q: shape (N, m), joint values [rad or m], columns as ``robot.joint_names``.
+
+    Returns:
+        N texts by the joint's name, degrees or for sliding joints millimetres, with three decimals.
+    """
+    texts = {}
+    for values, (name, joint_type) in zip(q.T, robot.joint_types.items(), strict=True):
+        scale, unit = _shown_unit(joint_type)
+        texts[name] = tuple(f"{scale * value + 0.0:.3f} {unit}" for value in values)
+    return texts

@@ -38,7 +38,7 @@ function brief(row) {
 
 function points() {
   const result = {};
-  for (const who of names) result[who] = trueTarget(who, state.row);
+  for (const who of names) result[who] = trueTarget(who, state.row, true);
   if (!state.alone && Number.isFinite(measured[3 * state.row])) {
     result.measured = new THREE.Vector3().fromArray(measured, 3 * state.row);
   }
@@ -55,20 +55,46 @@ function describe() {
     if (both) parts.push(`, ${table.names[1].toLowerCase()} `, ...show(1));
     parts.push(".");
   } else if (both) {
-    const apart = trueTarget("nominal", state.row).distanceTo(trueTarget("calibrated", state.row));
+    const apart = trueTarget("nominal", state.row, true).distanceTo(trueTarget("calibrated", state.row));
     parts.push("Distance between the targets of the two robots: ", [mm(apart)], ".");
   }
-  fill(element("pose"), ...parts);
+  // The slider names the row too.
+  const isAll = parts.length === 2 && element("which");
+  fill(element("pose"), ...(isAll ? [] : parts));
   if (element("factors")) {
-    const robotsText = both
-      ? state.robots === 1 ? "Robots true to scale." : `Differences from ${table.names[0].toLowerCase()} magnified \u00d7 ${state.robots}.`
-      : "Robot true to scale.";
-    const ends = hasMeasured ? "from predicted towards measured" : `from ${table.names[0].toLowerCase()} to ${table.names[1].toLowerCase()}`;
-    const arrowsText = `Arrows ${ends}, \u00d7 ${state.arrows}.`;
-    const cutText = cut ? ` ${cut} longer than the scene ${cut > 1 ? "are" : "is"} cut.` : "";
-    fill(element("factors"), `${arrowsText} ${robotsText}${cutText}`);
+    fill(element("factors"), state.mode === "over" ? overlaidText() : sideText());
   }
   drawInset(points());
+  fillNumbers();
+}
+
+function sideText() {
+  const ends = hasMeasured ? "from predicted towards measured" : `from ${table.names[0].toLowerCase()} to ${table.names[1].toLowerCase()}`;
+  const robotsText = both ? "Robots true to scale." : "Robot true to scale.";
+  const cutText = cut ? ` ${cut} longer than the scene ${cut > 1 ? "are" : "is"} cut.` : "";
+  return `Arrows ${ends}, \u00d7 ${state.factor}. ${robotsText}${cutText}`;
+}
+
+function overlaidText() {
+  const what = hasMeasured ? "robot, measured targets and arrows" : "robot and arrows";
+  const text = `Differences from ${table.names[0].toLowerCase()} \u00d7 ${state.factor}: ${what}.`;
+  if (!bases) return text;
+  if (state.anchor === "tracker") return `${text} Each robot stands in the measurement frame as it was registered.`;
+  return `${text} The robots share their base: the difference of their registered frames adds to the ${table.names[0].toLowerCase()} arrows.`;
+}
+
+// Joint values and the like of the pose shown.
+function fillNumbers() {
+  if (!element("numbers")) return;
+  element("numbers").hidden = Boolean(state.alone);
+  element("numbers").querySelector("h2").textContent = table.labels[state.row];
+  const rows = element("numbers").querySelector("table");
+  rows.replaceChildren();
+  for (const [name, texts] of Object.entries(table.numbers)) {
+    const row = rows.insertRow();
+    row.insertCell().textContent = name;
+    row.insertCell().textContent = texts[state.row];
+  }
 }
 
 // Two or three points in the plane through them: no distance is foreshortened.
@@ -112,6 +138,7 @@ function drawInset(all) {
   const at = flat(all);
   const xs = Object.values(at).map((p) => p[0]), ys = Object.values(at).map((p) => p[1]);
   const wide = Math.max(...xs) - Math.min(...xs), high = Math.max(...ys) - Math.min(...ys);
+  drawing.style.display = Math.max(wide, high) > 0 ? "" : "none";
   if (!(Math.max(wide, high) > 0)) return;
   // 170 by 92 units: room for the dots at the edges and the bar below.
   const unit = 1 / Math.max(wide / 142, high / 50);

@@ -53,6 +53,21 @@ def test_what_is_printed(call, folder, tmp_path):
     assert ",held at 30 deg," in (tmp_path / "h.csv").read_text()
 
 
+def test_zeros_are_written_with_the_servo_s_own_file(call, folder, tmp_path):
+    names = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
+    own = {f"{name}_joint": {"homing_offset": 100} for name in names}
+    (tmp_path / "own.json").write_text(json.dumps(own))
+    words = ("--to", "lerobot", "--update", tmp_path / "own.json", "--ticks", "8192", "-o")
+    done = call(folder, "convert", "result.json", *words, tmp_path / "new.json")
+    assert done.code == 0
+    assert "Rms error of validation rows" in done.out
+    new = json.loads((tmp_path / "new.json").read_text())
+    assert new["shoulder_pan_joint"]["homing_offset"] == 92  # 0.345 deg of 0.044 deg a tick
+    assert new["wrist_3_joint"]["homing_offset"] == 100
+    done = call(folder, "convert", "robot.urdf", "--to", "zeros", "-o", tmp_path / "z.csv")
+    assert (done.code, "calib calibrate" in done.err) == (1, True)
+
+
 def test_a_robot_of_rows_from_its_file_to_corrected_rows(call, tmp_path):
     """The way of an owner of an arm without a URDF: a table of rows is the robot everywhere."""
     shutil.copy(dh_rows("fanuc_lrmate200id"), tmp_path / "rows.csv")

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calib.robot.robot import Robot
+from tests.report.pages import Page
 
 RESULT = ("--calibration", "result.json")
 EVALUATE = ("evaluate", "corrected.urdf", "data.csv", *RESULT)
@@ -99,6 +101,29 @@ def test_the_exit_code_says_whether_a_tolerance_is_kept(
     assert stored["accuracy"]["nominal"]["poses"][1]["rows"] == [32]
     quiet = call(folder, *EVALUATE, *words, "--quiet")
     assert (quiet.code, quiet.out, quiet.err) == (done.code, "", "")
+
+
+@pytest.mark.parametrize(("tolerance", "outcome"), [("0.5 mm", "pass"), ("0.3 mm", "fail")])
+def test_the_report_has_the_printed_figures_and_the_cells_record(
+    call, folder: Path, tmp_path: Path, tolerance: str, outcome: str
+):
+    (tmp_path / "cell.toml").write_text("[record]\nrobot_serial = 4711\n", encoding="utf-8")
+    report, table = tmp_path / "test.html", tmp_path / "e.json"
+    words = ("--tolerance", tolerance, "--uncertainty", "0.02 mm", "--cell", tmp_path / "cell.toml")
+    done = call(folder, *EVALUATE, *words, "--report", report, "--json", table)
+    assert done.code == (0 if outcome == "pass" else 3)
+    assert done.lines[-2:] == [f"Written: {table}", f"Written: {report}"]
+    page = Page(report.read_text(encoding="utf-8"))
+    assert page.forms["Robot, serial no."] == "4711"
+    assert page.text.count(f"Verdict: {outcome}") == 3
+    printed = {*re.findall(r"-?\d+\.\d+", done.out)}
+    cells = {cell for caption, rows in page.tables if caption for row in rows for cell in row[1:]}
+    figures = {cell for cell in cells if re.fullmatch(r"-?\d+\.\d+", cell)}
+    assert len(figures) > 40
+    assert figures - printed == set()
+    assert load(table)["record"]["robot_serial"] == "4711"
+    refused = call(folder, *EVALUATE, "--report", tmp_path / "test.pdf")
+    assert (refused.code, "let the name end in .html" in refused.err) == (1, True)
 
 
 def table_of(path: Path) -> list[list[str]]:

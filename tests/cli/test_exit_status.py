@@ -157,6 +157,14 @@ def test_report_view_and_figures_are_written_of_it(call, folder):
         True,
         False,
     ]
+    # The picture calls neither an unchanged robot nor one without a URDF corrected.
+    page = (folder / "v.html").read_bytes()
+    assert b"<span>unchanged" in page
+    assert b"<span>the corrected URDF" not in page
+    changed = ("calibrate", "robot.urdf", "right.csv", "--tip", "tool0", "--no-validate")
+    for words, label in (((), b"as fitted"), (("--accept",), b"the corrected URDF, accepted")):
+        call(folder, *changed, "-o", "c.urdf", "--view", "v.html", *words, "--force")
+        assert b"<span>" + label in (folder / "v.html").read_bytes()
 
 
 def test_an_earlier_urdf_is_left_and_said_to_be_one(call, folder):

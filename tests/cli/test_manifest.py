@@ -41,7 +41,10 @@ def test_a_row_s_own_words_win(call, arms_shop: Path):
         f"named,ur3,{arms_shop / 'arm-0.csv'},,,,,,,,,,,,",
         f"absolute,{arms_shop / 'robot.urdf'},arm-0.csv,,,,,,,,,,,,",
     ]
-    (arms_shop / "sub" / "m.csv").write_text("\n".join([header, *rows]))
+    bare = columns.replace(f" [{unit}]", "")
+    rows = [f"{row}," for row in rows]
+    rows.append(f"by unit,robot.urdf,renamed.csv,,,,,,,,,,,,{bare},{unit}")
+    (arms_shop / "sub" / "m.csv").write_text("\n".join([f"{header},joint_unit", *rows]))
     words = ("--base", "base", "--tip", "tool0", "--no-reports", "--no-validate", "--workers", "1")
     given = ["--target", "-70 70 22.5 mm", "--fix-target", "--freeze", "elbow_joint.zero"]
     given += ["--priors", "given"]
@@ -50,7 +53,7 @@ def test_a_row_s_own_words_win(call, arms_shop: Path):
     assert done.code == 0
     found = {
         name: json.loads((arms_shop / "r" / name / "result.json").read_text())
-        for name in ("plain", "celled", "own", "listed", "renamed", "named", "absolute")
+        for name in ("plain", "celled", "own", "listed", "renamed", "named", "absolute", "by unit")
     }
     plain, own = found["plain"], found["own"]
     assert (plain["robot"]["base"], plain["robot"]["tip"]) == ("base", "tool0")
@@ -68,6 +71,7 @@ def test_a_row_s_own_words_win(call, arms_shop: Path):
     for name in ("listed", "renamed", "named", "absolute"):
         assert found[name]["solver"]["status"] == "converged"
     assert found["listed"]["parameters"] == found["renamed"]["parameters"]
+    assert found["by unit"]["parameters"] == found["renamed"]["parameters"]
 
 
 @pytest.mark.parametrize(

@@ -186,3 +186,8 @@ def test_one_unit_for_all_joints(read):
     assert program.q == pytest.approx(np.radians([[10, -80, 70, -60, -90, 5]]))
     with pytest.raises(MeasurementError, match="--joint-unit deg"):
         read(JOINTS, VALUES)
+
+
+def test_a_plan_s_empty_quaternion_goes_not_along(read):
+    program = read(f"{XYZ},qx,qy,qz,qw,A [deg],B [deg],C [deg]", "300,200,100,,,,,20,-30,40")
+    assert (program.form, program.kept) == ("kuka", ())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from hypothesis import given, strategies as st
 
 from calib.data.cell import Cell, GroupDistance, Priors, TrackerNoise
 from calib.data.cell_file import checked, fields as keys, frame_attributes, numbers, read_cell_file
+from calib.data.record import Record
 from calib.errors import CalibError, FileError
 from calib.model.error_model import DIRECTIONS
 from calib.units import UNITS, parse_noise, parse_quantity
@@ -273,7 +275,7 @@ EXAMPLES = re.findall(r"```toml\n(.*?)```", DOC.read_text(encoding="utf-8"), re.
 
 
 def test_the_documents_examples(tmp_path: Path):
-    first, by_name, single, loads, coupled, sockets, _ = (
+    first, by_name, single, loads, coupled, sockets, record, _ = (
         read(tmp_path, example) for example in EXAMPLES
     )
     assert (first.base, first.tip, first.model, first.frozen) == ("base", "tool0", "dh", ("d2",))
@@ -292,8 +294,41 @@ def test_the_documents_examples(tmp_path: Path):
         "joint_3": {"joint_2": 1.0},
         "joint_5": {"joint_4": -0.5, "joint_6": 0.025},
     }
+    assert (record.record.robot_serial, record.record.date) == ("20183300123", "2026-11-26")
+    assert record.record.calibration_due == "2027-05-31"
+    assert record.record.temperature_C == (21.4, 22.1)
+    assert list(record.record.given) == [entry.name for entry in fields(Record)]
     assert sockets.kind == "fixed"
     assert sockets.distances[0].pairs(["3/right", "3/left"]) == (("3/left", "3/right"),)
+
+
+def test_a_record_takes_texts_whole_numbers_and_dates(tmp_path: Path):
+    text = "[record]\norder = 4711\ntemperature_C = 20\nnote = '''two\n lines'''\n"
+    expected = Record(order="4711", temperature_C=(20.0,), note="two lines")
+    assert read(tmp_path, text).record == expected
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        (
+            "robot_seriall = '1'",
+            "'robot_seriall' in [record]: unknown key (did you mean 'robot_serial'",
+        ),
+        (
+            "order = 1.5",
+            "'order' in [record] is 1.5; it must be a text in quotes, a whole number or a date",
+        ),
+        ("order = true", "'order' in [record] is True"),
+        ("temperature_C = 'warm'", "'temperature_C' in [record] is 'warm'"),
+        ("temperature_C = [20, 21, 22]", "it must be one number or two"),
+        ("temperature_C = 293.15", "from -50 to 80"),
+        (f"note = '{'x' * 161}'", "note has 161 letters; there is room for 160"),
+    ],
+)
+def test_what_a_record_cannot_hold_is_refused(tmp_path: Path, line: str, said: str):
+    with pytest.raises(CalibError, match=re.escape(said)):
+        read(tmp_path, f"[record]\n{line}\n")
 
 
 def test_the_documents_surroundings(tmp_path: Path):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calib.data.columns import column_names, name_columns, reserved, with_unit
+from calib.data.columns import name_columns, names_in, reserved, with_unit
 from calib.data.forms.column_options import ColumnOptions
 from calib.data.measurements import Measurements
 from calib.errors import MeasurementError
@@ -99,10 +99,8 @@ def test_headers_that_are_refused(table, header, joint_names, says):
     )
 
 
-def test_the_names_of_a_table(tmp_path):
-    path = tmp_path / "data.csv"
-    path.write_text("a [deg];b [m]\n1;2\n")
-    table = Table.read(path)
-    assert column_names(table) == {"a", "b"}
-    assert column_names(table, {"a": "elbow [deg]"}) == {"a", "b", "elbow"}
-    assert column_names(table, ColumnOptions(brand="kuka")) is None
+def test_the_names_of_a_table(table):
+    value = Table.read(table("A1 [deg];b [m]", "1,5;2"))
+    assert names_in(value) == {"A1", "b"}
+    assert names_in(value, {"A1": "elbow [deg]"}) == {"A1", "b", "elbow"}
+    assert names_in(value, ColumnOptions(brand="kuka")) is None

@@ -299,3 +299,9 @@ def test_joints_may_have_the_names_of_orientations(table):
     assert (m.kinds, m.orientation) == (("point",), "")
     path = table("q1 [deg],q2 [deg],q3 [deg],q4 [deg],x [mm],y [mm],z [mm]", "1,2,3,4,100,2,3")
     assert Measurements.read(path).joint_names == ("q1", "q2", "q3", "q4")
+
+
+def test_a_plan_s_empty_quaternion_is_none_beside_other_angles(table):
+    header = "j [deg],x [mm],y [mm],z [mm],qx,qy,qz,qw,A [deg],B [deg],C [deg]"
+    m = Measurements.read(table(header, "1,100,200,300,,,,,90,0,0", "2,,,,,,,,,,"))
+    assert (m.orientation, m.rows, m.unmeasured) == ("kuka", (1,), (2,))

@@ -206,6 +206,7 @@ def test_what_is_written_reads_back(tmp_path_factory, data):
         },
         pairs=tuple("p" if kind == "pair" else "" for kind in names),
         groups=data.draw(st.just(()) | st.just(("A/1",) * count)),
+        approaches=data.draw(st.just(()) | st.just(("from above",) * count)),
         torques=data.draw(st.none() | st.just(torques)),
         prismatic=("rail",),
     )

@@ -85,6 +85,15 @@ def refused(path, *says, **arguments):
             ("P1", "P2"),
         ),
         (("name x y z", "units: mm", "7 100.5 -200.5 300", "8 110.5 -200.5 310"), ("7", "8")),
+        # Labels between the numbers
+        (
+            ("Units: mm", "P1 X 100.5 Y -200.5 Z 300", "P2 x: 110.5, y=-200.5 ,Z 310 mm, a = 1"),
+            ("P1", "P2"),
+        ),
+        (("# mm", "P1:,X,100.5,Y,-200.5,Z,300", "P2;X=110.5;Y=-200.5;Z=310"), ("P1", "P2")),
+        (("# mm", "1 (X 100.5, Y -200.5, Z 300)", "2 {X 110.5,Y -200.5,Z 310}"), ("1", "2")),
+        (("# mm", "X 100,5 Y -200,5 Z 300", "X 110,5 Y -200,5 Z 310"), ()),
+        (("# mm", "P1: 100.5 -200.5 300", "P2: 110.5 -200.5 310"), ("P1", "P2")),
         (("station;x;y;z", "# units: mm", "A;100.5;-200.5;300", "B;110.5;-200.5;310"), ("A", "B")),
     ],
 )
@@ -122,6 +131,33 @@ def test_a_point_is_found_by_its_whole_name_or_its_last_part(listed):
 
 
 # Refusals
+
+
+def test_labels_tell_a_point_s_number_from_whole_coordinates(listed):
+    points = read_points(listed("1 X 100 Y 200 Z 300", "2 X 110 Y 200 Z 300"), "mm")
+    assert points.names == ("1", "2")
+    np.testing.assert_allclose(points.points[1], [0.11, 0.2, 0.3])
+
+
+@pytest.mark.parametrize(
+    ("lines", "is_refused"),
+    [
+        (("P1,1,992.49,200.5,300.5", "P2,802.5,200.5,300.5"), True),
+        (("P1,1,992.49,200.5,300.5", "P2,1,802.50,200.5,300.5"), True),
+        (("P1,-200.5,-1,992,300", "P2,802,200,300"), True),
+        (("P1,1.5,992.49,200.5,0.1", "P2,1.25,802.5,200.5,0.2"), False),
+        (("P1,100,200,300,1", "P2,100,200,300,2"), False),
+        (("name,x,y,z,d", "P1,100,200,300,1", "P2,100,200,300"), False),
+        (("P1;1,992.49;200.5;300.5", "P2;802.5;200.5;300.5"), False),
+        (("A,1,100.5,200.5,300.5", "A,2,100.5,200.5,300.5"), False),
+    ],
+)
+def test_commas_between_thousands_between_commas_are_refused(listed, lines, is_refused):
+    path = listed(*lines)
+    if is_refused:
+        refused(path, "line 1", "double quotes", '"name,x,y,z"', unit="mm")
+    else:
+        assert len(read_points(path, "mm").points) == 2
 
 
 def test_units_that_are_missing_or_contradict(listed):

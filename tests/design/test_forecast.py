@@ -8,8 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from calib.design.forecast import Forecast, Workspace, covariance_root
+from calib.data.cell import Cell
+from calib.design.forecast import Forecast, Workspace, covariance_root, position_std
 from calib.design.sensitivity import Sensitivity
+from calib.robot.ranges import spread_poses
 
 #: Sizes of the errors in truth, those of the priors too: lengths [m] and angles [rad].
 UNITS = ("m", "m", "rad", "rad", "m", "rad", "rad")
@@ -111,6 +113,17 @@ def test_the_rms_over_the_workspace_and_its_range_are_those_of_calibrations(coun
     assert 0.04 < np.mean(rms < f.rms_low) < 0.06
     each = np.sqrt(np.mean(np.sum(off**2, axis=2), axis=0))
     assert f.max == pytest.approx(each.max(), rel=0.04)
+
+
+def test_at_single_poses_the_standard_deviations_are_those_whose_rms_the_workspace_has(ur3):
+    cell = Cell(model="zeros", target=[0.0, 0.05, 0.1])
+    measured, where = spread_poses(ur3, 8), spread_poses(ur3, 30)
+    single = position_std(ur3, cell, measured, where)
+    assert single.shape == (30, 1)
+    of_ur3 = Sensitivity.of(ur3, cell)
+    f = Forecast.of(of_ur3, Workspace.of(of_ur3, where), measured)
+    assert np.sqrt(np.mean(single**2)) == pytest.approx(f.rms)
+    assert single.max() == pytest.approx(f.max)
 
 
 # In the noise of what is measured

@@ -7,10 +7,11 @@ import io
 import matplotlib as mpl
 import numpy as np
 import pytest
+from matplotlib.lines import Line2D
 from PIL import Image
 
 from calib.errors import FileError
-from calib.report.figure_base import new_figure, row_kinds, rows_text, short_names
+from calib.report.figure_base import new_figure, row_kinds, rows_text, saved, short_names, styled
 from calib.report.figures import Drawing, rendered
 
 
@@ -46,6 +47,31 @@ def test_files_open_and_carry_title_and_caption():
     assert b"CreationDate" not in pdf
     with pytest.raises(FileError, match="'jpg'"):
         rendered(drawing(), "jpg")
+
+
+@pytest.mark.parametrize("kind", ["svg", "png", "pdf"])
+def test_a_figure_is_drawn_once_and_laid_out_as_matplotlib_does(kind):
+    class Counted(Line2D):
+        draws = 0
+
+        def draw(self, renderer):
+            Counted.draws += 1
+            super().draw(renderer)
+
+    with styled():
+        figure = sketch()
+        figure.axes[0].add_line(Counted([1.0, 2.0], [4.0, 3.0]))
+        figure.axes[0].set_ylabel("two\nlines")
+        data = saved(figure, kind)
+        assert Counted.draws == 1
+        again = sketch()
+        again.axes[0].add_line(Line2D([1.0, 2.0], [4.0, 3.0]))
+        again.axes[0].set_ylabel("two\nlines")
+        by_matplotlib = io.BytesIO()
+        again.savefig(by_matplotlib, format=kind, dpi=180)
+        positions = [f.axes[0].get_position().bounds for f in (figure, again)]
+    assert positions[0] == positions[1]
+    assert len(data) == pytest.approx(len(by_matplotlib.getvalue()), abs=300)  # metadata
 
 
 def test_every_row_is_of_one_kind(calibrations):

@@ -5,15 +5,17 @@ from __future__ import annotations
 import hashlib
 import re
 from dataclasses import replace
-from html.parser import HTMLParser
 
 import pytest
 
+from calib.data.record import Record
 from calib.errors import FileError
-from calib.report import figures as figures, report as report
+from calib.report import figures as figures, page as page_module
 from calib.report.figures import drawings
 from calib.report.report import _rows_text, report_bytes, write_report
+from calib.text.layout.lines import mm
 from calib.text.verdict import reason_text
+from tests.report.pages import FULL_RECORD, Page
 from tests.report.test_tables import every_table
 
 CASES = [
@@ -28,40 +30,6 @@ CASES = [
     pytest.param("non_geometric", marks=pytest.mark.slow),
     pytest.param("mixed", marks=pytest.mark.slow),
 ]
-
-#: Elements of HTML that have no end tag.
-EMPTY = {"meta", "img"}
-
-
-class Page(HTMLParser):
-    """The texts, attributes and tables of a page; every element is closed."""
-
-    def __init__(self, page: str) -> None:
-        super().__init__(convert_charrefs=True)
-        self.open: list[str] = []
-        self.tags: list[str] = []
-        self.attributes: list[tuple[str, str | None]] = []
-        self.texts: list[str] = []
-        self.feed(page)
-        self.close()
-        assert self.open == []
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.tags.append(tag)
-        self.attributes += attrs
-        if tag not in EMPTY:
-            self.open.append(tag)
-
-    def handle_endtag(self, tag: str) -> None:
-        assert self.open.pop() == tag
-
-    def handle_data(self, data: str) -> None:
-        if data.strip() and self.open[-1] != "style":
-            self.texts.append(" ".join(data.split()))
-
-    @property
-    def text(self) -> str:
-        return " ".join(self.texts)
 
 
 @pytest.fixture
@@ -84,8 +52,9 @@ def test_every_page_is_complete_and_its_verdict_comes_first(page, calibrations, 
     assert text.index(f"Verdict: {use}") < text.index("Accuracy before and after")
     for reason in () if c.verdict is None else c.verdict.reasons:
         assert " ".join(reason_text(reason).split()) in text
-    assert made.tags.count("h2") == 11 + bool(c.candidates)
-    assert made.tags.count("caption") == sum(bool(table.rows) for table in every_table(c))
+    assert made.tags.count("h2") == 10 + bool(c.candidates)
+    # One more on the first page.
+    assert made.tags.count("caption") == 1 + sum(bool(table.rows) for table in every_table(c))
 
 
 def test_names_are_text_only(page, calibrations):
@@ -101,6 +70,26 @@ def test_names_are_text_only(page, calibrations):
         '<span class="word">--x</span> <span class="word">&lt;b&gt;</span>'
         in report_bytes(c, command="--x <b>").decode()
     )
+
+
+def test_the_first_page_has_the_record_and_the_errors(page, paper_calibration):
+    record = Record(robot_serial="20183300123", instrument="tracker", temperature_C=(21.4, 22.06))
+    c = replace(paper_calibration, record=record)
+    made = page(c)
+    assert made.forms["Robot, serial no."] == "20183300123"
+    assert made.forms["Air temperature [°C]"] == "21.4 to 22.1"
+    assert made.forms["Noise (1 sigma)"] == f"{mm(c.sigma['m'])} mm per coordinate"
+    assert (made.forms["Customer"], made.forms["Signature"]) == ("", "")
+    _, _, *rows = made.table("Size of the error by set of rows")
+    before, after = (
+        c.errors["nominal"]["validation"]["m"],
+        c.errors["calibrated"]["validation"]["m"],
+    )
+    cells = [mm(v) for e in (before, after) for v in (e.max, e.mean, e.rms)]
+    assert rows[0] == ["position [mm]", "validation rows", "5", *cells]
+    without = c.cross_validation.errors_without_outliers["m"]
+    assert rows[2][-3:] == [mm(without.max), mm(without.mean), mm(without.rms)]
+    assert "30 poses, each measured 1 time." in made.text
 
 
 def test_counts_of_parameters_and_rows_and_the_factor_of_the_interval(page, paper_calibration):
@@ -143,7 +132,7 @@ def test_a_page_is_written_and_not_written_over(paper_calibration, tmp_path):
 def test_figures_stand_in_their_sections_and_a_large_one_is_a_picture(
     paper_calibration, monkeypatch
 ):
-    monkeypatch.setattr(report, "_LARGE", 60_000)
+    monkeypatch.setattr(page_module, "_LARGE", 60_000)
     text = report_bytes(paper_calibration).decode()
     made = drawings(paper_calibration)
     kinds = re.findall(r'src="data:image/([^;]+);base64,', text)
@@ -161,7 +150,7 @@ def test_figures_stand_in_their_sections_and_a_large_one_is_a_picture(
 
 @pytest.mark.slow
 def test_chromium_shows_and_prints_hostile_names(browser, calibrations, tmp_path):
-    c = calibrations.made("hostile_names")
+    c = replace(calibrations.made("hostile_names"), record=FULL_RECORD)
     path = write_report(c, tmp_path / "report.html")
     # The size of A4 at 96 dots an inch.
     with browser.open(path.as_uri(), size=(794, 1123)) as tab:
@@ -179,6 +168,9 @@ def test_chromium_shows_and_prints_hostile_names(browser, calibrations, tmp_path
         assert tab.evaluate("document.documentElement.scrollWidth") <= 794
         assert tab.screenshot().std() > 10
         pdf = tab.pdf()
+        tab.evaluate("document.querySelector('main').remove()")
+        first = tab.pdf()
+    assert len(re.findall(rb"/Type /Page\b", first)) == 1
     assert pdf.startswith(b"%PDF")
     assert 8 <= len(re.findall(rb"/Type /Page\b", pdf)) <= 20
 

@@ -17,9 +17,11 @@ from calib.json_files import plain
 from calib.result.acceptance import Acceptance, Check, acceptance, assess
 from calib.result.accuracy import accuracy
 from calib.result.evaluation import EvaluationValues, evaluate
+from calib.result.evaluation_file import acceptance_table, accuracy_table
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
-from calib.text.evaluation import acceptance_table, accuracy_table, accuracy_text, assessment_text
+from calib.text.accuracy import accuracy_text
+from calib.text.evaluation import assessment_text
 
 
 def table_of(

@@ -24,10 +24,10 @@ from calib.result.calibration_file import (
     write_table,
 )
 from calib.result.evaluation import evaluate
+from calib.result.evaluation_file import assessment_table
 from calib.robot.payload import Payload
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
-from calib.text.evaluation import assessment_table
 from calib.text.summary import summary
 
 DOC = Path(__file__).parents[2] / "docs" / "result-json.md"
@@ -111,6 +111,7 @@ def test_a_result_read_back_is_the_one_written(case: Any, tmp_path: Path):
         == []
     )
     assert summary(read) == c.summary()
+    assert set(read.zeros.errors) == set(c.cross_validation.errors_without_outliers.units)
 
 
 def test_everything_is_read_back(everything: Calibration, tmp_path: Path):

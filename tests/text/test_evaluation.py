@@ -10,9 +10,10 @@ import pytest
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.result.acceptance import Assessment, assess
+from calib.result.evaluation_file import accuracy_table, assessment_table
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
-from calib.text.evaluation import accuracy_table, assessment_table, assessment_text
+from calib.text.evaluation import assessment_text
 from calib.text.layout.lines import mm
 
 KNOWN = Cell(target=(0.0, 0.0, 0.0), estimate_target=False)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import re
 from dataclasses import replace
 
@@ -13,12 +14,14 @@ from calib.data.cell import Box, Cell, Tracker
 from calib.data.measurements import Measurements
 from calib.design.choice import PlanRequest
 from calib.design.plan import plan
+from calib.design.plan_file import write_plan
 from calib.regions.region import Density
 from calib.regions.region_rows import Checked, RegionView
 from calib.regions.workspace import workspace_points
 from calib.robot.ranges import joint_ranges, random_joint_values
 from calib.viewer.design_view import plan_page, region_page
 from tests.viewer.conftest import scene_of
+from tests.viewer.test_page import floats, table_of
 
 TARGET = np.array(example.PAPER_TARGET)
 
@@ -60,24 +63,80 @@ def planned(ur3):
     return plan(ur3, cell, request, taken=random_joint_values(ur3, 3), collisions=None)
 
 
-def test_targets_way_sight_and_boxes_of_a_plan(planned):
-    scene, sets = scene_of(plan_page(planned)), np.array(planned.sets)
+def test_targets_way_tracker_and_boxes_of_a_plan(planned):
+    page = plan_page(planned)
+    scene, sets = scene_of(page), np.array(planned.sets)
     for word in ("estimate", "validate"):
         # The measurement frame is the base: what to expect is the same place.
         expected = planned.expected[sets == word][:, 0]
-        np.testing.assert_allclose(moved(scene, rf"{word}/\d+")[:, :3, 3], expected, atol=1e-12)
-    taken = moved(scene, r"taken/\d+")[:, :3, 3]
+        np.testing.assert_allclose(
+            moved(scene, rf"nominal/{word}/\d+")[:, :3, 3], expected, atol=1e-12
+        )
+    taken = moved(scene, r"nominal/taken/\d+")[:, :3, 3]
     np.testing.assert_allclose(taken, planned.places(planned.taken)[:, 0], atol=1e-12)
     places = planned.places(planned.joints)[:, 0]
-    way = positions(scene, "way").reshape(-1, 2, 3)
+    way = positions(scene, "nominal/way").reshape(-1, 2, 3)
     np.testing.assert_allclose(way, np.stack([places[:-1], places[1:]], axis=1), atol=1e-6)
-    beams = positions(scene, "sight").reshape(-1, 2, 3)
-    np.testing.assert_allclose(beams[:, 0], places, atol=1e-6)
-    towards, along = planned.cell.tracker.position - places, beams[:, 1] - beams[:, 0]
-    size = np.linalg.norm(along, axis=1) * np.linalg.norm(towards, axis=1)
-    np.testing.assert_allclose(np.sum(along * towards, axis=1), size, rtol=1e-6)
-    (table,) = moved(scene, r"around/\d+")
-    np.testing.assert_allclose(table, planned.cell.boxes[0].T_base_box, atol=1e-12)
+    table = table_of(page)
+    assert table["tracker"] == [2.5, 1.0, 0.8]
+    np.testing.assert_allclose(floats(table["targets"], 8, 1, 3)[:, 0], places, atol=1e-6)
+    (box,) = moved(scene, r"nominal/around/\d+")
+    np.testing.assert_allclose(box, planned.cell.boxes[0].T_base_box, atol=1e-12)
+
+
+def test_the_poses_of_a_plan_come_one_by_one_with_the_numbers_of_its_table(planned, tmp_path):
+    table = table_of(plan_page(planned, first_row=4))
+    file = write_plan(planned, tmp_path / "plan.csv", first_row=4)
+    rows = list(csv.DictReader(file.read_text(encoding="utf-8").splitlines()))
+    assert table["labels"] == [f"pose {k} of 8" for k in range(1, 9)]
+    assert [
+        {"estimation": "estimate", "validation": "validate"}[kind] for kind in table["kinds"]
+    ] == list(planned.sets)
+    numbers = table["numbers"]
+    for k, row in enumerate(rows):
+        assert numbers["point"][k] == row["point"]
+        for joint in planned.robot.joint_names:
+            assert numbers[joint][k] == f"{row[f'{joint} [deg]']} deg"
+        for axis in "xyz":
+            assert numbers[f"expected {axis}"][k] == f"{row[f'expected {axis} [mm]']} mm"
+    movers = table["robots"]["nominal"]["movers"]
+    poses = floats(table["robots"]["nominal"]["poses"], 8, movers, 7)
+    np.testing.assert_allclose(poses[:, -1, :3], planned.expected[:, 0], atol=1e-6)
+    legend = re.findall(
+        r'<input type="checkbox"( checked)? data-show="nominal/(\w+)"',
+        plan_page(planned).html.decode(),
+    )
+    on = {node: bool(checked) for checked, node in legend}
+    assert (on["tracker"], on["sight"], on["next"], on["way"]) == (True, False, True, False)
+
+
+def test_a_plan_without_a_tracker_has_no_line_of_sight(planned):
+    blind = replace(planned, cell=replace(planned.cell, tracker=None))
+    page = plan_page(blind)
+    table = table_of(page)
+    assert (table["tracker"], table["targets"], table["planned"]) == (None, "", True)
+    assert b'data-show="nominal/sight"' not in page.html
+
+
+@pytest.mark.slow
+def test_chromium_shows_the_tracker_s_line_of_sight_to_each_pose(browser, planned, tmp_path):
+    page = plan_page(planned).write(tmp_path / "plan.html")
+    ends = (
+        "[...viewer.scene_tree.find(['robots', 'nominal', 'tracker']).object.children"
+        ".find((one) => one.isLineSegments).geometry.attributes.position.array]"
+    )
+    with browser.open(page.as_uri(), size=(1400, 900)) as tab:
+        for k in (0, 1):
+            expected = [[2.5, 1.0, 0.8], planned.expected[k, 0]]
+            np.testing.assert_allclose(np.reshape(tab.evaluate(ends), (2, 3)), expected, atol=1e-6)
+            shown = tab.evaluate("document.getElementById('numbers').innerText")
+            assert f"P{k + 1}" in shown
+            assert f"{planned.expected[k, 0, 0] * 1e3:.3f} mm" in shown
+            tab.click("#forward")
+        label = "document.querySelector('.label').getBoundingClientRect()"
+        assert tab.evaluate(f"{label}.left") >= 0
+        assert tab.evaluate(f"{label}.right") <= 1400
+        assert tab.complaints == []
 
 
 # A region

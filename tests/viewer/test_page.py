@@ -113,7 +113,12 @@ def test_poses_points_and_numbers_are_those_of_the_view(view):
     sent = [floats(values, 35) for values in unit["robots"]]
     np.testing.assert_allclose(sent, errors, rtol=1e-6)
     assert (table["start"], table["kinds"][30]) == (30, "validation")
-    assert table["instruments"] == []
+    assert (table["instruments"], table["bases"], table["numbers"]) == ([], "", {})
+    T = translation([0.001, 0.002, -0.003])
+    apart = script_table(replace(view, T_base_nominal=T), shown)
+    np.testing.assert_allclose(
+        floats(apart["bases"], 35, 7), [[0.001, 0.002, -0.003, 0, 0, 0, 1]] * 35, rtol=1e-6
+    )
     tracked = script_table(replace(view, instruments=translation([3.0, 1.0, 0.5])[None]), shown)
     np.testing.assert_allclose(tracked["instruments"], [[3.0, 1.0, 0.5, 0.0, 0.0, 0.0, 1.0]])
 
@@ -145,6 +150,23 @@ def test_the_legend_counts_the_measured_rows(view):
     assert "error arrows, predicted to measured" in text
     assert "measurement frame" not in text
     assert b'<b class="verdict care">Verdict: use with care.</b> So.' in page.html
+
+
+def test_two_equal_robots_side_by_side_look_equal(view):
+    """The long lens: each is seen from nearly the same side."""
+    table = table_of(view_page(view))
+    x, y, z = table["cameras"]["side"]  # y is up
+    camera = np.array([x, -z, y])
+    ways = [camera - table["places"][who] for who in ("nominal", "calibrated")]
+    cosine = np.dot(*ways) / np.prod(np.linalg.norm(ways, axis=1))
+    assert np.degrees(np.arccos(cosine)) < 10
+
+
+def test_the_tracker_s_view_is_offered_where_frames_were_registered(view):
+    T = translation([0.01, 0.0, 0.0])
+    for bases, offered in ((np.eye(4), False), (T, True)):
+        html = view_page(replace(view, T_base_nominal=bases)).html
+        assert (b'data-anchor="tracker"' in html) is offered
 
 
 # In a real browser
@@ -221,8 +243,8 @@ def test_chromium_shows_two_robots_with_arrows_and_calls_nobody(browser, demo_pa
         header = tab.evaluate("document.querySelector('header').innerText")
         assert "Verdict: use." in header
         assert "Arrows from predicted towards measured, × 50. Robots true to scale." in header
-        assert "row 35, validation" in header
-        assert "nominal 3.61 mm" in header
+        assert "row 5, estimation" in header
+        assert "nominal 2.54 mm" in header
 
         # Without the arrows there is less of the dark blue that only they have.
         tab.evaluate("document.querySelector('[data-show*=arrows]').click()")
@@ -238,7 +260,7 @@ def test_chromium_shows_two_robots_with_arrows_and_calls_nobody(browser, demo_pa
 def test_the_slider_takes_both_robots_through_the_measured_poses(browser, demo_page):
     """The tips and targets in the browser are where the robots' own forward kinematics put them, at every factor."""
     view = view_of(made("paper"))
-    with browser.open(demo_page.as_uri(), size=(640, 360)) as tab:
+    with browser.open(demo_page.as_uri(), size=(1280, 720)) as tab:
         movers = tab.evaluate(
             "JSON.parse(document.getElementById('table').textContent).robots.nominal.movers"
         )
@@ -246,7 +268,9 @@ def test_the_slider_takes_both_robots_through_the_measured_poses(browser, demo_p
         for row in (0, 17):
             choose(tab, "row", row)
             for factor in (1, 20):
-                choose(tab, "robots", factor)
+                # Side by side the robots are true to scale, whatever the arrows' factor.
+                choose(tab, "factor", 20)
+                tab.click(f"[data-mode={'side' if factor == 1 else 'over'}]")
                 nominal, calibrated = view.predicted[:, row]
                 expected = {
                     "nominal": nominal,
@@ -259,6 +283,7 @@ def test_the_slider_takes_both_robots_through_the_measured_poses(browser, demo_p
                     T = view.calibrated.poses(view.q[row])[0]
                     wrist = node_matrix(tab, "calibrated", "robot", "links", target)
                     np.testing.assert_allclose(wrist[:3, :3], T[:3, :3], atol=1e-6)
+        tab.click("[data-mode=side]")
         assert tab.evaluate("document.getElementById('which').value") == "row 18, estimation"
         tab.evaluate("document.activeElement.blur()")
         tab.key("ArrowLeft", 37)
@@ -299,3 +324,111 @@ def test_a_page_shows_its_robot_and_keeps_hostile_names_as_text(browser, gantry,
         assert tab.evaluate("document.getElementById('which').value") == "b"
         assert tab.complaints == []
         assert tab.elsewhere == []
+
+
+#: The targets in the picture: of each robot, and where the target of the row shown was measured.
+SEEN = """(() => {
+  const at = (...path) => viewer.scene_tree.find(['robots', ...path]).object;
+  const T = JSON.parse(document.getElementById('table').textContent);
+  const target = (who) => {
+    const name = String(T.robots[who].movers - 1).padStart(3, '0');
+    return at(who, 'robot', 'links', name).position.toArray();
+  };
+  const row = Number(document.getElementById('row').value);
+  const matrix = new MeshCat.THREE.Matrix4(), arrow = [];
+  // The arrow of the row shown: a shaft from its foot along y, and a head at its end.
+  const now = at('nominal', 'arrows').children.filter((one) => one.isInstancedMesh && one.count === 1);
+  for (const part of now) {
+    part.getMatrixAt(0, matrix);
+    const y = new MeshCat.THREE.Vector3(0, 1, 0).applyMatrix4(matrix).toArray();
+    arrow.push([new MeshCat.THREE.Vector3().applyMatrix4(matrix).toArray(), y]);
+  }
+  return { nominal: target('nominal'), calibrated: target('calibrated'), arrow, row, mode: document.body.dataset.mode };
+})()"""
+
+
+@pytest.mark.slow
+def test_overlaid_one_factor_holds_for_robots_targets_and_arrows(browser, view, tmp_path):
+    """Each arrow connects what is seen; at the base or as registered, by old and by new addresses."""
+    T = translation([0.02, -0.01, 0.005])
+    apart = replace(view, T_base_nominal=T)
+    page = view_page(apart).write(tmp_path / "v.html").as_uri()
+    k = 11
+    own = view.predicted[0, k]  # of the nominal robot in its own base
+    for address, factor, base in (
+        ("pose=12&mode=over&factor=20", 20, np.zeros(3)),
+        ("pose=12&mode=over&robots=20&arrows=5", 20, np.zeros(3)),
+        ("pose=12&mode=over&factor=5&anchor=tracker", 5, T[:3, 3]),
+    ):
+        with browser.open(f"{page}#{address}", size=(1280, 720)) as tab:
+            seen = tab.evaluate(SEEN)
+            nominal = own + base
+            assert (seen["row"], seen["mode"]) == (k, "over")
+            np.testing.assert_allclose(seen["nominal"], nominal, atol=1e-6)
+            magnified = nominal + factor * (view.predicted[1, k] - nominal)
+            np.testing.assert_allclose(seen["calibrated"], magnified, atol=1e-5)
+            shaft, head = seen["arrow"]
+            np.testing.assert_allclose(shaft[0], nominal, atol=1e-6)
+            end = nominal + factor * (view.measured[k] - nominal)
+            np.testing.assert_allclose(head[1], end, atol=1e-5)
+            assert tab.evaluate("document.getElementById('factor').value") == str(factor)
+            assert tab.complaints == []
+    # Side by side the arrow is the residual of the registered robot, in its own base.
+    with browser.open(f"{page}#pose=12&mode=side&arrows=2", size=(1280, 720)) as tab:
+        shaft, head = tab.evaluate(SEEN)["arrow"]
+        residual = view.measured[k] - (own + T[:3, 3])
+        np.testing.assert_allclose(np.subtract(head[1], shaft[0]), 2 * residual, atol=1e-5)
+        assert tab.evaluate("document.getElementById('anchors').hidden")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("count", "opacity"), [(40, 1.0), (41, 0.3)])
+def test_arrows_of_many_rows_are_faint_but_for_the_row_shown(
+    browser, gantry, disturb, tmp_path, count, opacity
+):
+    q = np.random.default_rng(1).uniform(-0.5, 0.5, (count, 3))
+    crowd = View(gantry, disturb(gantry), q, kinds=("estimation",) * count)
+    crowd = replace(crowd, measured=crowd.predicted[1])
+    page = view_page(crowd).write(tmp_path / "v.html").as_uri()
+    script = (
+        "viewer.scene_tree.find(['robots', 'nominal', 'arrows']).object.children"
+        ".filter((one) => one.isInstancedMesh).map((one) => [one.count, one.material.opacity])"
+    )
+    with browser.open(page) as tab:
+        expected = [[1, 1], [1, 1], [count, opacity], [count, opacity]]
+        assert sorted(tab.evaluate(script)) == expected
+
+
+@pytest.mark.slow
+def test_on_a_phone_the_page_is_stacked_and_fits_the_width(browser, view, tmp_path):
+    apart = replace(
+        view, T_base_nominal=translation([0.02, 0.0, 0.0]), verdict="use", note="So. " * 40
+    )
+    page = view_page(apart).write(tmp_path / "v.html").as_uri()
+    box = "document.querySelector('%s').getBoundingClientRect()"
+    with browser.open(f"{page}#mode=over", size=(412, 860)) as tab:
+        assert tab.evaluate("document.documentElement.scrollWidth") <= 412
+        bottom = tab.evaluate(f"{box % '#picture'}.bottom")
+        for part in (".player", ".panel", "#pose", "#inset", "#layers"):
+            assert tab.evaluate(f"{box % part}.top") >= bottom
+            assert tab.evaluate(f"{box % part}.right") <= 412
+        assert not tab.evaluate("document.getElementById('layers').open")
+        touched = "[...document.querySelectorAll('button, select, #row')]"
+        heights = f"{touched}.map((one) => one.getBoundingClientRect().height)"
+        assert min(tab.evaluate(heights)) >= 44
+        drawn = tab.evaluate(
+            "[viewer.renderer.domElement.clientWidth, viewer.renderer.domElement.clientHeight]"
+        )
+        assert drawn == [
+            412,
+            pytest.approx(bottom - tab.evaluate(f"{box % '#picture'}.top"), abs=1),
+        ]
+        tab.click("#forward")
+        assert "pose 2" in tab.evaluate("document.getElementById('which').value")
+        assert tab.complaints == []
+    with browser.open(page, size=(1400, 900)) as tab:
+        assert tab.evaluate("document.getElementById('layers').open")
+        # On paper, A4 on its side, the whole picture.
+        tab.evaluate("window.dispatchEvent(new Event('beforeprint'))")
+        scale = "document.getElementById('picture').style.getPropertyValue('--k')"
+        assert float(tab.evaluate(scale)) == pytest.approx(1122 / 1400)

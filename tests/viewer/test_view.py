@@ -18,6 +18,8 @@ from calib.viewer.puppet import translation
 from calib.viewer.view import (
     MOST_ROWS,
     View,
+    _typical_row,
+    joint_texts,
     view_of,
     view_of_result,
     view_of_robots,
@@ -65,13 +67,18 @@ def test_of_many_rows_an_even_choice_is_shown_with_the_flagged_ones():
     assert max(np.diff(numbers)) < 20
     np.testing.assert_array_equal(view.q, c.measurements.joints[np.array(numbers) - 1])
     np.testing.assert_allclose(distances(view), view.errors["m"], atol=1e-12)
-    assert view.kinds[view.start] == "validation"
+    assert view.kinds[view.start] == "estimation"
 
 
-def test_every_row_is_a_pose_and_the_worst_validation_row_is_shown_first(result):
+def test_every_row_is_a_pose_and_a_typical_row_is_shown_first(result):
     view = view_of(result)
     assert view.labels == tuple(f"row {row}" for row in range(1, 36))
-    assert view.labels[view.start] == "row 35"
+    assert view.labels[view.start] == "row 5"
+    # Of the 28 fitted rows it has neither robot's error far from the median.
+    fitted = view.errors["m"][:, np.array(view.kinds) == "estimation"]
+    assert fitted.shape == (2, 28)
+    below = np.sum(fitted < view.errors["m"][:, [view.start]], axis=1)
+    assert np.abs(below - 13.5).max() < 4
     assert [view.labels[n] for n in range(35) if view.kinds[n] == "flagged"] == ["row 11", "row 14"]
     assert view.kinds[30:] == ("validation",) * 5
     np.testing.assert_allclose(view.nominal_target[:, :3, 3], np.tile(PAPER_TARGET, (35, 1)))
@@ -104,6 +111,43 @@ def test_errors_in_the_picture_are_those_of_the_tables_when_the_frame_is_estimat
     elsewhere = distances(replace(view, T_base_nominal=np.eye(4)))[0]
     assert np.abs(elsewhere - off).max() > 1e-4
     assert len(view.instruments) == 1
+    assert view.is_registered_apart
+    assert not view_of(result).is_registered_apart
+
+
+def test_errors_that_no_row_has_or_one_row_has_choose_the_first_row_or_that_one():
+    nan = np.nan
+    fitted = np.array([True, True, True, False])
+    assert _typical_row(np.full((2, 4), nan), fitted) == 0
+    assert _typical_row(np.array([[nan, nan, nan, 1.0]] * 2), fitted) == 3
+    assert _typical_row(np.array([[3.0, 1.0, 2.0, 2.0]] * 2), fitted) == 2
+    # The median of the one is the extreme of the other: neither is typical.
+    assert (
+        _typical_row(
+            np.array([[1.0, 2.0, 3.0, 4.0, 5.0], [4.0, 1.0, 3.0, 5.0, 2.0]]), np.ones(5, bool)
+        )
+        == 2
+    )
+
+
+def test_the_calibrated_robot_s_label_follows_the_verdict_and_what_was_written(result):
+    assert view_of(result).names[1] == ("Calibrated", "the corrected URDF")
+    bad = made("do_not_use")
+    assert bad.verdict.use == "do not use"
+    withheld, accepted = (view_of(bad, accepted=accepted).names[1][1] for accepted in (False, True))
+    assert "URDF" in withheld
+    assert "corrected" not in withheld
+    assert "corrected URDF" in accepted
+    unchanged = replace(bad, robot=bad.nominal)
+    assert view_of(unchanged, accepted=True).names[1][1].startswith("unchanged")
+
+
+def test_joint_values_are_told_in_degrees_and_millimetres(gantry):
+    view = view_of_robots(gantry)
+    assert tuple(view.numbers) == gantry.joint_names
+    texts = joint_texts(gantry, np.array([[0.5, -0.0123, np.pi / 4]]))
+    assert texts == {"x": ("500.000 mm",), "y": ("-12.300 mm",), "c": ("45.000 deg",)}
+    assert not view_of_robots(gantry, gantry).numbers
 
 
 def test_the_target_and_station_of_the_row_are_shown(ur3):
@@ -148,7 +192,7 @@ def test_robots_and_a_table_show_what_evaluate_says(result):
         result.nominal, result.robot, result.measurements, cells=[result.cell] * 2
     )
     np.testing.assert_allclose(distances(both), both.errors["m"], atol=1e-12)
-    assert both.labels[both.start] == "row 35"
+    assert both.labels[both.start] == "row 7"  # here outliers count as fitted
     assert [name for name, _ in both.names] == ["Nominal", "Calibrated"]
 
 

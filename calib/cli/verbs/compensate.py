@@ -202,11 +202,11 @@ def _load_models(robot: str, program: Path, model: ModelChoice, chain: ChainOpti
     """Load the nominal robot and the model of the real one."""
     if model.calibration is not None:
         return _models_of_result(robot, model.calibration, model, chain)
-    from calib.data.columns import column_names
+    from calib.data.columns import names_in
     from calib.inputs import chain_of
     from calib.table import Table
 
-    joints = column_names(Table.read(program), chain.parsed())
+    joints = names_in(Table.read(program), chain.parsed())
     nominal = load(robot, _cell(chain), joints)
     actual = load(str(model.corrected), chain_of(nominal))
     return _Models(nominal, actual, payload=None, stated=actual.urdf.verdict)

@@ -57,8 +57,16 @@ class ControllerFiles:
     ] = None
     update: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="calibration.conf whose other lines are kept."),
+        typer.Option(
+            metavar="FILE",
+            help="calibration.conf whose other lines are kept; or the robot's own file of offsets, "
+            "to which the joint zeros are added in the new one.",
+        ),
     ] = None
+    ticks: Annotated[
+        int,
+        typer.Option(metavar="N", help="Ticks a turn of the servos, for --to lerobot."),
+    ] = 4096
 
 
 @verb("""Write a calibrated robot in the formats that controllers and ROS take.
@@ -70,10 +78,12 @@ Examples:
   calib convert calibration.conf --ur-model UR5e -o kinematics.yaml
   calib convert result.json --to ur-yaml --hash-from own_kinematics.yaml -o kinematics.yaml
   calib convert corrected.urdf --robot robot.urdf --to hayati -o rows.csv
+  calib convert result.json --to zeros -o zeros.csv
   calib convert rows.csv --to urdf -o robot.urdf
 
 What is written is read back and compared with the robot before it appears; what a format cannot hold is said. A result
-whose verdict is 'do not use', or a URDF that states it, is refused with exit status 3, unless --accept is given.
+whose verdict is 'do not use', a URDF that states it, and joint zeros that are no better than none, are refused with
+exit status 3, unless --accept is given.
 """)
 def convert(
     source: Annotated[
@@ -112,6 +122,7 @@ def convert(
         urcontrol=files.urcontrol,
         hash_from=files.hash_from,
         update=files.update,
+        ticks=files.ticks,
         base=arm.base,
         tip=arm.tip,
         held=parse_held(arm.hold or []),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -19,15 +21,17 @@ from calib.cli.options import (
     RobotFile,
     TableOptions,
 )
-from calib.cli.outputs import check_outputs
+from calib.cli.outputs import check_outputs, written_lines
 from calib.cli.setup import load_with_data, read_cell, with_chain_of_result, with_target_link
-from calib.cli.terminal import say
+from calib.cli.terminal import command_line, say
 from calib.cli.verb import verb
 from calib.cli.words import parse_by_unit
 from calib.errors import CalibError
+from calib.files import read_bytes
 
 if TYPE_CHECKING:
     from calib.data.cell import Cell
+    from calib.result.acceptance import Assessment
     from calib.result.calibration import CalibrationValues
     from calib.robot.robot import Robot
 
@@ -81,13 +85,62 @@ class AcceptanceOptions:
         }
 
 
+@dataclass(frozen=True, slots=True)
+class EvaluationOutputs:
+    """Files of ``calib evaluate``."""
+
+    json: Annotated[Path | None, typer.Option("--json", help="Write the errors as JSON.")] = None
+    report: Annotated[
+        Path | None,
+        typer.Option(
+            "--report", metavar="FILE", help="Write a report to print and sign: a page, .html."
+        ),
+    ] = None
+    force: Force = False
+
+    def check(self, inputs: Iterable[str | Path | None]) -> None:
+        """Refuse files that cannot be written before the work begins; see `check_outputs`.
+
+        Args:
+            inputs: The files that are read; None: not given.
+        """
+        if self.report is not None:
+            from calib.report.page import check_ending
+
+            check_ending(self.report)
+        check_outputs([self.json, self.report], inputs, force=self.force)
+
+    def write(self, e: Assessment, calibration: Path | None, target_source: str) -> None:
+        """Write the files that were asked for.
+
+        Args:
+            e: The evaluation.
+            calibration: The result's file; None: none was given.
+            target_source: Where targets are from that were not registered.
+        """
+        if self.json is not None:
+            from calib.result.calibration_file import write_table
+            from calib.result.evaluation_file import assessment_table
+
+            write_table(assessment_table(e), self.json, overwrite=self.force)
+        if self.report is not None:
+            from calib.report.evaluation_report import Origins, write_evaluation_report
+
+            name, sha256 = "", ""
+            if calibration is not None:
+                contents = read_bytes(calibration, "calibration result")
+                name, sha256 = calibration.name, hashlib.sha256(contents).hexdigest()
+            origins = Origins(name, sha256, target_source, command_line())
+            write_evaluation_report(e, self.report, origins, overwrite=self.force)
+
+
 @verb("""Compare a robot with measurements, and judge its accuracy by a tolerance.
 
 \b
 Examples:
   calib evaluate corrected.urdf data.csv --calibration result.json
   calib evaluate robot.urdf fresh.csv --base base --tip tool0 --target "70 -70 22.5 mm"
-  calib evaluate corrected.urdf fresh.csv --calibration result.json --tolerance "0.5 mm"
+  calib evaluate corrected.urdf fresh.csv --calibration result.json --tolerance "0.5 mm" --report test.html
 
 With --calibration, targets, measurement frames and held joints are those of that result, and the robot is evaluated
 as its URDF is, with nominal and with calibrated joint origins, and with the non-geometric model. Without it, what is
@@ -100,20 +153,19 @@ def evaluate(
     setup: SetupOptions,
     table: TableOptions,
     test: AcceptanceOptions,
+    outputs: EvaluationOutputs,
     calibration: Annotated[
         Path | None,
         typer.Option("--calibration", help="Result that 'calib calibrate --json' wrote."),
     ] = None,
-    json: Annotated[Path | None, typer.Option("--json", help="Write the errors as JSON.")] = None,
-    force: Force = False,
     quiet: Quiet = False,
 ) -> None:
     """Run the verb; its help is the text of `verb`."""
     from calib.result.acceptance import assess
-    from calib.result.calibration_file import read_result, write_table
-    from calib.text.evaluation import assessment_table, assessment_text
+    from calib.result.calibration_file import read_result
+    from calib.text.evaluation import assessment_text
 
-    check_outputs([json], [robot, data, setup.cell, calibration, table.points], force=force)
+    outputs.check([robot, data, setup.cell, calibration, table.points])
     limits = test.limits()
     cell = read_cell(**asdict(setup))
     result = None
@@ -126,15 +178,15 @@ def evaluate(
     assessment = assess(
         arm, measurements, cell, result, which=from_result, judge=test.judge, limits=limits
     )
-    if json is not None:
-        write_table(assessment_table(assessment), json, overwrite=force)
+    outputs.write(assessment, calibration, target_source)
     if not quiet:
         say_ignored(measurements, arm)
         say_coupled(arm)
         name = calibration.name if calibration else ""
         say(assessment_text(assessment, name, target_source))
-        if json is not None:
-            typer.echo(f"\nWritten: {json}")
+        written = written_lines(outputs.json, outputs.report)
+        if written:
+            typer.echo("\n".join(["", *written]))
     if assessment.accepted is not None and assessment.accepted.outcome != "pass":
         raise typer.Exit(ExitStatus.NOT_ACCEPTED)
 

@@ -22,7 +22,7 @@ class SetupOptions(ModelOptions):
         str | None,
         typer.Option(
             help="Link that the target is mounted on. Default: the end of the longest chain, with "
-            "DATA of joints that are in it."
+            "DATA of joints that are in it, before a gripper or hand."
         ),
     ] = None
     target: Annotated[

@@ -111,10 +111,10 @@ def plan(
 
 def _load_chain(robot: str, cell: Cell, taken: Path | None) -> Robot:
     """Load the robot; without a tip the chain is that of the joints in the table of poses already measured."""
-    from calib.data.columns import column_names
+    from calib.data.columns import names_in
     from calib.table import Table
 
-    joints = None if taken is None else column_names(Table.read(taken))
+    joints = None if taken is None else names_in(Table.read(taken))
     return load(robot, cell, joints)
 
 
@@ -207,4 +207,4 @@ def _write(planned: PlanValues, outputs: PlanOutputs, first_row: int) -> None:
     if outputs.view is not None:
         from calib.viewer.design_view import plan_page
 
-        plan_page(planned).write(outputs.view, overwrite=outputs.force)
+        plan_page(planned, first_row=first_row).write(outputs.view, overwrite=outputs.force)

@@ -156,13 +156,13 @@ def _load_with_tables(
     robot: str, cell: Cell, ranges: RangeOptions
 ) -> tuple[Robot, Mapping[Path, Measurements]]:
     """Load the robot and the tables of ``--like`` and ``--check``, whose common joints tell the chain."""
-    from calib.data.columns import column_names
+    from calib.data.columns import names_in
     from calib.regions.region_rows import read_rows
     from calib.table import Table
 
     paths = [path for path in (ranges.like, ranges.check) if path is not None]
     renamed = ranges.parsed()
-    columns = [column_names(Table.read(path), renamed) for path in paths]
+    columns = [names_in(Table.read(path), renamed) for path in paths]
     known = [names for names in columns if names is not None]
     common = set.intersection(*known) if known else None
     arm = load(robot, cell, common)

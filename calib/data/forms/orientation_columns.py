@@ -24,23 +24,27 @@ class Orientation(NamedTuple):
 
 
 def conventions_of(
-    named: Named, joint_names: Collection[str], options: ColumnOptions
+    table: Table, named: Named, joint_names: Collection[str], options: ColumnOptions
 ) -> tuple[Convention, ...]:
     """Return the conventions of which a table has all columns; of those with the same columns the one that is meant.
 
+    If cells of some are filled in, those of which none is, as a plan leaves them, do not count.
+
     Args:
+        table: The table.
         named: The columns by calib's names.
         joint_names: Joints, whose columns are no orientation.
         options: What is said of the columns; its convention, if its columns are there, is the only one.
     """
-    complete = [row for row in CONVENTIONS.values() if _is_complete(row, named, joint_names)]
+    complete = [row for row in CONVENTIONS.values() if is_complete(row, named, joint_names)]
     for convention in options.conventions:
         if convention in complete:
             return (convention,)
     by_columns: dict[tuple[str, ...], Convention] = {}
     for row in complete:
         by_columns.setdefault(row.columns, row)
-    return tuple(by_columns.values())
+    filled = [row for row in by_columns.values() if _is_filled(row, table, named)]
+    return tuple(filled or by_columns.values())
 
 
 def find_orientation(
@@ -61,7 +65,7 @@ def find_orientation(
         MeasurementError: There is none or more than one, it is not of the convention of ``options``, or a unit does
             not fit.
     """
-    found = conventions_of(named, joint_names, options)
+    found = conventions_of(table, named, joint_names, options)
     is_other = options.orientation not in (None, *(row.name for row in found))
     if len(found) != 1 or is_other:
         wanted = f" (--orientation {options.orientation})" if is_other else ""
@@ -97,10 +101,15 @@ def in_units(
     return Orientation(convention, tuple(columns), alternatives)
 
 
-def _is_complete(row: Convention, named: Named, joint_names: Collection[str]) -> bool:
+def is_complete(row: Convention, named: Named, joint_names: Collection[str]) -> bool:
     """Return True if a table has all columns of a convention, none of them a joint's.
 
     Numbers without unit are none in a unit of angle, such as joints q1 to q4; of qx to qw that is a mistake.
+
+    Args:
+        row: The convention.
+        named: The columns by calib's names.
+        joint_names: Joints, whose columns are no orientation.
     """
     for name in row.columns:
         if name not in named or name in joint_names:
@@ -108,6 +117,11 @@ def _is_complete(row: Convention, named: Named, joint_names: Collection[str]) ->
         if not row.unit and named[name].is_angle and row.name != "quaternion":
             return False
     return True
+
+
+def _is_filled(row: Convention, table: Table, named: Named) -> bool:
+    """Return True if any cell of a convention's columns is filled in."""
+    return any(any(table.column(named[name])) for name in row.columns)
 
 
 def _counted(found: Collection[Convention]) -> str:

@@ -55,6 +55,12 @@ def plural(count: int, noun: str) -> str:
     return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
 
 
+def times(fewest: int, most: int) -> str:
+    """Say how often something was done: ``1 time``, ``30 times``, ``3 to 30 times``."""
+    count = str(most) if fewest == most else f"{fewest} to {most}"
+    return f"{count} times" if most > 1 else f"{count} time"
+
+
 def row_ranges(rows: Iterable[int], limit: int = 12) -> str:
     """List row numbers, consecutive ones as a range: ``4, 7 to 9``.
 

@@ -1,0 +1,1 @@
+"""Joint zeros as controllers take them: rounded, signed and in their units; what they buy; tables and offset files."""

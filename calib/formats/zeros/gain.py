@@ -1,0 +1,118 @@
+"""What joint zeros buy: their errors beside those of the nominal robot and of the whole calibration, same rows."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from calib.channels import RESIDUAL_UNITS
+from calib.errors import VerdictError
+from calib.formats.zeros.rounding import RoundedZeros
+from calib.mappings import keep_read_only
+from calib.numerics.errors import Errors
+from calib.result.calibration import CalibrationValues
+from calib.result.joint_zeros import HELD_OUT
+from calib.values.pickling import Value
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Gain(Value):
+    """Rms errors of the same rows by several robots, by the symbol of each unit that was measured."""
+
+    #: Which rows: `calib.result.joint_zeros.HELD_OUT` (outliers aside), ``VALIDATION`` or ``ESTIMATION``
+    rows: str
+    #: By the nominal robot
+    nominal: Mapping[str, float]
+    #: With the zeros as fitted
+    zeros: Mapping[str, float]
+    #: With the zeros as rounded, target and frame as with those fitted
+    rounded: Mapping[str, float]
+    #: By the whole calibration that a URDF holds
+    calibrated: Mapping[str, float]
+    #: By the non-geometric model; None where there is none
+    non_geometric: Mapping[str, float] | None
+
+    def __post_init__(self) -> None:
+        """Keep read-only copies of the mappings."""
+        keep_read_only(self, "nominal", "zeros", "rounded", "calibrated", "non_geometric")
+
+    @classmethod
+    def of(cls, calibration: CalibrationValues, rounded: RoundedZeros) -> Gain:
+        """Compare the errors of a calibration's robots.
+
+        Args:
+            calibration: The calibration.
+            rounded: Its zeros, rounded.
+        """
+        zeros = rounded.zeros
+        others = _errors_of_robots(calibration, zeros.rows)
+        by_robot = {
+            name: {u: errors[u].rms for u in zeros.errors} for name, errors in others.items()
+        }
+        return cls(
+            rows=zeros.rows,
+            nominal=by_robot["nominal"],
+            zeros={unit: errors.rms() for unit, errors in zeros.errors.items()},
+            rounded={unit: errors.rms(rounded.rounding) for unit, errors in zeros.errors.items()},
+            calibrated=by_robot["calibrated"],
+            non_geometric=by_robot.get("non_geometric"),
+        )
+
+    @property
+    def is_none(self) -> bool:
+        """True if the robot is no better with the rounded zeros than it was, in the first unit that was measured.
+
+        False where no row can tell, ``zeros`` being empty, or where the nominal robot could not be judged.
+        """
+        unit = next(iter(self.zeros), "")
+        return unit in self.zeros and self.rounded[unit] >= self.nominal[unit]
+
+
+def _errors_of_robots(calibration: CalibrationValues, rows: str) -> dict[str, Errors]:
+    """Return the errors of the nominal robot, of the calibrated one, and of the non-geometric model if there is one.
+
+    Args:
+        calibration: The calibration.
+        rows: Of which rows, see `Gain.rows`.
+    """
+    if rows != HELD_OUT:
+        return {name: errors[rows] for name, errors in calibration.errors.items()}
+    validations = {
+        "nominal": calibration.nominal_cross_validation,
+        "calibrated": calibration.cross_validation,
+    }
+    if calibration.non_geometric is not None:
+        validations["non_geometric"] = calibration.non_geometric.cross_validation
+    return {name: v.errors_without_outliers for name, v in validations.items() if v is not None}
+
+
+def check_gain(gain: Gain, path: Path, *, accept: bool) -> None:
+    """Refuse zeros that are no better than none, unless that is accepted.
+
+    Args:
+        gain: What they buy.
+        path: The file to write, for the message.
+        accept: Whether to write them all the same.
+
+    Raises:
+        VerdictError: They are no better than none, and ``accept`` is False.
+    """
+    if gain.is_none and not accept:
+        raise VerdictError(_refusal(gain, path))
+
+
+def _refusal(gain: Gain, path: Path) -> str:
+    """Word that zeros alone are no better than none."""
+    symbol = next(iter(gain.zeros))
+    unit = RESIDUAL_UNITS[symbol]
+    sizes = [
+        f"{unit.to_shown * by_robot[symbol]:.{unit.digits}f} {unit.shown}"
+        for by_robot in (gain.rounded, gain.nominal, gain.calibrated)
+    ]
+    return (
+        f"{path}: joint zeros alone are no better than the nominal robot: the rms error of {gain.rows} rows is "
+        f"{sizes[0]} with them, rounded, {sizes[1]} without, and {sizes[2]} by the whole calibration. So nothing was "
+        "written; use the whole calibration (calib convert --to dh, calib compensate). To write them all the same, add "
+        "--accept (in Python accept=True)."
+    )

@@ -1,0 +1,169 @@
+"""The report of an evaluation: a first page to sign, then the outcome, the figures of ISO 9283, poses and errors.
+
+One HTML page, ``evaluation.html.j2`` filled in; see `calib.report.page`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import calib.report.evaluation_tables as tables
+from calib.files import write_atomically
+from calib.report.first_page import (
+    FirstPage,
+    Outcome,
+    left_lines,
+    right_lines,
+    robot_name,
+)
+from calib.report.page import check_ending, page_bytes
+from calib.report.row_values import kinds_text
+from calib.result.acceptance import Acceptance, Assessment
+from calib.result.calibration_file import versions
+from calib.text.accuracy import accuracy_units, figures_of, missing
+from calib.text.evaluation import FIGURES, outcome_reasons, places_of, robot_in_words
+from calib.text.layout.lines import listed, plural, times
+from calib.text.layout.sizes import with_unit
+from calib.text.verdict import reason_text
+
+
+@dataclass(frozen=True, slots=True)
+class Origins:
+    """Where an evaluation is from; empty where there is no such thing."""
+
+    #: Name of the result's file
+    result: str = ""
+    #: SHA-256 of its bytes
+    result_sha256: str = ""
+    #: Where targets are from that were not registered
+    target: str = "as given"
+    #: The command line that made the evaluation
+    command: str = ""
+
+
+def write_evaluation_report(
+    e: Assessment, path: str | Path, origins: Origins | None = None, *, overwrite: bool = False
+) -> Path:
+    """Write the report of an evaluation as one HTML page.
+
+    Args:
+        e: The evaluation.
+        path: Name of the file, which ends in .html or .htm.
+        origins: Where it is from; None: from memory.
+        overwrite: Replace an existing file.
+
+    Returns:
+        The file's path.
+
+    Raises:
+        FileError: The name does not end in .html or .htm, the file exists, or it cannot be written.
+    """
+    check_ending(path)
+    page = evaluation_report_bytes(e, origins or Origins())
+    return write_atomically(path, page, overwrite=overwrite)
+
+
+def evaluation_report_bytes(e: Assessment, origins: Origins) -> bytes:
+    """Return the page, UTF-8, see `calib.report.page.page_bytes`.
+
+    Args:
+        e: The evaluation.
+        origins: Where it is from.
+    """
+    reasons = _reasons(e, origins.result)
+    rule = list(_rule(e))
+    content: dict[str, Any] = {
+        "e": e,
+        "m": e.evaluations["urdf"].measurements,
+        "document": "Evaluation report" if e.accepted is None else "Acceptance test",
+        "first": _first_page(e, reasons, rule),
+        "tables": tables,
+        "units": accuracy_units(figures_of(e)),
+        "error_units": e.evaluations["urdf"].channels.present,
+        "reasons": reasons,
+        "rule": rule,
+        "missing": [
+            f"{symbols}: needs {needed}."
+            for symbols, needed in missing(e.characteristics[e.judged])
+        ],
+        "judged": robot_in_words(e, origins.result),
+        "result": origins.result,
+        "result_sha256": origins.result_sha256,
+        "kinds": kinds_text(e.evaluations["urdf"].measurements),
+        "places": places_of(e, origins.target),
+        "versions": ", ".join(f"{name} {version}" for name, version in versions().items()),
+        "command": origins.command or "not from the command line",
+    }
+    return page_bytes("evaluation.html.j2", content)
+
+
+def _reasons(e: Assessment, result: str) -> list[str]:
+    """Word what the outcome rests on, or why there is none; ``result`` is the name of the result's file."""
+    if e.accepted is not None:
+        return list(outcome_reasons(e, result))
+    reasons = ["No tolerance was stated, so there is no outcome."]
+    if e.hint is not None:
+        reasons.append(reason_text(e.hint))
+    return reasons
+
+
+def _first_page(e: Assessment, reasons: list[str], rule: list[str]) -> FirstPage:
+    """Return the first page.
+
+    Args:
+        e: The evaluation.
+        reasons: What the outcome rests on.
+        rule: Poses and decision rule, in sentences.
+    """
+    urdf = e.evaluations["urdf"]
+    robot, record = urdf.robot, urdf.record
+    uncertainty = ("Uncertainty (k = 2)", _uncertainty(e.accepted))
+    return FirstPage(
+        robot=robot_name(robot),
+        outcome=Outcome.of("none" if e.accepted is None else e.accepted.outcome),
+        reasons=reasons,
+        section="Outcome",
+        left=left_lines(record, robot),
+        right=right_lines(record, uncertainty, urdf.measurements.source),
+        note=record.note,
+        table=tables.before_and_after(e),
+        rule=rule,
+        parties=("Tested by", "Accepted by"),
+    )
+
+
+def _uncertainty(a: Acceptance | None) -> str:
+    """Word the expanded measuring uncertainty that was stated; empty without a tolerance, to be filled in by hand."""
+    if a is None:
+        return ""
+    stated = [
+        with_unit(check.uncertainty, unit)
+        for unit, check in a.checks.items()
+        if check.uncertainty > 0.0
+    ]
+    return listed(stated) or "not stated"
+
+
+def _rule(e: Assessment) -> Iterator[str]:
+    """Word poses and repeats, and the rule by which the outcome is decided."""
+    judged = e.accuracies[e.judged]
+    yield f"Evaluated: {plural(len(judged.poses), 'pose')}, each measured {times(*judged.repeats)}."
+    a = e.accepted
+    if a is None:
+        return
+    limits = [with_unit(check.tolerance, unit) for unit, check in a.checks.items()]
+    yield f"Tolerance T: {listed(limits)}, of the {FIGURES[a.criterion]}."
+    if any(check.uncertainty > 0.0 for check in a.checks.values()):
+        yield (
+            "Decision rule: ISO 14253-1, with the expanded uncertainty U as guard band: pass if f A + U <= T, fail if "
+            "A - U > T, else undecided. Who has to prove bears the uncertainty: for a pass the supplier, for a "
+            "rejection the customer."
+        )
+    else:
+        yield (
+            "Decision rule: pass if f A <= T, fail if A > T, else undecided. No measuring uncertainty was stated, so "
+            "nobody bears it: near the tolerance the outcome is a matter of chance."
+        )

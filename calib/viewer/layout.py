@@ -1,0 +1,131 @@
+"""Places of robots, labels and cameras of a page of robots: values only.
+
+Two robots stand side by side, or one over the other; a robot alone stands at its base.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+import calib.viewer.scene as stage
+from calib.units import Array
+from calib.viewer.puppet import Puppet
+from calib.viewer.scene import Camera
+
+#: Ends of the text below and of the heading above, as a part of the picture's half height, see `look_at`.
+_TEXT = (-0.54, 0.67)
+
+#: Angle between the directions from the robot to a tracker and to the camera, seen from above [rad]: the tracker stands
+#: behind the robot, at the right of the picture.
+_TRACKER_VIEW = np.deg2rad(112.0)
+
+#: Gap between two robots side by side, as a part of the scene's size.
+_GAP = 0.06
+
+#: Least distance of two robots side by side, as a part of the scene's size.
+_LEAST_DISTANCE = 0.4
+
+#: Labels stand in front of the parts of a robot up to this height above its foot, as a part of the scene's size.
+_FOOT_HEIGHT = 0.2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Layout:
+    """Places of the robots, labels and cameras of a page; the frame is the base of the calibrated robot."""
+
+    #: Diagonal of a robot's bounding box over all poses [m]
+    size: float
+    #: Shape (3,), displacement of each robot side by side [m]
+    offsets: dict[str, Array]
+    #: Shape (3,), place of the label of a robot that is not displaced [m]
+    foot: Array
+    #: The camera for the robots side by side
+    side: Camera
+    #: The camera for the overlaid robots
+    over: Camera
+
+
+def layout_of(
+    shown: Mapping[str, Puppet],
+    start: int,
+    size: float,
+    *,
+    magnified: Array,
+    around: Array,
+    tracker: Array | None = None,
+) -> Layout:
+    """Place robots, labels and cameras.
+
+    Measured positions do not count: a wild measurement must not make the robots small.
+
+    Args:
+        shown: The robots by ``"nominal"`` and ``"calibrated"``, in the base of the latter.
+        start: Index of the pose shown first, from 0.
+        size: Size of the scene, see `outline_of` and `calib.viewer.scene.span` [m].
+        magnified: shape (M, 3), targets of the overlaid robots with their difference magnified [m].
+        around: shape (K, 3), points about the robots that the cameras see too [m].
+        tracker: shape (3,), a point that is seen behind the robot, at the right [m]; None for the arm to be seen from
+            its side.
+    """
+    at_start = outline_of(shown, slice(start, start + 1))
+    outline = np.concatenate([at_start, outline_of(shown)])
+    if tracker is None:
+        towards_camera = stage.camera_direction(shown["nominal"].poses[start, :, :3, 3])
+    else:
+        towards_camera = stage.camera_direction(np.array([np.zeros(3), tracker]), _TRACKER_VIEW)
+    foot = _foot(at_start, towards_camera, size)
+    seen = np.vstack([outline, around, foot])
+    offsets = {"nominal": np.zeros(3)}
+    if len(shown) > 1:
+        offsets = _offsets(outline, towards_camera, size)
+    side_by_side = np.concatenate([seen + offset for offset in offsets.values()])
+    side = stage.look_at(side_by_side, towards_camera, _TEXT)
+    over = stage.look_at(np.vstack([seen, magnified]), towards_camera, _TEXT)
+    return Layout(size, offsets, foot, side, over)
+
+
+def outline_of(shown: Mapping[str, Puppet], poses: slice = slice(None)) -> Array:
+    """Return points (K, 3) [m] that enclose all robots at some of their poses; see `Puppet.outline`."""
+    return np.concatenate([puppet.outline(poses) for puppet in shown.values()])
+
+
+def _to_the_right(towards_camera: Array) -> Array:
+    """Return the horizontal unit vector to the right of the picture, shape (3,)."""
+    return np.array([-towards_camera[1], towards_camera[0], 0.0])
+
+
+def _offsets(outline: Array, towards_camera: Array, size: float) -> dict[str, Array]:
+    """Return the displacements (3,) [m] of two robots side by side, which then do not overlap.
+
+    Args:
+        outline: shape (K, 3), points that enclose both robots at all poses [m].
+        towards_camera: shape (3,), horizontal unit vector.
+        size: The scene's size [m].
+
+    Returns:
+        By ``"nominal"``, to the left of the picture, and ``"calibrated"``, to the right.
+    """
+    right = _to_the_right(towards_camera)
+    width = np.ptp(outline @ right) + _GAP * size
+    half_distance = 0.5 * max(width, _LEAST_DISTANCE * size) * right
+    return {"nominal": -half_distance, "calibrated": half_distance}
+
+
+def _foot(at_start: Array, towards_camera: Array, size: float) -> Array:
+    """Return the point (3,) [m] for a label: below the middle of a robot, in front of what stands on the floor.
+
+    Args:
+        at_start: shape (K, 3), points that enclose the robot at the first pose [m].
+        towards_camera: shape (3,), horizontal unit vector.
+        size: The scene's size [m].
+    """
+    right = _to_the_right(towards_camera)
+    across = at_start @ right
+    foot: Array = 0.5 * (across.min() + across.max()) * right
+    foot[2] = at_start[:, 2].min()
+    low = at_start[at_start[:, 2] < foot[2] + _FOOT_HEIGHT * size]
+    foot += (low @ towards_camera).max() * towards_camera
+    return foot
