@@ -73,6 +73,23 @@ def list_columns(table: Table) -> str:
     return f"The columns found: {choices(labels, limit=30)}."
 
 
+def column_names(table: Table, columns: ColumnsInput = None) -> set[str] | None:
+    """Return the names that a table's columns may be called by, without their units.
+
+    Args:
+        table: The table.
+        columns: What is said of the columns, as by ``--columns``; None: nothing.
+
+    Returns:
+        The names in the header, and those that they are mapped to; None where a brand maps them to the joints of a
+        robot, whichever these are.
+    """
+    options = column_options(columns)
+    if options.brand is not None:
+        return None
+    return {split_header(label)[0] for label in (*table.header, *options.names.values())}
+
+
 def name_columns(
     table: Table, joint_names: Sequence[str], columns: ColumnsInput
 ) -> tuple[dict[str, Column], Columns]:
