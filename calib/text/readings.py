@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from calib.robot.dh import EQUATIONS
-
 if TYPE_CHECKING:
     from calib.robot.robot import Robot
 
@@ -35,6 +33,8 @@ def rows_sentence(robot: Robot) -> str:
     Returns:
         Such as ``"Made from DH rows, standard convention: A_i = ..."``, without a full stop.
     """
+    from calib.robot.dh import EQUATIONS  # late: the command line loads nothing heavy at its start
+
     rows = robot.urdf.dh
     if rows is None:
         return ""

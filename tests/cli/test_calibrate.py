@@ -263,7 +263,7 @@ def test_force_overwrites(call, shop):
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (("none", "data.csv"), "'none' is neither a file here nor a robot of example-robot-data"),
+        (("none", "data.csv"), "'none' is neither a file here nor a robot whose name calib knows"),
         (("robot.urdf", "none.csv"), "The table 'none.csv' does not exist; check the name and"),
         (("robot.urdf", "data.csv", "--base", "bass"), "no link 'bass' (did you mean 'base'?)"),
         (("robot.urdf", "data.csv", "--model", "best"), "There is no parameter set 'best'"),

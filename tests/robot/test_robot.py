@@ -36,7 +36,7 @@ def test_the_name_ur3_gives_the_ur3_not_a_ur5():
 
 
 def test_an_unknown_name_lists_the_known():
-    with pytest.raises(UrdfError, match=r"'urr3' is neither a file .*similar names there.*'ur3'"):
+    with pytest.raises(UrdfError, match=r"'urr3' is neither a file .*similar names.*'ur3'"):
         Robot.load("urr3")
 
 
