@@ -16,6 +16,7 @@ from calib.errors import CalibError, choices, did_you_mean
 from calib.formats.dh_files import ENDINGS, DHTables, write_dh
 from calib.formats.notes import Note
 from calib.formats.origins import write_origins
+from calib.formats.pal import write_pal
 from calib.formats.source import Options, Source
 from calib.formats.source_kinds import KINDS, YAML, result_source, robot_source, source_kind
 from calib.formats.universal_robots import read_ur, write_ur_conf, write_ur_yaml
@@ -149,6 +150,12 @@ def _write_origins(source: Source, path: Path, options: Options) -> Notes:
     return ()
 
 
+def _write_pal(source: Source, path: Path, options: Options) -> Notes:
+    """Write the corrections of the joints' origins for PAL's robots."""
+    write_pal(source, path, overwrite=options.overwrite)
+    return ()
+
+
 def _write_dh(convention: str | None, source: Source, path: Path, options: Options) -> Notes:
     """Write DH rows, beside the nominal ones where these are another robot's.
 
@@ -207,6 +214,7 @@ FORMATS: dict[str, Format] = {
     "ur-yaml": Format("kinematics.yaml of Universal Robots' ROS driver", YAML, _write_ur_yaml),
     "ur-conf": Format("DH deltas of a Universal Robots controller", (".conf",), _write_ur_conf),
     "origins": Format("the joints' origins, for a xacro to load", YAML, _write_origins),
+    "pal": Format("geometric_calibration of PAL's robots", YAML, _write_pal),
     "dh": Format(
         "DH rows in the convention that they came in, else standard",
         ENDINGS,

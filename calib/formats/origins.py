@@ -46,6 +46,12 @@ class JointOrigin(NamedTuple):
     #: Roll, pitch, yaw [rad].
     rpy: tuple[float, ...]
 
+    @classmethod
+    def of(cls, T_parent_joint: NDArray[np.float64]) -> JointOrigin:
+        """Return the origin of a pose, shape (4, 4), [m]."""
+        rpy = pin.rpy.matrixToRpy(T_parent_joint[:3, :3])
+        return cls(tuple(T_parent_joint[:3, 3].tolist()), tuple(rpy.tolist()))
+
     @property
     def T_parent_joint(self) -> NDArray[np.float64]:
         """Pose of the joint's frame in the parent link, shape (4, 4), [m]."""
