@@ -71,6 +71,10 @@ SENTENCES = {
     + "the quaternions have their scalar {scalar}: give it in the column qw.",
     Why.ORIENTATIONS_INVERSE: _TURNED
     + "they are inverted: give those of the target in the measurement frame.",
+    Why.ORIENTATIONS_JOINT_TURNED: _TURNED
+    + "the sign of '{joint}' is reversed: check the positive direction.",
+    Why.ORIENTATIONS_JOINT_ZERO: _TURNED
+    + "{add_rad:deg.0f} deg is added to '{joint}': check its zero position.",
     Why.FRAME_NOT_FOUND: "The measurement frame{of_station} was not found: from every start the rows "
     "end up farther off than those of any uncalibrated arm, so the nominal robot cannot be judged. "
     "Give the frame's approximate pose in the cell; if that does not help, check the robot and the "
