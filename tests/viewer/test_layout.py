@@ -63,7 +63,8 @@ def test_a_tracker_is_seen_at_the_right_behind_the_robot(puppet):
 
 def test_of_a_robot_that_only_moves_what_is_below_its_floor_does_not_make_it_small(ur3):
     q = np.zeros((9, 6))
-    q[:, 1] = np.linspace(-np.pi, np.pi, 9)  # index 4: stretched, and the arm goes through the floor
+    # At index 4 the arm is stretched; elsewhere it goes through the floor.
+    q[:, 1] = np.linspace(-np.pi, np.pi, 9)
     base = np.broadcast_to(np.eye(4), (9, 4, 4))
     moving = Puppet.of(ur3, q, read_visuals(ur3.urdf)[0], base, np.eye(4))
     shown = {"nominal": moving}
