@@ -29,6 +29,13 @@ from calib.text.layout.lines import listed, plural, times
 from calib.text.layout.sizes import with_unit
 from calib.text.verdict import reason_text
 
+#: What the figure of a criterion is, behind its name.
+_MEANING = {
+    "max": " AP is the pose accuracy of ISO 9283: the mean error of the repeats of a pose.",
+    "mean": " AP is the pose accuracy of ISO 9283: the mean error of the repeats of a pose.",
+    "single": "",
+}
+
 
 @dataclass(frozen=True, slots=True)
 class Origins:
@@ -151,19 +158,25 @@ def _rule(e: Assessment) -> Iterator[str]:
     """Word poses and repeats, and the rule by which the outcome is decided."""
     judged = e.accuracies[e.judged]
     yield f"Evaluated: {plural(len(judged.poses), 'pose')}, each measured {times(*judged.repeats)}."
+    if e.judged in ("calibration", "non_geometric"):
+        yield (
+            "The errors after calibration are of the model: of the robot itself only where its controller, or the "
+            "programs sent to it, use the model."
+        )
     a = e.accepted
     if a is None:
         return
     limits = [with_unit(check.tolerance, unit) for unit, check in a.checks.items()]
-    yield f"Tolerance T: {listed(limits)}, of the {FIGURES[a.criterion]}."
+    yield f"Tolerance T: {listed(limits)}, of the {FIGURES[a.criterion]}, A.{_MEANING[a.criterion]}"
     if any(check.uncertainty > 0.0 for check in a.checks.values()):
         yield (
             "Decision rule: ISO 14253-1, with the expanded uncertainty U as guard band: pass if f A + U <= T, fail if "
-            "A - U > T, else undecided. Who has to prove bears the uncertainty: for a pass the supplier, for a "
+            "A - U > T, else undecided; f is 1 unless a frame or target was registered. Who has to prove bears the uncertainty: for a pass the supplier, for a "
             "rejection the customer."
         )
     else:
         yield (
-            "Decision rule: pass if f A <= T, fail if A > T, else undecided. No measuring uncertainty was stated, so "
-            "nobody bears it: near the tolerance the outcome is a matter of chance."
+            "Decision rule: pass if f A <= T, fail if A > T, else undecided; f is 1 unless a frame or target was "
+            "registered. No measuring uncertainty was stated (--uncertainty), so near the tolerance the outcome is a "
+            "matter of chance."
         )
