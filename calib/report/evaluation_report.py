@@ -171,8 +171,8 @@ def _rule(e: Assessment) -> Iterator[str]:
     if any(check.uncertainty > 0.0 for check in a.checks.values()):
         yield (
             "Decision rule: ISO 14253-1, with the expanded uncertainty U as guard band: pass if f A + U <= T, fail if "
-            "A - U > T, else undecided; f is 1 unless a frame or target was registered. Who has to prove bears the uncertainty: for a pass the supplier, for a "
-            "rejection the customer."
+            "A - U > T, else undecided; f is 1 unless a frame or target was registered. Who has to prove bears the "
+            "uncertainty: for a pass the supplier, for a rejection the customer."
         )
     else:
         yield (
