@@ -31,7 +31,7 @@ from calib.data.measurements import Measurements
 from calib.data.values import read_values
 from calib.errors import MeasurementError, choices
 from calib.robot.robot import Robot
-from calib.table import Table
+from calib.tables.table import Table
 from calib.units import Array
 
 

@@ -15,7 +15,7 @@ from calib.data.forms import orientations
 from calib.data.forms.brands import brands_like, names_by_brand
 from calib.data.forms.column_options import ColumnOptions, ColumnsInput, column_options
 from calib.errors import MeasurementError, choices, did_you_mean
-from calib.table import Column, Table
+from calib.tables.table import Column, Table
 from calib.units import UNITS, Array, Quantity, split_header, symbols
 
 #: Columns of a position.

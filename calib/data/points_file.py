@@ -18,7 +18,7 @@ from calib.data.forms.numerals import NUMERAL, decimal_sign_in, decimal_sign_of,
 from calib.data.forms.points import PARTS, Points
 from calib.data.plausibility import implausible_length
 from calib.errors import MeasurementError, choices
-from calib.table import Column, Table, read_text
+from calib.tables.table import Column, Table, read_text
 from calib.units import UNITS, Unit, symbols
 
 #: In the order in which they are tried; the last one stands for any number of blanks.

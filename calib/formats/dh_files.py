@@ -21,8 +21,8 @@ from calib.files import write_atomically
 from calib.formats.notes import Note
 from calib.json_files import json_bytes
 from calib.model.dh_table import dh_table, near_parallel, taken_as_parallel
-from calib.robot.dh import HAYATI, MODIFIED, STANDARD, DHRow, DHTable
-from calib.robot.dh_json import NUMBERS, content, equation, joint_json
+from calib.robot.dh.json_file import NUMBERS, content, equation, joint_json
+from calib.robot.dh.rows import HAYATI, MODIFIED, STANDARD, DHRow, DHTable
 from calib.robot.ranges import spread_poses
 from calib.robot.readback import TOLERANCE
 from calib.robot.robot import Robot, rigid_inverse
@@ -95,7 +95,7 @@ class DHTables:
         Args:
             robot: The robot.
             nominal: The same chain before the calibration; None: not known.
-            convention: One of `calib.robot.dh.CONVENTIONS`.
+            convention: One of `calib.robot.dh.rows.CONVENTIONS`.
 
         Returns:
             The rows of both robots.

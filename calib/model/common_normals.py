@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calib.robot.dh import HAYATI, MODIFIED, NEARLY_PARALLEL_RAD, DHRow
+from calib.robot.dh.rows import HAYATI, MODIFIED, NEARLY_PARALLEL_RAD, DHRow
 from calib.robot.robot import rigid_inverse
 from calib.units import Array
 
@@ -36,7 +36,7 @@ _ALONG = 1e-6
 class Rule:
     """The convention of rows, and the angle below which it takes axes as parallel."""
 
-    #: One of `calib.robot.dh.CONVENTIONS`
+    #: One of `calib.robot.dh.rows.CONVENTIONS`
     convention: str
     #: Axes at a smaller angle are parallel, in the standard and modified conventions [rad]
     limit: float

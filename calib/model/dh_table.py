@@ -1,4 +1,4 @@
-"""The DH table of a robot's chain, row by row from the base to the tip; see `calib.robot.dh` for the conventions."""
+"""The DH table of a robot's chain, row by row from the base to the tip; `calib.robot.dh.rows` has the conventions."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from calib.model.common_normals import (
     row_to,
     sliding_axis,
 )
-from calib.robot.dh import (
+from calib.robot.dh.rows import (
     HAYATI,
     MODIFIED,
     NEARLY_PARALLEL_RAD,

@@ -20,7 +20,7 @@ from calib.numerics.errors import Errors, UnitErrors
 from calib.report.table import MOST_LISTED, Table
 from calib.result.calibration import CalibrationValues
 from calib.result.prediction import ParameterEstimate
-from calib.robot.dh import DHRow
+from calib.robot.dh.rows import DHRow
 from calib.robot.robot import rigid_inverse
 from calib.text.layout.lines import number
 from calib.text.layout.sizes import shown

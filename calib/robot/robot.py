@@ -34,8 +34,8 @@ from calib.robot.chain import (
     farthest_link,
     rigid_inverse,
 )
-from calib.robot.dh import STANDARD, DHRow, DHTable
-from calib.robot.dh_robot import DHRobot
+from calib.robot.dh.description import DHRobot
+from calib.robot.dh.rows import STANDARD, DHRow, DHTable
 from calib.robot.readings import ReadingCoupling, checked_coupling, reading_matrix
 from calib.robot.urdf import Urdf, UrdfJoint, read_only, read_urdf, urdf_of_dh
 from calib.units import Array, Mask

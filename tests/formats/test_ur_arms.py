@@ -8,7 +8,7 @@ import pytest
 from calib.errors import ModelError
 from calib.formats.ur_arms import at_flange, chain_poses, kinematics_hash, ur_robot
 from calib.formats.ur_mount import the_mount
-from calib.robot.universal_robots import MODELS, chain_of_rows, ur_model
+from calib.robot.generated.universal_robots import MODELS, chain_of_rows, ur_model
 from tests.formats.ur_cases import CALIBRATIONS, CASES, rows
 
 Q = np.random.default_rng(6).uniform(-2 * np.pi, 2 * np.pi, (100, 6))

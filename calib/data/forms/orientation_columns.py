@@ -9,7 +9,7 @@ from calib.data.columns import Columns, Named, list_columns, with_unit
 from calib.data.forms.column_options import ColumnOptions
 from calib.data.forms.orientations import CONVENTIONS, Convention
 from calib.errors import MeasurementError
-from calib.table import Table
+from calib.tables.table import Table
 
 
 class Orientation(NamedTuple):

@@ -15,12 +15,12 @@ import pinocchio as pin
 
 from calib.errors import CalibError, MeasurementError, ModelError, choices
 from calib.json_files import read_json
-from calib.robot.dh import DHRow, DHTable
-from calib.robot.dh_columns import POSE, DHColumns, dh_columns, is_dh_table
-from calib.robot.dh_json import SCHEMA, robot_of_json
-from calib.robot.dh_robot import BASE, TIP, DHRobot, coupling_fault, row_fault
+from calib.robot.dh.columns import POSE, DHColumns, dh_columns, is_dh_table
+from calib.robot.dh.description import BASE, TIP, DHRobot, coupling_fault, row_fault
+from calib.robot.dh.json_file import SCHEMA, robot_of_json
+from calib.robot.dh.rows import DHRow, DHTable
 from calib.robot.urdf_tree import read_only
-from calib.table import Table, read_text
+from calib.tables.table import Table, read_text
 from calib.units import ANGLE, LENGTH, NUMBER, Array, parse_quantity
 
 TABLES = (".csv", ".txt", ".tsv")

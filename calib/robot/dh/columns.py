@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from calib.errors import CalibError, MeasurementError, choices, did_you_mean
-from calib.robot.dh import CONVENTIONS, HAYATI, MODIFIED, STANDARD
-from calib.table import Column, Table
+from calib.robot.dh.rows import CONVENTIONS, HAYATI, MODIFIED, STANDARD
+from calib.tables.table import Column, Table
 from calib.units import ANGLE, LENGTH, PLAIN, parse_quantity, split_header
 
 POSE = ("x", "y", "z", "roll", "pitch", "yaw")

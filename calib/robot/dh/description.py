@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from calib.errors import ModelError, choices, did_you_mean
 from calib.mappings import ReadOnlyMapping
-from calib.robot.dh import CONVENTIONS, HAYATI, DHRow, DHTable
+from calib.robot.dh.rows import CONVENTIONS, HAYATI, DHRow, DHTable
 from calib.units import Array
 from calib.values.pickling import Value
 

@@ -12,8 +12,8 @@ import numpy as np
 
 from calib.errors import CalibError, ModelError
 from calib.json_files import damage
-from calib.robot.dh import EQUATIONS, DHRow, DHTable
-from calib.robot.dh_robot import BASE, TIP, DHRobot
+from calib.robot.dh.description import BASE, TIP, DHRobot
+from calib.robot.dh.rows import EQUATIONS, DHRow, DHTable
 from calib.robot.urdf_tree import read_only
 
 SCHEMA = "dh 1"

@@ -8,8 +8,8 @@ from itertools import pairwise
 import numpy as np
 
 from calib.robot import kernel
-from calib.robot.dh import screw
-from calib.robot.urdf_text import Cylinder
+from calib.robot.dh.rows import screw
+from calib.robot.generated.urdf_text import Cylinder
 from calib.units import Array
 
 #: Radius of the first link, and of the last, in lengths of the stretched robot.
