@@ -7,21 +7,21 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 
-from calib.errors import CalibError, MeasurementError, ModelError, choices
+from calib.errors import MeasurementError, ModelError, choices
 from calib.json_files import read_json
 from calib.robot.dh.columns import POSE, DHColumns, dh_columns, is_dh_table
 from calib.robot.dh.description import BASE, TIP, DHRobot, coupling_fault, row_fault
 from calib.robot.dh.json_file import SCHEMA, robot_of_json
 from calib.robot.dh.rows import DHRow, DHTable
+from calib.robot.dh.value_added import value_added
 from calib.robot.urdf_tree import read_only
 from calib.tables.table import Table, read_text
-from calib.units import ANGLE, LENGTH, NUMBER, Array, parse_quantity
+from calib.units import Array
 
 TABLES = (".csv", ".txt", ".tsv")
 """Endings of tables; a table in the place of a robot holds DH rows."""
@@ -51,26 +51,11 @@ _TYPES = {
     "p": True,
 }
 
-#: What a cell of the directions may say.
-_DIRECTIONS = {"": 1, "1": 1, "+1": 1, "+": 1, "-1": -1, "-": -1, "1.0": 1, "-1.0": -1}
-
 #: The numbers of a row.
 _NUMBERS = ("theta", "d", "a", "alpha", "beta")
 
 #: Lines of constant poses.
 _POSES = ("base", "tool")
-
-
-@dataclass(frozen=True, slots=True)
-class _Added:
-    """What is added to a row: direction times a joint's value, readings of others, an offset."""
-
-    #: 1 or -1.
-    direction: int
-    #: Added besides [rad or m].
-    offset: float
-    #: Factors of other joints' readings in the joint's value.
-    coupling: dict[str, float]
 
 
 def read_dh_robot(path: str | Path) -> DHRobot:
@@ -84,58 +69,35 @@ def read_dh_robot(path: str | Path) -> DHRobot:
         MeasurementError: It is no table, or one of something else, or has a fault; the text names row and column.
         ModelError: The rows make no robot.
     """
-    source = Path(path).name
     if Path(path).suffix.lower() == ".json":
-        expected = (
-            f"'{SCHEMA}' is wanted: a robot is a URDF, or a file written by calib convert --to dh."
-        )
-        return robot_of_json(read_json(path, "file of DH rows", SCHEMA, expected), source)
+        return _read_json(path)
     table = Table.read(path)
     if not is_dh_table(table):
         raise MeasurementError(
             f"'{path}' is in the place of the robot, and is no table of DH rows: it has no columns of d and alpha. The "
             f"robot comes before the table. The headings found: {choices(table.header, 30)}."
         )
-    stated = _statements(path)
-    columns = dh_columns(table, stated.get("convention"))
-    lines = _lines(columns)
-    poses = {}
-    joints = []
-    for i in lines:
-        place = _place(columns, i)
-        if place in poses:
-            raise columns.fail(i, _naming(columns), f"a second line '{place}'. Keep one.")
-        if place:
-            poses[place] = _pose(columns, i)
-        else:
-            joints.append(i)
-    names = _names(columns, joints)
-    rows = []
-    coupling = {}
-    for i, name in zip(joints, names, strict=True):
-        row, others = _row(columns, i, name, names)
-        rows.append(row)
-        if others:
-            coupling[name] = others
-    if not rows:
-        raise MeasurementError(f"{source}: there is no row of a joint; one line a joint is wanted.")
-    identity = np.eye(4)
-    dh = DHTable(
-        rows=tuple(rows),
-        T_base_0=read_only(poses.get("base", identity)),
-        T_n_tip=read_only(poses.get("tool", identity)),
-        convention=columns.convention,
-    )
+    statements = _statements(path)
+    columns = dh_columns(table, statements.get("convention"))
+    dh, coupling = _table_and_coupling(columns)
     try:
         return DHRobot(
             dh,
-            stated.get("robot", Path(path).stem),
-            stated.get("base", BASE),
-            stated.get("tip", TIP),
+            statements.get("robot", Path(path).stem),
+            statements.get("base", BASE),
+            statements.get("tip", TIP),
             coupling,
         )
     except ModelError as error:
-        raise ModelError(f"{source}: {error}") from error
+        raise ModelError(f"{table.source}: {error}") from error
+
+
+def _read_json(path: str | Path) -> DHRobot:
+    """Read a robot from calib's own JSON."""
+    expected = (
+        f"'{SCHEMA}' is wanted: a robot is a URDF, or a file written by calib convert --to dh."
+    )
+    return robot_of_json(read_json(path, "file of DH rows", SCHEMA, expected), Path(path).name)
 
 
 def is_other_table(path: str | Path) -> bool:
@@ -172,6 +134,46 @@ def _lines(columns: DHColumns) -> list[int]:
     )
 
 
+def _table_and_coupling(columns: DHColumns) -> tuple[DHTable, dict[str, dict[str, float]]]:
+    """Return the rows with their constant poses, and the factors of other joints' readings by coupled joint."""
+    poses, joint_lines = _divided_lines(columns)
+    names = _names(columns, joint_lines)
+    rows = []
+    coupling = {}
+    for i, name in zip(joint_lines, names, strict=True):
+        row, factors = _row(columns, i, name, names)
+        rows.append(row)
+        if factors:
+            coupling[name] = factors
+    if not rows:
+        raise MeasurementError(
+            f"{columns.table.source}: there is no row of a joint; one line a joint is wanted."
+        )
+    identity = np.eye(4)
+    dh = DHTable(
+        rows=tuple(rows),
+        T_base_0=read_only(poses.get("base", identity)),
+        T_n_tip=read_only(poses.get("tool", identity)),
+        convention=columns.convention,
+    )
+    return dh, coupling
+
+
+def _divided_lines(columns: DHColumns) -> tuple[dict[str, Array], list[int]]:
+    """Return the constant poses (4, 4) [m] by ``"base"`` and ``"tool"``, and the lines of joints, from 0."""
+    poses = {}
+    joint_lines = []
+    for i in _lines(columns):
+        place = _place(columns, i)
+        if place in poses:
+            raise columns.fail(i, _naming(columns), f"a second line '{place}'. Keep one.")
+        if place:
+            poses[place] = _pose(columns, i)
+        else:
+            joint_lines.append(i)
+    return poses, joint_lines
+
+
 def _naming(columns: DHColumns) -> str:
     """Return the column that says which line is a constant pose."""
     return "row" if "row" in columns.by_name else "joint"
@@ -201,10 +203,10 @@ def _pose(columns: DHColumns, i: int) -> Array:
     return T
 
 
-def _names(columns: DHColumns, joints: Sequence[int]) -> list[str]:
-    """Return the names of the joints of lines: joint_1, joint_2, ... where there are none."""
+def _names(columns: DHColumns, joint_lines: Sequence[int]) -> list[str]:
+    """Return the names of the joints of lines: joint_1, joint_2, ... where the table names none."""
     names: list[str] = []
-    for number, i in enumerate(joints, start=1):
+    for number, i in enumerate(joint_lines, start=1):
         name = columns.text(i, "joint") or f"joint_{number}"
         if name in names:
             column = "joint" if "joint" in columns.by_name else "d"
@@ -220,10 +222,9 @@ def _row(
     slides = _slides(columns, i)
     for column in POSE:
         if columns.text(i, column):
-            raise columns.fail(
-                i, column, "only the lines 'base' and 'tool' have a pose. Leave the cell empty."
-            )
-    added = _added(columns, i, name, slides=slides)
+            what = "only the lines 'base' and 'tool' have a pose. Leave the cell empty."
+            raise columns.fail(i, column, what)
+    added = value_added(columns, i, name, slides=slides)
     numbers = {field: columns.number(i, field) or 0.0 for field in _NUMBERS}
     row = DHRow(
         joint=name,
@@ -264,74 +265,3 @@ def _slides(columns: DHColumns, i: int) -> bool:
         what = f"'{added_to}' does not fit the type '{word}'. Correct one of them."
         raise columns.fail(i, "added to", what)
     return _TYPES[word] or added_to == "d"
-
-
-def _added(columns: DHColumns, i: int, name: str, *, slides: bool) -> _Added:
-    """Return what is added to a row: by ``value added``, else by ``direction``, ``offset`` and ``coupling``."""
-    formula = columns.text(i, "value added")
-    if not formula:
-        word = columns.text(i, "direction")
-        if word not in _DIRECTIONS:
-            what = f"'{word}' is no direction; it must be 1 or -1."
-            raise columns.fail(i, "direction", what)
-        offset = columns.number(i, "offset", slides=slides)
-        coupling = (
-            _terms(columns, i, "coupling", slides=slides) if columns.text(i, "coupling") else {}
-        )
-        if coupling.pop("", 0.0):
-            raise columns.fail(i, "coupling", "a number without a joint. Write '1 * joint_2'.")
-        return _Added(_DIRECTIONS[word], offset or 0.0, coupling)
-    for other in ("direction", "offset", "coupling"):
-        if columns.text(i, other):
-            what = f"the column 'value added' says it already. Leave '{other}' empty."
-            raise columns.fail(i, other, what)
-    terms = _terms(columns, i, "value added", slides=slides)
-    offset = terms.pop("", 0.0)
-    direction = terms.pop(name, 0.0)
-    if direction not in (1.0, -1.0):
-        what = (
-            f"'{formula}' is not 1 or -1 times the value of '{name}': a joint that follows another one, or is held, "
-            "has no row of its own here. Give such a robot as a URDF (calib convert -o robot.urdf)."
-        )
-        raise columns.fail(i, "value added", what)
-    others = {joint: direction * factor for joint, factor in terms.items()}
-    return _Added(int(direction), offset, others)
-
-
-def _terms(columns: DHColumns, i: int, column: str, *, slides: bool) -> dict[str, float]:
-    """Return the factors of joints in a sum such as ``-1 * joint_3 + joint_2 - 90 deg``; of the constant under ''."""
-    text = columns.text(i, column)
-    result: dict[str, float] = {}
-    words = re.split(r"\s+([+-])\s+", text)
-    signs = ["+", *words[1::2]]
-    for sign, word in zip(signs, words[::2], strict=True):
-        factor, star, name = (part.strip() for part in word.partition("*"))
-        if star and NUMBER.fullmatch(factor):
-            key, value = name, float(factor)
-        else:
-            key, value = _term(columns, i, column, word.strip(), slides=slides)
-        if key in result:
-            raise columns.fail(i, column, f"'{text}' names '{key or word}' twice. Add them up.")
-        result[key] = value if sign == "+" else -value
-    return result
-
-
-def _term(columns: DHColumns, i: int, column: str, word: str, *, slides: bool) -> tuple[str, float]:
-    """Return a term without a star: the name of a joint, once, or a constant [rad or m], without a name."""
-    for sign, factor in (("", 1.0), ("-", -1.0), ("+", 1.0)):
-        if word.startswith(sign) and word.removeprefix(sign) in _joint_words(columns):
-            return word.removeprefix(sign), factor
-    try:
-        value, quantity = parse_quantity(word)
-    except CalibError:
-        return word, 1.0
-    wanted = LENGTH if slides else ANGLE
-    if quantity != wanted:
-        what = f"'{word}' is {quantity}; {wanted} is wanted, with its unit."
-        raise columns.fail(i, column, what)
-    return "", value
-
-
-def _joint_words(columns: DHColumns) -> set[str]:
-    """Return the names in the column of the joints."""
-    return {columns.text(i, "joint") for i in range(len(columns.table.cells))} - {""}
