@@ -1,4 +1,4 @@
-"""The columns of a table of DH rows: which there are, what their headings say of the convention, and their cells."""
+"""The columns of a table of DH rows by their headings, the convention that these state, and the cells as numbers."""
 
 from __future__ import annotations
 
@@ -14,9 +14,13 @@ from calib.units import ANGLE, LENGTH, PLAIN, parse_quantity, split_header
 POSE = ("x", "y", "z", "roll", "pitch", "yaw")
 """Columns of a constant pose, R = Rz(yaw) Ry(pitch) Rx(roll)."""
 
-#: Columns of numbers: a length, an angle, or either by the type of the joint.
+#: Columns of lengths.
 _LENGTHS = ("d", "a", "x", "y", "z")
+
+#: Columns of angles.
 _ANGLES = ("theta", "alpha", "beta", "roll", "pitch", "yaw")
+
+#: Columns of lengths for a joint that slides, of angles for one that turns.
 _EITHER = ("offset", "lower", "upper")
 
 #: Columns of words.

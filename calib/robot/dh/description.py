@@ -128,7 +128,12 @@ def coupling_fault(joint: str, factors: Mapping[str, float], names: Iterable[str
 
 
 def row_fault(row: DHRow, convention: str) -> str | None:
-    """Return what is wrong with a row, as text behind ``The DH row of the joint 'NAME'``; None if nothing is."""
+    """Return what is wrong with a row, as text behind ``The DH row of the joint 'NAME'``; None if nothing is.
+
+    Args:
+        row: The row.
+        convention: One of `calib.robot.dh.rows.CONVENTIONS`.
+    """
     numbers = (row.theta, row.d, row.a, row.alpha, row.beta, row.offset)
     limits = [limit for limit in (row.lower, row.upper) if limit is not None]
     if not np.isfinite([*numbers, *limits]).all():

@@ -12,14 +12,23 @@ from calib.robot.dh.rows import screw
 from calib.robot.generated.urdf_text import Cylinder
 from calib.units import Array
 
-#: Radius of the first link, and of the last, in lengths of the stretched robot.
-_THICK, _THIN = 0.035, 0.018
+#: Radius of the first link, in lengths of the stretched robot.
+_FIRST_RADIUS = 0.035
 
-#: Radius of a joint in radii of its link, and its length in the same.
-_JOINT, _JOINT_LENGTH = 1.3, 2.8
+#: Radius of the last link, in the same.
+_LAST_RADIUS = 0.018
 
-#: A stretch of a link shorter than this share of its radius lies inside its joints, and is not drawn.
-_SHORT = 0.5
+#: Radius of a joint, in radii of its link.
+_JOINT_RADIUS = 1.3
+
+#: Length of a joint, in the same.
+_JOINT_LENGTH = 2.8
+
+#: A stretch of a link shorter than this lies inside its joints and is not drawn; in radii of the link.
+_SHORTEST_ROD = 0.5
+
+#: The links of a shorter robot are drawn as thick as those of one of this length [m].
+_SHORTEST_ROBOT = 0.1
 
 GREY = (0.75, 0.77, 0.8)
 """Colour of links: red, green, blue."""
@@ -29,10 +38,17 @@ _ORANGE = (0.9, 0.5, 0.15)
 
 
 def link_radii(origins: Sequence[Array]) -> Array:
-    """Return the radius of each moving link, shape (n,), [m], less and less towards the tip."""
+    """Return the radius of each moving link, which falls from the first to the last.
+
+    Args:
+        origins: T_parent_joint of the n joints and of the tip behind them, n + 1 poses (4, 4), [m].
+
+    Returns:
+        Shape (n,), [m].
+    """
     length = sum(float(np.linalg.norm(T[:3, 3])) for T in origins)
-    shares = np.linspace(_THICK, _THIN, len(origins) - 1)
-    return np.asarray(max(length, 0.1) * shares)
+    shares = np.linspace(_FIRST_RADIUS, _LAST_RADIUS, len(origins) - 1)
+    return np.asarray(max(length, _SHORTEST_ROBOT) * shares)
 
 
 def joint_body(radius: float) -> Cylinder:
@@ -42,14 +58,19 @@ def joint_body(radius: float) -> Cylinder:
         radius: Radius of the link that it carries [m].
     """
     half = 0.5 * _JOINT_LENGTH * radius
-    return bar(-half, half, _JOINT * radius, _ORANGE)
+    return bar(-half, half, _JOINT_RADIUS * radius, _ORANGE)
 
 
 def rods(path: Sequence[Array], radius: float) -> Iterator[Cylinder]:
-    """Yield the cylinders between the points of a path."""
+    """Yield the cylinders of a link along a path.
+
+    Args:
+        path: Points (3,) in the link's frame, [m], one after the other.
+        radius: Radius of the cylinders [m].
+    """
     for start, end in pairwise(path):
         length = float(np.linalg.norm(end - start))
-        if length > _SHORT * radius:
+        if length > _SHORTEST_ROD * radius:
             T = np.eye(4)
             T[:3, :3] = kernel.turns_to(((end - start) / length)[None])[0]
             T[:3, 3] = (start + end) / 2.0
@@ -57,5 +78,12 @@ def rods(path: Sequence[Array], radius: float) -> Iterator[Cylinder]:
 
 
 def bar(start: float, end: float, radius: float, colour: tuple[float, float, float]) -> Cylinder:
-    """Return a cylinder along z from start to end [m]."""
+    """Return a cylinder along z of its link's frame.
+
+    Args:
+        start: Its lower end on z [m].
+        end: Its upper end on z [m].
+        radius: Its radius [m].
+        colour: Red, green and blue, from 0 to 1.
+    """
     return Cylinder(screw(2, 0.0, (start + end) / 2.0), radius, end - start, colour)
