@@ -142,11 +142,11 @@ def _content_of(text: str) -> _Content:
 
 def _without_labels(line: str) -> str:
     """Return a line with labels between its numbers as name and numbers between tabs; any other line as it is."""
-    found = _LABELS.fullmatch(line.rstrip())
-    if found is None or _remark(line) is not None:
+    labelled = _LABELS.fullmatch(line.rstrip())
+    if labelled is None or _remark(line) is not None:
         return line
-    name = found["name"].strip(" \t,;:=({\"'")
-    numbers = [number.rstrip(".,") for number in found.groups()[1:]]
+    name = labelled["name"].strip(" \t,;:=({\"'")
+    numbers = [number.rstrip(".,") for number in labelled.groups()[1:]]
     return "\t".join([name, *numbers] if name else numbers)
 
 

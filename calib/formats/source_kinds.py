@@ -187,7 +187,12 @@ def _robot(source: str, options: Options) -> Source:
 
 
 def robot_source(given: RobotInput, options: Options) -> Source:
-    """Return a robot, or what its URDF, xacro or name means, as a source beside the given nominal one."""
+    """Return a robot, or what its URDF, xacro or name means, as a source beside the given nominal one.
+
+    Args:
+        given: The robot, the path of its file, or its name.
+        options: The nominal robot, base and tip, and the arm of Universal Robots, where they are given.
+    """
     robot = options.load(given)
     nominal = _nominal_of(robot, options)
     model = None if nominal is None else _arm(nominal, options)

@@ -167,7 +167,7 @@ def _product(robot: Robot, rule: Rule, like: DHTable | None = None) -> DHTable:
         rule: The convention, and the angle below which axes count as parallel.
         like: Rows of a robot of the same chain, in the same bracketing, whose open choices are kept; None for none.
     """
-    _, T_base_tip = zero_poses(robot)
+    T_base_tip = zero_poses(robot)[1]
     references = _references(like, len(robot.joints))
     points, axes = _lines(robot, references)
     near = np.eye(4) if like is None else like.T_base_0

@@ -89,16 +89,16 @@ def characteristics(evaluation: EvaluationValues, judged: Accuracy) -> tuple[Cha
     Returns:
         AD and RD of positions, and vAP, dAP and dRP in each unit; NaN for those that the rows do not have.
     """
-    found = []
+    result = []
     if _LENGTH in judged.units:
-        found += _of_distances(_pairs(evaluation, judged))
+        result += _of_distances(_pairs(evaluation, judged))
     poses = {unit: list(_poses(evaluation, judged, unit)) for unit in judged.units}
     for symbol, figure in _OF_POSES.items():
         for unit, of_unit in poses.items():
             values = [figure(pose, unit) for pose in of_unit]
             rows = [(pose.row,) for pose in of_unit]
-            found.append(_summary(symbol, unit, np.array(values), rows))
-    return tuple(found)
+            result.append(_summary(symbol, unit, np.array(values), rows))
+    return tuple(result)
 
 
 def _summary(
@@ -180,23 +180,29 @@ def _pairs_of_place(
         The k (k - 1) / 2 pairs; mean and standard deviation are updated repeat by repeat (Welford).
     """
     first, second = np.triu_indices(len(poses), 1)
-    counts, means, squares = (
-        np.zeros(len(first), dtype=int),
-        np.zeros(len(first)),
-        np.zeros(len(first)),
-    )
-    for j in range(max(map(len, poses))):
-        row = np.array([pose[j] if j < len(pose) else pose[0] for pose in poses])
-        has_repeat = np.array([j < len(pose) for pose in poses])
-        both = has_repeat[first] & has_repeat[second]
-        error = np.where(both, pdist(measured[row]) - pdist(predicted[row]), means)
-        counts = counts + both
+    first, second = np.triu_indices(len(poses), 1)
+    repeats = np.array(list(map(len, poses)))
+    counts = np.minimum(repeats[first], repeats[second])
+    means = np.zeros(len(first))
+    squares = np.zeros(len(first))
+    for j in range(repeats.max()):
+        row = _rows_of_repeat(poses, j)
+        error = np.where(j < counts, pdist(measured[row]) - pdist(predicted[row]), means)
         change = error - means
-        means = means + change / np.maximum(counts, 1)
+        means = means + change / (j + 1)
         squares = squares + change * (error - means)
-    firsts = numbers[[pose[0] for pose in poses]]
-    rows = np.stack([firsts[first], firsts[second]], axis=1)
-    return _Pairs(rows, counts, means, np.sqrt(squares / np.maximum(counts - 1, 1)))
+    deviations = np.sqrt(squares / np.maximum(counts - 1, 1))
+    first_rows = numbers[_rows_of_repeat(poses, 0)]
+    rows = np.stack([first_rows[first], first_rows[second]], axis=1)
+    return _Pairs(rows, counts, means, deviations)
+
+
+def _rows_of_repeat(poses: list[NDArray[np.intp]], j: int) -> NDArray[np.intp]:
+    """Return the index of repeat j, from 0, of each of k poses, shape (k,).
+
+    Of a pose with fewer repeats it is that of the first one, whose distances do not count.
+    """
+    return np.array([pose[j] if j < len(pose) else pose[0] for pose in poses])
 
 
 # Approaches and drift of one pose
@@ -236,7 +242,7 @@ def _variation(pose: _Pose, unit: str) -> float:  # noqa: ARG001
         of_approach = pose.errors[words == approach]
         if approach and len(of_approach) >= FEWEST_REPEATS:
             means.append(of_approach.mean(axis=0))
-    distances = [float(np.linalg.norm(one - other)) for one, other in combinations(means, 2)]
+    distances = [float(np.linalg.norm(a - b)) for a, b in combinations(means, 2)]
     return max(distances, default=np.nan)
 
 

@@ -28,7 +28,7 @@ def conventions_of(
 ) -> tuple[Convention, ...]:
     """Return the conventions of which a table has all columns; of those with the same columns the one that is meant.
 
-    If cells of some are filled in, those of which none is, as a plan leaves them, do not count.
+    Where cells of some conventions are filled in, only these count: a plan leaves columns empty.
 
     Args:
         table: The table.
@@ -65,17 +65,17 @@ def find_orientation(
         MeasurementError: There is none or more than one, it is not of the convention of ``options``, or a unit does
             not fit.
     """
-    found = conventions_of(table, named, joint_names, options)
-    is_other = options.orientation not in (None, *(row.name for row in found))
-    if len(found) != 1 or is_other:
+    conventions = conventions_of(table, named, joint_names, options)
+    is_other = options.orientation not in (None, *(row.name for row in conventions))
+    if len(conventions) != 1 or is_other:
         wanted = f" (--orientation {options.orientation})" if is_other else ""
         forms = [f"{', '.join(row.columns)} ({row.name})" for row in CONVENTIONS.values()]
         raise MeasurementError(
             f"{table.source}: rows of the kind 'pose' need one orientation{wanted}, and the table "
-            f"has {_counted(found)}. {list_columns(table)} An orientation has the columns {'; '.join(forms)}. "
-            f"{_fix(found)}; --kind point reads none."
+            f"has {_counted(conventions)}. {list_columns(table)} An orientation has the columns {'; '.join(forms)}. "
+            f"{_fix(conventions)}; --kind point reads none."
         )
-    return in_units(table, named, found[0], options)
+    return in_units(table, named, conventions[0], options)
 
 
 def in_units(
@@ -124,14 +124,14 @@ def _is_filled(row: Convention, table: Table, named: Named) -> bool:
     return any(any(table.column(named[name])) for name in row.columns)
 
 
-def _counted(found: Collection[Convention]) -> str:
-    """Return which orientations there are, for the message."""
-    return " and ".join(row.words for row in found) or "none"
+def _counted(conventions: Collection[Convention]) -> str:
+    """Return the orientations that a table has in words, for the message."""
+    return " and ".join(row.words for row in conventions) or "none"
 
 
-def _fix(found: tuple[Convention, ...]) -> str:
-    """Return how to mend it that there is no orientation or more than one."""
-    if len(found) < 2:
+def _fix(conventions: tuple[Convention, ...]) -> str:
+    """Return the remedy for a table with no orientation, or with more than one."""
+    if len(conventions) < 2:
         return 'Another name is mapped by --columns "name in the table=rx [rad]"'
-    first = found[-1].columns[0]
-    return f'--columns "{first}=-" leaves one out, or --orientation {found[0].name} chooses'
+    column = conventions[-1].columns[0]
+    return f'--columns "{column}=-" leaves one out, or --orientation {conventions[0].name} chooses'
