@@ -14,7 +14,7 @@ where S is the standard deviation over n - 1. Rows in the order of the table are
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from typing import NamedTuple
@@ -177,24 +177,46 @@ def _pairs_of_place(
         poses: Of each pose the indices of its repeats, in the order of the table.
 
     Returns:
-        The k (k - 1) / 2 pairs; mean and standard deviation are updated repeat by repeat (Welford).
+        The k (k - 1) / 2 pairs.
     """
-    first, second = np.triu_indices(len(poses), 1)
     first, second = np.triu_indices(len(poses), 1)
     repeats = np.array(list(map(len, poses)))
     counts = np.minimum(repeats[first], repeats[second])
-    means = np.zeros(len(first))
-    squares = np.zeros(len(first))
-    for j in range(repeats.max()):
-        row = _rows_of_repeat(poses, j)
-        error = np.where(j < counts, pdist(measured[row]) - pdist(predicted[row]), means)
-        change = error - means
-        means = means + change / (j + 1)
-        squares = squares + change * (error - means)
-    deviations = np.sqrt(squares / np.maximum(counts - 1, 1))
+    errors = _distance_errors(measured, predicted, poses)
     first_rows = numbers[_rows_of_repeat(poses, 0)]
     rows = np.stack([first_rows[first], first_rows[second]], axis=1)
-    return _Pairs(rows, counts, means, deviations)
+    return _Pairs(rows, counts, *_mean_and_deviation(errors, counts))
+
+
+def _distance_errors(
+    measured: Array, predicted: Array, poses: list[NDArray[np.intp]]
+) -> Iterator[Array]:
+    """Yield, repeat by repeat, the errors D_j - Dc_j of the distances of all pairs of poses, shape (P,), [m].
+
+    Args:
+        measured: Measured positions of N rows in one frame, shape (N, 3), [m].
+        predicted: Those that the robot's model predicts, likewise.
+        poses: Of each pose the indices of its repeats; errors of a repeat that one of a pair lacks have no meaning.
+    """
+    for j in range(max(map(len, poses))):
+        row = _rows_of_repeat(poses, j)
+        yield pdist(measured[row]) - pdist(predicted[row])
+
+
+def _mean_and_deviation(errors: Iterable[Array], counts: NDArray[np.int_]) -> tuple[Array, Array]:
+    """Return mean and standard deviation over n - 1 of P errors, updated repeat by repeat (Welford).
+
+    Args:
+        errors: The errors of each repeat, shape (P,).
+        counts: Of each error the number of repeats that count, the first ones, shape (P,).
+    """
+    mean = np.zeros(len(counts))
+    square = np.zeros(len(counts))
+    for j, error in enumerate(errors):
+        change = np.where(j < counts, error - mean, 0.0)
+        mean = mean + change / (j + 1)
+        square = square + change * (error - mean)
+    return mean, np.sqrt(square / np.maximum(counts - 1, 1))
 
 
 def _rows_of_repeat(poses: list[NDArray[np.intp]], j: int) -> NDArray[np.intp]:
