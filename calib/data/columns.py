@@ -167,7 +167,7 @@ def _renamed_by_brand(
 
     Columns and joints that ``renamed`` has, and columns that are called as their joints, are none of the brand's.
     """
-    brand = options.row_of_brand
+    brand = options.brand_entry
     if brand is None:
         return {}
     written = {i: split_header(label)[0] for i, label in enumerate(table.header) if label}

@@ -21,7 +21,7 @@ from calib.files import write_atomically
 from calib.formats.notes import Note
 from calib.json_files import json_bytes
 from calib.model.dh_table import dh_table, near_parallel, taken_as_parallel
-from calib.robot.dh.json_file import NUMBERS, content, equation, joint_json
+from calib.robot.dh.json_file import NUMBERS, equation, file_content, joint_json
 from calib.robot.dh.rows import HAYATI, MODIFIED, STANDARD, DHRow, DHTable
 from calib.robot.ranges import spread_poses
 from calib.robot.readback import TOLERANCE
@@ -343,4 +343,4 @@ def _json(tables: DHTables) -> bytes:
     states = tables.states()
     tables_of_file = states if tables.before is not None else {"after": tables.after}
     names = {"name": robot.name, "base": robot.base, "tip": robot.tip}
-    return json_bytes(content(names, joints, tables_of_file))
+    return json_bytes(file_content(names, joints, tables_of_file))

@@ -29,7 +29,7 @@ class Brand:
 
     #: What ``--columns`` calls it.
     name: str
-    #: As it is written.
+    #: Its own spelling, for messages: ``"Stäubli"``.
     title: str
     #: Names of the arm's axes from base to flange; a table uses one of these series.
     axes: tuple[tuple[str, ...], ...]

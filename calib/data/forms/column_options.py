@@ -49,8 +49,8 @@ class ColumnOptions:
         _units(self.joint_unit)
 
     @property
-    def row_of_brand(self) -> Brand | None:
-        """The brand; None without one."""
+    def brand_entry(self) -> Brand | None:
+        """The entry of the brand in `BRANDS`; None without one."""
         return None if self.brand is None else find_brand(self.brand)
 
     @property

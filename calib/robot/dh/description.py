@@ -1,4 +1,4 @@
-"""A robot as DH rows state it: the rows, how its joints' values follow the controller's readings, and its names."""
+"""The description of a robot by DH rows: the rows, the coupling of its joints' readings, and its names."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ Coupling = Mapping[str, Mapping[str, float]]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DHRobot(Value):
-    """A robot as DH rows state it.
+    """A robot that is described by DH rows.
 
     The value of a joint is its reading, plus the readings of other joints times the factors of `coupling`:
     value_i = reading_i + sum_j coupling_ij reading_j. Its row then adds direction value + offset.

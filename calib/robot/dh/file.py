@@ -1,6 +1,7 @@
 """Files of DH rows: a table, one line a joint, or calib's own JSON; docs/dh-rows.md describes them.
 
-Of calib's own files, as written by ``calib convert --to dh``, the rows ``after`` are read, or ``robot``.
+A file that ``calib convert --to dh`` wrote has several tables: of these ``after`` is read, the rows after the
+calibration, or ``robot``, the rows of a robot that was not calibrated.
 """
 
 from __future__ import annotations
@@ -29,16 +30,16 @@ TABLES = (".csv", ".txt", ".tsv")
 ENDINGS = (*TABLES, ".json")
 """Endings of files of DH rows."""
 
-#: Tables of calib's own files, those that are read first.
+#: Tables of a file that calib wrote, of which the first that is there is read.
 _READ = ("after", "robot")
 
-#: The other tables of calib's own files.
+#: Its other tables.
 _NOT_READ = ("before", "change")
 
 #: A comment that states something: ``# base: base_link``.
 _STATEMENT = re.compile(r'"?#\s*(robot|base|tip|convention)\s*[:=]\s*(.*?)"?', re.IGNORECASE)
 
-#: Words for the types of joints, and whether the joint slides.
+#: Words for the types of joints: True for one that slides.
 _TYPES = {
     "": False,
     "revolute": False,
@@ -110,7 +111,7 @@ def is_other_table(path: str | Path) -> bool:
 
 
 def _statements(path: str | Path) -> dict[str, str]:
-    """Return what comments state: robot, base, tip, convention."""
+    """Return the statements of comments by their subjects: robot, base, tip, convention."""
     _, _, text = read_text(path, "The table")
     matches = [_STATEMENT.fullmatch(line.strip().rstrip(",;\t")) for line in text.splitlines()]
     return {match[1].lower(): match[2].strip() for match in matches if match and match[2].strip()}
@@ -175,7 +176,7 @@ def _divided_lines(columns: DHColumns) -> tuple[dict[str, Array], list[int]]:
 
 
 def _naming(columns: DHColumns) -> str:
-    """Return the column that says which line is a constant pose."""
+    """Return the name of the column whose words ``base`` and ``tool`` mark the lines of constant poses."""
     return "row" if "row" in columns.by_name else "joint"
 
 
@@ -218,7 +219,14 @@ def _names(columns: DHColumns, joint_lines: Sequence[int]) -> list[str]:
 def _row(
     columns: DHColumns, i: int, name: str, names: Sequence[str]
 ) -> tuple[DHRow, dict[str, float]]:
-    """Return the row of a line, and the factors of other joints' readings in the joint's value."""
+    """Return the row of a line, and the factors of other joints' readings in the joint's value.
+
+    Args:
+        columns: The columns of the table.
+        i: The line, from 0.
+        name: Name of its joint.
+        names: Names of all joints.
+    """
     slides = _slides(columns, i)
     for column in POSE:
         if columns.text(i, column):
