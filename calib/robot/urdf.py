@@ -346,7 +346,7 @@ def _origin_tag(T: Array) -> bytes:
 
 
 def urdf_of_dh(robot: DHRobot, source: str, path: Path | None = None) -> Urdf:
-    """Return the URDF of a robot that DH rows state, with links drawn as cylinders.
+    """Return the URDF of a robot that DH rows describe, with links drawn as cylinders.
 
     Args:
         robot: The robot; the joints of the URDF have the values of its joints, not coupled readings.

@@ -1,4 +1,4 @@
-"""The URDF of a robot that DH rows state: each joint at the end of its row's d, and links drawn as cylinders.
+"""The URDF of a robot that DH rows describe: each joint at the end of its row's d, and links drawn as cylinders.
 
 With X_i the part of the rows along and about x (y) that lies before joint i, and Z_i = Rz(theta_i) Tz(d_i), the origins
 are T_base_0 X_1 Z_1, X_2 Z_2, ... and X_(n+1) T_n_tip: a joint turns about, or slides along, z of its frame, or -z
