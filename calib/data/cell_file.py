@@ -106,16 +106,27 @@ def read_table(
     for key, value in values.items():
         place = f"'{key}' in {where}" if where else f"'{key}'"
         if key not in fields:
-            raise CalibError(
-                f"{place}: unknown key{did_you_mean(key, fields)}. It may be one of "
-                f"{choices(fields, limit=40)}."
-            )
+            raise CalibError(_unknown_key(key, fields, place, where))
         field = fields[key]
         result[field.name] = field.read(value, place)
     missing = [key for key, field in fields.items() if field.needed and key not in values]
     if missing:
         raise CalibError(f"{where} lacks {choices(missing)}.")
     return result
+
+
+def _unknown_key(key: str, known: Mapping[str, Field], place: str, where: str) -> str:
+    """Word that a table has no such key.
+
+    Args:
+        key: The key.
+        known: The keys that it may have.
+        place: The key and its table, as messages name it.
+        where: Heading of the table; empty for the outermost one.
+    """
+    if where and key in fields():
+        return f"{place}: this key is not of that table; write it at the top of the file, before the first table."
+    return f"{place}: unknown key{did_you_mean(key, known)}. It may be one of {choices(known, limit=40)}."
 
 
 # Readers of values

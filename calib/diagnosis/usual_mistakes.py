@@ -11,30 +11,27 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 import calib.data.kinds as registry
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
+from calib.diagnosis.joint_mistakes import joint_trials
+from calib.diagnosis.misfit import TOLERANCE, misfit, with_joints
+from calib.diagnosis.orientation_mistakes import (
+    FAR_BETTER,
+    PLAUSIBLE,
+    PLAUSIBLE_ANGLE,
+    orientation_mistake,
+)
 from calib.diagnosis.reasons import Reason, Why
 from calib.errors import MeasurementError, UrdfError
 from calib.model.error_model import DIRECTIONS
-from calib.numerics.errors import Errors
 from calib.registration.registration import register
 from calib.registration.rows import Rows
 from calib.registration.setup import Setup
 from calib.registration.table_rows import rows_and_setup
 from calib.robot.robot import Robot
 from calib.units import Array
-
-#: Nominal errors below this need no other explanation than an uncalibrated arm [m].
-PLAUSIBLE = 0.02
-
-#: Errors of orientations below this need no other explanation than an uncalibrated arm [rad].
-_PLAUSIBLE_ANGLE = 0.1
-
-#: A mistake is named only if undoing it lowers the error to this share.
-_FAR_BETTER = 0.2
 
 #: And to no more than this [m].
 _EXPLAINED = 0.05
@@ -54,9 +51,6 @@ _ROWS = 60
 #: The fewest rows that determine an unknown frame: it takes six numbers, and a target three.
 _FEWEST_ROWS_OF_FRAME = 4
 
-#: Tolerance of a registration: five digits are enough to compare.
-_TOLERANCE = 1e-6
-
 #: Ranges about the last value in which the value of a joint without values is sought, one after the other [rad].
 _REACHES = (np.pi, np.pi, np.pi, 0.2, 0.2, 0.02, 0.002)
 
@@ -69,15 +63,6 @@ _FEWEST_JOINTS_OF_TIP = 3
 
 #: Factors where lengths are in one unit and their header says another.
 _LENGTHS = {("in", "mm"): 25.4, ("mm", "in"): 1.0 / 25.4, ("m", "mm"): 1e3, ("mm", "m"): 1e-3}
-
-#: Factors where angles are in one unit and their header says another.
-_ANGLES = {("rad", "deg"): np.degrees(1.0), ("deg", "rad"): np.radians(1.0)}
-
-#: Offsets of joint zeros between conventions [deg].
-_TURNS_DEG = (90.0, -90.0, 180.0)
-
-#: Factors by which the reading of a joint counts that of the one before it: it is shown against the horizontal.
-_COUPLINGS = (1.0, -1.0)
 
 #: Positions that differ by less are one position [m].
 _ONE_PLACE = 1e-6
@@ -163,9 +148,9 @@ def find_usual_mistake(robot: Robot, cell: Cell, table: Measurements) -> Reason 
     cell = _naming_only(cell, table)
     poses, setup = rows_and_setup(robot, table, cell)
     rows = _as_points(poses)
-    given = _misfit(robot, setup, rows)[0]
+    given = misfit(robot, setup, rows)[0]
     if given < PLAUSIBLE:
-        return _other_orientations(robot, setup, poses)
+        return orientation_mistake(robot, setup, poses)
     usual = itertools.chain(
         _trials(robot, cell, setup, rows),
         _tips(robot, cell, table),
@@ -176,7 +161,7 @@ def find_usual_mistake(robot: Robot, cell: Cell, table: Measurements) -> Reason 
     turned = [_turned_joints(robot, setup, rows, counts) for counts in counts_by_search]
     searches = [itertools.chain(usual, turned[0]), *turned[1:]]
     for trials in searches:
-        explanations = _explanations(trials, given)
+        explanations = _explanations(trials, given, poses)
         if explanations:
             return _all_as_good(explanations)
     return None
@@ -207,42 +192,71 @@ def _counts_of_turned_joints(robot: Robot, setup: Setup) -> tuple[Sequence[int],
     return (range(1, most + 1),)
 
 
-def _explanations(trials: Iterable[Trial], given: float) -> list[tuple[float, Reason]]:
-    """Find the trials that explain the rows.
+@dataclass(frozen=True, slots=True, eq=False)
+class _Explanation:
+    """A mistake that explains the rows."""
+
+    #: Error of its trial times the trial's factor [m]
+    weighted: float
+    #: The mistake
+    reason: Reason
+    #: Whether the orientations of the rows speak against it
+    turned: bool
+
+    @property
+    def rank(self) -> tuple[bool, float]:
+        """Return the key by which explanations are sorted, the best first."""
+        return self.turned, self.weighted
+
+
+def _explanations(trials: Iterable[Trial], given: float, poses: Rows) -> list[_Explanation]:
+    """Find the trials that explain the rows: their error is far smaller.
 
     Args:
         trials: The trials.
         given: The rms error of the input as given [m].
-
-    Returns:
-        The weighted error [m], for ranking, and the reason of each trial whose error is far smaller.
+        poses: The rows as measured, points or poses.
     """
     explanations = []
     for trial in trials:
-        error, _ = _misfit(trial.robot, trial.setup, trial.rows)
+        error, _ = misfit(trial.robot, trial.setup, trial.rows)
         weighted = trial.factor * error
-        if error <= _EXPLAINED and weighted <= _FAR_BETTER * given:
+        if error <= _EXPLAINED and weighted <= FAR_BETTER * given:
             reason = Reason.of(trial.why, given_m=given, error_m=error, **trial.values)
-            explanations.append((weighted, reason))
+            explanations.append(_Explanation(weighted, reason, _is_turned(trial, poses)))
     return explanations
 
 
-def _all_as_good(explanations: list[tuple[float, Reason]]) -> Reason:
+def _is_turned(trial: Trial, poses: Rows) -> bool:
+    """Return True if the orientations of poses are far off in a trial of other joint values."""
+    is_of_joints = trial.rows.measured.shape[0] == poses.measured.shape[0] and np.array_equal(
+        trial.rows.measured, poses.measured[:, :3]
+    )
+    if not is_of_joints or not np.all(poses.where(lambda kind: kind.orientation)):
+        return False
+    _, angle = misfit(trial.robot, trial.setup, with_joints(poses, trial.rows.joints))
+    return angle > PLAUSIBLE_ANGLE
+
+
+def _all_as_good(explanations: list[_Explanation]) -> Reason:
     """Choose the explanation of the smallest weighted error, with those that the rows cannot tell from it.
 
     Args:
-        explanations: Weighted error [m] and reason of one or more trials.
+        explanations: One or more.
 
     Returns:
         The reason; its value ``"others"`` lists codes and values of those that explain the rows as well, if any.
     """
-    ranked = sorted(explanations, key=lambda pair: pair[0])
-    (_, best), *others = ranked
-    limit = _AS_GOOD * best.values["error_m"] + _ROUNDING
-    as_good = [_as_values(reason) for _, reason in others if reason.values["error_m"] <= limit]
+    best, *others = sorted(explanations, key=lambda explanation: explanation.rank)
+    limit = _AS_GOOD * best.reason.values["error_m"] + _ROUNDING
+    as_good = [
+        _as_values(other.reason)
+        for other in others
+        if other.reason.values["error_m"] <= limit and other.turned == best.turned
+    ]
     if not as_good:
-        return best
-    return replace(best, values={**best.values, "others": as_good})
+        return best.reason
+    return replace(best.reason, values={**best.reason.values, "others": as_good})
 
 
 def _as_values(reason: Reason) -> dict[str, Any]:
@@ -256,74 +270,6 @@ def _naming_only(cell: Cell, table: Measurements) -> Cell:
     targets = {name: place for name, place in cell.targets.items() if name in table.targets}
     frames = {name: pose for name, pose in cell.frames.items() if name in table.groups}
     return replace(cell, targets=targets, frames=frames)
-
-
-def _misfit(robot: Robot, setup: Setup, rows: Rows) -> tuple[float, float]:
-    """Register what the setup leaves unknown, and return the errors of the robot then.
-
-    Args:
-        robot: The robot.
-        setup: Frames and targets, with what is registered.
-        rows: Rows of points or poses.
-
-    Returns:
-        The rms error of positions [m], and of orientations [rad]; the latter is NaN of points.
-    """
-    T_base_tip = robot.poses(rows.joints)
-    placed = register(T_base_tip, setup, rows, tolerance=_TOLERANCE)
-    T_frame_target = placed.target_poses(T_base_tip, rows.samples)
-    errors = Errors.of(rows.residual(T_frame_target), rows.channels)
-    return errors["m"].rms, errors["rad"].rms
-
-
-def _other_orientations(robot: Robot, setup: Setup, rows: Rows) -> Reason | None:
-    """Explain orientations that make no sense as given, but do as other software writes them.
-
-    Args:
-        robot: The nominal robot, whose positions are plausible.
-        setup: Frames and targets as given.
-        rows: Rows as measured, points or poses.
-
-    Returns:
-        The mistake, with the rms errors of orientations as given and with it undone [rad]; None if the error is
-        plausible, a row has no orientation, or no mistake explains them.
-    """
-    if not np.all(rows.where(lambda kind: kind.orientation)):
-        return None
-    _, given = _misfit(robot, setup, rows)
-    if given < _PLAUSIBLE_ANGLE:
-        return None
-    best, reason = np.inf, None
-    for scalar, orientations in _by_other_conventions(rows.measured).items():
-        columns = np.hstack([rows.measured[:, :3], orientations])
-        _, error = _misfit(robot, setup, replace(rows, measured=columns))
-        if error >= best:
-            continue
-        best = error
-        why = Why.SCALAR_ELSEWHERE if scalar else Why.ORIENTATIONS_INVERSE
-        values = {"scalar": scalar} if scalar else {}
-        reason = Reason.of(why, given_rad=given, error_rad=error, **values)
-    return reason if best < _FAR_BETTER * given else None
-
-
-def _by_other_conventions(poses: Array) -> dict[str, Array]:
-    """Read the orientations of poses by the conventions of other software.
-
-    Args:
-        poses: Position [m] and the nine entries of the rotation matrix, row after row, shape (N, 12).
-
-    Returns:
-        The nine entries of each rotation matrix, shape (N, 9): under ``"last"`` and ``"first"`` if the scalar of the
-        quaternions stands last or first, and was read from the other end; under ``""`` of the inverse rotations.
-    """
-    given = Rotation.from_matrix(poses[:, 3:12].reshape(-1, 3, 3))
-    wxyz = given.as_quat(scalar_first=True)
-    rotations = {
-        "last": Rotation.from_quat(wxyz),
-        "first": Rotation.from_quat(np.roll(wxyz, -2, 1)),
-        "": given.inv(),
-    }
-    return {scalar: R.as_matrix().reshape(-1, 9) for scalar, R in rotations.items()}
 
 
 def _trials(robot: Robot, cell: Cell, setup: Setup, rows: Rows) -> Iterator[Trial]:
@@ -340,8 +286,8 @@ def _trials(robot: Robot, cell: Cell, setup: Setup, rows: Rows) -> Iterator[Tria
         yield Trial(_PLAIN, robot, free, rows, Why.TARGET_ELSEWHERE)
     if not cell.estimate_frame and cell.T_frame_base is None:
         yield from _bases(robot, free, rows)
-    for joints, why, values in _joint_trials(robot, rows.joints):
-        yield Trial(_ONE_OF_MANY, robot, free, _with_joints(rows, joints), why, values)
+    for joints, why, values in joint_trials(robot, rows.joints):
+        yield Trial(_ONE_OF_MANY, robot, free, with_joints(rows, joints), why, values)
     yield from _shifted_rows(robot, free, rows)
     turns = any(len(directions) == len(DIRECTIONS) for directions in setup.unknown)
     for points, why, values in _point_trials(rows.measured, turns=turns):
@@ -357,9 +303,9 @@ def _shifted_rows(robot: Robot, setup: Setup, rows: Rows) -> Iterator[Trial]:
         setup: Frames and targets, with what is registered anew.
         rows: N rows of points; the first or last one falls away.
     """
-    after = _with_joints(rows.select(slice(1, None)), rows.joints[:-1])
+    after = with_joints(rows.select(slice(1, None)), rows.joints[:-1])
     yield Trial(_ONE_OF_MANY, robot, setup, after, Why.ROWS_SHIFTED, {"later": True})
-    before = _with_joints(rows.select(slice(None, -1)), rows.joints[1:])
+    before = with_joints(rows.select(slice(None, -1)), rows.joints[1:])
     yield Trial(_ONE_OF_MANY, robot, setup, before, Why.ROWS_SHIFTED, {"later": False})
 
 
@@ -438,7 +384,7 @@ def _nearest_values(robot: Robot, setup: Setup, rows: Rows, joint: int, reach: f
     """
     every = np.arange(len(rows))
     T_base_tip = robot.poses(rows.joints)
-    placed = register(T_base_tip, setup, rows, tolerance=_TOLERANCE)
+    placed = register(T_base_tip, setup, rows, tolerance=TOLERANCE)
     q = np.repeat(rows.joints, _TRIED, axis=0)
     changes = np.linspace(-reach, reach, _TRIED)
     q[:, joint] += np.tile(changes, len(rows))
@@ -446,12 +392,7 @@ def _nearest_values(robot: Robot, setup: Setup, rows: Rows, joint: int, reach: f
     T_frame_target = placed.target_poses(robot.poses(q), repeated.samples)
     squares = np.sum(repeated.residual(T_frame_target) ** 2, axis=1)
     nearest = np.argmin(squares.reshape(-1, _TRIED), axis=1)
-    return _with_joints(rows, q[every * _TRIED + nearest])
-
-
-def _with_joints(rows: Rows, q: Array) -> Rows:
-    """Copy rows with other joint values, shape (N, m) [rad] or [m]."""
-    return replace(rows, samples=replace(rows.samples, q=q))
+    return with_joints(rows, q[every * _TRIED + nearest])
 
 
 def _with_unknown_targets(setup: Setup) -> Setup:
@@ -542,74 +483,6 @@ def _turned_joints(
         factor = 1.0 + 0.2 * count
         for joints in itertools.combinations(every, count):
             signs = np.where(np.isin(every, joints), -1.0, 1.0)
-            turned = _with_joints(rows, rows.joints * signs)
+            turned = with_joints(rows, rows.joints * signs)
             values = {"joints": ", ".join(robot.joint_names[i] for i in joints)}
             yield Trial(factor, robot, free, turned, Why.JOINTS_TURNED, values)
-
-
-def _joint_trials(robot: Robot, q: Array) -> Iterator[tuple[Array, Why, dict[str, Any]]]:
-    """Shift zeros of joints, swap their columns, couple their readings, and scale them from another unit.
-
-    Args:
-        robot: The robot.
-        q: Joint values of the rows, shape (N, m) [rad] or [m].
-
-    Yields:
-        The joint values, the code of the mistake, and the values of its reason.
-    """
-    names, count = robot.joint_names, len(robot.inputs)
-    turns = np.array([joint.type != "prismatic" for joint in robot.inputs])
-    for i in np.flatnonzero(turns).tolist():
-        yield from _shifted_zeros(names[i], i, q)
-    for i, j in itertools.combinations(range(count), 2):
-        order = list(range(count))
-        order[i], order[j] = j, i
-        yield q[:, order], Why.COLUMNS_SWAPPED, {"first": names[i], "second": names[j]}
-    yield q[:, ::-1], Why.COLUMNS_REVERSED, {}
-    for i in np.flatnonzero(turns[:-1] & turns[1:]).tolist():
-        yield from _coupled_readings(robot, i, q)
-    for (unit, header), factor in _ANGLES.items():
-        values = {"what": "joints", "unit": unit, "header": header}
-        yield np.where(turns, factor, 1.0) * q, Why.WRONG_UNIT, values
-
-
-def _shifted_zeros(name: str, joint: int, q: Array) -> Iterator[tuple[Array, Why, dict[str, Any]]]:
-    """Shift the zero of a joint by a quarter turn either way, and by half a turn.
-
-    Args:
-        name: The joint's name.
-        joint: Its number, from 0.
-        q: Joint values of the rows, shape (N, m) [rad] or [m].
-
-    Yields:
-        The joint values, the code of the mistake, and the values of its reason.
-    """
-    for turn in np.radians(_TURNS_DEG):
-        offsets = turn * np.eye(q.shape[1])[joint]
-        yield q + offsets, Why.JOINT_ZERO, {"add_rad": float(turn), "joint": name}
-
-
-def _coupled_readings(
-    robot: Robot, joint: int, q: Array
-) -> Iterator[tuple[Array, Why, dict[str, Any]]]:
-    """Add the reading of a joint to that of the next one, or subtract it; leave out a coupling that the cell states.
-
-    Args:
-        robot: The robot.
-        joint: Number of the first of the two joints, from 0.
-        q: Readings of the rows, shape (N, m) [rad] or [m].
-
-    Yields:
-        The readings, the code of the mistake, and the values of its reason.
-    """
-    names = {"joint": robot.joint_names[joint + 1], "reading": robot.joint_names[joint]}
-    stated = float(robot.reading_matrix[joint + 1, joint])
-    for factor in (*_COUPLINGS, 0.0):
-        if factor == stated:
-            continue
-        values = robot.input_values(q).copy()
-        values[:, joint + 1] += (factor - stated) * q[:, joint]
-        if factor:
-            yield robot.readings(values), Why.READINGS_COUPLED, {**names, "factor": factor}
-        else:
-            yield robot.readings(values), Why.READINGS_NOT_COUPLED, names

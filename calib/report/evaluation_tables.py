@@ -122,10 +122,14 @@ def _check_row(a: Acceptance, unit: str) -> tuple[str, ...]:
 
 
 def _check_cells(a: Acceptance, unit: str) -> tuple[str, ...]:
-    """Return uncertainty, the sum that decides, tolerance and outcome of the check in one unit."""
+    """Return uncertainty, the sum that decides, tolerance and outcome of the check in one unit.
+
+    An uncertainty that was not stated is a dash.
+    """
     check = a.checks[unit]
-    values = (check.uncertainty, decisive_sum(check), check.tolerance)
-    return (*(shown(value, unit) for value in values), check.outcome)
+    uncertainty = shown(check.uncertainty, unit) if check.uncertainty > 0.0 else "-"
+    values = (decisive_sum(check), check.tolerance)
+    return (uncertainty, *(shown(value, unit) for value in values), check.outcome)
 
 
 def characteristics(e: Assessment) -> Table:

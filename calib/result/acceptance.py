@@ -13,7 +13,7 @@ Without U this is the plain comparison of A with T. Rows that a calibration was 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal, NoReturn
 
 import numpy as np
@@ -472,7 +472,9 @@ def _explanation(
     if calibration is None:
         urdf = evaluations["urdf"]
         table = urdf.measurements
-        return find_usual_mistake(urdf.robot, cell, table.select(registration_rows(table)))
+        # A target that was given is where it was given, its orientation too.
+        known = replace(cell, estimate_target="target" in urdf.registered)
+        return find_usual_mistake(urdf.robot, known, table.select(registration_rows(table)))
     corrected = evaluations["calibration"]
     return moved_place(corrected.robot, corrected.measurements, cell, calibration.setup, which)
 

@@ -18,6 +18,9 @@ _DEG = float(np.degrees(1.0))
 #: A p-value below this is shown as such: its digits mean nothing.
 _SMALLEST_P = 1e-6
 
+#: A share below this is shown as such [%].
+_SMALLEST_PERCENT = 0.01
+
 _OFF = (
     "The nominal robot is {given_m:mm.0f} mm rms off, far more than an uncalibrated arm, but only "
     "{error_m:mm.1f} mm if "
@@ -31,7 +34,7 @@ _ANEW = (
     "{error_m:mm.3g} mm if the "
 )
 _NOT_NOISE = "The residuals are not noise: "
-_SHARE = "explains {share:%.0f} % of them (by chance {chance:%.0f} %; {chance_p})"
+_SHARE = "explains {explained} % of them (by chance {chance_explains} %; {chance_p})"
 _FALLS = "With this effect modelled, the error on held-out blocks of rows {falls_by}."
 _CHANGED = "Did the arm, its tool or the instrument change in between?"
 _CHECK = (
@@ -71,6 +74,10 @@ SENTENCES = {
     + "the quaternions have their scalar {scalar}: give it in the column qw.",
     Why.ORIENTATIONS_INVERSE: _TURNED
     + "they are inverted: give those of the target in the measurement frame.",
+    Why.ORIENTATIONS_JOINT_TURNED: _TURNED
+    + "the sign of '{joint}' is reversed: check the positive direction.",
+    Why.ORIENTATIONS_JOINT_ZERO: _TURNED
+    + "{add_rad:deg.0f} deg is added to '{joint}': check its zero position.",
     Why.FRAME_NOT_FOUND: "The measurement frame{of_station} was not found: from every start the rows "
     "end up farther off than those of any uncalibrated arm, so the nominal robot cannot be judged. "
     "Give the frame's approximate pose in the cell; if that does not help, check the robot and the "
@@ -226,6 +233,8 @@ def _words(values: Mapping[str, Any]) -> dict[str, str]:
         "change": _change(before, after),
         "measured": _measured(values),
         "beyond": "".join(sizes_of(values, "by", ".3g")),
+        "explained": _percent(values.get("share", 0.0)),
+        "chance_explains": _percent(values.get("chance", 0.0)),
         "chance_p": _p_value(values.get("p", 1.0)),
         "falls_by": _fall(values.get("falls", 0.0)),
         "outliers_aside": "",
@@ -292,7 +301,15 @@ def _p_value(p: float) -> str:
 
 def _fall(share: float) -> str:
     """Word the share by which an error falls."""
-    return f"falls by {100.0 * share:.0f} %" if share > 0.0 else "does not fall"
+    return f"falls by {_percent(share)} %" if share > 0.0 else "does not fall"
+
+
+def _percent(share: float) -> str:
+    """Format a share as a number of percent: whole, or with one significant digit below 1 %, of 0.01 % at least."""
+    percent = 100.0 * share
+    if percent == 0.0 or abs(percent) >= 1.0:
+        return f"{percent:.0f}"
+    return f"{percent:.1g}" if percent >= _SMALLEST_PERCENT else f"less than {_SMALLEST_PERCENT:g}"
 
 
 def _sole_postures(rows: Sequence[int], joints: Sequence[str]) -> dict[str, str]:

@@ -12,11 +12,14 @@ import numpy as np
 
 import calib.viewer.scene as stage
 from calib.units import Array
-from calib.viewer.puppet import Puppet
+from calib.viewer.puppet import BASE_MOVER, Puppet
 from calib.viewer.scene import Camera
 
 #: Ends of the text below and of the heading above, as a part of the picture's half height, see `look_at`.
 _TEXT = (-0.54, 0.67)
+
+#: The same of one robot that only moves, whose text has fewer lines.
+_TEXT_OF_MOTION = (-0.72, 0.85)
 
 #: Angle between the directions from the robot to a tracker and to the camera, seen from above [rad]: the tracker stands
 #: behind the robot, at the right of the picture.
@@ -56,10 +59,12 @@ def layout_of(
     magnified: Array,
     around: Array,
     tracker: Array | None = None,
+    only_moves: bool = False,
 ) -> Layout:
     """Place robots, labels and cameras.
 
-    Measured positions do not count: a wild measurement must not make the robots small.
+    Measured positions do not count: a wild measurement must not make the robots small. Nor does what a robot that
+    stands on the floor would do below it where it only moves.
 
     Args:
         shown: The robots by ``"nominal"`` and ``"calibrated"``, in the base of the latter.
@@ -69,18 +74,26 @@ def layout_of(
         around: shape (K, 3), points about the robots that the cameras see too [m].
         tracker: shape (3,), a point that is seen behind the robot, at the right [m]; None for the arm to be seen from
             its side.
+        only_moves: One robot alone, whose poses are of no table and of no plan, but go through the joints' ranges.
     """
     at_start = outline_of(shown, slice(start, start + 1))
     outline = np.concatenate([at_start, outline_of(shown)])
+    if only_moves and _stands(shown, start, at_start):
+        outline = outline[outline[:, 2] >= at_start[:, 2].min()]
+    text = _TEXT_OF_MOTION if only_moves else _TEXT
     towards_camera = _towards_camera(shown["nominal"].poses[start, :, :3, 3], tracker)
     foot = _foot(at_start, towards_camera, size)
     seen = np.vstack([outline, around, foot])
     offsets = {"nominal": np.zeros(3)}
     if len(shown) > 1:
         offsets = _offsets(outline, towards_camera, size)
-    side = stage.look_at(_side_by_side(seen, offsets), towards_camera, _TEXT)
-    over = stage.look_at(np.vstack([seen, magnified]), towards_camera, _TEXT)
-    return Layout(size, offsets, foot, side, over)
+    return Layout(
+        size,
+        offsets,
+        foot,
+        side=stage.look_at(_side_by_side(seen, offsets), towards_camera, text),
+        over=stage.look_at(np.vstack([seen, magnified]), towards_camera, text),
+    )
 
 
 def outline_of(shown: Mapping[str, Puppet], poses: slice = slice(None)) -> Array:
@@ -103,6 +116,12 @@ def _towards_camera(arm: Array, tracker: Array | None) -> Array:
     if tracker is None:
         return stage.camera_direction(arm)
     return stage.camera_direction(np.array([np.zeros(3), tracker]), _TRACKER_VIEW)
+
+
+def _stands(shown: Mapping[str, Puppet], start: int, at_start: Array) -> bool:
+    """Return whether the robot's base is in the lower half of it at the first pose, with points (K, 3) [m]."""
+    height = shown["nominal"].poses[start, BASE_MOVER, 2, 3]
+    return bool(height <= 0.5 * (at_start[:, 2].min() + at_start[:, 2].max()))
 
 
 def _to_the_right(towards_camera: Array) -> Array:

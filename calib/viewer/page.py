@@ -113,6 +113,7 @@ def view_page(view: View, *, live: bool = False, about: About | None = None) -> 
         magnified=_magnified(view, factor),
         around=_seen_around(about, size),
         tracker=about.tracker,
+        only_moves=view.calibrated is None and set(view.kinds) == {"pose"},
     )
     scene = _draw(view, shown, layout)
     keys = _drawn_about(about, scene, size)

@@ -35,6 +35,9 @@ _ROD_RADIUS = 0.018
 #: Poses, at most, at which the corners of a robot's shapes are computed: a page of 400 poses needs no more.
 _MOST_OUTLINED = 60
 
+#: Index of the base's frame among the movers.
+BASE_MOVER = -3
+
 #: The corners of a cube of edge 1 about the origin, shape (8, 3).
 CORNERS = np.indices((2, 2, 2)).reshape(3, -1).T - 0.5
 

@@ -217,6 +217,7 @@ def test_a_value_is_refused_by_none_or_an_error():
         ("[coupling]\na = 1", "'a' in [coupling] is 1; it must be a table of joints and factors"),
         ('[coupling]\na = { b = "1" }', "'a' in a cell's coupling is {'b': '1'}"),
         ("[frames]\na = 1", "'a' in [frames] is 1; it must be a table."),
+        ("[record]\nscale_certified = true", "'scale_certified' in [record]: this key is not of"),
         ("[frames.a]\nxyz = [1, 2, 3]", "'xyz' in 'a' in [frames]: unknown key"),
         ("[ties]\na1 = ['a2', 0]", "'a1' in a cell's ties is ['a2', 0]"),
         ("[ties]\na1 = 'a2'\na2 = 'a3'", "'a1' is tied to 'a2'"),

@@ -12,6 +12,8 @@ import calib
 from calib.data.cell import Cell
 from calib.errors import ArgumentError, FileError
 from calib.report.evaluation_report import (
+    Origins,
+    evaluation_report_bytes,
     write_evaluation_report,
 )
 from calib.result.acceptance import Assessment
@@ -111,3 +113,38 @@ def test_the_first_page_is_one_sheet(browser, ur3: Robot, tmp_path: Path):
         first = tab.pdf()
     assert len(re.findall(rb"/Type /Page\b", first)) == 1
     assert 3 <= len(re.findall(rb"/Type /Page\b", whole)) <= 5
+
+
+def test_an_uncertainty_that_was_not_stated_is_no_zero(ur3: Robot):
+    e = made(ur3, limits={"tolerance": {"m": 1e-3}})
+    page = page_of(e)
+    _, row, *_ = page.table("Pose accuracy and repeatability")
+    figure = shown(e.accepted.checks["m"].figure, "m")
+    assert row[1:] == [figure, "-", figure, "1.000", "pass"]
+    _, row = page.table("Comparison with the tolerance")
+    assert row[3:5] == ["-", figure]
+
+
+@pytest.mark.slow
+def test_on_a_phone_a_wide_table_scrolls_and_shows_that_it_does(
+    browser, assessment: Assessment, tmp_path: Path
+):
+    page = tmp_path / "acceptance.html"
+    page.write_bytes(evaluation_report_bytes(assessment, Origins()))
+    with browser.open(page.as_uri(), size=(412, 860)) as tab:
+        assert tab.evaluate("document.documentElement.scrollWidth") == 412
+        captions = "[...document.querySelectorAll('caption')].map(e => e.getBoundingClientRect())"
+        assert tab.evaluate(f"Math.max(...{captions}.map(box => box.right))") <= 412
+        tab.evaluate("(wide = document.querySelector('.wide')).scrollIntoView()")
+        assert tab.evaluate("wide.scrollWidth - wide.clientWidth") > 50
+        left, right, height = tab.evaluate(
+            "[(box = wide.getBoundingClientRect()).left, box.right, box.height]"
+        )
+        ends = np.array([left + 1, right - 2]).round().astype(int)
+        height = int(height)
+        before = np.median(tab.screenshot()[:height, ends, 0], axis=0)
+        tab.evaluate("wide.scrollLeft = wide.scrollWidth")
+        after = np.median(tab.screenshot()[:height, ends, 0], axis=0)
+    # The background of the left and the right end of the table.
+    assert before[0] > 250 > 220 > before[1]
+    assert after[1] > 250 > 220 > after[0]

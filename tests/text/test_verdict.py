@@ -13,7 +13,7 @@ from calib.text.verdict import SENTENCES, against, reason_text, refusal
 @pytest.mark.parametrize("why", Why)
 def test_every_code_has_a_sentence(why):
     made = {"before", "after", "change", "chance_p", "measured", "beyond", "outliers_aside"}
-    made |= {"named", "ranges", "better", "falls_by"}
+    made |= {"named", "ranges", "better", "falls_by", "explained", "chance_explains"}
     names = {one[1].split(":")[0] for one in Formatter().parse(SENTENCES[why]) if one[1]}
     values = dict.fromkeys(names - made - {"rows_aside"}, 0.5)
     more = {"before_m": 2e-3, "after_m": 1e-3, "p": 1e-9, "by_rad": 0.3, "poses": 3}
@@ -64,3 +64,13 @@ def test_what_is_far_off_is_said_in_its_unit(values, size):
 def test_one_row_is_no_rows(rows, words):
     reason = Reason.of(Why.OUTSIDE, rows=rows, row=47, joint="elbow", by_rad=0.1)
     assert reason_text(reason).startswith(words)
+
+
+@pytest.mark.parametrize(
+    ("share", "percent"),
+    [(0.0, "0"), (5e-5, "less than 0.01"), (4.4e-3, "0.4"), (0.126, "13"), (1.0, "100")],
+)
+def test_a_small_share_is_not_rounded_to_nothing(share, percent):
+    values = {"quantity": "angle", "joint": "elbow", "share": share, "chance": 2e-4, "p": 1e-9}
+    text = reason_text(Reason(Why.JOINT_PATTERN, values))
+    assert f"explains {percent} % of them (by chance 0.02 %; p < 1e-6)." in text

@@ -59,3 +59,29 @@ def test_a_tracker_is_seen_at_the_right_behind_the_robot(puppet):
         assert seen(tracker, layout.side)[0, 0] > seen(base, layout.side)[0, 0] + 0.3
         assert (tracker - base) @ layout.side.axes[2] < 0
         assert np.abs(seen(tracker, layout.side)).max() < 0.96
+
+
+def test_of_a_robot_that_only_moves_what_is_below_its_floor_does_not_make_it_small(ur3):
+    q = np.zeros((9, 6))
+    # At index 4 the arm is stretched; elsewhere it goes through the floor.
+    q[:, 1] = np.linspace(-np.pi, np.pi, 9)
+    base = np.broadcast_to(np.eye(4), (9, 4, 4))
+    moving = Puppet.of(ur3, q, read_visuals(ur3.urdf)[0], base, np.eye(4))
+    shown = {"nominal": moving}
+    all_of_it, above = (
+        layout_of(shown, 4, 1.2, magnified=NOTHING, around=NOTHING, only_moves=only_moves)
+        for only_moves in (False, True)
+    )
+    assert above.side.distance < 0.75 * all_of_it.side.distance
+    places = moving.poses[:, :, :3, 3].reshape(-1, 3)
+    is_above = places[:, 2] >= moving.outline(slice(4, 5))[:, 2].min()
+    assert not is_above.all()
+    assert np.abs(seen(places[is_above], above.side)).max() < 0.96
+    # Of one that hangs, with its base above the arm, all of the motion counts.
+    turned = np.broadcast_to(np.diag([1.0, -1.0, -1.0, 1.0]), (9, 4, 4))
+    hanging = Puppet.of(ur3, q, read_visuals(ur3.urdf)[0], turned, np.eye(4))
+    layout = layout_of(
+        {"nominal": hanging}, 4, 1.2, magnified=NOTHING, around=NOTHING, only_moves=True
+    )
+    places = hanging.poses[:, :, :3, 3].reshape(-1, 3)
+    assert np.abs(seen(places, layout.side)).max() < 0.96

@@ -51,8 +51,8 @@ def wrap(text: str, indent: str = "") -> str:
 
 
 def plural(count: int, noun: str) -> str:
-    """Count things whose plural has an s: ``1 row``, ``2 rows``."""
-    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
+    """Count things whose plural has an s: ``1 row``, ``2,000 rows``."""
+    return f"{count} {noun}" if count == 1 else f"{count:,} {noun}s"
 
 
 def times(fewest: int, most: int) -> str:

@@ -60,6 +60,7 @@ def test_rows_beyond_the_limit_are_counted():
         (plural(1, "row"), "1 row"),
         (plural(0, "row"), "0 rows"),
         (plural(2, "row"), "2 rows"),
+        (plural(2000, "row"), "2,000 rows"),
     ],
 )
 def test_numbers(text, expected):
