@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from calib.regions.workspace import workspace as workspace
     from calib.result.acceptance import Acceptance as Acceptance, acceptance as acceptance
     from calib.result.uncertainty import bootstrap as bootstrap
-    from calib.robot.dh import DHRow as DHRow
+    from calib.robot.dh.rows import DHRow as DHRow
     from calib.robot.robot import Robot as Robot
     from calib.simulation.scenario import Scenario as Scenario, simulate as simulate
     from calib.viewer.live import view as view
@@ -76,7 +76,7 @@ _NAMES = {
     "calib.planning": "Plan plan",
     "calib.result.acceptance": "Acceptance acceptance",
     "calib.result.uncertainty": "bootstrap",
-    "calib.robot.dh": "DHRow",
+    "calib.robot.dh.rows": "DHRow",
     "calib.robot.robot": "Robot",
     "calib.simulation.scenario": "Scenario simulate",
     "calib.viewer.live": "view",

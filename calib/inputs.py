@@ -15,10 +15,10 @@ from calib.data.cell import Cell
 from calib.data.columns import column_names
 from calib.data.measurements import Measurements
 from calib.errors import CalibError, choices
-from calib.robot.dh_file import is_other_table
+from calib.robot.dh.file import is_other_table
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf, read_urdf
-from calib.table import Table
+from calib.tables.table import Table
 from calib.values.arguments import check_type
 
 #: A robot; or the path of its URDF, xacro or DH rows; or its name in example-robot-data, such as ``"ur3"``.

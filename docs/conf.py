@@ -153,12 +153,16 @@ def _unlisted() -> list[str]:
 
 
 def _modules(folder: str) -> str:
-    """Return the docstrings of the modules of a folder of calib, as reStructuredText; "" is calib itself."""
-    place = HERE.parent / "calib" / folder
+    """Return the docstrings of the modules of a folder of calib and of those in it, as reStructuredText.
+
+    "" is calib itself, without its folders.
+    """
+    root = HERE.parent
+    place = root / "calib" / folder
     entries = []
-    for path in sorted(place.glob("*.py")):
+    for path in sorted(place.rglob("*.py") if folder else place.glob("*.py")):
         if not path.stem.startswith("__"):
-            title = ".".join(["calib", *([folder] if folder else []), path.stem])
+            title = ".".join(path.relative_to(root).with_suffix("").parts)
             docstring = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
             text = _shown(docstring.split("\n"))
             entries.append("\n".join([f".. rubric:: ``{title}``", "", *text]))

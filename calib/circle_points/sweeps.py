@@ -21,7 +21,7 @@ from calib.data.points_file import read_points
 from calib.data.values import read_values
 from calib.errors import MeasurementError, choices
 from calib.robot.robot import read_only
-from calib.table import Column, Table
+from calib.tables.table import Column, Table
 from calib.units import Array
 from calib.values.pickling import Value
 

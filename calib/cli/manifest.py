@@ -48,7 +48,7 @@ def read_manifest(
         CalibError: A column is missing or unknown, a cell is empty, or a name is no folder's or there twice.
     """
     from calib.fleets.fleet_robot import FleetRobot, check_names
-    from calib.table import Table
+    from calib.tables.table import Table
 
     # Options that are wrong for every robot are refused before the work.
     columns.parsed()

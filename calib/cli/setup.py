@@ -124,8 +124,8 @@ def load_with_data(
     """
     from calib.data.columns import column_names
     from calib.data.measurements import Measurements
-    from calib.robot.dh_file import is_other_table
-    from calib.table import Table
+    from calib.robot.dh.file import is_other_table
+    from calib.tables.table import Table
 
     options = table_options or TableOptions()
     points, points_unit = options.points, options.points_unit

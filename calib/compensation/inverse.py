@@ -498,13 +498,17 @@ def _nearest(arm: Arm, T: Array, seeds: Array, matching: Matching) -> tuple[Arra
     first_seed = robot.input_values(seeds[0])[0]
     q = _by_whole_turns(robot, robot.input_values(solution.q), first_seed, allowed)
     misses = np.linalg.norm(matching.error(solution.T_base_tool, T_wanted), axis=1)
-    inside = ((q >= allowed[:, 0]) & (q <= allowed[:, 1])).all(axis=1)
-    is_solution = (misses <= 10.0 * _REACHED) & inside
+    is_solution = (misses <= 10.0 * _REACHED) & _is_inside(q, allowed)
+    is_found = bool(is_solution.any())
     cost = misses
-    if is_solution.any():
-        distance = np.linalg.norm(q - first_seed, axis=1)
-        cost = np.where(is_solution, distance, np.inf)
-    return robot.readings(q[int(np.argmin(cost))])[0], bool(is_solution.any())
+    if is_found:
+        cost = np.where(is_solution, np.linalg.norm(q - first_seed, axis=1), np.inf)
+    return robot.readings(q[int(np.argmin(cost))])[0], is_found
+
+
+def _is_inside(q: Array, allowed: Array) -> Mask:
+    """Return True for joint values (n, m) that are all between the lowest and highest ones (m, 2); shape (n,)."""
+    return np.asarray(((q >= allowed[:, 0]) & (q <= allowed[:, 1])).all(axis=1))
 
 
 def _by_whole_turns(robot: Robot, q: Array, seed: Array, allowed: Array) -> Array:

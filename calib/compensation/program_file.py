@@ -31,7 +31,7 @@ from calib.data.measurements import Measurements
 from calib.data.values import read_values
 from calib.errors import MeasurementError, choices
 from calib.robot.robot import Robot
-from calib.table import Table
+from calib.tables.table import Table
 from calib.units import Array
 
 
@@ -205,10 +205,7 @@ def _labels(header: _Header) -> tuple[str, ...]:
 def _kept(header: _Header) -> tuple[tuple[str, tuple[str, ...]], ...]:
     """Return header and cells of the columns that have no meaning here, in the order of the table."""
     table = header.table
-    named, joint_names = header.named, header.joint_names
-    forms = [row for row in CONVENTIONS.values() if is_complete(row, named, joint_names)]
-    of_poses = {name for form in (POINT, *(row.columns for row in forms)) for name in form}
-    known = of_poses | {*header.joint_names, EXPECTED, STATUS}
+    known = _known_names(header)
     kept = {column.index for name, column in header.named.items() if name not in known}
     # A column without a name is kept if anything is in it: separators at the end of each line are none.
     kept |= {i for i, label in enumerate(table.header) if not label and i in header.filled}
@@ -217,6 +214,15 @@ def _kept(header: _Header) -> tuple[tuple[str, tuple[str, ...]], ...]:
         cells = tuple(row[i] for row in table.cells)
         columns.append((table.header[i], cells))
     return tuple(columns)
+
+
+def _known_names(header: _Header) -> set[str]:
+    """Return the names of columns that have a meaning: joints, positions, orientations, and those of commands."""
+    known = {*header.joint_names, *POINT, EXPECTED, STATUS}
+    for convention in CONVENTIONS.values():
+        if is_complete(convention, header.named, header.joint_names):
+            known.update(convention.columns)
+    return known
 
 
 def _numbers(header: _Header, robot: Robot, blocks: _Blocks) -> tuple[Array | None, Array | None]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import NoReturn
 
@@ -12,10 +12,10 @@ import numpy as np
 import calib.data.kinds as registry
 from calib.channels import RESIDUAL_UNITS
 from calib.data.forms import orientations
-from calib.data.forms.brands import brands_like, names_by_brand
+from calib.data.forms.brands import Brand, brands_like, names_by_brand
 from calib.data.forms.column_options import ColumnOptions, ColumnsInput, column_options
 from calib.errors import MeasurementError, choices, did_you_mean
-from calib.table import Column, Table
+from calib.tables.table import Column, Table
 from calib.units import UNITS, Array, Quantity, split_header, symbols
 
 #: Columns of a position.
@@ -167,24 +167,59 @@ def _renamed_by_brand(
 
     Columns and joints that ``renamed`` has, and columns that are called as their joints, are none of the brand's.
     """
-    brand = options.row_of_brand
+    brand = options.brand_entry
     if brand is None:
         return {}
-    headers = {i: split_header(label) for i, label in enumerate(table.header) if label}
-    names = {i: n for i, (n, _) in headers.items() if i not in renamed and n not in joint_names}
-    taken = {split_header(name)[0] for name in renamed.values()}
-    taken |= {name for name, _ in headers.values()}
-    free = [name for name in joint_names if name not in taken]
-    by_brand = names_by_brand(brand, table.source, names, free)
-    units = dict.fromkeys(POINT, COMMON["length"])
-    units |= dict.fromkeys(brand.orientation, orientations.find_convention(brand.name).unit)
-    if not joint_names:  # what slides is not known either
-        units = dict.fromkeys(by_brand.values(), COMMON["angle"]) | units
+    written = {i: split_header(label)[0] for i, label in enumerate(table.header) if label}
+    free_columns = {
+        i: name for i, name in written.items() if i not in renamed and name not in joint_names
+    }
+    free_joints = _joints_without_column(joint_names, written.values(), renamed)
+    by_brand = names_by_brand(brand, table.source, free_columns, free_joints)
+    turning = () if joint_names else tuple(by_brand.values())
+    return _with_units(table, by_brand, _units_by_brand(brand, turning))
+
+
+def _with_units(table: Table, names: Mapping[int, str], units: Mapping[str, str]) -> dict[int, str]:
+    """Return calib's names of columns, by position, with the unit of each whose header has none.
+
+    Args:
+        table: The table.
+        names: The names, by position, from 0.
+        units: Units by names; none, or an empty one, for a column without unit.
+    """
     result = {}
-    for i, name in by_brand.items():
-        has_unit = headers[i][1] is not None or not units.get(name)
+    for i, name in names.items():
+        has_unit = split_header(table.header[i])[1] is not None or not units.get(name)
         result[i] = name if has_unit else f"{name} [{units[name]}]"
     return result
+
+
+def _joints_without_column(
+    joint_names: Sequence[str], written: Iterable[str], renamed: Mapping[int, str]
+) -> list[str]:
+    """Return the joints that no column is called or mapped to.
+
+    Args:
+        joint_names: Names of the joints.
+        written: Names of the columns as written, without units.
+        renamed: Names that columns are mapped to, with or without units, by their positions.
+    """
+    taken = {split_header(name)[0] for name in renamed.values()} | set(written)
+    return [name for name in joint_names if name not in taken]
+
+
+def _units_by_brand(brand: Brand, turning: Sequence[str]) -> dict[str, str]:
+    """Return the units of columns of a brand's table that name none, by calib's names.
+
+    Args:
+        brand: The brand.
+        turning: Columns that are angles unless they are a position's or an orientation's: the axes where the joints
+            of the robot, and with them those that slide, are not known.
+    """
+    units = dict.fromkeys(turning, COMMON["angle"])
+    units |= dict.fromkeys(POINT, COMMON["length"])
+    return units | dict.fromkeys(brand.orientation, orientations.find_convention(brand.name).unit)
 
 
 def _column(table: Table, index: int, renamed: Mapping[int, str]) -> Column | None:

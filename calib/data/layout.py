@@ -29,7 +29,7 @@ from calib.data.forms.column_options import ColumnOptions, ColumnsInput, column_
 from calib.data.forms.orientation_columns import Orientation, conventions_of, find_orientation
 from calib.data.kinds import Kind
 from calib.errors import MeasurementError, choices, did_you_mean
-from calib.table import Column, Table
+from calib.tables.table import Column, Table
 from calib.units import Quantity, split_header
 
 #: Most joints that a message lists.

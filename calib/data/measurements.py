@@ -47,7 +47,7 @@ from calib.files import csv_bytes, write_atomically
 from calib.mappings import ReadOnlyMapping
 from calib.numerics.geometry import FARTHEST, to_quaternions
 from calib.robot.robot import read_only
-from calib.table import Table
+from calib.tables.table import Table
 from calib.units import Array, Mask, Quantity
 from calib.values.arguments import check_mapping, check_names, check_path, mask_of_rows, numbers
 from calib.values.pickling import Value

@@ -10,7 +10,7 @@ import numpy as np
 import calib.data.kinds as registry
 from calib.data.layout import Layout
 from calib.errors import MeasurementError
-from calib.table import Column, Table
+from calib.tables.table import Column, Table
 from calib.units import UNITS, Array, Unit
 
 #: No point of a robot cell is farther from the origin of a frame in use [m].

@@ -18,7 +18,7 @@ from calib.data.forms.numerals import NUMERAL, decimal_sign_in, decimal_sign_of,
 from calib.data.forms.points import PARTS, Points
 from calib.data.plausibility import implausible_length
 from calib.errors import MeasurementError, choices
-from calib.table import Column, Table, read_text
+from calib.tables.table import Column, Table, read_text
 from calib.units import UNITS, Unit, symbols
 
 #: In the order in which they are tried; the last one stands for any number of blanks.
@@ -142,11 +142,11 @@ def _content_of(text: str) -> _Content:
 
 def _without_labels(line: str) -> str:
     """Return a line with labels between its numbers as name and numbers between tabs; any other line as it is."""
-    found = _LABELS.fullmatch(line.rstrip())
-    if found is None or _remark(line) is not None:
+    labelled = _LABELS.fullmatch(line.rstrip())
+    if labelled is None or _remark(line) is not None:
         return line
-    name = found["name"].strip(" \t,;:=({\"'")
-    numbers = [number.rstrip(".,") for number in found.groups()[1:]]
+    name = labelled["name"].strip(" \t,;:=({\"'")
+    numbers = [number.rstrip(".,") for number in labelled.groups()[1:]]
     return "\t".join([name, *numbers] if name else numbers)
 
 

@@ -25,7 +25,7 @@ _ENDS = 2
 
 @dataclass(frozen=True, slots=True)
 class Record:
-    """What a cell's ``[record]`` says of the measurement; an entry that is not given is empty.
+    """The record of a measurement, ``[record]`` of a cell file; an entry that is not given is empty.
 
     Raises:
         CalibError: An entry is longer than `LONGEST` letters, the note than `LONGEST_NOTE`, or a temperature is no

@@ -18,7 +18,7 @@ from calib.data.kinds import Kind
 from calib.data.layout import Layout, slides
 from calib.data.plausibility import check_units
 from calib.errors import MeasurementError, choices
-from calib.table import Column, Table
+from calib.tables.table import Column, Table
 from calib.units import Array, Mask
 
 #: Numbers of a layout's blocks by name, shape (rows, columns) each.

@@ -28,7 +28,7 @@ from calib.errors import MeasurementError
 from calib.files import csv_bytes, write_atomically
 from calib.robot.readings import coupling_table
 from calib.robot.robot import Robot, read_only
-from calib.table import Table
+from calib.tables.table import Table
 from calib.units import Array, Mask, Quantity
 from calib.version import __version__
 

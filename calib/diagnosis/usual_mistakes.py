@@ -205,7 +205,7 @@ class _Explanation:
 
     @property
     def rank(self) -> tuple[bool, float]:
-        """What explanations are sorted by, the best first."""
+        """Return the key by which explanations are sorted, the best first."""
         return self.turned, self.weighted
 
 

@@ -16,7 +16,7 @@ from calib.errors import CalibError
 from calib.inputs import CellInput, RobotInput, TableInput, inputs_of
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
-from calib.table import Table
+from calib.tables.table import Table
 
 #: Pattern of the names that a robot, and so its folder, may have.
 _NAME = re.compile(r"[^\W_](?:[\w .+-]{0,98}[\w+-])?")

@@ -24,7 +24,7 @@ from calib.formats.zeros.table import TABLE_ENDINGS
 from calib.formats.zeros.write import write_zeros
 from calib.inputs import RobotInput
 from calib.result.calibration import CalibrationValues
-from calib.robot.dh import EQUATIONS, HAYATI, MODIFIED, STANDARD
+from calib.robot.dh.rows import EQUATIONS, HAYATI, MODIFIED, STANDARD
 from calib.robot.ranges import random_joint_values
 from calib.robot.readback import check_written
 from calib.robot.readings import coupling_lines

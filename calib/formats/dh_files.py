@@ -21,8 +21,8 @@ from calib.files import write_atomically
 from calib.formats.notes import Note
 from calib.json_files import json_bytes
 from calib.model.dh_table import dh_table, near_parallel, taken_as_parallel
-from calib.robot.dh import HAYATI, MODIFIED, STANDARD, DHRow, DHTable
-from calib.robot.dh_json import NUMBERS, content, equation, joint_json
+from calib.robot.dh.json_file import NUMBERS, equation, file_content, joint_json
+from calib.robot.dh.rows import HAYATI, MODIFIED, STANDARD, DHRow, DHTable
 from calib.robot.ranges import spread_poses
 from calib.robot.readback import TOLERANCE
 from calib.robot.robot import Robot, rigid_inverse
@@ -95,7 +95,7 @@ class DHTables:
         Args:
             robot: The robot.
             nominal: The same chain before the calibration; None: not known.
-            convention: One of `calib.robot.dh.CONVENTIONS`.
+            convention: One of `calib.robot.dh.rows.CONVENTIONS`.
 
         Returns:
             The rows of both robots.
@@ -117,17 +117,12 @@ class DHTables:
         """Return what a controller adds to each row."""
         robot = self.robot
         at_zero = robot.chain_values(np.zeros(len(robot.joint_names)))[0].tolist()
-        result = []
         by_readings = robot.coupling @ robot.reading_matrix
+        result = []
         for coupled, value, row in zip(by_readings, at_zero, self.after.rows, strict=True):
             pairs = zip(robot.joint_names, (row.direction * coupled).tolist(), strict=True)
             factors = {name: factor for name, factor in pairs if factor}
-            offset = row.direction * value + row.offset + 0.0
-            own = [row.joint] if row.joint in factors else list(factors)[:1]
-            driver = own[0] if own else None
-            others = {name: factor for name, factor in factors.items() if name != driver}
-            formula = _formula({name: factors[name] for name in [*own, *others]}, offset, row)
-            result.append(Added(driver, factors.get(driver or "", 0.0), offset, formula, others))
+            result.append(_added(row, factors, row.direction * value + row.offset + 0.0))
         return result
 
     @property
@@ -162,6 +157,22 @@ class DHTables:
         tool = rigid_inverse(before.T_n_tip) @ after.T_n_tip
         change = DHTable(rows, base, tool, after.convention)
         return {"before": before, "after": after, "change": change}
+
+
+def _added(row: DHRow, factors: Mapping[str, float], offset: float) -> Added:
+    """Return the value that is added to a row.
+
+    Args:
+        row: The row.
+        factors: How many times the value of each joint, by name, in the order of the chain.
+        offset: What is added besides [rad or m].
+    """
+    driver = row.joint if row.joint in factors else next(iter(factors), None)
+    if driver is None:
+        return Added(None, 0.0, offset, _formula({}, offset, row))
+    others = {name: factor for name, factor in factors.items() if name != driver}
+    formula = _formula({driver: factors[driver], **others}, offset, row)
+    return Added(driver, factors[driver], offset, formula, others)
 
 
 def _check_poses(robot: Robot, table: DHTable, q: Array) -> None:
@@ -332,4 +343,4 @@ def _json(tables: DHTables) -> bytes:
     states = tables.states()
     tables_of_file = states if tables.before is not None else {"after": tables.after}
     names = {"name": robot.name, "base": robot.base, "tip": robot.tip}
-    return json_bytes(content(names, joints, tables_of_file))
+    return json_bytes(file_content(names, joints, tables_of_file))

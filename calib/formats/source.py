@@ -13,8 +13,8 @@ from calib.formats.ur_conf import Conf
 from calib.inputs import RobotInput, chain_of, robot_of
 from calib.mappings import keep_read_only
 from calib.result.calibration import CalibrationValues
+from calib.robot.generated.universal_robots import UrModel
 from calib.robot.robot import Robot
-from calib.robot.universal_robots import UrModel
 from calib.units import Array
 from calib.values.pickling import Value
 

@@ -23,10 +23,10 @@ from calib.inputs import RobotInput, chain_of
 from calib.json_files import parsed_json
 from calib.result.calibration import CalibrationValues
 from calib.result.calibration_file import read_result
-from calib.robot.dh import EQUATIONS
-from calib.robot.dh_file import ENDINGS as DH_ENDINGS, TABLES
+from calib.robot.dh.file import ENDINGS as DH_ENDINGS, TABLES
+from calib.robot.dh.rows import EQUATIONS
+from calib.robot.generated.universal_robots import UrModel, ur_model
 from calib.robot.robot import Robot
-from calib.robot.universal_robots import UrModel, ur_model
 from calib.robot.xacro_file import is_xacro
 
 #: Endings of YAML files.
@@ -187,7 +187,12 @@ def _robot(source: str, options: Options) -> Source:
 
 
 def robot_source(given: RobotInput, options: Options) -> Source:
-    """Return a robot, or what its URDF, xacro or name means, as a source beside the given nominal one."""
+    """Return a robot, or what its URDF, xacro or name means, as a source beside the given nominal one.
+
+    Args:
+        given: The robot, the path of its file, or its name.
+        options: The nominal robot, base and tip, and the arm of Universal Robots, where they are given.
+    """
     robot = options.load(given)
     nominal = _nominal_of(robot, options)
     model = None if nominal is None else _arm(nominal, options)

@@ -28,10 +28,10 @@ from calib.formats.ur_conf import LINEARISED, Conf, conf_bytes, read_nominal
 from calib.formats.ur_mount import Mount, distance_from, the_mount
 from calib.formats.ur_yaml import kinematics_bytes, read_kinematics, read_numbers
 from calib.model.dh_table import dh_table
-from calib.robot.dh import STANDARD
+from calib.robot.dh.rows import STANDARD
+from calib.robot.generated.universal_robots import MODELS, UrModel, chain_of_rows, ur_model
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot, read_only
-from calib.robot.universal_robots import MODELS, UrModel, chain_of_rows, ur_model
 from calib.units import Array
 
 PathLike = str | os.PathLike[str]

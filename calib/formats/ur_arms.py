@@ -17,9 +17,9 @@ import struct
 import numpy as np
 from numpy.typing import ArrayLike
 
-from calib.robot.dh import screw
+from calib.robot.dh.rows import screw
+from calib.robot.generated.universal_robots import UrModel, ur_model, ur_urdf
 from calib.robot.robot import Robot, read_only, rigid_inverse
-from calib.robot.universal_robots import UrModel, ur_model, ur_urdf
 from calib.robot.urdf import Urdf
 from calib.units import Array
 

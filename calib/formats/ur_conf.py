@@ -16,8 +16,8 @@ import numpy as np
 
 from calib.errors import FileError, choices
 from calib.files import read_bytes
+from calib.robot.generated.universal_robots import COLUMNS
 from calib.robot.robot import read_only
-from calib.robot.universal_robots import COLUMNS
 from calib.units import NUMBER, Array
 
 PathLike = str | os.PathLike[str]

@@ -16,8 +16,8 @@ import pinocchio as pin
 from calib.errors import ModelError, UrdfError, choices
 from calib.formats.ur_arms import SPREAD, chain_poses
 from calib.model.dh_table import zero_poses
+from calib.robot.generated.universal_robots import JOINTS, MODELS, UrModel
 from calib.robot.robot import Robot, read_only, rigid_inverse
-from calib.robot.universal_robots import JOINTS, MODELS, UrModel
 from calib.units import Array
 
 #: A robot within this of a nominal arm is nominal [m and rad].

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calib.robot.dh import HAYATI, MODIFIED, NEARLY_PARALLEL_RAD, DHRow
+from calib.robot.dh.rows import HAYATI, MODIFIED, NEARLY_PARALLEL_RAD, DHRow
 from calib.robot.robot import rigid_inverse
 from calib.units import Array
 
@@ -36,12 +36,12 @@ _ALONG = 1e-6
 class Rule:
     """The convention of rows, and the angle below which it takes axes as parallel."""
 
-    #: One of `calib.robot.dh.CONVENTIONS`
+    #: One of `calib.robot.dh.rows.CONVENTIONS`
     convention: str
     #: Axes at a smaller angle are parallel, in the standard and modified conventions [rad]
     limit: float
     #: True if the references are rows as a controller has them, of which every number is kept that can be: d between
-    #: parallel axes, where a sliding axis lies, and that the last row ends on the last axis.
+    #: parallel axes, the place of a sliding axis, and a, alpha and beta of the last row.
     keeps: bool = False
 
     @property
@@ -108,29 +108,48 @@ def row_to(
         reference: The row whose open choices are kept; None for none.
         rule: The convention, and the angle below which axes count as parallel.
     """
-    x = T[:3, 0]
     z = T[:3, 2]
     normal = cross(z, axis)
     sine = float(np.linalg.norm(normal))
     between = point - T[:3, 3]
     if rule.parallel(sine, reference):
-        near = x if reference is None else reference.x
-        d = reference.row.d if reference is not None and rule.keeps else 0.0
-        offset = _offset(between - d * z, z, axis)
-        row = _parallel_row(T, axis, offset, near, tilted=rule.hayati)
-        return row._replace(d=d)
+        return _row_to_parallel(T, axis, between, reference, rule)
     normal /= sine
-    if _points_backwards(normal, x, between, reference):
+    if _points_backwards(normal, T[:3, 0], between, reference):
         normal = -normal
     # Feet of the common normal: origin + d z + a normal = point + s axis.
     d, a, _ = np.linalg.solve(np.stack([z, normal, -axis], axis=1), between)
     return RowNumbers(
-        theta=_turn(x, normal, about=z),
+        theta=_turn(T[:3, 0], normal, about=z),
         d=float(d),
         a=float(a),
         alpha=_turn(z, axis, about=normal),
         beta=0.0,
     )
+
+
+def _row_to_parallel(
+    T: Array, axis: Array, between: Array, reference: Reference | None, rule: Rule
+) -> RowNumbers:
+    """Return the row from a frame to an axis that counts as parallel; d is 0, or the reference's where it is kept.
+
+    Args:
+        T: Shape (4, 4), [m], the frame before the row, in the base at q = 0.
+        axis: Shape (3,), unit vector along the next axis.
+        between: Shape (3,), [m], from the frame's origin to a point of that axis.
+        reference: The row whose open choices are kept; None for none.
+        rule: The convention, and whether d is kept.
+    """
+    near = T[:3, 0]
+    d = 0.0
+    if reference is not None:
+        near = reference.x
+    if reference is not None and rule.keeps:
+        d = reference.row.d
+    z = T[:3, 2]
+    offset = _offset(between - d * z, z, axis)
+    row = _parallel_row(T, axis, offset, near, tilted=rule.hayati)
+    return row._replace(d=d)
 
 
 def _turn(start: Array, end: Array, *, about: Array) -> float:
@@ -256,10 +275,12 @@ def sliding_axis(
     rule: Rule,
     beyond: tuple[Array, Array, Reference] | None,
 ) -> Array:
-    """Return a point that a sliding joint's axis is taken through: its place is free, and rows keep their numbers.
+    """Return a point that the axis of a sliding joint is taken through.
 
-    The row to it keeps d and a. Where the axis behind it is parallel, the row from it keeps d, a and theta instead: the
-    row between axes that lie in each other could not hold that the one moves beside the other.
+    Only the direction in which a joint slides matters: its axis may be moved sideways, here so that rows keep their
+    numbers. The row to the axis keeps d and a. Where the axis behind it is parallel, the row from it keeps d, a and
+    theta instead: if the two were one line, no number of that row could hold a correction that moves one beside the
+    other.
 
     Args:
         T: Shape (4, 4), [m], the frame before the row to the sliding axis, in the base at q = 0.
@@ -276,17 +297,37 @@ def sliding_axis(
     if beyond is not None:
         point, next_axis, row_beyond = beyond
         if rule.parallel(float(np.linalg.norm(cross(axis, next_axis))), row_beyond):
-            x = T[:3, :3] @ np.array([np.cos(along.theta), np.sin(along.theta), 0.0])
-            z = T[:3, 2]
-            is_parallel = rule.parallel(float(np.linalg.norm(cross(z, axis))), reference)
-            # The frame behind the row to the sliding axis lies in a plane across z, or in one along z and x.
-            across = z if is_parallel else cross(z, x)
-            start = T[:3, 3] + z * (reference.row.d if is_parallel else 0.0)
+            start, across = _plane_of_foot(T, axis, along.theta, reference, rule)
             back = axis * row_beyond.row.d + _across(axis, row_beyond.x) * row_beyond.row.a
             end = point - back
             return np.asarray(end + next_axis * (((start - end) @ across) / (next_axis @ across)))
     kept = replace(reference.row, theta=along.theta, alpha=0.0, beta=0.0)
     return np.asarray((T @ kept.matrix())[:3, 3])
+
+
+def _plane_of_foot(
+    T: Array, axis: Array, theta: float, reference: Reference, rule: Rule
+) -> tuple[Array, Array]:
+    """Return the plane that the frame behind a row can lie in, whose theta is given and whose a is free.
+
+    Of a parallel axis d is kept, so that the plane lies across z; of another one d is free, so that it lies along z
+    and x.
+
+    Args:
+        T: Shape (4, 4), [m], the frame before the row, in the base at q = 0.
+        axis: Shape (3,), unit vector along the next axis.
+        theta: Angle about z of the frame, from its x to that of the frame behind the row [rad].
+        reference: The row whose numbers are kept.
+        rule: The convention, and the angle below which axes count as parallel.
+
+    Returns:
+        A point of the plane, shape (3,), [m], and its normal, shape (3,).
+    """
+    z = T[:3, 2]
+    if rule.parallel(float(np.linalg.norm(cross(z, axis))), reference):
+        return T[:3, 3] + z * reference.row.d, z
+    x = T[:3, :3] @ np.array([np.cos(theta), np.sin(theta), 0.0])
+    return T[:3, 3], cross(z, x)
 
 
 def first_frame(point: Array, axis: Array, near: Array) -> Array:

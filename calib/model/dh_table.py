@@ -1,4 +1,4 @@
-"""The DH table of a robot's chain, row by row from the base to the tip; see `calib.robot.dh` for the conventions."""
+"""The DH table of a robot's chain, row by row from the base to the tip; `calib.robot.dh.rows` has the conventions."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from calib.model.common_normals import (
     row_to,
     sliding_axis,
 )
-from calib.robot.dh import (
+from calib.robot.dh.rows import (
     HAYATI,
     MODIFIED,
     NEARLY_PARALLEL_RAD,
@@ -167,12 +167,10 @@ def _product(robot: Robot, rule: Rule, like: DHTable | None = None) -> DHTable:
         rule: The convention, and the angle below which axes count as parallel.
         like: Rows of a robot of the same chain, in the same bracketing, whose open choices are kept; None for none.
     """
-    T_base_joint, T_base_tip = zero_poses(robot)
-    directions = [1] * len(robot.joints) if like is None else [row.direction for row in like.rows]
-    axes = [d * axis for d, axis in zip(directions, _axes(robot, T_base_joint), strict=True)]
-    references = _references(like, len(axes))
+    T_base_tip = zero_poses(robot)[1]
+    references = _references(like, len(robot.joints))
+    points, axes = _lines(robot, references)
     near = np.eye(4) if like is None else like.T_base_0
-    points = [T[:3, 3] for T in T_base_joint]
     if rule.keeps and robot.joints[0].type == "prismatic":
         points[0] = near[:3, 3]
     T_base_0 = first_frame(points[0], axes[0], near)
@@ -191,7 +189,7 @@ def _product(robot: Robot, rule: Rule, like: DHTable | None = None) -> DHTable:
             joint.name,
             joint.type == "prismatic",
             *numbers,
-            direction=directions[i],
+            direction=_direction(references[i]),
             lower=joint.lower,
             upper=joint.upper,
         )
@@ -203,6 +201,24 @@ def _product(robot: Robot, rule: Rule, like: DHTable | None = None) -> DHTable:
         T_n_tip=read_only(rigid_inverse(T) @ T_base_tip),
         convention=HAYATI if rule.hayati else STANDARD,
     )
+
+
+def _lines(robot: Robot, references: Sequence[Reference | None]) -> tuple[list[Array], list[Array]]:
+    """Return a point of each joint's axis, (3,) [m] in the base at q = 0, and the axes as rows have them.
+
+    An axis is a unit vector (3,), turned round where a reference adds the joint's value with the direction -1.
+    """
+    T_base_joint, _ = zero_poses(robot)
+    points = [T[:3, 3] for T in T_base_joint]
+    axes = []
+    for axis, reference in zip(_axes(robot, T_base_joint), references, strict=True):
+        axes.append(_direction(reference) * axis)
+    return points, axes
+
+
+def _direction(reference: Reference | None) -> int:
+    """Return the factor of a joint's value, 1 or -1, as a reference has it; 1 without one."""
+    return 1 if reference is None else reference.row.direction
 
 
 def _free_point(
@@ -251,9 +267,10 @@ def _in_form_of(sheet: DHTable, table: DHTable) -> DHTable:
     if sheet.convention == MODIFIED:
         first = sheet.rows[0]
         table = _rebracketed(table)
-        own = (replace(table.rows[0], a=first.a, alpha=first.alpha), *table.rows[1:])
+        # The sheet's first row may have a and alpha, which frame 0 of `_rebracketed` has taken up.
+        moved_rows = (replace(table.rows[0], a=first.a, alpha=first.alpha), *table.rows[1:])
         before = rigid_inverse(screw(0, first.alpha, first.a))
-        table = DHTable(own, read_only(table.T_base_0 @ before), table.T_n_tip, MODIFIED)
+        table = DHTable(moved_rows, read_only(table.T_base_0 @ before), table.T_n_tip, MODIFIED)
     rows = []
     for row, of_sheet in zip(table.rows, sheet.rows, strict=True):
         moved = _with_offset(row, of_sheet.offset)

@@ -31,7 +31,7 @@ from calib.model.parameters import (
     Parameter as Parameter,
     twist_of,
 )
-from calib.robot.dh import DHRow, dh_frames, screw
+from calib.robot.dh.rows import DHRow, dh_frames, screw
 from calib.robot.gravity import GRAVITY
 from calib.robot.robot import Robot, read_only, rigid_inverse
 from calib.robot.urdf import UrdfJoint

@@ -15,7 +15,7 @@ from calib.data.measurements import Measurements
 from calib.regions.region import Density, Region
 from calib.robot.chain import rigid_inverse
 from calib.robot.robot import Robot
-from calib.table import Table
+from calib.tables.table import Table
 from calib.units import Array, Mask
 from calib.values.pickling import Value
 

@@ -39,13 +39,13 @@ _MEANING = {
 
 @dataclass(frozen=True, slots=True)
 class Origins:
-    """Where an evaluation is from; empty where there is no such thing."""
+    """Sources of an evaluation, which its report names; empty where there is none."""
 
     #: Name of the result's file
     result: str = ""
     #: SHA-256 of its bytes
     result_sha256: str = ""
-    #: Where targets are from that were not registered
+    #: Source, in words, of targets that were not registered to the rows
     target: str = "as given"
     #: The command line that made the evaluation
     command: str = ""
@@ -59,7 +59,7 @@ def write_evaluation_report(
     Args:
         e: The evaluation.
         path: Name of the file, which ends in .html or .htm.
-        origins: Where it is from; None: from memory.
+        origins: Its sources; None: values in memory.
         overwrite: Replace an existing file.
 
     Returns:
@@ -78,7 +78,7 @@ def evaluation_report_bytes(e: Assessment, origins: Origins) -> bytes:
 
     Args:
         e: The evaluation.
-        origins: Where it is from.
+        origins: Its sources.
     """
     reasons = _reasons(e, origins.result)
     rule = list(_rule(e))

@@ -36,12 +36,20 @@ _COMPARED = {"max": "ap_max", "mean": "ap_mean", "single": "single_max"}
 #: Title of the first page's table.
 _FIRST_TITLE = "Pose accuracy and repeatability, ISO 9283"
 
+#: Cells of a row that is not compared with a tolerance.
+_NO_CHECK = 4 * ("",)
+
 #: Digits behind the point of the factor of registration.
 _FACTOR_DIGITS = 3
 
 
 def accuracy(e: Assessment, unit: str) -> Table:
-    """Tabulate AP, RP and the largest single error of each robot in one unit; the evaluated robot is strong."""
+    """Tabulate AP, RP and the largest single error of each robot in one unit; the evaluated robot is strong.
+
+    Args:
+        e: The evaluation.
+        unit: Symbol of the unit.
+    """
     robots = figures_of(e)
     rows = accuracy_cells(robots, unit)
     heads = ("robot", *ACCURACY_HEADS)
@@ -63,12 +71,13 @@ def before_and_after(e: Assessment) -> Table:
     for unit in accuracy_units(figures_of(e)):
         for key in keys:
             values = [e.accuracies[who].figures(unit)[key] for who in shown_robots]
-            cells = [shown(value, unit) for value in values]
-            if a is not None:
-                is_compared = key == compared and unit in a.checks
-                strong += [len(rows)] * is_compared
-                cells += _check_cells(a, unit) if is_compared else 4 * [""]
-            rows.append((f"{_NAMES[key]}, {_of_unit(unit)}", *cells))
+            row = [f"{_NAMES[key]}, {_of_unit(unit)}", *(shown(value, unit) for value in values)]
+            if a is not None and key == compared and unit in a.checks:
+                strong.append(len(rows))
+                row += _check_cells(a, unit)
+            elif a is not None:
+                row += _NO_CHECK
+            rows.append(tuple(row))
     heads = ["figure A", *_robot_heads(shown_robots)]
     align = "l" + "r" * (len(heads) - 1)
     if a is not None:
@@ -153,7 +162,12 @@ def poses(e: Assessment, robot: str) -> Table:
 
 
 def errors(e: Assessment, unit: str) -> Table:
-    """Tabulate the errors of each robot by set of rows in one unit."""
+    """Tabulate the errors of each robot by set of rows in one unit.
+
+    Args:
+        e: The evaluation.
+        unit: Symbol of the unit.
+    """
     rows: list[Sequence[str]] = []
     names = iter(NAMES[who] for who in e.evaluations)
     robot = ""

@@ -93,8 +93,8 @@ class FirstPage:
     def listed(self) -> list[str]:
         """The reasons that there is room for, long ones shortened; the last line counts the others."""
         room = _LINES - len(self.table.rows) - _lines(self.note, _LINE)
-        for (_, one), (_, other) in zip(self.left, self.right, strict=True):
-            room -= max(_lines(one, _ENTRY), _lines(other, _ENTRY), 1) - 1
+        for (_, on_left), (_, on_right) in zip(self.left, self.right, strict=True):
+            room -= max(_lines(on_left, _ENTRY), _lines(on_right, _ENTRY), 1) - 1
         shown: list[str] = []
         for reason in self.reasons:
             text = _shortened(reason, _REASON)
@@ -128,7 +128,12 @@ def _shortened(text: str, longest: int) -> str:
 
 
 def left_lines(record: Record, robot: Robot) -> list[Line]:
-    """Return the lines about customer and robot."""
+    """Return the lines about customer and robot.
+
+    Args:
+        record: The record of the measurement.
+        robot: The robot.
+    """
     chain = f"{robot.name}, {robot.base} to {robot.tip}, {plural(len(robot.joints), 'joint')}"
     return [
         ("Customer", record.customer),

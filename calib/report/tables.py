@@ -20,7 +20,7 @@ from calib.numerics.errors import Errors, UnitErrors
 from calib.report.table import MOST_LISTED, Table
 from calib.result.calibration import CalibrationValues
 from calib.result.prediction import ParameterEstimate
-from calib.robot.dh import DHRow
+from calib.robot.dh.rows import DHRow
 from calib.robot.robot import rigid_inverse
 from calib.text.layout.lines import number
 from calib.text.layout.sizes import shown
@@ -59,16 +59,12 @@ def errors(c: CalibrationValues, unit: str) -> Table:
         Number of rows, largest, mean and rms error of each set. Position errors also have their span (largest minus
         smallest signed error) along each axis of the measurement frame. The calibrated robot's rows are strong.
     """
-    labelled = texts.error_rows(c)
-    figures = [of_rows[unit] for _, of_rows in labelled]
-    with_span = RESIDUAL_UNITS[unit].shows_span and any(_has_span(e) for e in figures)
-    rows: list[tuple[str, ...]] = []
-    strong = []
-    for label, e in zip(_full_labels(labelled), figures, strict=True):
-        if e.n:
-            if ", calibrated" in label:
-                strong.append(len(rows))
-            rows.append((label, f"{e.n:,}", *_error_cells(e, with_span=with_span)))
+    figures = _figures_by_label(c, unit)
+    with_span = RESIDUAL_UNITS[unit].shows_span and any(map(_has_span, figures.values()))
+    rows = [
+        (label, f"{e.n:,}", *_error_cells(e, with_span=with_span)) for label, e in figures.items()
+    ]
+    strong = [i for i, label in enumerate(figures) if ", calibrated" in label]
     notes = []
     if c.cross_validation is not None:
         notes.append(f"{texts.held_out_text(c)}.")
@@ -89,23 +85,15 @@ def before_and_after(c: CalibrationValues) -> Table:
 
     In each unit that was measured these are validation and held-out rows; the estimation rows where there are neither.
     """
-    before, after = c.errors["nominal"], c.errors["calibrated"]
-    sets = [("validation rows", before["validation"], after["validation"])]
-    if c.cross_validation is not None and c.nominal_cross_validation is not None:
-        nominal, fitted = c.nominal_cross_validation, c.cross_validation
-        sets.append(("held-out rows", nominal.errors, fitted.errors))
-        if c.outliers:
-            without = (nominal.errors_without_outliers, fitted.errors_without_outliers)
-            sets.append(("held-out, without outliers", *without))
-    if not any(of_rows.leading.n for _, _, of_rows in sets):
-        sets = [("estimation rows", before["estimation"], after["estimation"])]
+    sets = _sets_before_and_after(c)
     rows = []
     for unit in c.channels.present:
         name = f"{RESIDUAL_UNITS[unit].measured} [{RESIDUAL_UNITS[unit].shown}]"
-        for label, nominal_errors, errors in sets:
-            if errors[unit].n:
-                cells = [_error_cells(of_robot[unit]) for of_robot in (nominal_errors, errors)]
-                rows.append((name, label, f"{errors[unit].n:,}", *cells[0], *cells[1]))
+        for label, nominal, calibrated in sets:
+            count = calibrated[unit].n
+            if count:
+                cells = (*_error_cells(nominal[unit]), *_error_cells(calibrated[unit]))
+                rows.append((name, label, f"{count:,}", *cells))
                 name = ""
     return Table(
         "Size of the error by set of rows",
@@ -114,6 +102,34 @@ def before_and_after(c: CalibrationValues) -> Table:
         "llrrrrrrr",
         groups=(("", 3), ("before: nominal", 3), ("after: calibrated", 3)),
     )
+
+
+def _sets_before_and_after(c: CalibrationValues) -> list[tuple[str, Errors, Errors]]:
+    """Return the label of each set of rows that took no part in the fit, and both robots' errors of it.
+
+    The estimation rows where there is no such set.
+    """
+    before, after = c.errors["nominal"], c.errors["calibrated"]
+    sets = [("validation rows", before["validation"], after["validation"])]
+    if c.cross_validation is not None and c.nominal_cross_validation is not None:
+        nominal, fitted = c.nominal_cross_validation, c.cross_validation
+        sets.append(("held-out rows", nominal.errors, fitted.errors))
+        if c.outliers:
+            without = (nominal.errors_without_outliers, fitted.errors_without_outliers)
+            sets.append(("held-out, without outliers", *without))
+    if any(calibrated.leading.n for _, _, calibrated in sets):
+        return sets
+    return [("estimation rows", before["estimation"], after["estimation"])]
+
+
+def _figures_by_label(c: CalibrationValues, unit: str) -> dict[str, UnitErrors]:
+    """Return the errors in one unit of each set of rows that has any, by the set's label."""
+    labelled = texts.error_rows(c)
+    figures = {}
+    for label, (_, errors_of_set) in zip(_full_labels(labelled), labelled, strict=True):
+        if errors_of_set[unit].n:
+            figures[label] = errors_of_set[unit]
+    return figures
 
 
 def _full_labels(labelled: Iterable[tuple[str, Errors]]) -> list[str]:
@@ -217,10 +233,23 @@ def _error_columns(c: CalibrationValues, indices: NDArray[np.int_], unit: str) -
     """
     if unit == "m":
         return _length_columns(c, indices)
-    sizes = [c.channels.norms(residual, unit)[indices] for _, residual in _residuals(c)]
     of_unit = RESIDUAL_UNITS[unit]
-    cells = [[shown(size, unit) for size in sizes_of_row] for sizes_of_row in np.transpose(sizes)]
+    cells = _sizes_before_and_after(c, indices, unit)
     return _Columns([(f"{of_unit.measured} [{of_unit.shown}]", 2)], ["before", "after"], cells)
+
+
+def _sizes_before_and_after(
+    c: CalibrationValues, indices: NDArray[np.int_], unit: str
+) -> list[list[str]]:
+    """Write the errors of rows in one unit before and after calibration, two cells for each row.
+
+    Args:
+        c: The result.
+        indices: Indices of the K rows.
+        unit: Symbol of the unit.
+    """
+    sizes = [c.channels.norms(residual, unit)[indices] for _, residual in _residuals(c)]
+    return [[shown(size, unit) for size in sizes_of_row] for sizes_of_row in np.transpose(sizes)]
 
 
 def _length_columns(c: CalibrationValues, indices: NDArray[np.int_]) -> _Columns:
@@ -251,12 +280,11 @@ def flagged(c: CalibrationValues) -> Table:
     indices = np.array([m.rows.index(outlier.row) for outlier in listed], dtype=np.int_)
     names, rows = _row_columns(c, indices)
     unit = c.channels.present[0]
-    before = c.channels.norms(c.residual_nominal, unit)
-    after = c.channels.norms(c.residual_calibrated, unit)
     shown_unit = RESIDUAL_UNITS[unit].shown
-    for outlier, i, cells in zip(listed, indices, rows, strict=True):
-        cells += [m.sets[i], shown(before[i], unit), shown(after[i], unit)]
-        cells += [number(outlier.score, 1), f"{c.weights[i]:.2f}"]
+    for outlier, i, cells, sizes in zip(
+        listed, indices, rows, _sizes_before_and_after(c, indices, unit), strict=True
+    ):
+        cells += [m.sets[i], *sizes, number(outlier.score, 1), f"{c.weights[i]:.2f}"]
     note = (
         "Score: distance from what the other rows predict, in standard deviations. Estimation rows are flagged "
         f"beyond {c.flag_limit:.1f}."

@@ -390,7 +390,6 @@ def assess(
     seen = np.zeros(len(table), dtype=bool)
     if calibration is not None:
         seen = fitted_rows(calibration, robot, table, cell)
-    hint = _explanation(evaluations, cell, calibration, which)
     judged = _judged_name(judge, evaluations)
     accuracies = {name: accuracy(evaluation, seen=seen) for name, evaluation in evaluations.items()}
     accepted = None
@@ -406,7 +405,7 @@ def assess(
         judged=judged,
         accepted=accepted,
         outside=_outside(table, calibration, accuracies[judged], judged),
-        hint=hint,
+        hint=_explanation(evaluations, cell, calibration, which),
     )
 
 

@@ -14,7 +14,7 @@ where S is the standard deviation over n - 1. Rows in the order of the table are
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from typing import NamedTuple
@@ -89,16 +89,16 @@ def characteristics(evaluation: EvaluationValues, judged: Accuracy) -> tuple[Cha
     Returns:
         AD and RD of positions, and vAP, dAP and dRP in each unit; NaN for those that the rows do not have.
     """
-    found = []
+    result = []
     if _LENGTH in judged.units:
-        found += _of_distances(_pairs(evaluation, judged))
+        result += _of_distances(_pairs(evaluation, judged))
     poses = {unit: list(_poses(evaluation, judged, unit)) for unit in judged.units}
     for symbol, figure in _OF_POSES.items():
         for unit, of_unit in poses.items():
             values = [figure(pose, unit) for pose in of_unit]
             rows = [(pose.row,) for pose in of_unit]
-            found.append(_summary(symbol, unit, np.array(values), rows))
-    return tuple(found)
+            result.append(_summary(symbol, unit, np.array(values), rows))
+    return tuple(result)
 
 
 def _summary(
@@ -177,26 +177,54 @@ def _pairs_of_place(
         poses: Of each pose the indices of its repeats, in the order of the table.
 
     Returns:
-        The k (k - 1) / 2 pairs; mean and standard deviation are updated repeat by repeat (Welford).
+        The k (k - 1) / 2 pairs.
     """
     first, second = np.triu_indices(len(poses), 1)
-    counts, means, squares = (
-        np.zeros(len(first), dtype=int),
-        np.zeros(len(first)),
-        np.zeros(len(first)),
-    )
+    repeats = np.array(list(map(len, poses)))
+    counts = np.minimum(repeats[first], repeats[second])
+    errors = _distance_errors(measured, predicted, poses)
+    first_rows = numbers[_rows_of_repeat(poses, 0)]
+    rows = np.stack([first_rows[first], first_rows[second]], axis=1)
+    return _Pairs(rows, counts, *_mean_and_deviation(errors, counts))
+
+
+def _distance_errors(
+    measured: Array, predicted: Array, poses: list[NDArray[np.intp]]
+) -> Iterator[Array]:
+    """Yield, repeat by repeat, the errors D_j - Dc_j of the distances of all pairs of poses, shape (P,), [m].
+
+    Args:
+        measured: Measured positions of N rows in one frame, shape (N, 3), [m].
+        predicted: Those that the robot's model predicts, likewise.
+        poses: Of each pose the indices of its repeats; errors of a repeat that one of a pair lacks have no meaning.
+    """
     for j in range(max(map(len, poses))):
-        row = np.array([pose[j] if j < len(pose) else pose[0] for pose in poses])
-        has_repeat = np.array([j < len(pose) for pose in poses])
-        both = has_repeat[first] & has_repeat[second]
-        error = np.where(both, pdist(measured[row]) - pdist(predicted[row]), means)
-        counts = counts + both
-        change = error - means
-        means = means + change / np.maximum(counts, 1)
-        squares = squares + change * (error - means)
-    firsts = numbers[[pose[0] for pose in poses]]
-    rows = np.stack([firsts[first], firsts[second]], axis=1)
-    return _Pairs(rows, counts, means, np.sqrt(squares / np.maximum(counts - 1, 1)))
+        row = _rows_of_repeat(poses, j)
+        yield pdist(measured[row]) - pdist(predicted[row])
+
+
+def _mean_and_deviation(errors: Iterable[Array], counts: NDArray[np.int_]) -> tuple[Array, Array]:
+    """Return mean and standard deviation over n - 1 of P errors, updated repeat by repeat (Welford).
+
+    Args:
+        errors: The errors of each repeat, shape (P,).
+        counts: Of each error the number of repeats that count, the first ones, shape (P,).
+    """
+    mean = np.zeros(len(counts))
+    square = np.zeros(len(counts))
+    for j, error in enumerate(errors):
+        change = np.where(j < counts, error - mean, 0.0)
+        mean = mean + change / (j + 1)
+        square = square + change * (error - mean)
+    return mean, np.sqrt(square / np.maximum(counts - 1, 1))
+
+
+def _rows_of_repeat(poses: list[NDArray[np.intp]], j: int) -> NDArray[np.intp]:
+    """Return the index of repeat j, from 0, of each of k poses, shape (k,).
+
+    Of a pose with fewer repeats it is that of the first one, whose distances do not count.
+    """
+    return np.array([pose[j] if j < len(pose) else pose[0] for pose in poses])
 
 
 # Approaches and drift of one pose
@@ -236,7 +264,7 @@ def _variation(pose: _Pose, unit: str) -> float:  # noqa: ARG001
         of_approach = pose.errors[words == approach]
         if approach and len(of_approach) >= FEWEST_REPEATS:
             means.append(of_approach.mean(axis=0))
-    distances = [float(np.linalg.norm(one - other)) for one, other in combinations(means, 2)]
+    distances = [float(np.linalg.norm(a - b)) for a, b in combinations(means, 2)]
     return max(distances, default=np.nan)
 
 

@@ -34,8 +34,8 @@ from calib.robot.chain import (
     farthest_link,
     rigid_inverse,
 )
-from calib.robot.dh import STANDARD, DHRow, DHTable
-from calib.robot.dh_robot import DHRobot
+from calib.robot.dh.description import DHRobot
+from calib.robot.dh.rows import STANDARD, DHRow, DHTable
 from calib.robot.readings import ReadingCoupling, checked_coupling, reading_matrix
 from calib.robot.urdf import Urdf, UrdfJoint, read_only, read_urdf, urdf_of_dh
 from calib.units import Array, Mask
@@ -195,7 +195,7 @@ class Robot(Value):
         T_n_tip: ArrayLike | None = None,
         coupling: Mapping[str, Mapping[str, float]] | None = None,
     ) -> Robot:
-        """Return the robot that DH rows state, from the link ``base`` to the link ``flange``.
+        """Return the robot that DH rows describe, from the link ``base`` to the link ``flange``.
 
             standard   T_base_tip = T_base_0  A_1 ... A_n  T_n_tip,   A_i = Rz(theta_i) Tz(d_i) Tx(a_i) Rx(alpha_i)
             hayati     the same with A_i Ry(beta_i)

@@ -19,11 +19,11 @@ import pinocchio as pin
 from calib.errors import CalibError, UrdfError, choices, did_you_mean
 from calib.files import check_no_xacro, read_bytes, write_atomically
 from calib.json_files import parsed_json
-from calib.robot.dh_file import ENDINGS, read_dh_robot
-from calib.robot.dh_json import robot_of_json
-from calib.robot.dh_robot import DHRobot
-from calib.robot.dh_urdf import REMARK, dh_urdf
-from calib.robot.universal_robots import MODELS, named_ur_urdf, ur_model
+from calib.robot.dh.description import DHRobot
+from calib.robot.dh.file import ENDINGS, read_dh_robot
+from calib.robot.dh.json_file import robot_of_json
+from calib.robot.generated.dh_urdf import REMARK, dh_urdf
+from calib.robot.generated.universal_robots import MODELS, named_ur_urdf, ur_model
 from calib.robot.urdf_tree import UrdfJoint, read_only, read_tree
 from calib.robot.urdf_xml import Document
 from calib.robot.xacro_file import XacroCall, flattened, is_xacro
@@ -346,7 +346,7 @@ def _origin_tag(T: Array) -> bytes:
 
 
 def urdf_of_dh(robot: DHRobot, source: str, path: Path | None = None) -> Urdf:
-    """Return the URDF of a robot that DH rows state, with links drawn as cylinders.
+    """Return the URDF of a robot that DH rows describe, with links drawn as cylinders.
 
     Args:
         robot: The robot; the joints of the URDF have the values of its joints, not coupled readings.

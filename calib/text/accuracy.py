@@ -78,7 +78,12 @@ def accuracy_units(robots: Mapping[str, Accuracy]) -> list[str]:
 
 
 def accuracy_title(robots: Mapping[str, Accuracy], unit: str) -> str:
-    """Return the title of a table of accuracies in one unit: the accuracy of lengths alone is none of a pose."""
+    """Return the title of a table of accuracies in one unit: the accuracy of lengths alone is none of a pose.
+
+    Args:
+        robots: The accuracy of each robot, by its name in the table.
+        unit: Symbol of the unit.
+    """
     poses = [pose for accuracy in robots.values() for pose in accuracy.poses]
     points = any(registry.get(pose.kind).coordinates for pose in poses)
     if unit == "m":
@@ -89,7 +94,15 @@ def accuracy_title(robots: Mapping[str, Accuracy], unit: str) -> str:
 
 
 def accuracy_cells(robots: Mapping[str, Accuracy], unit: str) -> list[tuple[str, ...]]:
-    """Return the rows of a table of accuracies in one unit: the robot's name, and a cell by `ACCURACY_HEADS`."""
+    """Return the rows of a table of accuracies in one unit.
+
+    Args:
+        robots: The accuracy of each robot, by its name in the table.
+        unit: Symbol of the unit.
+
+    Returns:
+        Of each robot its name, and a cell for each of `ACCURACY_HEADS`.
+    """
     rows = []
     for name, accuracy in robots.items():
         count = len(accuracy.of("ap", unit))
@@ -110,26 +123,26 @@ def _accuracy_table(robots: Mapping[str, Accuracy], unit: str) -> str:
 # Further characteristics
 
 
-def characteristics_text(found: Sequence[Characteristic], robot: str) -> str:
+def characteristics_text(characteristics: Sequence[Characteristic], robot: str) -> str:
     """Write the further characteristics of one robot, and what is missing for those that the rows do not have.
 
     Args:
-        found: The characteristics.
+        characteristics: AD, RD, vAP, dAP and dRP.
         robot: The robot's name in tables.
     """
     columns = [name_column(f"Further figures of ISO 9283: {robot}", 51)]
     columns += [Column(head, 10) for head in CHARACTERISTIC_HEADS]
     rows: list[Sequence[str] | str] = [
-        (f"  {name}", *cells) for name, *cells in characteristic_cells(found)
+        (f"  {name}", *cells) for name, *cells in characteristic_cells(characteristics)
     ]
-    rows += [f"  {symbol} n/a: needs {needed}" for symbol, needed in missing(found)]
+    rows += [f"  {symbol} n/a: needs {needed}" for symbol, needed in missing(characteristics)]
     return "\n".join(table_lines(columns, rows))
 
 
-def characteristic_cells(found: Sequence[Characteristic]) -> list[tuple[str, ...]]:
+def characteristic_cells(characteristics: Sequence[Characteristic]) -> list[tuple[str, ...]]:
     """Return the characteristics that the rows have: the name of each, and a cell by `CHARACTERISTIC_HEADS`."""
     rows: list[tuple[str, ...]] = []
-    for characteristic in found:
+    for characteristic in characteristics:
         if characteristic.count:
             unit = characteristic.unit
             name, noun, _ = _CHARACTERISTICS[characteristic.symbol]
@@ -144,13 +157,13 @@ def characteristic_cells(found: Sequence[Characteristic]) -> list[tuple[str, ...
     return rows
 
 
-def missing(found: Sequence[Characteristic]) -> list[tuple[str, str]]:
+def missing(characteristics: Sequence[Characteristic]) -> list[tuple[str, str]]:
     """Return what is missing for the characteristics that the rows do not have.
 
     Returns:
         Symbols that need the same, ``"dAP, dRP"``, and what they need, in words.
     """
-    present = {characteristic.symbol for characteristic in found if characteristic.count}
+    present = {characteristic.symbol for characteristic in characteristics if characteristic.count}
     symbols_by_need: dict[str, list[str]] = {}
     for symbol, (_, _, needed) in _CHARACTERISTICS.items():
         if symbol not in present:

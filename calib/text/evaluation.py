@@ -82,7 +82,12 @@ def evaluation_text(e: EvaluationValues) -> str:
 
 
 def robot_in_words(e: Assessment, result: str) -> str:
-    """Name the evaluated robot in a sentence; ``result`` is the name of the result's file."""
+    """Name the evaluated robot in a sentence.
+
+    Args:
+        e: The evaluation.
+        result: Name of the result's file.
+    """
     return _LONG_NAMES[e.judged].format(result)
 
 
@@ -220,7 +225,12 @@ def _rows_reasons(a: Acceptance) -> Iterator[str]:
 
 
 def places_of(e: Assessment, source: str) -> list[str]:
-    """Word the places of targets and frames, and where these are from; see `assessment_text`."""
+    """Word the places of targets and frames, and their sources.
+
+    Args:
+        e: The evaluation.
+        source: Source, in words, of targets that were not registered to the rows.
+    """
     evaluation = e.evaluations["urdf"]
     origin = "registered to the rows" if "target" in evaluation.registered else source
     sentences, setup = [], evaluation.setup

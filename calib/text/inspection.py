@@ -11,7 +11,7 @@ from calib.channels import RESIDUAL_UNITS
 from calib.design.forecast import Forecast
 from calib.diagnosis.inspection import GENERIC_ANCHOR, GENERIC_TARGET, Inspection
 from calib.model.dh_table import dh_table
-from calib.robot.dh import DHRow
+from calib.robot.dh.rows import DHRow
 from calib.robot.robot import Robot
 from calib.robot.urdf import UrdfJoint
 from calib.text.layout.lines import fill, listed, number, wrap

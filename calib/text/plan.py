@@ -96,30 +96,34 @@ def _mm(value: float) -> str:
 
 def _head(plan: PlanValues) -> Iterator[str]:
     """Write the robot, the numbers of poses and candidates, and the model."""
-    robot, forecast, count = plan.robot, plan.forecast, len(plan.estimation)
+    robot, count = plan.robot, len(plan.estimation)
     taken = f" beside {len(plan.taken)} measured already" if len(plan.taken) else ""
     yield (
         f"Plan for '{robot.name}' ({robot.urdf.source}), chain {robot.base} to {robot.tip}: {count} poses for "
         f"calibration{taken}, {len(plan.joints) - count} for validation; targets at each: {', '.join(plan.targets)}."
     )
-    auto = ", for 'auto'" if plan.cell.model != plan.model else ""
-    model = (
-        f"{plan.model}{auto}: {forecast.columns} parameters, rank {forecast.rank} (whole workspace "
-        f"{forecast.workspace_rank})"
-    )
-    indices = ", ".join(f"{name} {value:.3g}" for name, value in forecast.indices.items())
-    rejected = ", ".join(f"{n} {_REASONS[why]}" for why, n in plan.refused.items() if n)
-    for label, text in (
-        ("criterion", _CRITERIA[plan.request.criterion]),
-        ("error model", model),
-        ("observability", f"{indices} (1 mm, 1 mrad)"),
-        ("candidates", f"{plan.candidates} of {plan.drawn} drawn"),
-        ("rejected", rejected or "none"),
-    ):
+    for label, text in _labelled_facts(plan):
         yield labelled(label, text, _PLAN_LABEL, "  ")
     coupling = coupling_sentence(robot)
     if coupling:
         yield wrap(coupling, "  ")
+
+
+def _labelled_facts(plan: PlanValues) -> Iterator[tuple[str, str]]:
+    """Word how the poses were chosen, each fact with its label."""
+    forecast = plan.forecast
+    auto = ", for 'auto'" if plan.cell.model != plan.model else ""
+    indices = ", ".join(f"{name} {value:.3g}" for name, value in forecast.indices.items())
+    rejected = ", ".join(f"{n} {_REASONS[why]}" for why, n in plan.refused.items() if n)
+    yield "criterion", _CRITERIA[plan.request.criterion]
+    yield (
+        "error model",
+        f"{plan.model}{auto}: {forecast.columns} parameters, rank {forecast.rank} (whole workspace "
+        f"{forecast.workspace_rank})",
+    )
+    yield "observability", f"{indices} (1 mm, 1 mrad)"
+    yield "candidates", f"{plan.candidates} of {plan.drawn} drawn"
+    yield "rejected", rejected or "none"
 
 
 def _forecasts(plan: PlanValues) -> Iterator[str]:

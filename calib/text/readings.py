@@ -33,7 +33,9 @@ def rows_sentence(robot: Robot) -> str:
     Returns:
         Such as ``"Made from DH rows, standard convention: A_i = ..."``, without a full stop.
     """
-    from calib.robot.dh import EQUATIONS  # late: the command line loads nothing heavy at its start
+    from calib.robot.dh.rows import (
+        EQUATIONS,  # late: the command line loads nothing heavy at its start
+    )
 
     rows = robot.urdf.dh
     if rows is None:

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING
 
 from calib.channels import RESIDUAL_UNITS
-from calib.formats.zeros.gain import Gain
+from calib.formats.zeros.rms_errors import RmsErrors
 from calib.formats.zeros.rounding import STORED, RoundedZeros, calibration_of, stored_number
 from calib.text.layout.doubtful_rows import joint_unit
 from calib.text.layout.lines import fill, number
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 #: Decimals of zeros and their standard deviations [deg, mm].
 _DIGITS = 4
 
-#: What the rows of errors are, by `Gain.rows`.
+#: Words for the rows of the errors, by `RmsErrors.rows`.
 _ROWS = {
     "held-out": "held-out rows, outliers aside",
     "validation": "validation rows",
@@ -43,7 +43,7 @@ def zeros_text(conversion: Conversion) -> list[str]:
     """
     stored = stored_number(conversion.format, conversion.options.ticks)
     rounded = RoundedZeros.of(conversion.source, stored)
-    gain = Gain.of(calibration_of(conversion.source), rounded)
+    rms_errors = RmsErrors.of(calibration_of(conversion.source), rounded)
     meaning = (
         "The best joint zeros where nothing else of the robot is corrected. While the robot stands still, the reading "
         "of each joint must go up by its zero (down where it is negative). Then taught points and the rest of this "
@@ -52,7 +52,7 @@ def zeros_text(conversion: Conversion) -> list[str]:
     return [
         fill(meaning),
         "\n".join(_table(rounded)),
-        "\n".join(_errors(gain)),
+        "\n".join(_errors(rms_errors)),
     ]
 
 
@@ -88,17 +88,20 @@ def _rows(rounded: RoundedZeros) -> Iterator[list[str]]:
         ]
 
 
-def _errors(gain: Gain) -> list[str]:
+def _errors(rms_errors: RmsErrors) -> list[str]:
     """Return the lines of the table of errors."""
-    units = list(gain.zeros)
+    units = list(rms_errors.zeros)
     heads = [f"[{RESIDUAL_UNITS[unit].shown}]" for unit in units]
-    columns = [name_column(f"Rms error of {_ROWS[gain.rows]}"), *(Column(h, 10) for h in heads)]
+    columns = [
+        name_column(f"Rms error of {_ROWS[rms_errors.rows]}"),
+        *(Column(h, 10) for h in heads),
+    ]
     robots: list[tuple[str, Mapping[str, float] | None]] = [
-        ("nominal robot", gain.nominal),
-        ("joint zeros alone", gain.zeros),
-        ("joint zeros alone, rounded as written", gain.rounded),
-        ("whole calibration", gain.calibrated),
-        ("with the non-geometric model", gain.non_geometric),
+        ("nominal robot", rms_errors.nominal),
+        ("joint zeros alone", rms_errors.zeros),
+        ("joint zeros alone, rounded as written", rms_errors.rounded),
+        ("whole calibration", rms_errors.calibrated),
+        ("with the non-geometric model", rms_errors.non_geometric),
     ]
     rows = []
     for name, errors in robots:

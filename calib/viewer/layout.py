@@ -81,28 +81,41 @@ def layout_of(
     if only_moves and _stands(shown, start, at_start):
         outline = outline[outline[:, 2] >= at_start[:, 2].min()]
     text = _TEXT_OF_MOTION if only_moves else _TEXT
-    if tracker is None:
-        towards_camera = stage.camera_direction(shown["nominal"].poses[start, :, :3, 3])
-    else:
-        towards_camera = stage.camera_direction(np.array([np.zeros(3), tracker]), _TRACKER_VIEW)
+    towards_camera = _towards_camera(shown["nominal"].poses[start, :, :3, 3], tracker)
     foot = _foot(at_start, towards_camera, size)
     seen = np.vstack([outline, around, foot])
     offsets = {"nominal": np.zeros(3)}
     if len(shown) > 1:
         offsets = _offsets(outline, towards_camera, size)
-    side_by_side = np.concatenate([seen + offset for offset in offsets.values()])
     return Layout(
         size,
         offsets,
         foot,
-        side=stage.look_at(side_by_side, towards_camera, text),
+        side=stage.look_at(_side_by_side(seen, offsets), towards_camera, text),
         over=stage.look_at(np.vstack([seen, magnified]), towards_camera, text),
     )
 
 
 def outline_of(shown: Mapping[str, Puppet], poses: slice = slice(None)) -> Array:
-    """Return points (K, 3) [m] that enclose all robots at some of their poses; see `Puppet.outline`."""
+    """Return points (K, 3) [m] that enclose all robots at some of their poses; see `Puppet.outline`.
+
+    Args:
+        shown: The robots by ``"nominal"`` and ``"calibrated"``.
+        poses: The poses; by default all.
+    """
     return np.concatenate([puppet.outline(poses) for puppet in shown.values()])
+
+
+def _towards_camera(arm: Array, tracker: Array | None) -> Array:
+    """Return the horizontal unit vector (3,) from the robot to the cameras.
+
+    Args:
+        arm: Origins of the robot's links at the pose shown first, shape (L, 3), [m].
+        tracker: A point that is seen behind the robot, shape (3,), [m]; None for the arm to be seen from its side.
+    """
+    if tracker is None:
+        return stage.camera_direction(arm)
+    return stage.camera_direction(np.array([np.zeros(3), tracker]), _TRACKER_VIEW)
 
 
 def _stands(shown: Mapping[str, Puppet], start: int, at_start: Array) -> bool:
@@ -131,6 +144,11 @@ def _offsets(outline: Array, towards_camera: Array, size: float) -> dict[str, Ar
     width = np.ptp(outline @ right) + _GAP * size
     half_distance = 0.5 * max(width, _LEAST_DISTANCE * size) * right
     return {"nominal": -half_distance, "calibrated": half_distance}
+
+
+def _side_by_side(points: Array, offsets: Mapping[str, Array]) -> Array:
+    """Return points (K, 3) [m] displaced with each of R robots, shape (R K, 3)."""
+    return np.concatenate([points + offset for offset in offsets.values()])
 
 
 def _foot(at_start: Array, towards_camera: Array, size: float) -> Array:

@@ -56,7 +56,7 @@ def _draw_nothing(_group: meshcat.Visualizer, _size: float) -> list[Key]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class About:
-    """What stands about a robot besides measured targets, in its base."""
+    """Points, drawings and the tracker about a robot alone, besides measured targets, in its base."""
 
     #: Shape (K, 3), points that the camera sees too [m]
     points: Array = field(default_factory=lambda: np.zeros((0, 3)))
@@ -99,7 +99,7 @@ def view_page(view: View, *, live: bool = False, about: About | None = None) -> 
     Args:
         view: The content.
         live: The page listens to the server that it came from.
-        about: What stands about the only robot; None for nothing.
+        about: Points, drawings and the tracker about the only robot; None for nothing.
     """
     about = about or About()
     visuals, warnings = _read_visuals(view)
@@ -116,8 +116,7 @@ def view_page(view: View, *, live: bool = False, about: About | None = None) -> 
         only_moves=view.calibrated is None and set(view.kinds) == {"pose"},
     )
     scene = _draw(view, shown, layout)
-    drawn = about.draw(scene.root[stage.SCENE]["nominal"], size)
-    keys = [key._replace(nodes=f"nominal/{key.nodes}") for key in drawn]
+    keys = _drawn_about(about, scene, size)
     names = [name.lower() for name, _ in view.names[: len(shown)]]
     html = filled_page(
         "robots.html",
@@ -139,6 +138,18 @@ def view_page(view: View, *, live: bool = False, about: About | None = None) -> 
         live=live,
     )
     return Page(html, warnings)
+
+
+def _drawn_about(about: About, scene: Scene, size: float) -> list[Key]:
+    """Draw what stands about the only robot; return its entries of the legend, with their nodes in the scene.
+
+    Args:
+        about: What is drawn.
+        scene: The scene, whose robot alone is ``"nominal"``.
+        size: The scene's size [m].
+    """
+    drawn = about.draw(scene.root[stage.SCENE]["nominal"], size)
+    return [key._replace(nodes=f"nominal/{key.nodes}") for key in drawn]
 
 
 def _read_visuals(view: View) -> tuple[dict[str, Sequence[Visual]], tuple[str, ...]]:

@@ -330,13 +330,11 @@ def _at_rows(first: EvaluationValues, second: EvaluationValues | None, flagged: 
     """
     m = first.measurements
     last = second or first
-    errors = {}
-    for unit in first.channels.present:
-        errors[unit] = np.array([e.channels.norms(e.residual, unit) for e in (first, last)])
+    errors = _errors_by_unit(first, last)
     leading = next(iter(errors.values()), np.full((2, len(m)), np.nan))
     start = _typical_row(leading, m.estimation & ~flagged)
     at = _shown_rows(start, flagged)
-    _, nominal_target = setup_of_rows(first.setup, m)
+    nominal_target = setup_of_rows(first.setup, m)[1]
     T_frame_base, calibrated_target = setup_of_rows(last.setup, m)
     view = View(
         nominal=first.robot,
@@ -357,6 +355,20 @@ def _at_rows(first: EvaluationValues, second: EvaluationValues | None, flagged: 
     if len(at) < len(flagged):
         view = replace(view, rows=len(flagged))
     return view
+
+
+def _errors_by_unit(first: EvaluationValues, last: EvaluationValues) -> dict[str, Array]:
+    """Return the errors of two robots at N rows, shape (2, N), by the unit that they are in; NaN where a row has none.
+
+    Args:
+        first: The first robot's residuals.
+        last: The second robot's of the same rows, or again the first's.
+    """
+    errors = {}
+    for unit in first.channels.present:
+        robots = [e.channels.norms(e.residual, unit) for e in (first, last)]
+        errors[unit] = np.array(robots)
+    return errors
 
 
 def _row_labels(m: Measurements, at: Integers) -> tuple[str, ...]:

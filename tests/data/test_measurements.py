@@ -13,9 +13,10 @@ from scipy.spatial.transform import Rotation
 
 import calib
 from calib.data import kinds
+from calib.data.forms.column_options import ColumnOptions
 from calib.data.measurements import Measurements
 from calib.errors import MeasurementError
-from tests.data.tables import assert_same
+from tests.data.tables import assert_same, refused
 
 UR3 = Path(calib.__file__).parent / "example" / "ur3_leica.csv"
 UR3_JOINTS = (
@@ -216,3 +217,74 @@ def test_what_is_written_reads_back(tmp_path_factory, data):
     assert_same(again, m, rtol=4e-15, atol=4e-15)
     inferred = set(names) == {"point"}
     assert ("kind" in path.read_text().splitlines()[0].split(",")) != inferred
+
+
+# Tables as users bring them, one quirk each
+
+TURN = Rotation.from_euler("ZYX", [20, -30, 40], degrees=True)
+XYZ = "1992.4945,-300.5,1250"
+
+
+def degrees(sequence):
+    return ",".join(map(repr, TURN.as_euler(sequence, degrees=True).tolist()))
+
+
+TABLES = {
+    "KUKA's columns": ("A1,A2,X,Y,Z,A,B,C", f"10,-20,{XYZ},{degrees('ZYX')}", {"brand": "kuka"}),
+    "FANUC's columns": ("J1,J2,X,Y,Z,W,P,R", f"10,-20,{XYZ},{degrees('xyz')}", {"brand": "fanuc"}),
+    "Stäubli's columns": (
+        "J1,J2,X,Y,Z,RX,RY,RZ",
+        f"10,-20,{XYZ},{degrees('XYZ')}",
+        {"brand": "staubli"},
+    ),
+    "Yaskawa's columns": (
+        "S,L,X,Y,Z,Rx,Ry,Rz",
+        f"10,-20,{XYZ},{degrees('xyz')}",
+        {"brand": "yaskawa"},
+    ),
+    "ABB's columns": (
+        "rax_1;rax_2;x;y;z;q1;q2;q3;q4",
+        "10;-20;1992,4945;-300,5;1250;"
+        + ";".join(
+            repr(number).replace(".", ",") for number in TURN.as_quat()[[3, 0, 1, 2]].tolist()
+        ),
+        {"brand": "abb"},
+    ),
+    "joints without a unit": (
+        "j1,j2,x [mm],y [mm],z [mm],yaw [deg],pitch [deg],roll [deg]",
+        f"10,-20,{XYZ},{degrees('ZYX')}",
+        {"joint_unit": "deg"},
+    ),
+    "a matrix": (
+        "j1 [deg],j2 [deg],x [mm],y [mm],z [mm],r11,r12,r13,r21,r22,r23,r31,r32,r33",
+        f"10,-20,{XYZ}," + ",".join(map(repr, TURN.as_matrix().ravel().tolist())),
+        {},
+    ),
+}
+
+
+@pytest.mark.parametrize("quirk", TABLES)
+def test_tables_that_are_read(table, quirk):
+    header, row, options = TABLES[quirk]
+    m = Measurements.read(table(header, row), ["j1", "j2"], columns=ColumnOptions(**options))
+    np.testing.assert_allclose(np.degrees(m.joints), [[10, -20]], rtol=1e-14)
+    np.testing.assert_allclose(m.points, [[1.9924945, -0.3005, 1.25]], rtol=1e-14)
+    np.testing.assert_allclose(m.rotations, [TURN.as_matrix()], atol=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("header", "row", "says"),
+    [
+        ("A1,A2,A3,A4,A5,A6,X,Y,Z", f"1,2,3,4,5,6,{XYZ}", "--columns kuka"),
+        ("J1 [deg],J2 [deg],J3 [deg],J4 [deg],x [mm]", "1,2,3,4,5", "--columns fanuc"),
+        ("j1,j2,x [mm],y [mm],z [mm]", f"1,2,{XYZ}", "--joint-unit deg"),
+        (
+            "j1 [deg],j2 [deg],x [mm],y [mm],z [mm],Rx [deg],Ry [deg],Rz [deg]",
+            f"1,2,{XYZ},170,80,-100",
+            "--orientation staubli",
+        ),
+        ("sep=;\nj1 [deg];j2 [deg];x;y;z", "1;2;3;4;5", '--columns "x=x [mm]"'),
+    ],
+)
+def test_tables_that_are_refused(table, header, row, says):
+    refused(table(header, row), ["data.csv", says], joint_names=["j1", "j2"])

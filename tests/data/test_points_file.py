@@ -3,10 +3,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from openpyxl import Workbook
 
 from calib.data.measurements import Measurements
 from calib.data.points_file import read_points
 from calib.errors import MeasurementError
+from tests.data.tables import refused as refused_table
 
 XYZ = [[0.1005, -0.2005, 0.3], [0.1105, -0.2005, 0.31]]
 
@@ -236,3 +238,94 @@ def test_tables_that_do_not_match(listed, table, lines, arguments, says):
     with pytest.raises(MeasurementError) as caught:
         Measurements.read(table(*lines), points=listed(*TRACKER), **arguments)
     assert says in str(caught.value)
+
+
+# Lists as users bring them, one quirk each
+
+#: Measured points [m], by name, and the joint values [deg] of the rows, in another order.
+POINTS = {"P1": (1.9924945, -0.3005, 1.25), "P2": (0.8025, 0.1, -0.0301255)}
+JOINTS = ("point,j1 [deg],j2 [deg]", "P2,10,20", "P1,30,-40")
+
+LISTS = {
+    "names behind a slash": (
+        "Units: mm",
+        "KR6/P1 1992.4945 -300.5 1250",
+        "KR6/P2 802.5 100 -30.1255",
+    ),
+    "names behind a station": (
+        "# mm",
+        "Station1_P1;1992.4945;-300.5;1250",
+        "Station1_P2;802.5;100;-30.1255",
+    ),
+    "commas between thousands": (
+        "Units: mm",
+        "P1 1,992.4945 -300.5 1,250",
+        "P2 802.5 100 -30.1255",
+    ),
+    "points between thousands": (
+        "Units: mm",
+        "P1\t1.992,4945\t-300,5\t1.250",
+        "P2\t802,5\t100\t-30,1255",
+    ),
+    "quoted numbers between commas": (
+        "name,x [mm],y [mm],z [mm]",
+        'P1,"1,992.4945",-300.5,"1,250"',
+        "P2,802.5,100,-30.1255",
+    ),
+    "quoted decimal commas between commas": (
+        "name,x [mm],y [mm],z [mm]",
+        '"P1","1992,4945","-300,5","1250"',
+        '"P2","802,5","100","-30,1255"',
+    ),
+    "labels between the numbers": (
+        "Units: mm",
+        "P1 X 1992.4945 Y -300.5 Z 1250",
+        "P2: X=802.5, Y=100, Z=-30.1255, D=2",
+    ),
+    "points of a KUKA program": (
+        "; Units: mm",
+        "DECL E6POS P1={X 1992.4945,Y -300.5,Z 1250.0,A 0.0,B 0.0,C 0.0}",
+        "DECL E6POS P2={X 802.5,Y 100.0,Z -30.1255,A 0.0,B 0.0,C 0.0}",
+    ),
+    "Excel's line with the separator": (
+        "sep=;",
+        "name;x [mm];y [mm];z [mm]",
+        "P1;1992,4945;-300,5;1250",
+        "P2;802,5;100;-30,1255",
+    ),
+}
+
+
+def check_points(measurements):
+    np.testing.assert_allclose(np.degrees(measurements.joints), [[10, 20], [30, -40]], rtol=1e-14)
+    np.testing.assert_allclose(measurements.points, [POINTS["P2"], POINTS["P1"]], rtol=1e-14)
+
+
+@pytest.mark.parametrize("quirk", LISTS)
+def test_lists_that_are_read(table, listed, quirk):
+    check_points(Measurements.read(table(*JOINTS), ["j1", "j2"], points=listed(*LISTS[quirk])))
+
+
+def test_a_list_in_a_sheet(table, tmp_path: Path):
+    book = Workbook()
+    rows = book.create_sheet("Tracker")
+    rows.append(["Point ID", "X [mm]", "Y [mm]", "Z [mm]"])
+    for name, point in POINTS.items():
+        rows.append([f"Run 1::{name}", *(1e3 * value for value in point)])
+    book.save(tmp_path / "tracker.xlsx")
+    points = f"{tmp_path / 'tracker.xlsx'}#Tracker"
+    check_points(Measurements.read(table(*JOINTS), ["j1", "j2"], points=points))
+
+
+@pytest.mark.parametrize(
+    ("lines", "says"),
+    [
+        # Either 1.992 m or 1992 m: no other number tells.
+        (("Units: m", "P1 1,992 -3,005 1,250", "P2 1,802 1,000 -3,012"), "'# Decimal: comma'"),
+        (("S1_P1 1992.4 -300.5 1250", "S1_P2 802.5 100 -30.1"), "--points-unit mm"),
+        (("Units: mm", "A/P1 1.5 2 3", "B/P1 1.5 2 4", "A/P2 5.5 6 7"), "'A/P1', 'B/P1'"),
+    ],
+)
+def test_lists_of_a_table_that_are_refused(table, listed, lines, says):
+    path = listed(*lines)
+    refused_table(table(*JOINTS), ["tracker.txt", says], joint_names=["j1", "j2"], points=path)

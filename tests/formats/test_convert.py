@@ -20,8 +20,8 @@ from calib.formats.convert import FORMATS, KINDS, Options, chosen_format
 from calib.formats.source import Source
 from calib.formats.source_kinds import source_kind
 from calib.formats.ur_arms import chain_poses
+from calib.robot.generated.universal_robots import chain_of_rows, ur_model
 from calib.robot.robot import Robot
-from calib.robot.universal_robots import chain_of_rows, ur_model
 from tests.formats.forms import UR3, write_forms
 from tests.formats.ur_cases import CALIBRATIONS, rows, write_deltas
 

@@ -12,7 +12,7 @@ from calib.errors import FileError, ModelError
 from calib.example import dh_rows
 from calib.formats.dh_files import ENDINGS, DHTables, write_dh
 from calib.model.dh_table import dh_table
-from calib.robot.dh import CONVENTIONS
+from calib.robot.dh.rows import CONVENTIONS
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
 

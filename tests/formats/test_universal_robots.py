@@ -15,8 +15,8 @@ from calib.formats.universal_robots import read_ur, write_ur_conf, write_ur_yaml
 from calib.formats.ur_arms import chain_poses, kinematics_hash, ur_robot
 from calib.formats.ur_mount import the_mount
 from calib.formats.ur_yaml import kinematics_bytes, read_numbers
+from calib.robot.generated.universal_robots import chain_of_rows, ur_model
 from calib.robot.robot import Robot
-from calib.robot.universal_robots import chain_of_rows, ur_model
 from tests.formats.ur_cases import WITH_DELTAS, rows, write_deltas
 
 Q = np.random.default_rng(12).uniform(-2 * np.pi, 2 * np.pi, (100, 6))

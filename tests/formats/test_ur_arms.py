@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.errors import ModelError
 from calib.formats.ur_arms import at_flange, chain_poses, kinematics_hash, ur_robot
 from calib.formats.ur_mount import the_mount
-from calib.robot.universal_robots import MODELS, chain_of_rows, ur_model
+from calib.robot.generated.universal_robots import MODELS, chain_of_rows, ur_model
 from tests.formats.ur_cases import CALIBRATIONS, CASES, rows
 
 Q = np.random.default_rng(6).uniform(-2 * np.pi, 2 * np.pi, (100, 6))
@@ -47,12 +46,6 @@ def test_the_bare_urdf_has_the_rows_poses(model):
     mounted = the_mount(robot, model)
     assert mounted.nominal
     np.testing.assert_allclose(mounted.T_base_arm, np.eye(4), rtol=0, atol=1e-12)
-
-
-def test_names_whatever_their_capitals():
-    assert ur_model("ur_5 E").name == "UR5e"
-    with pytest.raises(ModelError, match="'UR6' is not an arm"):
-        ur_model("UR6")
 
 
 @by_name

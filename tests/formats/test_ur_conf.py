@@ -7,7 +7,7 @@ import pytest
 
 from calib.errors import FileError
 from calib.formats.ur_conf import LINEARISED, Conf, conf_bytes, read_nominal, robot_number
-from calib.robot.universal_robots import ur_model
+from calib.robot.generated.universal_robots import ur_model
 from tests.formats.ur_cases import WITH_DELTAS, rows
 
 DELTAS = rows(WITH_DELTAS[0]["delta"])

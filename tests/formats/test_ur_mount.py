@@ -9,8 +9,8 @@ import pytest
 from calib.errors import ModelError
 from calib.formats.ur_arms import chain_poses, ur_robot
 from calib.formats.ur_mount import distance_from, the_mount
+from calib.robot.generated.universal_robots import chain_of_rows, ur_model
 from calib.robot.robot import Robot
-from calib.robot.universal_robots import chain_of_rows, ur_model
 from calib.robot.urdf import Urdf
 
 NEAR = np.random.default_rng(8).uniform(-np.pi, np.pi, (20, 6))

@@ -8,7 +8,7 @@ import pytest
 from calib.errors import FileError
 from calib.formats.ur_arms import at_flange
 from calib.formats.ur_yaml import kinematics_bytes, read_kinematics, read_numbers
-from calib.robot.universal_robots import chain_of_rows
+from calib.robot.generated.universal_robots import chain_of_rows
 from tests.formats.ur_cases import WITH_DELTAS, rows
 
 CHAIN = chain_of_rows(rows(WITH_DELTAS[1]["full_dh"]))

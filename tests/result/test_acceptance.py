@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -13,11 +12,10 @@ from scipy.stats import binom
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.errors import CalibError, MeasurementError
-from calib.json_files import plain
 from calib.result.acceptance import Acceptance, Check, acceptance, assess
 from calib.result.accuracy import accuracy
 from calib.result.evaluation import EvaluationValues, evaluate
-from calib.result.evaluation_file import acceptance_table, accuracy_table
+from calib.result.evaluation_file import acceptance_table
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 from calib.text.accuracy import accuracy_text
@@ -163,21 +161,6 @@ def test_robots_side_by_side(ur3: Robot):
     assert lines[2] == ["new", "2", "0.200", "0.150", "0.000", "0.000", "0.200"]
     assert lines[5] == ["nominal", "0", "-", "-", "-", "-", "-"]
     assert lines[6] == ["new", "2", "0.1146", "0.0859", "0.0000", "0.0000", "0.1146"]
-
-
-def test_the_tables(ur3: Robot):
-    found = evaluation(ur3, [0.1, 0.2], 3, turns=[1.0, 2.0])
-    a = acceptance(found, {"m": 0.5e-3}, uncertainty={"m": 0.1e-3})
-    table = json.loads(json.dumps(plain(acceptance_table(a))))
-    assert (table["outcome"], table["criterion"], "rad" in table) == ("pass", "max", False)
-    assert table["m"]["figure"] == pytest.approx(0.2e-3)
-    assert (table["m"]["tolerance"], table["m"]["uncertainty"]) == (0.5e-3, 0.1e-3)
-    assert (table["within"], table["share"]) == (2, pytest.approx(0.05**0.5))
-    figures = json.loads(json.dumps(plain(accuracy_table(a.accuracy))))
-    assert figures["rad"]["ap_max"] == pytest.approx(2e-3)
-    assert (figures["repeats_min"], figures["repeats_max"], figures["rows"]) == (3, 3, "all")
-    assert [pose["rows"] for pose in figures["poses"]] == [[1, 2, 3], [4, 5, 6]]
-    assert figures["poses"][1]["m"]["ap_axis"] == pytest.approx([0.2e-3, 0.0, 0.0], abs=1e-12)
 
 
 COMMANDS = ("correction position [mm]",)

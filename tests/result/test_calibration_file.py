@@ -17,15 +17,12 @@ from calib.data.cell import Cell
 from calib.data.record import Record
 from calib.errors import FileError, ModelError
 from calib.example.__init__ import paper_urdf
-from calib.result.acceptance import assess
 from calib.result.calibration import CalibrationValues
 from calib.result.calibration_file import (
     read_result,
     write_result,
-    write_table,
 )
 from calib.result.evaluation import evaluate
-from calib.result.evaluation_file import assessment_table
 from calib.robot.payload import Payload
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
@@ -249,28 +246,6 @@ def test_the_document_has_every_key_of_a_file_and_no_other(everything_json: dict
         )
     }
     assert all("prior_std." in path for path in missing)  # no model has every family of errors
-
-
-def test_the_document_has_every_key_of_an_evaluation(calibrated: Any, tmp_path: Path):
-    _, c = calibrated("poses")
-    cell = replace(c.cell, target=None)
-    found = assess(c.nominal, c.measurements, cell, limits={"tolerance": {"m": 1.0, "rad": 1.0}})
-    stored = json.loads(
-        write_table(assessment_table(found), tmp_path / "e.json").read_text(encoding="utf-8")
-    )
-    keys = {
-        p
-        for p in documented("What `calib evaluate --json` writes")
-        if ".urdf." in p or "." not in p[:11]
-    }
-    keys |= {
-        p
-        for p in documented("What `calib evaluate --json` writes")
-        if not p.startswith(("errors", "accuracy"))
-    }
-    assert {path for path, _ in leaves(stored)} == keys
-    with pytest.raises(FileError, match="its 'schema' is 'evaluation 4'; a result of calib"):
-        read_result(tmp_path / "e.json")
 
 
 def test_a_result_read_back_meets_every_row_as_the_fit_did(case: Any, tmp_path: Path):

@@ -10,7 +10,6 @@ import pytest
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.result.acceptance import Assessment, assess
-from calib.result.evaluation_file import accuracy_table, assessment_table
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 from calib.text.evaluation import assessment_text
@@ -82,19 +81,6 @@ def test_the_worst_poses_are_listed(text: str):
 def test_long_names_of_files_are_shortened(assessment: Assessment):
     long = assessment_text(assessment, "a" * 200 + ".json", "as given")
     assert "the URDF as it is:" in long.splitlines()
-
-
-def test_the_table_is_in_si_units(assessment: Assessment):
-    table = assessment_table(assessment)
-    assert table["acceptance"]["outcome"] == "pass"
-    assert table["acceptance"]["m"]["tolerance"] == 2e-3
-    assert table["acceptance"]["m"]["held"] == assessment.accepted.checks["m"].held
-    assert "rad" not in table["acceptance"]
-    assert table["frames"]["registered"] == []
-    accuracy = accuracy_table(assessment.accuracies["urdf"])
-    assert accuracy["m"]["ap_max"] == pytest.approx(1.2e-3)
-    assert accuracy["repeats_min"] == accuracy["repeats_max"] == 3
-    assert accuracy["poses"][-1]["m"]["ap"] == pytest.approx(1.2e-3)
 
 
 def test_what_fails_is_above_the_tolerance_without_the_guard_band(ur3: Robot):

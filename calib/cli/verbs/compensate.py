@@ -205,7 +205,7 @@ def _load_models(robot: str, program: Path, model: ModelChoice, chain: ChainOpti
         return _models_of_result(robot, model.calibration, model, chain)
     from calib.data.columns import column_names
     from calib.inputs import chain_of
-    from calib.table import Table
+    from calib.tables.table import Table
 
     joints = column_names(Table.read(program), chain.parsed())
     nominal = load(robot, _cell(chain), joints)

@@ -163,7 +163,6 @@ def evaluate(
     """Run the verb; its help is the text of `verb`."""
     from calib.result.acceptance import assess
     from calib.result.calibration_file import read_result
-    from calib.text.evaluation import assessment_text
 
     outputs.check([robot, data, setup.cell, calibration, table.points])
     limits = test.limits()
@@ -174,21 +173,44 @@ def evaluate(
         cell = with_chain_of_result(cell, result, str(calibration))
     arm, measurements = load_with_data(robot, cell, data, table)
     cell, target_source = _with_target(arm, cell, setup, result)
-    from_result = tuple(name for name in ("frame", "target") if getattr(setup, name) is None)
     assessment = assess(
-        arm, measurements, cell, result, which=from_result, judge=test.judge, limits=limits
+        arm, measurements, cell, result, which=_not_given(setup), judge=test.judge, limits=limits
     )
     outputs.write(assessment, calibration, target_source)
     if not quiet:
         say_ignored(measurements, arm)
         say_coupled(arm)
-        name = calibration.name if calibration else ""
-        say(assessment_text(assessment, name, target_source))
-        written = written_lines(outputs.json, outputs.report)
-        if written:
-            typer.echo("\n".join(["", *written]))
+        _say_assessment(assessment, calibration, target_source, outputs)
     if assessment.accepted is not None and assessment.accepted.outcome != "pass":
         raise typer.Exit(ExitStatus.NOT_ACCEPTED)
+
+
+def _not_given(setup: SetupOptions) -> tuple[str, ...]:
+    """Return which of ``"frame"`` and ``"target"`` the options do not give, so that a result's are taken."""
+    return tuple(name for name in ("frame", "target") if getattr(setup, name) is None)
+
+
+def _say_assessment(
+    assessment: Assessment,
+    calibration: Path | None,
+    target_source: str,
+    outputs: EvaluationOutputs,
+) -> None:
+    """Print the assessment and the names of the files that were written.
+
+    Args:
+        assessment: The evaluation.
+        calibration: The result's file; None: none was given.
+        target_source: The source, in words, of targets that were not registered.
+        outputs: The files.
+    """
+    from calib.text.evaluation import assessment_text
+
+    name = calibration.name if calibration else ""
+    say(assessment_text(assessment, name, target_source))
+    written = written_lines(outputs.json, outputs.report)
+    if written:
+        typer.echo("\n".join(["", *written]))
 
 
 def _with_target(

@@ -112,7 +112,7 @@ def plan(
 def _load_chain(robot: str, cell: Cell, taken: Path | None) -> Robot:
     """Load the robot; without a tip the chain is that of the joints in the table of poses already measured."""
     from calib.data.columns import column_names
-    from calib.table import Table
+    from calib.tables.table import Table
 
     joints = None if taken is None else column_names(Table.read(taken))
     return load(robot, cell, joints)

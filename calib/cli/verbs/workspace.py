@@ -158,7 +158,7 @@ def _load_with_tables(
     """Load the robot and the tables of ``--like`` and ``--check``, whose common joints tell the chain."""
     from calib.data.columns import column_names
     from calib.regions.region_rows import read_rows
-    from calib.table import Table
+    from calib.tables.table import Table
 
     paths = [path for path in (ranges.like, ranges.check) if path is not None]
     renamed = ranges.parsed()

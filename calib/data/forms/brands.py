@@ -29,7 +29,7 @@ class Brand:
 
     #: What ``--columns`` calls it.
     name: str
-    #: As it is written.
+    #: Its own spelling, for messages: ``"Stäubli"``.
     title: str
     #: Names of the arm's axes from base to flange; a table uses one of these series.
     axes: tuple[tuple[str, ...], ...]
@@ -38,10 +38,10 @@ class Brand:
 
     def axes_in(self, names: Sequence[str]) -> tuple[str, ...]:
         """Return the axes that are among names of columns, from base to flange, as the brand writes them."""
-        found = [
+        by_series = [
             tuple(a for a in series if _position_of(a, names) is not None) for series in self.axes
         ]
-        return max(found, key=len)
+        return max(by_series, key=len)
 
     @property
     def orientation(self) -> tuple[str, ...]:
@@ -166,10 +166,10 @@ def _fail_on_count(
             "with --tip."
         )
     else:
-        one = external[0] if external else "name in the table"
+        unused = external[0] if external else "name in the table"
         fix = (
             "Name the arm's end with --tip, hold a joint that does not move with --hold, or map a column to a joint of "
-            f'it: --columns "{one}={joint_names[0]}".'
+            f'it: --columns "{unused}={joint_names[0]}".'
         )
     others = f", besides external axes {choices(external)}" if external else ""
     raise MeasurementError(

@@ -1,4 +1,4 @@
-"""How the columns of a table are to be read: their names, the convention of orientations, the unit of joints."""
+"""Options for reading a table's columns: their names, the convention of orientations, the unit of joints."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _UNITS_OF_BRANDS: Mapping[Quantity, str] = {"angle": "deg", "length": "mm"}
 
 @dataclass(frozen=True, slots=True)
 class ColumnOptions:
-    """What is said of a table's columns besides their headers.
+    """Statements about a table's columns that their headers do not make: names, brand, orientation, unit of joints.
 
     Raises:
         MeasurementError: No such brand, convention or unit.
@@ -49,8 +49,8 @@ class ColumnOptions:
         _units(self.joint_unit)
 
     @property
-    def row_of_brand(self) -> Brand | None:
-        """The brand; None without one."""
+    def brand_entry(self) -> Brand | None:
+        """The entry of the brand in `BRANDS`; None without one."""
         return None if self.brand is None else find_brand(self.brand)
 
     @property

@@ -9,7 +9,7 @@ from calib.data.columns import Columns, Named, list_columns, with_unit
 from calib.data.forms.column_options import ColumnOptions
 from calib.data.forms.orientations import CONVENTIONS, Convention
 from calib.errors import MeasurementError
-from calib.table import Table
+from calib.tables.table import Table
 
 
 class Orientation(NamedTuple):
@@ -28,7 +28,7 @@ def conventions_of(
 ) -> tuple[Convention, ...]:
     """Return the conventions of which a table has all columns; of those with the same columns the one that is meant.
 
-    If cells of some are filled in, those of which none is, as a plan leaves them, do not count.
+    Where cells of some conventions are filled in, only these count: a plan leaves columns empty.
 
     Args:
         table: The table.
@@ -36,14 +36,14 @@ def conventions_of(
         joint_names: Joints, whose columns are no orientation.
         options: What is said of the columns; its convention, if its columns are there, is the only one.
     """
-    complete = [row for row in CONVENTIONS.values() if is_complete(row, named, joint_names)]
+    complete = [c for c in CONVENTIONS.values() if is_complete(c, named, joint_names)]
     for convention in options.conventions:
         if convention in complete:
             return (convention,)
     by_columns: dict[tuple[str, ...], Convention] = {}
-    for row in complete:
-        by_columns.setdefault(row.columns, row)
-    filled = [row for row in by_columns.values() if _is_filled(row, table, named)]
+    for convention in complete:
+        by_columns.setdefault(convention.columns, convention)
+    filled = [c for c in by_columns.values() if _is_filled(c, table, named)]
     return tuple(filled or by_columns.values())
 
 
@@ -65,17 +65,17 @@ def find_orientation(
         MeasurementError: There is none or more than one, it is not of the convention of ``options``, or a unit does
             not fit.
     """
-    found = conventions_of(table, named, joint_names, options)
-    is_other = options.orientation not in (None, *(row.name for row in found))
-    if len(found) != 1 or is_other:
+    conventions = conventions_of(table, named, joint_names, options)
+    is_other = options.orientation not in (None, *(c.name for c in conventions))
+    if len(conventions) != 1 or is_other:
         wanted = f" (--orientation {options.orientation})" if is_other else ""
-        forms = [f"{', '.join(row.columns)} ({row.name})" for row in CONVENTIONS.values()]
+        forms = [f"{', '.join(c.columns)} ({c.name})" for c in CONVENTIONS.values()]
         raise MeasurementError(
             f"{table.source}: rows of the kind 'pose' need one orientation{wanted}, and the table "
-            f"has {_counted(found)}. {list_columns(table)} An orientation has the columns {'; '.join(forms)}. "
-            f"{_fix(found)}; --kind point reads none."
+            f"has {_counted(conventions)}. {list_columns(table)} An orientation has the columns {'; '.join(forms)}. "
+            f"{_fix(conventions)}; --kind point reads none."
         )
-    return in_units(table, named, found[0], options)
+    return in_units(table, named, conventions[0], options)
 
 
 def in_units(
@@ -96,42 +96,42 @@ def in_units(
         columns.append(column)
     alternatives: tuple[str, ...] = ()
     if convention not in options.conventions:
-        same = [row for row in CONVENTIONS.values() if row.columns == convention.columns]
-        alternatives = tuple(row.name for row in same if row is not convention)
+        same = [c for c in CONVENTIONS.values() if c.columns == convention.columns]
+        alternatives = tuple(c.name for c in same if c is not convention)
     return Orientation(convention, tuple(columns), alternatives)
 
 
-def is_complete(row: Convention, named: Named, joint_names: Collection[str]) -> bool:
+def is_complete(convention: Convention, named: Named, joint_names: Collection[str]) -> bool:
     """Return True if a table has all columns of a convention, none of them a joint's.
 
     Numbers without unit are none in a unit of angle, such as joints q1 to q4; of qx to qw that is a mistake.
 
     Args:
-        row: The convention.
+        convention: The convention.
         named: The columns by calib's names.
         joint_names: Joints, whose columns are no orientation.
     """
-    for name in row.columns:
+    for name in convention.columns:
         if name not in named or name in joint_names:
             return False
-        if not row.unit and named[name].is_angle and row.name != "quaternion":
+        if not convention.unit and named[name].is_angle and convention.name != "quaternion":
             return False
     return True
 
 
-def _is_filled(row: Convention, table: Table, named: Named) -> bool:
+def _is_filled(convention: Convention, table: Table, named: Named) -> bool:
     """Return True if any cell of a convention's columns is filled in."""
-    return any(any(table.column(named[name])) for name in row.columns)
+    return any(any(table.column(named[name])) for name in convention.columns)
 
 
-def _counted(found: Collection[Convention]) -> str:
-    """Return which orientations there are, for the message."""
-    return " and ".join(row.words for row in found) or "none"
+def _counted(conventions: Collection[Convention]) -> str:
+    """Return the orientations that a table has in words, for the message."""
+    return " and ".join(c.words for c in conventions) or "none"
 
 
-def _fix(found: tuple[Convention, ...]) -> str:
-    """Return how to mend it that there is no orientation or more than one."""
-    if len(found) < 2:
+def _fix(conventions: tuple[Convention, ...]) -> str:
+    """Return the remedy for a table with no orientation, or with more than one."""
+    if len(conventions) < 2:
         return 'Another name is mapped by --columns "name in the table=rx [rad]"'
-    first = found[-1].columns[0]
-    return f'--columns "{first}=-" leaves one out, or --orientation {found[0].name} chooses'
+    column = conventions[-1].columns[0]
+    return f'--columns "{column}=-" leaves one out, or --orientation {conventions[0].name} chooses'

@@ -17,8 +17,10 @@ PARTS = "::"
 #: Before the last part of a name, such as of ``KR6/P1``, ``Station1_P1`` and ``Ball 1``.
 _BEFORE_LAST = re.compile(r"[\s/:_]+")
 
-#: Most lines, and most names, that a message lists.
+#: Most lines that a message lists.
 _LISTED_LINES = 8
+
+#: Most names of points that a misspelt one is compared with.
 _COMPARED_NAMES = 1000
 
 

@@ -43,7 +43,7 @@ class Unit(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class StoredNumber:
-    """How a controller stores the zero of a joint: reading = raw + sign unit number."""
+    """The number in which a controller stores the zero of a joint: reading = raw + sign unit number."""
 
     #: What the number is called there
     key: str
@@ -153,7 +153,7 @@ class RoundedZeros(Value):
 
     @property
     def rounding(self) -> Array:
-        """What rounding adds to the zeros [rad] or [m], shape (m,)."""
+        """Change of the zeros by rounding: rounded minus fitted [rad] or [m], shape (m,)."""
         return np.asarray(self.change - self.zeros.delta)
 
     @property

@@ -8,7 +8,7 @@ import json
 from typing import Any
 
 from calib.errors import FileError
-from calib.formats.zeros.gain import Gain
+from calib.formats.zeros.rms_errors import RmsErrors
 from calib.formats.zeros.rounding import RoundedZeros
 from calib.json_files import json_bytes
 from calib.robot.robot import Robot
@@ -23,13 +23,13 @@ _HEADS = ("joint", "change", "unit", "std", "determined")
 _STD_DIGITS = 2
 
 
-def table_bytes(robot: Robot, rounded: RoundedZeros, gain: Gain, ending: str) -> bytes:
+def table_bytes(robot: Robot, rounded: RoundedZeros, rms_errors: RmsErrors, ending: str) -> bytes:
     """Return a table of zeros as the bytes of a file.
 
     Args:
         robot: The robot.
         rounded: Its zeros, rounded.
-        gain: What they buy.
+        rms_errors: The errors with them and without.
         ending: One of `TABLE_ENDINGS`.
 
     Returns:
@@ -38,7 +38,8 @@ def table_bytes(robot: Robot, rounded: RoundedZeros, gain: Gain, ending: str) ->
     Raises:
         FileError: It does not read back, as where a joint's name cannot be held.
     """
-    data = _csv(robot, rounded, gain) if ending == ".csv" else _json(robot, rounded, gain)
+    write = _csv if ending == ".csv" else _json
+    data = write(robot, rounded, rms_errors)
     if read_table(data, ending) != rounded.by_joint():
         raise FileError(
             f"The zeros of '{robot.name}' do not read back; rename its joints in the URDF."
@@ -64,7 +65,7 @@ def read_table(data: bytes, ending: str) -> dict[str, float]:
     return {row["joint"]: float(row["change"]) for row in rows if row["determined"] == "yes"}
 
 
-def _csv(robot: Robot, rounded: RoundedZeros, gain: Gain) -> bytes:
+def _csv(robot: Robot, rounded: RoundedZeros, rms_errors: RmsErrors) -> bytes:
     """Return comments that say how the numbers are meant, then a line for each joint."""
     comments = [
         f"Joint zeros of {robot.name}, {robot.base} to {robot.tip}, by calib: the best ones where nothing else of the "
@@ -72,7 +73,7 @@ def _csv(robot: Robot, rounded: RoundedZeros, gain: Gain) -> bytes:
         "While the robot stands still, the reading of each joint must go up by 'change': add it to the angle or "
         "position of the mastering",
         "'determined' no: the measurements do not determine this zero; leave it as it is",
-        *_gain_lines(gain),
+        *_rms_lines(rms_errors),
     ]
     text = io.StringIO(newline="")
     text.writelines(f"# {' '.join(line.split())}\n" for line in comments)
@@ -89,17 +90,17 @@ def _csv(robot: Robot, rounded: RoundedZeros, gain: Gain) -> bytes:
     return text.getvalue().encode()
 
 
-def _gain_lines(gain: Gain) -> list[str]:
+def _rms_lines(rms_errors: RmsErrors) -> list[str]:
     """Return the errors as comments, a line for each unit."""
     return [
-        f"rms error of {gain.rows} rows [{unit}]: nominal robot {gain.nominal[unit]:.6g}, zeros "
-        f"{gain.zeros[unit]:.6g}, zeros rounded {gain.rounded[unit]:.6g}, whole calibration "
-        f"{gain.calibrated[unit]:.6g}"
-        for unit in gain.zeros
+        f"rms error of {rms_errors.rows} rows [{unit}]: nominal robot {rms_errors.nominal[unit]:.6g}, zeros "
+        f"{rms_errors.zeros[unit]:.6g}, zeros rounded {rms_errors.rounded[unit]:.6g}, whole calibration "
+        f"{rms_errors.calibrated[unit]:.6g}"
+        for unit in rms_errors.zeros
     ]
 
 
-def _json(robot: Robot, rounded: RoundedZeros, gain: Gain) -> bytes:
+def _json(robot: Robot, rounded: RoundedZeros, rms_errors: RmsErrors) -> bytes:
     """Return the same as JSON, and what was rounded, in rad and m."""
     zeros = rounded.zeros
     joints = []
@@ -120,12 +121,12 @@ def _json(robot: Robot, rounded: RoundedZeros, gain: Gain) -> bytes:
         "schema": "zeros 1",
         "robot": {"name": robot.name, "base": robot.base, "tip": robot.tip},
         "joints": joints,
-        "rows": gain.rows,
+        "rows": rms_errors.rows,
         "rms": {
-            "nominal": gain.nominal,
-            "zeros": gain.zeros,
-            "rounded": gain.rounded,
-            "calibrated": gain.calibrated,
+            "nominal": rms_errors.nominal,
+            "zeros": rms_errors.zeros,
+            "rounded": rms_errors.rounded,
+            "calibrated": rms_errors.calibrated,
         },
     }
     return json_bytes(content)

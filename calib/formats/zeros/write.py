@@ -9,7 +9,6 @@ from calib.errors import FileError, choices
 from calib.files import write_atomically
 from calib.formats.notes import Note
 from calib.formats.source import Options, Source
-from calib.formats.zeros.gain import Gain, check_gain
 from calib.formats.zeros.offsets import (
     DYNAMIXEL_YAML,
     LEROBOT_JSON,
@@ -17,6 +16,7 @@ from calib.formats.zeros.offsets import (
     OffsetFile,
     offsets_bytes,
 )
+from calib.formats.zeros.rms_errors import RmsErrors, check_improvement
 from calib.formats.zeros.rounding import RoundedZeros, calibration_of, stored_number
 from calib.formats.zeros.table import TABLE_ENDINGS, table_bytes
 from calib.result.joint_zeros import ESTIMATION
@@ -51,14 +51,14 @@ def write_zeros(name: str, source: Source, path: Path, options: Options) -> tupl
     kind = _OFFSET_FILES.get(name)
     _check_ending(path, TABLE_ENDINGS if kind is None else kind.endings)
     rounded = RoundedZeros.of(source, stored_number(name, options.ticks))
-    gain = Gain.of(calibration_of(source), rounded)
-    check_gain(gain, path, accept=options.accept)
+    rms_errors = RmsErrors.of(calibration_of(source), rounded)
+    check_improvement(rms_errors, path, accept=options.accept)
     if kind is None:
-        data = table_bytes(source.robot, rounded, gain, path.suffix.lower())
+        data = table_bytes(source.robot, rounded, rms_errors, path.suffix.lower())
     else:
         data = offsets_bytes(kind, rounded, options.update)
     write_atomically(path, data, overwrite=options.overwrite)
-    return (*_notes_on_zeros(rounded, gain), *_notes_on_file(kind, options))
+    return (*_notes_on_zeros(rounded, rms_errors), *_notes_on_file(kind, options))
 
 
 def _check_ending(path: Path, endings: tuple[str, ...]) -> None:
@@ -67,13 +67,13 @@ def _check_ending(path: Path, endings: tuple[str, ...]) -> None:
         raise FileError(f"{path}: this format is written as {choices(endings)}; end the name so.")
 
 
-def _notes_on_zeros(rounded: RoundedZeros, gain: Gain) -> Iterator[Note]:
+def _notes_on_zeros(rounded: RoundedZeros, rms_errors: RmsErrors) -> Iterator[Note]:
     """Yield what there is to say of the zeros."""
     if rounded.undetermined:
         yield Note("zeros not determined", (choices(rounded.undetermined),))
-    if gain.is_none:
-        yield Note("zeros no better", (gain.rows,))
-    elif gain.rows == ESTIMATION:
+    if rms_errors.is_no_better:
+        yield Note("zeros no better", (rms_errors.rows,))
+    elif rms_errors.rows == ESTIMATION:
         yield Note("zeros not validated")
 
 

@@ -56,7 +56,12 @@ def plural(count: int, noun: str) -> str:
 
 
 def times(fewest: int, most: int) -> str:
-    """Say how often something was done: ``1 time``, ``30 times``, ``3 to 30 times``."""
+    """Say how often something was done: ``1 time``, ``30 times``, ``3 to 30 times``.
+
+    Args:
+        fewest: The smallest number of times.
+        most: The largest.
+    """
     count = str(most) if fewest == most else f"{fewest} to {most}"
     return f"{count} times" if most > 1 else f"{count} time"
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 
+from calib.robot.generated.urdf_text import Cylinder, NewJoint, urdf_bytes
 from calib.robot.urdf import Urdf
-from calib.robot.urdf_text import Cylinder, NewJoint, urdf_bytes
 
 
 def test_what_is_written_is_read_back():

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from calib.errors import ModelError
-from calib.robot.dh import DHRow, DHTable
-from calib.robot.dh_robot import DHRobot
+from calib.robot.dh.description import DHRobot
+from calib.robot.dh.rows import DHRow, DHTable
 
 ROWS = (DHRow("j1", d=0.3, alpha=1.0), DHRow("j2", a=0.4, direction=-1), DHRow("j3", a=0.2))
 

@@ -1,4 +1,4 @@
-"""A robot as DH rows state it: the rows, how its joints' values follow the controller's readings, and its names."""
+"""The description of a robot by DH rows: the rows, the coupling of its joints' readings, and its names."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from calib.errors import ModelError, choices, did_you_mean
 from calib.mappings import ReadOnlyMapping
-from calib.robot.dh import CONVENTIONS, HAYATI, DHRow, DHTable
+from calib.robot.dh.rows import CONVENTIONS, HAYATI, DHRow, DHTable
 from calib.units import Array
 from calib.values.pickling import Value
 
@@ -29,7 +29,7 @@ Coupling = Mapping[str, Mapping[str, float]]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DHRobot(Value):
-    """A robot as DH rows state it.
+    """A robot that is described by DH rows.
 
     The value of a joint is its reading, plus the readings of other joints times the factors of `coupling`:
     value_i = reading_i + sum_j coupling_ij reading_j. Its row then adds direction value + offset.
@@ -128,7 +128,12 @@ def coupling_fault(joint: str, factors: Mapping[str, float], names: Iterable[str
 
 
 def row_fault(row: DHRow, convention: str) -> str | None:
-    """Return what is wrong with a row, as text behind ``The DH row of the joint 'NAME'``; None if nothing is."""
+    """Return what is wrong with a row, as text behind ``The DH row of the joint 'NAME'``; None if nothing is.
+
+    Args:
+        row: The row.
+        convention: One of `calib.robot.dh.rows.CONVENTIONS`.
+    """
     numbers = (row.theta, row.d, row.a, row.alpha, row.beta, row.offset)
     limits = [limit for limit in (row.lower, row.upper) if limit is not None]
     if not np.isfinite([*numbers, *limits]).all():

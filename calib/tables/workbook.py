@@ -100,7 +100,7 @@ def _load(data: bytes, source: str, *, values: bool) -> Workbook:
 
 def _chosen_sheet(workbook: Workbook, source: str, sheet: str) -> Any:  # noqa: ANN401  openpyxl has several classes
     """Return a sheet of cells by its name, the first if the name is empty."""
-    sheets = {one.title: one for one in workbook.worksheets}
+    sheets = {worksheet.title: worksheet for worksheet in workbook.worksheets}
     if not sheets or (sheet and sheet not in sheets):
         file = source.rpartition(_BEFORE_SHEET)[0]
         first = next(iter(sheets), "")

@@ -8,7 +8,7 @@ import pytest
 
 from calib.data.measurements import Measurements
 from calib.errors import MeasurementError
-from calib.table import Column, Table
+from calib.tables.table import Column, Table
 from tests.data.tables import HEADER, ROWS, assert_same, refused, write_lines
 
 FORM = [

@@ -10,9 +10,9 @@ import pytest
 import yourdfpy
 
 from calib.errors import UrdfError
-from calib.robot.dh import DHRow, DHTable
-from calib.robot.dh_robot import DHRobot
-from calib.robot.dh_urdf import dh_urdf
+from calib.robot.dh.description import DHRobot
+from calib.robot.dh.rows import DHRow, DHTable
+from calib.robot.generated.dh_urdf import dh_urdf
 from calib.robot.readback import check_written
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf, urdf_of_dh

@@ -1,4 +1,4 @@
-"""The URDF of a robot that DH rows state: each joint at the end of its row's d, and links drawn as cylinders.
+"""The URDF of a robot that DH rows describe: each joint at the end of its row's d, and links drawn as cylinders.
 
 With X_i the part of the rows along and about x (y) that lies before joint i, and Z_i = Rz(theta_i) Tz(d_i), the origins
 are T_base_0 X_1 Z_1, X_2 Z_2, ... and X_(n+1) T_n_tip: a joint turns about, or slides along, z of its frame, or -z
@@ -9,16 +9,16 @@ joints' frames are moved along their axes instead, so that each is nearest to th
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from calib.robot.cylinders import GREY, bar, joint_body, link_radii, rods
-from calib.robot.dh import MODIFIED, DHRow, DHTable, screw
-from calib.robot.dh_json import robot_json
-from calib.robot.dh_robot import DHRobot, link_names
-from calib.robot.urdf_text import Cylinder, NewJoint, urdf_bytes
+from calib.robot.dh.description import DHRobot, link_names
+from calib.robot.dh.json_file import robot_json
+from calib.robot.dh.rows import MODIFIED, DHRow, DHTable, screw
+from calib.robot.generated.cylinders import GREY, bar, joint_body, link_radii, rods
+from calib.robot.generated.urdf_text import Cylinder, NewJoint, urdf_bytes
 from calib.units import Array
 
 REMARK = "calib DH rows: "
@@ -35,33 +35,51 @@ def dh_urdf(robot: DHRobot) -> bytes:
     """Return the URDF of a robot, with its rows in a comment."""
     origins, corners = _origins(robot.table)
     radii = link_radii(origins)
-    names = link_names(robot)
-    rows = robot.table.rows
-    joints = []
-    for i, row in enumerate(rows):
-        own = joint_body(radii[i])
-        path = _path(origins[i + 1], corners[i + 1])
-        rail = _rail(rows[i + 1 : i + 2], origins[i + 1], radii[i])
-        joints.append(
-            NewJoint(
-                name=row.joint,
-                type=_type(row),
-                parent=names[i],
-                child=names[i + 1],
-                T_parent_joint=origins[i],
-                axis=(0, 0, row.direction),
-                limits=_limits(row),
-                bodies=(own, *rods(path, radii[i]), *rail),
-            )
-        )
-    joints.append(NewJoint(f"{robot.tip}_joint", "fixed", names[-2], robot.tip, origins[-1]))
-    base = (*rods(_path(origins[0], corners[0]), radii[0]), *_rail(rows[:1], origins[0], radii[0]))
+    next_rows = [*robot.table.rows, None]
+    bodies = []
+    for row, origin, corner, radius in zip(
+        next_rows, origins, corners, [radii[0], *radii], strict=True
+    ):
+        bodies.append((*rods(_path(origin, corner), radius), *_rail(row, origin, radius)))
+    joints = _joints(robot, origins, [joint_body(radius) for radius in radii], bodies[1:])
     remarks = [
         f"A robot of DH rows, {robot.table.convention} convention, made by calib: its cylinders are not the robot's "
         "shape, and efforts and speeds are only there because a URDF must have them.",
         REMARK + _in_comment(json.dumps(robot_json(robot))),
     ]
-    return urdf_bytes(robot.name, remarks, robot.base, joints, base)
+    return urdf_bytes(robot.name, remarks, robot.base, joints, bodies[0])
+
+
+def _joints(
+    robot: DHRobot,
+    origins: Sequence[Array],
+    joint_bodies: Sequence[Cylinder],
+    link_bodies: Sequence[tuple[Cylinder, ...]],
+) -> list[NewJoint]:
+    """Return the joints of the n rows, and the fixed one of the tip.
+
+    Args:
+        robot: The robot.
+        origins: T_parent_joint of all these, n + 1 poses (4, 4), [m].
+        joint_bodies: The body of each row's joint.
+        link_bodies: The bodies of the link that it carries.
+    """
+    links = link_names(robot)
+    joints = []
+    for i, row in enumerate(robot.table.rows):
+        joint = NewJoint(
+            name=row.joint,
+            type=_type(row),
+            parent=links[i],
+            child=links[i + 1],
+            T_parent_joint=origins[i],
+            axis=(0, 0, row.direction),
+            limits=_limits(row),
+            bodies=(joint_bodies[i], *link_bodies[i]),
+        )
+        joints.append(joint)
+    joints.append(NewJoint(f"{robot.tip}_joint", "fixed", links[-2], robot.tip, origins[-1]))
+    return joints
 
 
 def _in_comment(text: str) -> str:
@@ -127,16 +145,24 @@ def _nearer(origins: Sequence[Array]) -> list[Array]:
     return result
 
 
-def _rail(row: Sequence[DHRow], origin: Array, radius: float) -> Iterator[Cylinder]:
-    """Yield the rail of the next joint, if it slides, in the link before it."""
-    for joint in row:
-        limits = _limits(joint)
-        if joint.prismatic and limits is not None:
-            ends = sorted(joint.direction * limit for limit in limits)
-            rail = bar(ends[0], ends[1], _RAIL * radius, GREY)
-            yield replace(rail, T_link_cylinder=origin @ rail.T_link_cylinder)
+def _rail(row: DHRow | None, origin: Array, radius: float) -> tuple[Cylinder, ...]:
+    """Return the rail of a sliding joint in the link before it; none for another joint.
+
+    Args:
+        row: The joint's row; None for the tip.
+        origin: T_parent_joint, (4, 4), [m].
+        radius: Radius of the link [m].
+    """
+    if row is None or not row.prismatic:
+        return ()
+    limits = _limits(row)
+    if limits is None:
+        return ()
+    start, end = sorted(row.direction * limit for limit in limits)
+    rail = bar(start, end, _RAIL * radius, GREY)
+    return (replace(rail, T_link_cylinder=origin @ rail.T_link_cylinder),)
 
 
 def _path(origin: Array, corner: Array) -> list[Array]:
-    """Return the points (3,) [m] of the link before a joint, in its frame: its own joint, the corner, the joint."""
+    """Return the path of the link before a joint, for `rods`: from its own joint by the corner to the joint."""
     return [np.zeros(3), corner, origin[:3, 3]]

@@ -14,8 +14,11 @@ from calib.units import Array
 #: A number below this is rounding of a product of rotations [m or rad].
 _ROUNDING = 1e-15
 
-#: What every limit must state, and calib does not know: effort [N or Nm] and speed [m/s or rad/s].
-_EFFORT, _SPEED = 1000.0, np.pi
+#: Effort that every limit must state, and calib does not know [N or Nm].
+_EFFORT = 1000.0
+
+#: Speed, likewise [m/s or rad/s].
+_SPEED = np.pi
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -20,8 +20,8 @@ import numpy as np
 
 from calib.errors import CalibError, FileError, MeasurementError
 from calib.files import read_bytes
+from calib.tables.workbook import sheet_text, split_sheet
 from calib.units import NUMBER, Array, Unit, find_unit
-from calib.workbook import sheet_text, split_sheet
 
 #: What may separate cells; in a tie the first wins.
 SEPARATORS = (",", ";", "\t")

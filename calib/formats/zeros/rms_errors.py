@@ -1,4 +1,4 @@
-"""What joint zeros buy: their errors beside those of the nominal robot and of the whole calibration, same rows."""
+"""Rms errors with joint zeros alone, beside those of the nominal robot and of the whole calibration: the same rows."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from calib.values.pickling import Value
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Gain(Value):
+class RmsErrors(Value):
     """Rms errors of the same rows by several robots, by the symbol of each unit that was measured."""
 
     #: Which rows: `calib.result.joint_zeros.HELD_OUT` (outliers aside), ``VALIDATION`` or ``ESTIMATION``
@@ -38,7 +38,7 @@ class Gain(Value):
         keep_read_only(self, "nominal", "zeros", "rounded", "calibrated", "non_geometric")
 
     @classmethod
-    def of(cls, calibration: CalibrationValues, rounded: RoundedZeros) -> Gain:
+    def of(cls, calibration: CalibrationValues, rounded: RoundedZeros) -> RmsErrors:
         """Compare the errors of a calibration's robots.
 
         Args:
@@ -60,7 +60,7 @@ class Gain(Value):
         )
 
     @property
-    def is_none(self) -> bool:
+    def is_no_better(self) -> bool:
         """True if the robot is no better with the rounded zeros than it was, in the first unit that was measured.
 
         False where no row can tell, ``zeros`` being empty, or where the nominal robot could not be judged.
@@ -74,7 +74,7 @@ def _errors_of_robots(calibration: CalibrationValues, rows: str) -> dict[str, Er
 
     Args:
         calibration: The calibration.
-        rows: Of which rows, see `Gain.rows`.
+        rows: Of which rows, see `RmsErrors.rows`.
     """
     if rows != HELD_OUT:
         return {name: errors[rows] for name, errors in calibration.errors.items()}
@@ -87,31 +87,31 @@ def _errors_of_robots(calibration: CalibrationValues, rows: str) -> dict[str, Er
     return {name: v.errors_without_outliers for name, v in validations.items() if v is not None}
 
 
-def check_gain(gain: Gain, path: Path, *, accept: bool) -> None:
-    """Refuse zeros that are no better than none, unless that is accepted.
+def check_improvement(rms_errors: RmsErrors, path: Path, *, accept: bool) -> None:
+    """Refuse zeros with which the robot is no better than without, unless that is accepted.
 
     Args:
-        gain: What they buy.
+        rms_errors: The errors with them and without.
         path: The file to write, for the message.
         accept: Whether to write them all the same.
 
     Raises:
         VerdictError: They are no better than none, and ``accept`` is False.
     """
-    if gain.is_none and not accept:
-        raise VerdictError(_refusal(gain, path))
+    if rms_errors.is_no_better and not accept:
+        raise VerdictError(_refusal(rms_errors, path))
 
 
-def _refusal(gain: Gain, path: Path) -> str:
+def _refusal(rms_errors: RmsErrors, path: Path) -> str:
     """Word that zeros alone are no better than none."""
-    symbol = next(iter(gain.zeros))
+    symbol = next(iter(rms_errors.zeros))
     unit = RESIDUAL_UNITS[symbol]
     sizes = [
         f"{unit.to_shown * by_robot[symbol]:.{unit.digits}f} {unit.shown}"
-        for by_robot in (gain.rounded, gain.nominal, gain.calibrated)
+        for by_robot in (rms_errors.rounded, rms_errors.nominal, rms_errors.calibrated)
     ]
     return (
-        f"{path}: joint zeros alone are no better than the nominal robot: the rms error of {gain.rows} rows is "
+        f"{path}: joint zeros alone are no better than the nominal robot: the rms error of {rms_errors.rows} rows is "
         f"{sizes[0]} with them, rounded, {sizes[1]} without, and {sizes[2]} by the whole calibration. So nothing was "
         "written; use the whole calibration (calib convert --to dh, calib compensate). To write them all the same, add "
         "--accept (in Python accept=True)."

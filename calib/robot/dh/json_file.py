@@ -12,8 +12,8 @@ import numpy as np
 
 from calib.errors import CalibError, ModelError
 from calib.json_files import damage
-from calib.robot.dh import EQUATIONS, DHRow, DHTable
-from calib.robot.dh_robot import BASE, TIP, DHRobot
+from calib.robot.dh.description import BASE, TIP, DHRobot
+from calib.robot.dh.rows import EQUATIONS, DHRow, DHTable
 from calib.robot.urdf_tree import read_only
 
 SCHEMA = "dh 1"
@@ -22,7 +22,7 @@ SCHEMA = "dh 1"
 NUMBERS = {"theta": "rad", "d": "m", "a": "m", "alpha": "rad", "beta": "rad"}
 """The numbers of a row and their units."""
 
-#: Tables of a file: the robot's own is the last.
+#: Tables of a file: the rows before and after the calibration, and after minus before; a file may have ``after`` alone.
 _STATES = ("before", "after", "change")
 
 
@@ -32,16 +32,16 @@ def equation(convention: str) -> str:
     return f"T_base_tip = base {factor[0]}_1 ... {factor[0]}_n tool, {factor}"
 
 
-def content(
+def file_content(
     robot: Mapping[str, str],
     joints: list[dict[str, Any]],
     tables: Mapping[str, DHTable],
 ) -> dict[str, Any]:
-    """Return the content of a file.
+    """Return the content of a file of DH rows.
 
     Args:
         robot: Its ``name``, and the links ``base`` and ``tip``.
-        joints: What is added to each row.
+        joints: The value that is added to each row, see `joint_json`.
         tables: ``before``, ``after`` and ``change``, or ``after`` alone.
     """
     convention = tables["after"].convention
@@ -59,7 +59,7 @@ def content(
 def joint_json(
     row: DHRow, driver: str | None, factor: float, offset: float, others: Mapping[str, float]
 ) -> dict[str, Any]:
-    """Return what is added to a row, in m and rad.
+    """Return the value that is added to a row: factor times that of a joint, others, and an offset, in m and rad.
 
     Args:
         row: The row.
@@ -89,7 +89,7 @@ def robot_json(robot: DHRobot) -> dict[str, Any]:
         others = {name: row.direction * factor for name, factor in coupled.items()}
         joints.append(joint_json(row, row.joint, float(row.direction), row.offset, others))
     names = {"name": robot.name, "base": robot.base, "tip": robot.tip}
-    return content(names, joints, {"after": robot.table})
+    return file_content(names, joints, {"after": robot.table})
 
 
 def robot_of_json(table: Mapping[str, Any], source: str) -> DHRobot:
@@ -122,7 +122,7 @@ def robot_of_json(table: Mapping[str, Any], source: str) -> DHRobot:
 
 
 def _row(joint: Mapping[str, Any], numbers: Mapping[str, Any]) -> DHRow:
-    """Return a row from what is added to it and from its numbers."""
+    """Return a row from its entries in ``joints``, see `joint_json`, and in ``rows``, see `_table_json`."""
     unit = "m" if joint["type"] == "prismatic" else "rad"
     if joint["driver"] != joint["joint"] or abs(joint["factor"]) != 1.0:
         raise ModelError(
@@ -141,7 +141,7 @@ def _row(joint: Mapping[str, Any], numbers: Mapping[str, Any]) -> DHRow:
 
 
 def _table_json(table: DHTable) -> dict[str, Any]:
-    """Return a table in m and rad."""
+    """Return the rows of a table and its constant poses, in m and rad."""
     rows = []
     for row in table.rows:
         numbers = {f"{name}_{unit}": getattr(row, name) for name, unit in NUMBERS.items()}

@@ -4,7 +4,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from calib.robot.dh import NEARLY_PARALLEL_RAD, DHRow, DHTable, dh_frames, screw
+from calib.robot.dh.rows import NEARLY_PARALLEL_RAD, DHRow, DHTable, dh_frames, screw
 
 
 def _table(convention: str, *rows: DHRow) -> DHTable:

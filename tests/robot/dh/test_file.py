@@ -9,8 +9,8 @@ import pytest
 
 from calib.errors import CalibError, FileError, MeasurementError, ModelError
 from calib.example import paper_measurements
-from calib.robot.dh import DHRow
-from calib.robot.dh_file import is_other_table, read_dh_robot
+from calib.robot.dh.file import is_other_table, read_dh_robot
+from calib.robot.dh.rows import DHRow
 
 HEADER = (
     "joint,theta [deg],d [mm],a [mm],alpha [deg],direction,offset [deg],lower [deg],upper [deg]"
@@ -95,33 +95,6 @@ def test_constant_poses(written):
     np.testing.assert_allclose(T[:3, :3], [[0, -1, 0], [1, 0, 0], [0, 0, 1]], atol=1e-15)
 
 
-@pytest.mark.parametrize(
-    ("head", "cell", "direction", "offset", "coupling"),
-    [
-        ("coupling", "1 * J1", 1, 0, {"J1": 1.0}),
-        ("coupling", "J1 - 0.5 * J3", 1, 0, {"J1": 1.0, "J3": -0.5}),
-        ("value added", "J2", 1, 0, {}),
-        ("value added", "-1 * J2 - 90 deg", -1, -np.pi / 2, {}),
-        ("value added", "-1 * J2 + 2 * J1 + 180 deg", -1, np.pi, {"J1": -2.0}),
-        ("value added", "J2 + J1", 1, 0, {"J1": 1.0}),
-        ("value added", "-J2", -1, 0, {}),
-    ],
-)
-def test_what_is_added(written, head, cell, direction, offset, coupling):
-    lines = [
-        f"joint,d [mm],a [mm],alpha [deg],{head}",
-        "J1,1,2,3,",
-        f"J2,0,0,0,{cell}",
-        "J3,0,0,0,",
-    ]
-    if head == "value added":
-        lines[1], lines[3] = "J1,1,2,3,J1", "J3,0,0,0,J3"
-    robot = written(*lines)
-    row = robot.table.rows[1]
-    assert (row.direction, row.offset) == (direction, pytest.approx(offset))
-    assert robot.coupling == ({"J2": coupling} if coupling else {})
-
-
 def test_of_the_tables_of_a_file_the_last_state_is_read(written):
     lines = ["table,row,joint,d [mm],a [mm],alpha [deg]"]
     for table, d in (("before", 1), ("after", 2), ("change", 3)):
@@ -158,18 +131,12 @@ FAULTS = [
         r"line 3 \(row 2\), column 'joint': a second joint 'J1'",
     ),
     ([HEADER, "J1,0,x,0,0,1,0,,"], r"column 'd \[mm\]': 'x' is no number"),
-    ([HEADER, "J1,0,0,0,0,2,0,,"], "column 'direction': '2' is no direction"),
     ([HEADER, "J1,0,0,0,0,1,0,170,-170"], r"column 'upper \[deg\]': .*lower must be less"),
     ([HEADER, "J1,0,0,0,0,1,0,,170"], "has one limit"),
     (["joint,type,d [mm],a [mm],alpha [deg]", "J1,prismatic,1,2,3"], "slides and has no limits"),
     (["joint,type,d [mm],a [mm],alpha [deg]", "J1,round,1,2,3"], "'round' is no type"),
     (["joint,coupling,d [mm],a [mm],alpha [deg]", "J1,1 * J9,1,2,3"], "column 'coupling'.*'J9'"),
     (["joint,coupling,d [mm],a [mm],alpha [deg]", "J1,1 * J1,1,2,3"], "the joint itself"),
-    (
-        ["joint,value added,d [mm],a [mm],alpha [deg]", "J1,held at 3 deg,1,2,3"],
-        "'held at 3 deg' is",
-    ),
-    (["joint,value added,d [mm],a [mm],alpha [deg]", "J1,J1 + 3 mm,1,2,3"], "'3 mm' is a length"),
     (["joint,d [mm],a [mm],alpha [deg],x [mm]", "J1,1,2,3,4"], "only the lines 'base' and 'tool'"),
     (["joint,d [mm],a [mm],alpha [deg],x [mm]", "J1,1,2,3,", "base,1,,,4"], "has no d"),
     (["joint,d [mm],a [mm],alpha [deg],x [mm]", "base,,,,1", "base,,,,4"], "a second line 'base'"),

@@ -1,22 +1,26 @@
-"""The columns of a table of DH rows: which there are, what their headings say of the convention, and their cells."""
+"""The columns of a table of DH rows by their headings, the convention that these state, and the cells as numbers."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 from calib.errors import CalibError, MeasurementError, choices, did_you_mean
-from calib.robot.dh import CONVENTIONS, HAYATI, MODIFIED, STANDARD
-from calib.table import Column, Table
+from calib.robot.dh.rows import CONVENTIONS, HAYATI, MODIFIED, STANDARD
+from calib.tables.table import Column, Table
 from calib.units import ANGLE, LENGTH, PLAIN, parse_quantity, split_header
 
 POSE = ("x", "y", "z", "roll", "pitch", "yaw")
 """Columns of a constant pose, R = Rz(yaw) Ry(pitch) Rx(roll)."""
 
-#: Columns of numbers: a length, an angle, or either by the type of the joint.
+#: Columns of lengths.
 _LENGTHS = ("d", "a", "x", "y", "z")
+
+#: Columns of angles.
 _ANGLES = ("theta", "alpha", "beta", "roll", "pitch", "yaw")
+
+#: Columns of lengths for a joint that slides, of angles for one that turns.
 _EITHER = ("offset", "lower", "upper")
 
 #: Columns of words.
@@ -67,7 +71,12 @@ class DHColumns:
     convention: str
 
     def text(self, row: int, name: str) -> str:
-        """Return the cell of a row, from 0, and a column; empty where there is none."""
+        """Return the text of a cell; empty where there is none.
+
+        Args:
+            row: The row, from 0.
+            name: Name of the column.
+        """
         for column in self.by_name.get(name, ()):
             text = self.table.cells[row][column.index]
             if text:
@@ -75,7 +84,13 @@ class DHColumns:
         return ""
 
     def fail(self, row: int, name: str, what: str) -> MeasurementError:
-        """Return the error of a cell, of a row from 0, which names file, line and column."""
+        """Return the error of a cell, which names file, line and column.
+
+        Args:
+            row: The row, from 0.
+            name: Name of a column that the table has.
+            what: What is wrong with the cell and how to mend it, for the message.
+        """
         column = self.by_name[name][0]
         for other in self.by_name[name]:
             if self.table.cells[row][other.index]:
@@ -97,18 +112,12 @@ class DHColumns:
         Raises:
             MeasurementError: It is no number, has no unit, or that of another quantity.
         """
-        filled = [c for c in self.by_name.get(name, ()) if self.table.cells[row][c.index]]
-        if not filled:
+        column = self._filled_column(row, name)
+        if column is None:
             return None
-        if len(filled) > 1:
-            what = f"the row has a number in '{filled[1].label}', too. Keep one of them."
-            raise self.fail(row, name, what)
-        column = filled[0]
         text = self.table.cells[row][column.index]
-        wanted = LENGTH if name in _LENGTHS or (name in _EITHER and slides) else ANGLE
         if self.table.separator != ",":
             text = text.replace(",", ".")
-        example = "10 mm" if wanted == LENGTH else "90 deg"
         try:
             value, quantity = parse_quantity(
                 text if column.symbol is None else f"{text} {column.symbol}"
@@ -118,11 +127,13 @@ class DHColumns:
             raise self.fail(row, name, what) from error
         if quantity == PLAIN and value == 0.0:
             return value
+        wanted = LENGTH if name in _LENGTHS or (name in _EITHER and slides) else ANGLE
         if quantity == PLAIN:
-            symbol = example.split()[1]
+            symbol = "mm" if wanted == LENGTH else "deg"
             what = f"the number {text} has no unit. Write it into the heading: '{column.label} [{symbol}]'."
             raise self.fail(row, name, what)
         if quantity != wanted:
+            example = "10 mm" if wanted == LENGTH else "90 deg"
             reason = ""
             if name in _EITHER:
                 reason = f", for the joint {'slides' if slides else 'turns'}"
@@ -130,10 +141,18 @@ class DHColumns:
             raise self.fail(row, name, what)
         return value
 
+    def _filled_column(self, row: int, name: str) -> Column | None:
+        """Return the column of a name that has a number in a row, of which there may be one; None if there is none."""
+        filled = [c for c in self.by_name.get(name, ()) if self.table.cells[row][c.index]]
+        if len(filled) > 1:
+            what = f"the row has a number in '{filled[1].label}', too. Keep one of them."
+            raise self.fail(row, name, what)
+        return filled[0] if filled else None
+
 
 def is_dh_table(table: Table) -> bool:
     """Return True if the headings of a table are those of DH rows: it has columns of alpha and of d."""
-    names = {_plain(split_header(label)[0])[0] for label in table.header}
+    names = {_name_of(split_header(label)[0])[0] for label in table.header}
     return {"alpha", "d"} <= names
 
 
@@ -147,37 +166,52 @@ def dh_columns(table: Table, stated: str | None) -> DHColumns:
     Raises:
         MeasurementError: A column is missing, unknown or there twice, its unit is wrong, or the convention is not one.
     """
-    by_name: dict[str, tuple[Column, ...]] = {}
-    before = set()
-    for index, label in enumerate(table.header):
-        heading, symbol = split_header(label)
-        name, is_before = _plain(heading)
-        if not name or name in _REMARKS:
-            continue
-        column = Column(index, label, name, symbol)
-        _check_column(table, column, by_name)
-        by_name[name] = (*by_name.get(name, ()), column)
-        if is_before:
-            before.add(name)
+    by_name, of_row_before = _columns_by_name(table)
     missing = [name for name in ("d", "a", "alpha") if name not in by_name]
     if missing:
         raise MeasurementError(
             f"{table.source}: DH rows need columns of theta, d, a and alpha; {choices(missing)} is missing. The "
             f"headings found: {choices(table.header, 30)}."
         )
-    convention = _by_headings(table, before, has_beta="beta" in by_name)
-    found = DHColumns(table, by_name, convention or STANDARD)
-    words = {stated} if stated else set()
-    if "convention" in by_name:
-        for i in range(len(table.cells)):
-            word = found.text(i, "convention")
-            if word and word.lower() not in _CONVENTIONS:
-                raise found.fail(i, "convention", _no_convention(word))
-            words |= {word} if word else set()
-    return DHColumns(table, by_name, _agreed(table, convention, words))
+    by_headings = _by_headings(table, of_row_before, has_beta="beta" in by_name)
+    columns = DHColumns(table, by_name, by_headings or STANDARD)
+    words = _words_for_conventions(columns)
+    if stated:
+        words.add(stated)
+    return replace(columns, convention=_agreed(table, by_headings, words))
 
 
-def _plain(heading: str) -> tuple[str, bool]:
+def _columns_by_name(table: Table) -> tuple[dict[str, tuple[Column, ...]], set[str]]:
+    """Return the columns of each name, and the names of those whose headings have the index i - 1."""
+    by_name: dict[str, tuple[Column, ...]] = {}
+    of_row_before = set()
+    for index, label in enumerate(table.header):
+        heading, symbol = split_header(label)
+        name, is_of_row_before = _name_of(heading)
+        if not name or name in _REMARKS:
+            continue
+        column = Column(index, label, name, symbol)
+        _check_unit(table, column)
+        _check_single(table, column, by_name.get(name, ()))
+        by_name[name] = (*by_name.get(name, ()), column)
+        if is_of_row_before:
+            of_row_before.add(name)
+    return by_name, of_row_before
+
+
+def _words_for_conventions(columns: DHColumns) -> set[str]:
+    """Return the words, as written, in the column ``convention``; none if the table has no such column."""
+    words = set()
+    for i in range(len(columns.table.cells)):
+        word = columns.text(i, "convention")
+        if word and word.lower() not in _CONVENTIONS:
+            raise columns.fail(i, "convention", _no_convention(word))
+        if word:
+            words.add(word)
+    return words
+
+
+def _name_of(heading: str) -> tuple[str, bool]:
     """Return the name of a column by its heading, and True if it has the index i - 1."""
     text = " ".join(heading.split())
     is_before = _BEFORE.fullmatch(text)
@@ -186,8 +220,8 @@ def _plain(heading: str) -> tuple[str, bool]:
     return _SPELLINGS.get(text, text), is_before is not None
 
 
-def _check_column(table: Table, column: Column, by_name: Mapping[str, tuple[Column, ...]]) -> None:
-    """Refuse a column that is unknown, of another unit than it must be, or there twice."""
+def _check_unit(table: Table, column: Column) -> None:
+    """Refuse a column that is unknown, or of another unit than it must be."""
     name = column.name
     known = (*_LENGTHS, *_ANGLES, *_EITHER, *_WORDS)
     place = f"{table.source}, column '{column.label}'"
@@ -196,61 +230,66 @@ def _check_column(table: Table, column: Column, by_name: Mapping[str, tuple[Colu
             f"{place}: no column of DH rows has this name{did_you_mean(name, known)}; they are "
             f"{choices((*known, *_REMARKS), 40)}. Rename it, or call it 'remark'."
         )
-    quantities = {"length"} if name in _LENGTHS else {"angle"}
-    if name in _EITHER:
-        quantities = {"length", "angle"}
-    if column.symbol is not None:
-        unit = column.unit
-        if name in _WORDS or unit is None or unit.quantity not in quantities:
-            wanted = "no unit"
-            if name not in _WORDS:
-                wanted = " or ".join(
-                    "[mm]" if q == "length" else "[deg]" for q in sorted(quantities)
-                )
+    if column.symbol is None:
+        return
+    units = _units_of(name)
+    unit = column.unit
+    if unit is None or unit.quantity not in units:
+        wanted = " or ".join(units.values()) or "no unit"
+        raise MeasurementError(f"{place}: '{column.symbol}' is no unit for it; {wanted} is wanted.")
+
+
+def _units_of(name: str) -> dict[str, str]:
+    """Return the usual unit of each quantity that a column may have; none for a column of words."""
+    units = {}
+    if name in _ANGLES or name in _EITHER:
+        units["angle"] = "[deg]"
+    if name in _LENGTHS or name in _EITHER:
+        units["length"] = "[mm]"
+    return units
+
+
+def _check_single(table: Table, column: Column, others: Sequence[Column]) -> None:
+    """Refuse a second column of one name, but for `_EITHER` in two units, one of lengths and one of angles."""
+    for other in others:
+        has_two_units = (
+            other.unit is not None and column.unit is not None and other.unit is not column.unit
+        )
+        if column.name not in _EITHER or not has_two_units:
             raise MeasurementError(
-                f"{place}: '{column.symbol}' is no unit for it; {wanted} is wanted."
-            )
-    for other in by_name.get(name, ()):
-        if (
-            name not in _EITHER
-            or other.unit is None
-            or other.unit is column.unit
-            or column.unit is None
-        ):
-            raise MeasurementError(
-                f"{place}: there is another column '{other.label}'; keep one of them."
+                f"{table.source}, column '{column.label}': there is another column '{other.label}'; keep one of them."
             )
 
 
-def _by_headings(table: Table, before: set[str], *, has_beta: bool) -> str | None:
+def _by_headings(table: Table, of_row_before: set[str], *, has_beta: bool) -> str | None:
     """Return the convention that the headings state; None where they state none."""
-    if before and has_beta:
+    if of_row_before and has_beta:
         raise MeasurementError(
             f"{table.source}: headings of two conventions: 'beta' is Hayati's, and (i-1) of the modified one. Keep one."
         )
-    if before and not {"a", "alpha"} <= before:
+    if of_row_before and not {"a", "alpha"} <= of_row_before:
         raise MeasurementError(
             f"{table.source}: headings of two conventions: of a and alpha one has the index (i-1) of the modified one, "
             "the other has not. Give it to both, or to none."
         )
-    if before:
+    if of_row_before:
         return MODIFIED
     return HAYATI if has_beta else None
 
 
 def _agreed(table: Table, by_headings: str | None, words: set[str]) -> str:
     """Return the convention that headings and words of a table state; standard where nothing does."""
-    found = {by_headings} if by_headings else set()
+    conventions = {by_headings} if by_headings else set()
     for word in sorted(words):
         if word.lower() not in _CONVENTIONS:
             raise MeasurementError(f"{table.source}: {_no_convention(word)}")
-        found.add(_CONVENTIONS[word.lower()])
-    if len(found) > 1:
+        conventions.add(_CONVENTIONS[word.lower()])
+    if len(conventions) > 1:
         stated = f"its headings say '{by_headings}', and " if by_headings else ""
         raise MeasurementError(
             f"{table.source}: two conventions: {stated}it states {choices(sorted(words))}. Keep one."
         )
-    return found.pop() if found else STANDARD
+    return conventions.pop() if conventions else STANDARD
 
 
 def _no_convention(word: str) -> str:

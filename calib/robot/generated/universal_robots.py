@@ -13,9 +13,9 @@ import numpy as np
 import pinocchio as pin
 
 from calib.errors import ModelError, choices
-from calib.robot.cylinders import joint_body, link_radii, rods
-from calib.robot.dh import screw
-from calib.robot.urdf_text import Cylinder, NewJoint, urdf_bytes
+from calib.robot.dh.rows import screw
+from calib.robot.generated.cylinders import joint_body, link_radii, rods
+from calib.robot.generated.urdf_text import Cylinder, NewJoint, urdf_bytes
 from calib.robot.urdf_tree import read_only
 from calib.units import Array
 from calib.values.pickling import Value
@@ -34,7 +34,10 @@ JOINTS = (
 """The joints of Universal Robots' descriptions; a prefix may stand before them."""
 
 LINKS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
-"""What ``kinematics.yaml`` calls the six links."""
+"""The six links, as ``kinematics.yaml`` names them."""
+
+#: The links of the URDF from the mount to the last joint's.
+_URDF_LINKS = ("base_link_inertia", *(f"{link}_link" for link in LINKS))
 
 #: d1, a2, a3, d4, d5, d6 [m], from Universal Robots' article "DH parameters for calculations of kinematics and
 #: dynamics" and the descriptions and solvers for ROS that cite it. The UR7e and the UR12e are the UR5e and the UR10e
@@ -62,8 +65,10 @@ _SAME = 1e-6
 #: Half of pi as the controllers' own files write it [rad].
 _HALF_PI = 1.570796327
 
-#: The greatest joint value in the URDFs [rad]: a turn, but half of one at the elbow.
+#: The greatest joint value in the URDFs [rad]: a turn.
 _LARGEST_TURN = 2.0 * np.pi
+
+#: That of the elbow [rad]: half a turn.
 _LARGEST_ELBOW_TURN = np.pi
 
 
@@ -190,28 +195,39 @@ def named_ur_urdf(name: str) -> bytes | None:
 
 def _joints(model: UrModel) -> list[NewJoint]:
     """Return the joints of the URDF, each with the link that it carries."""
-    half, pi = np.pi / 2.0, np.pi
-    links = ["base_link_inertia", *(f"{link}_link" for link in LINKS)]
-    origins = [*model.chain]
-    radii = link_radii(origins)
-    mount = _fixed("base_link-base_link_inertia", "base_link", links[0], (0.0, 0.0, pi))
-    joints = [
-        replace(mount, bodies=_rods_to(origins[0], radii[0])),
-        _fixed("base_link-base_fixed_joint", "base_link", "base", (0.0, 0.0, pi)),
-    ]
-    for i, joint in enumerate(JOINTS):
-        bound = _LARGEST_ELBOW_TURN if joint == "elbow_joint" else _LARGEST_TURN
-        bodies = (joint_body(radii[i]), *_rods_to(origins[i + 1], radii[i]))
-        limits = (-bound, bound)
-        parent, child = links[i], links[i + 1]
-        joints.append(
-            NewJoint(joint, "revolute", parent, child, origins[i], limits=limits, bodies=bodies)
-        )
-    joints += [
-        _fixed("wrist_3_link-ft_frame", links[-1], "ft_frame", (pi, 0.0, 0.0)),
-        _fixed("wrist_3-flange", links[-1], "flange", (0.0, -half, -half)),
+    half = np.pi / 2.0
+    radii = link_radii([*model.chain])
+    mount = _fixed("base_link-base_link_inertia", "base_link", _URDF_LINKS[0], (0.0, 0.0, np.pi))
+    return [
+        replace(mount, bodies=_rods_to(model.chain[0], radii[0])),
+        _fixed("base_link-base_fixed_joint", "base_link", "base", (0.0, 0.0, np.pi)),
+        *_moving_joints(model.chain, radii),
+        _fixed("wrist_3_link-ft_frame", _URDF_LINKS[-1], "ft_frame", (np.pi, 0.0, 0.0)),
+        _fixed("wrist_3-flange", _URDF_LINKS[-1], "flange", (0.0, -half, -half)),
         _fixed("flange-tool0", "flange", "tool0", (half, 0.0, half)),
     ]
+
+
+def _moving_joints(chain: Array, radii: Array) -> list[NewJoint]:
+    """Return the six joints that turn.
+
+    Args:
+        chain: Their origins and the flange's, shape (7, 4, 4), [m].
+        radii: Radius of the link that each carries, shape (6,), [m].
+    """
+    joints = []
+    for i, name in enumerate(JOINTS):
+        bound = _LARGEST_ELBOW_TURN if name == "elbow_joint" else _LARGEST_TURN
+        joint = NewJoint(
+            name=name,
+            type="revolute",
+            parent=_URDF_LINKS[i],
+            child=_URDF_LINKS[i + 1],
+            T_parent_joint=chain[i],
+            limits=(-bound, bound),
+            bodies=(joint_body(radii[i]), *_rods_to(chain[i + 1], radii[i])),
+        )
+        joints.append(joint)
     return joints
 
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from calib.errors import MeasurementError
-from calib.robot.dh_columns import dh_columns, is_dh_table
-from calib.table import Table
+from calib.robot.dh.columns import dh_columns, is_dh_table
+from calib.tables.table import Table
 
 
 def table_of(tmp_path, *lines):

@@ -14,8 +14,8 @@ from openpyxl import Workbook
 from calib.data.measurements import Measurements
 from calib.data.points_file import read_points
 from calib.errors import MeasurementError
-from calib.table import Table
-from calib.workbook import split_sheet
+from calib.tables.table import Table
+from calib.tables.workbook import split_sheet
 from tests.data.tables import refused
 
 

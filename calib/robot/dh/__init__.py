@@ -1,0 +1,1 @@
+"""Robots from DH rows: the rows and their conventions, and the files that hold them."""

@@ -1,0 +1,275 @@
+"""Files of DH rows: a table, one line a joint, or calib's own JSON; docs/dh-rows.md describes them.
+
+A file that ``calib convert --to dh`` wrote has several tables: of these ``after`` is read, the rows after the
+calibration, or ``robot``, the rows of a robot that was not calibrated.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+
+from calib.errors import MeasurementError, ModelError, choices
+from calib.json_files import read_json
+from calib.robot.dh.columns import POSE, DHColumns, dh_columns, is_dh_table
+from calib.robot.dh.description import BASE, TIP, DHRobot, coupling_fault, row_fault
+from calib.robot.dh.json_file import SCHEMA, robot_of_json
+from calib.robot.dh.rows import DHRow, DHTable
+from calib.robot.dh.value_added import value_added
+from calib.robot.urdf_tree import read_only
+from calib.tables.table import Table, read_text
+from calib.units import Array
+
+TABLES = (".csv", ".txt", ".tsv")
+"""Endings of tables; a table in the place of a robot holds DH rows."""
+
+ENDINGS = (*TABLES, ".json")
+"""Endings of files of DH rows."""
+
+#: Tables of a file that calib wrote, of which the first that is there is read.
+_READ = ("after", "robot")
+
+#: Its other tables.
+_NOT_READ = ("before", "change")
+
+#: A comment that states something: ``# base: base_link``.
+_STATEMENT = re.compile(r'"?#\s*(robot|base|tip|convention)\s*[:=]\s*(.*?)"?', re.IGNORECASE)
+
+#: Words for the types of joints: True for one that slides.
+_TYPES = {
+    "": False,
+    "revolute": False,
+    "rotary": False,
+    "r": False,
+    "continuous": False,
+    "prismatic": True,
+    "linear": True,
+    "sliding": True,
+    "p": True,
+}
+
+#: The numbers of a row.
+_NUMBERS = ("theta", "d", "a", "alpha", "beta")
+
+#: Lines of constant poses.
+_POSES = ("base", "tool")
+
+
+def read_dh_robot(path: str | Path) -> DHRobot:
+    """Read a robot from a file of DH rows.
+
+    Args:
+        path: A table, or a JSON file as written by ``calib convert --to dh``.
+
+    Raises:
+        FileError: It does not exist, or is JSON of another kind.
+        MeasurementError: It is no table, or one of something else, or has a fault; the text names row and column.
+        ModelError: The rows make no robot.
+    """
+    if Path(path).suffix.lower() == ".json":
+        return _read_json(path)
+    table = Table.read(path)
+    if not is_dh_table(table):
+        raise MeasurementError(
+            f"'{path}' is in the place of the robot, and is no table of DH rows: it has no columns of d and alpha. The "
+            f"robot comes before the table. The headings found: {choices(table.header, 30)}."
+        )
+    statements = _statements(path)
+    columns = dh_columns(table, statements.get("convention"))
+    dh, coupling = _table_and_coupling(columns)
+    try:
+        return DHRobot(
+            dh,
+            statements.get("robot", Path(path).stem),
+            statements.get("base", BASE),
+            statements.get("tip", TIP),
+            coupling,
+        )
+    except ModelError as error:
+        raise ModelError(f"{table.source}: {error}") from error
+
+
+def _read_json(path: str | Path) -> DHRobot:
+    """Read a robot from calib's own JSON."""
+    expected = (
+        f"'{SCHEMA}' is wanted: a robot is a URDF, or a file written by calib convert --to dh."
+    )
+    return robot_of_json(read_json(path, "file of DH rows", SCHEMA, expected), Path(path).name)
+
+
+def is_other_table(path: str | Path) -> bool:
+    """Return True for a table of something else than DH rows, False for any other file.
+
+    Raises:
+        MeasurementError: It has the ending of a table, and does not exist or is none.
+    """
+    return Path(path).suffix.lower() in TABLES and not is_dh_table(Table.read(path))
+
+
+def _statements(path: str | Path) -> dict[str, str]:
+    """Return the statements of comments by their subjects: robot, base, tip, convention."""
+    _, _, text = read_text(path, "The table")
+    matches = [_STATEMENT.fullmatch(line.strip().rstrip(",;\t")) for line in text.splitlines()]
+    return {match[1].lower(): match[2].strip() for match in matches if match and match[2].strip()}
+
+
+def _lines(columns: DHColumns) -> list[int]:
+    """Return the lines, from 0, of the table that is read: ``after``, or ``robot``, or all."""
+    count = range(len(columns.table.cells))
+    if "table" not in columns.by_name:
+        return list(count)
+    words = [columns.text(i, "table").lower() for i in count]
+    for i, word in enumerate(words):
+        if word not in (*_READ, *_NOT_READ):
+            what = f"'{word}' is no table; they are {choices((*_NOT_READ, *_READ))}."
+            raise columns.fail(i, "table", what)
+    for name in _READ:
+        if name in words:
+            return [i for i, word in enumerate(words) if word == name]
+    raise MeasurementError(
+        f"{columns.table.source}: there is no row of the table {choices(_READ)}, which are read."
+    )
+
+
+def _table_and_coupling(columns: DHColumns) -> tuple[DHTable, dict[str, dict[str, float]]]:
+    """Return the rows with their constant poses, and the factors of other joints' readings by coupled joint."""
+    poses, joint_lines = _divided_lines(columns)
+    names = _names(columns, joint_lines)
+    rows = []
+    coupling = {}
+    for i, name in zip(joint_lines, names, strict=True):
+        row, factors = _row(columns, i, name, names)
+        rows.append(row)
+        if factors:
+            coupling[name] = factors
+    if not rows:
+        raise MeasurementError(
+            f"{columns.table.source}: there is no row of a joint; one line a joint is wanted."
+        )
+    identity = np.eye(4)
+    dh = DHTable(
+        rows=tuple(rows),
+        T_base_0=read_only(poses.get("base", identity)),
+        T_n_tip=read_only(poses.get("tool", identity)),
+        convention=columns.convention,
+    )
+    return dh, coupling
+
+
+def _divided_lines(columns: DHColumns) -> tuple[dict[str, Array], list[int]]:
+    """Return the constant poses (4, 4) [m] by ``"base"`` and ``"tool"``, and the lines of joints, from 0."""
+    poses = {}
+    joint_lines = []
+    for i in _lines(columns):
+        place = _place(columns, i)
+        if place in poses:
+            raise columns.fail(i, _naming(columns), f"a second line '{place}'. Keep one.")
+        if place:
+            poses[place] = _pose(columns, i)
+        else:
+            joint_lines.append(i)
+    return poses, joint_lines
+
+
+def _naming(columns: DHColumns) -> str:
+    """Return the name of the column whose words ``base`` and ``tool`` mark the lines of constant poses."""
+    return "row" if "row" in columns.by_name else "joint"
+
+
+def _place(columns: DHColumns, i: int) -> str:
+    """Return ``"base"`` or ``"tool"`` for the line of a constant pose, else nothing."""
+    if _naming(columns) not in columns.by_name:
+        return ""
+    word = columns.text(i, _naming(columns)).lower()
+    return word if word in _POSES else ""
+
+
+def _pose(columns: DHColumns, i: int) -> Array:
+    """Return the constant pose of a line, shape (4, 4), [m]."""
+    if not {*POSE} & columns.by_name.keys():
+        what = f"a constant pose needs the columns {choices(POSE)}, with units."
+        raise columns.fail(i, _naming(columns), what)
+    for name in _NUMBERS:
+        if columns.text(i, name):
+            what = f"the line of a constant pose has no {name}. Leave the cell empty."
+            raise columns.fail(i, name, what)
+    values = [columns.number(i, name) or 0.0 for name in POSE]
+    T = np.eye(4)
+    T[:3, :3] = pin.rpy.rpyToMatrix(*values[3:])
+    T[:3, 3] = values[:3]
+    return T
+
+
+def _names(columns: DHColumns, joint_lines: Sequence[int]) -> list[str]:
+    """Return the names of the joints of lines: joint_1, joint_2, ... where the table names none."""
+    names: list[str] = []
+    for number, i in enumerate(joint_lines, start=1):
+        name = columns.text(i, "joint") or f"joint_{number}"
+        if name in names:
+            column = "joint" if "joint" in columns.by_name else "d"
+            raise columns.fail(i, column, f"a second joint '{name}'. Rename one of them.")
+        names.append(name)
+    return names
+
+
+def _row(
+    columns: DHColumns, i: int, name: str, names: Sequence[str]
+) -> tuple[DHRow, dict[str, float]]:
+    """Return the row of a line, and the factors of other joints' readings in the joint's value.
+
+    Args:
+        columns: The columns of the table.
+        i: The line, from 0.
+        name: Name of its joint.
+        names: Names of all joints.
+    """
+    slides = _slides(columns, i)
+    for column in POSE:
+        if columns.text(i, column):
+            what = "only the lines 'base' and 'tool' have a pose. Leave the cell empty."
+            raise columns.fail(i, column, what)
+    added = value_added(columns, i, name, slides=slides)
+    numbers = {field: columns.number(i, field) or 0.0 for field in _NUMBERS}
+    row = DHRow(
+        joint=name,
+        prismatic=slides,
+        **numbers,
+        direction=added.direction,
+        offset=added.offset,
+        lower=columns.number(i, "lower", slides=slides),
+        upper=columns.number(i, "upper", slides=slides),
+    )
+    fault = row_fault(row, columns.convention)
+    if fault:
+        column = "upper" if "upper" in columns.by_name else _naming_of_row(columns)
+        raise columns.fail(i, column, f"the row of '{name}' {fault}.")
+    fault = coupling_fault(name, added.coupling, names)
+    if fault:
+        column = "coupling" if "coupling" in columns.by_name else "value added"
+        raise columns.fail(i, column, f"the coupling of '{name}' {fault}.")
+    return row, added.coupling
+
+
+def _naming_of_row(columns: DHColumns) -> str:
+    """Return a column that every table of rows has, for messages: that of the names, else d."""
+    return "joint" if "joint" in columns.by_name else "d"
+
+
+def _slides(columns: DHColumns, i: int) -> bool:
+    """Return True if the joint of a line slides."""
+    word = columns.text(i, "type").lower()
+    if word not in _TYPES:
+        what = f"'{word}' is no type of joint; it must be 'revolute' or 'prismatic'."
+        raise columns.fail(i, "type", what)
+    added_to = columns.text(i, "added to").lower()
+    if added_to not in ("", "theta", "d"):
+        what = f"'{added_to}' is nothing that a value is added to; it must be 'theta' or 'd'."
+        raise columns.fail(i, "added to", what)
+    if word and added_to and _TYPES[word] != (added_to == "d"):
+        what = f"'{added_to}' does not fit the type '{word}'. Correct one of them."
+        raise columns.fail(i, "added to", what)
+    return _TYPES[word] or added_to == "d"
