@@ -184,6 +184,8 @@ def _blocked(plan: PlanValues) -> Iterator[str]:
     moves = [_blocked_move(plan, blocked) for blocked in plan.blocked]
     if moves:
         yield f"The straight way in joint space collides from {', '.join(moves)}."
+    if any(blocked.by is None for blocked in plan.blocked):
+        yield "Put a posture between the rows where no way around is named."
 
 
 def _blocked_move(plan: PlanValues, blocked: Blocked) -> str:

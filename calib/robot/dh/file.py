@@ -36,6 +36,9 @@ _READ = ("after", "robot")
 #: Its other tables.
 _NOT_READ = ("before", "change")
 
+#: A length a of most rows beyond this is in another unit than its heading says [m].
+_LONGEST = 10.0
+
 #: A comment that states something: ``# base: base_link``.
 _STATEMENT = re.compile(r'"?#\s*(robot|base|tip|convention)\s*[:=]\s*(.*?)"?', re.IGNORECASE)
 
@@ -81,6 +84,7 @@ def read_dh_robot(path: str | Path) -> DHRobot:
     statements = _statements(path)
     columns = dh_columns(table, statements.get("convention"))
     dh, coupling = _table_and_coupling(columns)
+    _check_lengths(dh, table.source)
     try:
         return DHRobot(
             dh,
@@ -91,6 +95,21 @@ def read_dh_robot(path: str | Path) -> DHRobot:
         )
     except ModelError as error:
         raise ModelError(f"{table.source}: {error}") from error
+
+
+def _check_lengths(table: DHTable, source: str) -> None:
+    """Refuse rows whose lengths a are those of an arm in another unit; d may be large between nearly parallel axes.
+
+    Args:
+        table: The rows.
+        source: The file's name, for the message.
+    """
+    lengths = [abs(row.a) for row in table.rows if row.a]
+    if lengths and float(np.median(lengths)) > _LONGEST:
+        raise MeasurementError(
+            f"{source}, column 'a': half of the lengths are more than {_LONGEST:g} m. If they are millimetres, write "
+            "'a [mm]' and 'd [mm]' in the header."
+        )
 
 
 def _read_json(path: str | Path) -> DHRobot:

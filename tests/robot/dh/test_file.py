@@ -153,6 +153,13 @@ def test_faults_name_row_and_column(written, lines, says):
         written(*lines)
 
 
+def test_lengths_in_another_unit_than_the_heading_says(written):
+    with pytest.raises(MeasurementError, match=r"column 'a'.*'a \[mm\]'"):
+        written("d [m],a [m],alpha [deg]", "400,25,-90", "0,455,0", "0,35,-90")
+    far = written("d [m],a [m],alpha [deg]", "0.4,0.025,-90", "36877,0.44,0", "-36873,0.03,-90")
+    assert far.table.rows[1].d == 36877.0  # between nearly parallel axes
+
+
 def test_other_files(written, tmp_path):
     with pytest.raises(MeasurementError, match="robot comes before the table"):
         read_dh_robot(paper_measurements())
