@@ -99,7 +99,7 @@ def name_columns(
         table: The table.
         joint_names: Names of joints in the order of the chain, which are kept as written; names
             that mean something to calib are otherwise read in any case (``QX`` is ``qx``), but
-            for single letters of orientations.
+            for single letters of orientations whose convention or brand is not given.
         columns: Mapping from names of the table to names of calib, as of ``--columns``: the
             table's name or header to calib's name, with or without a unit; to ``"-"`` for a column
             that is not read. Or all that is said of the columns: then a brand names the others.
@@ -117,6 +117,8 @@ def name_columns(
     renamed = _renamed_by_brand(table, joint_names, options, renamed) | renamed
     known = {name: name for name in (*reserved(), STATUS)}
     known.update(orientations.IN_ANY_CASE)
+    for convention in options.conventions:
+        known.update({name.casefold(): name for name in convention.columns})
     named: dict[str, Column] = {}
     groups: list[Column] = []
     for index, label in enumerate(table.header):

@@ -25,6 +25,7 @@ Code = Literal[
     "zeros no better",
     "changes alone",
     "comments not kept",
+    "times gear ratio",
     "end positions move",
 ]
 

@@ -275,7 +275,7 @@ def read_text(path: str | Path, what: str) -> tuple[str, str, str]:
         what: What the file should be, for messages: ``"The table"``.
 
     Returns:
-        The file's name for messages, the SHA-256 of its bytes, and the text, with lines that end
+        The file's name for messages, the SHA-256 of its bytes (of a sheet: of its text), and the text, with lines that end
         in ``\n``.
 
     Raises:
@@ -287,9 +287,11 @@ def read_text(path: str | Path, what: str) -> tuple[str, str, str]:
         data = read_bytes(path if sheet is None else file, what)
     except FileError as error:
         raise MeasurementError(str(error)) from error
-    sha256 = hashlib.sha256(data).hexdigest()
     if sheet is not None:
-        return source, sha256, sheet_text(data, source, sheet)
+        text = sheet_text(data, source, sheet)
+        # Two sheets of one file are two tables.
+        return source, hashlib.sha256(text.encode()).hexdigest(), text
+    sha256 = hashlib.sha256(data).hexdigest()
     is_utf16 = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
     try:
         text = data.decode("utf-16" if is_utf16 else "utf-8-sig")

@@ -32,6 +32,9 @@ _DEG = float(np.degrees(1.0))
 #: together [m]: no calibration moves a tool so far.
 _MISMATCH = 0.02
 
+#: The same of orientations [deg].
+_MISMATCH_DEG = 10.0
+
 #: Angles of a pose below this are rounding [deg].
 _ROUNDING_DEG = 1e-9
 
@@ -363,12 +366,21 @@ def _mismatch(commands: Commands) -> str:
     poses = pair.T_frame_base @ pair.nominal.poses(program.q)
     apart = np.linalg.norm(poses[:, :3, 3] - program.T_wanted[:, :3, 3], axis=1)
     median = float(np.median(apart))
-    if median < _MISMATCH:
+    if median >= _MISMATCH:
+        return (
+            f"At the program's joint values the nominal robot has the tool {_MM * median:.0f} mm from the program's "
+            "positions (median). Are these of another tool (--tool), in another frame (--poses-in), or measured ones "
+            '(--columns "x=-" leaves one out)? Or are joint readings coupled (--cell)?'
+        )
+    turns = Rotation.from_matrix(poses[:, :3, :3]).inv() * Rotation.from_matrix(
+        program.T_wanted[:, :3, :3]
+    )
+    turned_deg = _DEG * float(np.median(turns.magnitude()))
+    if not program.oriented or turned_deg < _MISMATCH_DEG:
         return ""
     return (
-        f"At the program's joint values the nominal robot has the tool {_MM * median:.0f} mm from the program's "
-        "positions (median). Are these of another tool (--tool), in another frame (--poses-in), or measured ones "
-        '(--columns "x=-" leaves one out)?'
+        f"At the program's joint values the nominal robot has the tool turned by {turned_deg:.0f} deg from the program's "
+        "orientations (median), in the right places. Are these of another convention (--orientation) or tool (--tool)?"
     )
 
 

@@ -52,6 +52,7 @@ _NOTES: dict[Code, str] = {
     "changes alone": "The file has the changes alone, to be added to the numbers of the robot's own file; with "
     "--update FILE it is a copy of that file with the sums.",
     "comments not kept": "The comments of {0} are not in the new file.",
+    "times gear ratio": "The numbers above are of the joints; in the file they are times the {0} of each entry.",
     "end positions move": "range_min and range_max stay as they are, so that each joint's end positions move with its "
     "zero: check them. The readings must grow with the servo's ticks; where they fall, turn the sign.",
 }

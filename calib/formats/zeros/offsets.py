@@ -8,7 +8,7 @@ from __future__ import annotations
 import copy
 import json
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -44,6 +44,10 @@ class OffsetFile(NamedTuple):
     may_lack: bool
     #: How a reading is made of the offset, as a comment; empty: such files have no comments
     comment: str = ""
+    #: Key by which an entry is one of another kind of file; empty: none is known
+    foreign_key: str = ""
+    #: Whether offsets are whole numbers
+    is_whole: bool = False
 
 
 def offsets_bytes(kind: OffsetFile, rounded: RoundedZeros, update: str | Path | None) -> bytes:
@@ -84,7 +88,13 @@ def _updated(kind: OffsetFile, rounded: RoundedZeros, update: str | Path) -> dic
     """
     table = copy.deepcopy(kind.parse(read_bytes(update, kind.what), str(update)))
     changes, key, largest = rounded.by_joint(), rounded.stored.key, rounded.stored.largest
-    entries = _entries(table, changes)
+    places = list(_places(table, changes))
+    if len(places) > 1:
+        raise FileError(
+            f"{update}: this {kind.what} has entries of these joints in {len(places)} places, as of two arms. Give a copy "
+            "with those of the calibrated arm alone."
+        )
+    entries = places[0] if places else {}
     missing = [name for name in changes if name not in entries]
     if missing:
         raise FileError(
@@ -105,29 +115,34 @@ def _updated(kind: OffsetFile, rounded: RoundedZeros, update: str | Path) -> dic
     return table
 
 
-def _entries(table: object, names: Mapping[str, float]) -> dict[str, Any]:
-    """Return the outermost table that has an entry of a joint, which is a table itself; empty if there is none.
+def _places(table: object, names: Mapping[str, float]) -> Iterator[dict[str, Any]]:
+    """Yield the entries of each table, at any depth, that has an entry of a joint, which is a table itself.
 
     Args:
         table: A table or other value of the file.
         names: The joints, by name.
     """
     if not isinstance(table, dict):
-        return {}
+        return
     if any(isinstance(table.get(name), dict) for name in names):
-        return {name: entry for name, entry in table.items() if isinstance(entry, dict)}
+        yield {name: entry for name, entry in table.items() if isinstance(entry, dict)}
+        return
     for value in table.values():
-        found = _entries(value, names)
-        if found:
-            return found
-    return {}
+        yield from _places(value, names)
 
 
 def _old_offset(kind: OffsetFile, entry: Mapping[str, Any], key: str, where: str) -> float:
     """Return the offset of an entry; `FileError` if it has none that is a number."""
+    if kind.foreign_key in entry:
+        raise FileError(
+            f"{where}: it has a '{kind.foreign_key}', so that this is no {kind.what}. Choose the format of this file with --to."
+        )
     if kind.may_lack and key not in entry:
         return 0.0
-    return _number(entry, key, where)
+    offset = _number(entry, key, where)
+    if kind.is_whole and offset != int(offset):
+        raise FileError(f"{where}: its {key} is {offset:g}; a servo stores whole ticks.")
+    return offset
 
 
 def _ratio(kind: OffsetFile, entry: Mapping[str, Any], where: str) -> float:
@@ -142,7 +157,14 @@ def _ratio(kind: OffsetFile, entry: Mapping[str, Any], where: str) -> float:
             "the ticks or falls is not known. Leave out --update, and change this offset by hand, with the other sign "
             "if the reading falls."
         )
-    return _number(entry, kind.ratio_key, where) if kind.ratio_key in entry else 1.0
+    if kind.ratio_key not in entry:
+        return 1.0
+    ratio = _number(entry, kind.ratio_key, where)
+    if ratio == 0.0:
+        raise FileError(
+            f"{where}: its {kind.ratio_key} is 0; it is 1 for a motor that turns with its joint."
+        )
+    return ratio
 
 
 def _number(entry: Mapping[str, Any], key: str, where: str) -> float:
@@ -198,6 +220,7 @@ DYNAMIXEL_YAML = OffsetFile(
     inverted_key="",
     may_lack=True,
     comment="reading = (raw - offset) / gear_ratio",
+    foreign_key="homing_offset",
 )
 """Parameters of dynamixel_hardware by joint, for a xacro to load."""
 
@@ -214,5 +237,6 @@ LEROBOT_JSON = OffsetFile(
     ratio_key="",
     inverted_key="drive_mode",
     may_lack=False,
+    is_whole=True,
 )
 """LeRobot's calibration: ``id``, ``drive_mode``, ``homing_offset``, ``range_min``, ``range_max`` by joint."""

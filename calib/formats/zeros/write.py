@@ -85,5 +85,7 @@ def _notes_on_file(kind: OffsetFile | None, options: Options) -> Iterator[Note]:
         yield Note("changes alone")
     elif kind.comment:
         yield Note("comments not kept", (str(options.update),))
+    if options.update is not None and kind.ratio_key:
+        yield Note("times gear ratio", (kind.ratio_key,))
     if kind is LEROBOT_JSON:
         yield Note("end positions move")
