@@ -19,7 +19,7 @@ from calib.text.accuracy import (
     pose_cells,
     pose_heads,
 )
-from calib.text.evaluation import FIGURES, decisive_sum, error_blocks
+from calib.text.evaluation import FIGURE_KEYS, FIGURES, decisive_sum, error_blocks
 from calib.text.layout.lines import number
 from calib.text.layout.sizes import shown
 from calib.text.summary import error_cells, error_heads, error_title
@@ -29,9 +29,6 @@ _NAMES = {"ap_max": "AP max", "ap_mean": "AP mean", "rp_max": "RP max", "single_
 
 #: Those that stand on the first page, with or without a tolerance.
 _FIRST_PAGE = ("ap_max", "ap_mean", "rp_max")
-
-#: The row that each criterion compares with the tolerance.
-_COMPARED = {"max": "ap_max", "mean": "ap_mean", "single": "single_max"}
 
 #: Title of the first page's table.
 _FIRST_TITLE = "Pose accuracy and repeatability, ISO 9283"
@@ -63,7 +60,7 @@ def before_and_after(e: Assessment) -> Table:
     The rows that are compared are strong, and have what counts against them; see `checks`.
     """
     a = e.accepted
-    compared = "" if a is None else _COMPARED[a.criterion]
+    compared = "" if a is None else FIGURE_KEYS[a.criterion]
     keys = [key for key in _NAMES if key in (*_FIRST_PAGE, compared)]
     shown_robots = dict.fromkeys(who for who in ("nominal", e.judged) if who in e.accuracies)
     rows: list[tuple[str, ...]] = []

@@ -49,6 +49,9 @@ FIGURES = {
     "single": "largest error of a single repeat",
 }
 
+FIGURE_KEYS = {"max": "ap_max", "mean": "ap_mean", "single": "single_max"}
+"""The same figures as `calib.result.accuracy.Accuracy.figures` calls them."""
+
 
 def assessment_text(e: Assessment, result: str, source: str) -> str:
     """Write an evaluation: the outcome first, then places of targets, errors and accuracy of each robot.
@@ -103,6 +106,7 @@ def outcome_reasons(e: Assessment, result: str) -> Iterator[str]:
         return
     for unit in a.checks:
         yield from _check_reasons(a, unit, robot)
+        yield from _no_better(e, a, unit)
     yield from _rows_reasons(a)
     for unit in a.accuracy.units:
         if unit not in a.checks:
@@ -135,6 +139,23 @@ def _check_reasons(a: Acceptance, unit: str, robot: str) -> Iterator[str]:
     total = decisive_sum(check)
     if np.isfinite(check.held) and total != check.figure:
         yield _sum_sentence(check, total, unit)
+
+
+def _no_better(e: Assessment, a: Acceptance, unit: str) -> Iterator[str]:
+    """Word that the figure of the nominal robot is smaller than that of the evaluated one; nothing where it is not.
+
+    Args:
+        e: The evaluation.
+        a: Its acceptance test.
+        unit: Symbol of the unit of the figure.
+    """
+    if "nominal" not in e.accuracies:
+        return
+    key = FIGURE_KEYS[a.criterion]
+    nominal = e.accuracies["nominal"].figures(unit)[key]
+    if nominal < a.checks[unit].figure:
+        size = with_unit(nominal, unit)
+        yield f"That of the nominal robot is smaller, {size}: by this figure the calibration is no improvement."
 
 
 def decisive_sum(check: Check) -> float:

@@ -197,6 +197,19 @@ def test_coupled_readings_of_the_cell_file(call, folder: Path):
     assert "coupled readings of no joint" in refused.err
 
 
+def test_orientations_of_a_program_of_joint_values_are_those_of_its_brand(call, folder: Path):
+    write(folder / "kuka.csv", "A1,A2,A3,A4,A5,A6", "-40,-85,75,-120,-45,0")
+    words = ("robot.urdf", "kuka.csv", *RESULT, "--columns", "kuka", "-o")
+    assert call(folder, "compensate", *words, "brand.csv").code == 0
+    (row,) = table(folder / "brand.csv")
+    given = ("--orientation", "rpy")
+    assert call(folder, "compensate", *words, "given.csv", *given).code == 0
+    (other,) = table(folder / "given.csv")
+    names = {"A [deg]": "yaw [deg]", "B [deg]": "pitch [deg]", "C [deg]": "roll [deg]"}
+    for name, same in names.items():
+        assert float(row[name]) == pytest.approx(float(other[same]), abs=1e-9)
+
+
 def test_a_corrected_urdf_in_place_of_a_result(call, folder: Path):
     names = ("--corrected", "corrected.urdf", "--base", "base", "--tip", "tool0")
     words = ("compensate", "robot.urdf", "program.csv")

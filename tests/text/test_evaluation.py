@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from calib.data.measurements import Measurements
 from calib.result.acceptance import Assessment, assess
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
-from calib.text.evaluation import assessment_text
+from calib.text.evaluation import assessment_text, outcome_reasons
 from calib.text.layout.lines import mm
 
 KNOWN = Cell(target=(0.0, 0.0, 0.0), estimate_target=False)
@@ -97,3 +98,12 @@ def test_what_fails_is_above_the_tolerance_without_the_guard_band(ur3: Robot):
         f"{mm(figure)} - guard band 0.100 (k = 2, ISO 14253-1) = {mm(figure - 1e-4)} mm > 0.900 mm."
     )
     assert equation in said
+
+
+def test_a_calibration_that_is_no_better_by_its_figure_is_said(assessment: Assessment):
+    """The evaluated robot's largest AP is 1.2 mm; that of the nominal one is smaller, or not."""
+    better = replace(assessment.accuracies["urdf"], poses=assessment.accuracies["urdf"].poses[:5])
+    for nominal, is_said in ((better, True), (assessment.accuracies["urdf"], False)):
+        both = replace(assessment, accuracies={**assessment.accuracies, "nominal": nominal})
+        said = " ".join(outcome_reasons(both, "result.json"))
+        assert ("0.500 mm: by this figure" in said) == is_said

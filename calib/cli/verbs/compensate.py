@@ -123,7 +123,8 @@ class ChainOptions(ColumnChoice):
         typer.Option(
             metavar="CONVENTION",
             help="Convention of the orientations that are written, and of the program's if it has such columns: "
-            "{conventions}. Default: as the program's columns are named; without orientations rotation-vector.",
+            "{conventions}. Default: as the program's columns are named; without orientations that of the brand, else "
+            "rotation-vector.",
         ),
     ] = None
 
@@ -193,7 +194,8 @@ def compensate(
     none_reached = not commands.reached.any()
     if not commands.reached.all() and (none_reached or not goal.skip):
         raise CalibError(no_commands(commands))
-    _write(commands, outputs, chain.orientation)
+    convention = chain.orientation or commands.program.form or chain.parsed().brand
+    _write(commands, outputs, convention)
     if not quiet:
         typer.echo(text(commands, Path(source).name, outputs.output))
     say_accepted(f"'{source}'", models.stated)
