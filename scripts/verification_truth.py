@@ -225,7 +225,7 @@ class Truth:
             pin.framesForwardKinematics(model, data, configuration)
             R_base_tip = data.oMf[base].rotation.T @ data.oMf[tip].rotation
             linear = J[:3] - pin.skew(self.targets[0, :3, 3]) @ J[3:]
-            result[i] = R_base_tip @ linear @ self.robot.coupling
+            result[i] = R_base_tip @ linear @ self.robot.mimic_matrix
         return result
 
 

@@ -72,7 +72,7 @@ def nominal_axes(robot: Robot) -> tuple[Line, ...]:
     none_slides = all(joint.type != "prismatic" for joint in robot.joints)
     none_held = all(joint.name in robot.joint_names for joint in robot.joints)
     all_turn = none_slides and none_held
-    independent = np.array_equal(robot.coupling, np.eye(n)) and not robot.reading_coupling
+    independent = np.array_equal(robot.mimic_matrix, np.eye(n)) and not robot.reading_coupling
     if not all_turn or not independent or robot.base_moves:
         raise UrdfError(
             f"'{robot.name}' from '{robot.base}' to '{robot.tip}': a base frame needs a chain of joints that turn one "

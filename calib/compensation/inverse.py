@@ -532,7 +532,7 @@ def _by_whole_turns(robot: Robot, q: Array, seed: Array, allowed: Array) -> Arra
 def _may_turn(robot: Robot) -> list[bool]:
     """Return which columns of q may change by a whole turn: joints that turn, and that others follow one to one."""
     may_turn = []
-    for name, column in zip(robot.joint_names, robot.coupling.T, strict=True):
+    for name, column in zip(robot.joint_names, robot.mimic_matrix.T, strict=True):
         turns = robot.joint_types[name] != "prismatic"
         is_one_to_one = set(np.abs(column)) <= {0.0, 1.0}
         may_turn.append(turns and is_one_to_one)

@@ -137,15 +137,15 @@ def turning(robot: Robot, ranges: Array) -> NDArray[np.bool_]:
     readings are not coupled.
 
     Args:
-        robot: The robot, with m measured joints; ``robot.inputs`` are these joints, ``robot.coupling``, shape (n, m),
-            is the derivative of the n joints of the chain by them.
+        robot: The robot, with m measured joints; ``robot.inputs`` are these joints, ``robot.mimic_matrix``, shape
+            (n, m), is the derivative of the n joints of the chain by them.
         ranges: Lowest and highest value of each joint, shape (m, 2), [rad] or for sliding joints [m].
 
     Returns:
         True for such joints, shape (m,), in the order of ``robot.joint_names``.
     """
     slides = np.array([joint.type == "prismatic" for joint in robot.inputs])
-    is_alone = np.sum(robot.coupling != 0.0, axis=0) <= 1
+    is_alone = np.sum(robot.mimic_matrix != 0.0, axis=0) <= 1
     has_factors = robot.reading_matrix != np.eye(len(slides))
     is_coupled = has_factors.any(axis=0) | has_factors.any(axis=1)
     return np.asarray(~slides & is_alone & ~is_coupled & (np.ptp(ranges, axis=1) > _TURN))

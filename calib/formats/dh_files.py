@@ -117,7 +117,7 @@ class DHTables:
         """Return what a controller adds to each row."""
         robot = self.robot
         at_zero = robot.chain_values(np.zeros(len(robot.joint_names)))[0].tolist()
-        by_readings = robot.coupling @ robot.reading_matrix
+        by_readings = robot.mimic_matrix @ robot.reading_matrix
         result = []
         for coupled, value, row in zip(by_readings, at_zero, self.after.rows, strict=True):
             pairs = zip(robot.joint_names, (row.direction * coupled).tolist(), strict=True)

@@ -206,7 +206,7 @@ def _follower_ties(robot: Robot) -> dict[str, tuple[str, float]]:
     ties = {}
     for column, driver in enumerate(robot.joint_names):
         followers: dict[bool, list[tuple[str, float]]] = {False: [], True: []}
-        for joint, multiplier in zip(robot.joints, robot.coupling[:, column], strict=True):
+        for joint, multiplier in zip(robot.joints, robot.mimic_matrix[:, column], strict=True):
             if multiplier:
                 followers[joint.type == "prismatic"].append((joint.name, multiplier))
         for alike in followers.values():

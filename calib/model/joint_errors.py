@@ -140,7 +140,7 @@ def joint_displacements(
         if family_of(term.family).every_joint:
             driven: Array = np.eye(len(chain))[chain.index(term.place)]
         else:
-            driven = robot.coupling[:, robot.joint_names.index(term.place)]
+            driven = robot.mimic_matrix[:, robot.joint_names.index(term.place)]
         state = JointState(term.place, robot.joint_names, values, chain, load, term.factor.point)
         of_joint = term.factor.value(state)
         moved[:, :, k] = of_joint[:, None] * driven

@@ -30,7 +30,7 @@ from calib.units import Array
 #: Repeats of a pose that each AP and RP of a drift is computed from, as in ISO 9283.
 DRIFT_REPEATS = 10
 
-#: Of more poses of one target at one station, distances between these first ones are compared: n poses have n^2 / 2.
+#: Most poses of one target at one station whose distances are compared, the first ones: n have about n^2 / 2 pairs.
 MOST_POSES = 2_000
 
 #: The unit of distances.
@@ -51,7 +51,7 @@ class Characteristic:
     mean: float
     #: Number of poses, or of pairs of poses, that have it
     count: int
-    #: Number of the first row of the pose, or of each of the two poses, with the largest value; empty likewise
+    #: Number of the first row of the pose, or of each of the two poses, with the largest value; empty if none has it
     rows: tuple[int, ...]
 
 
@@ -87,7 +87,8 @@ def characteristics(evaluation: EvaluationValues, judged: Accuracy) -> tuple[Cha
         judged: Its pose accuracy, whose ``poses`` name the rows that count.
 
     Returns:
-        AD and RD of positions, and vAP, dAP and dRP in each unit; NaN for those that the rows do not have.
+        AD and RD of positions, if any were measured, then vAP, dAP and dRP in each unit; NaN, with a count of 0, for
+        those that the rows do not have.
     """
     result = []
     if _LENGTH in judged.units:

@@ -170,18 +170,20 @@ def _of_robot(fitted: Fitted) -> Mask:
 
 
 def reading_offsets(robot: Robot) -> Array:
-    """Return the matrix from offsets of the joints in the chain to those of the readings.
+    """Return the matrix from offsets of the chain's joints to the offsets of the readings that move them so.
 
         q_chain = A C q + b,    q -> q + (A C)^+ d    moves the joints by d
+
+    A says which joints mimic others (`Robot.mimic_matrix`), C which readings are coupled (`Robot.reading_matrix`).
 
     Args:
         robot: The robot, of n joints in its chain that follow m readings.
 
     Returns:
-        The pseudo-inverse of A C, shape (m, n), C the coupling of the readings. A joint that follows no other has its
-        own offset.
+        The pseudo-inverse of A C, shape (m, n), [rad or m of the reading per rad or m of the joint]; the identity where
+        no joint mimics another or is held, and no readings are coupled.
     """
-    return np.asarray(np.linalg.pinv(robot.coupling @ robot.reading_matrix))
+    return np.asarray(np.linalg.pinv(robot.mimic_matrix @ robot.reading_matrix))
 
 
 def _reading_offsets(fitted: Fitted) -> Array:

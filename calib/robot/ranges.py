@@ -124,7 +124,7 @@ def _column_bounds(robot: Robot, bounds_of: Callable[[UrdfJoint], tuple[float, f
     """
     bounds = np.array([bounds_of(joint) for joint in robot.inputs])
     values_at_zero = robot.chain_values(np.zeros(len(bounds)))[0]
-    for row, joint, at_zero in zip(robot.coupling, robot.joints, values_at_zero, strict=True):
+    for row, joint, at_zero in zip(robot.mimic_matrix, robot.joints, values_at_zero, strict=True):
         for column in np.flatnonzero(row):
             # The column's values at which this joint, row[column] q + at_zero, is at its bounds.
             ends = (np.array(bounds_of(joint)) - at_zero) / row[column]

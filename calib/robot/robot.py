@@ -80,8 +80,9 @@ class Robot(Value):
     _reading_coupling: ReadingCoupling
     #: The joint of each column of q, m of them; a driver that lies outside the chain is among them.
     inputs: tuple[UrdfJoint, ...] = field(compare=False)
-    #: A of q_chain = A theta + b, shape (n, m): how the joints of the chain follow those of the columns.
-    coupling: Array = field(compare=False)
+    #: A of q_chain = A theta + b, shape (n, m): 1 where a joint of the chain is the column's, its multiplier where it
+    #: mimics that. Coupled readings are not in it, but in ``reading_matrix``.
+    mimic_matrix: Array = field(compare=False)
     #: b of q_chain = A theta + b, shape (n,): offsets of mimic joints and held values [rad] or [m].
     _offset: Array = field(compare=False)
     #: C of theta = C q, shape (m, m): the values of the columns' joints by their readings; identity: not coupled.
@@ -179,7 +180,7 @@ class Robot(Value):
             _held=held_values,
             _reading_coupling=couplings,
             inputs=columns.inputs,
-            coupling=columns.matrix,
+            mimic_matrix=columns.matrix,
             _offset=columns.offset,
             reading_matrix=reading_matrix(urdf, names, couplings),
         )
@@ -293,7 +294,7 @@ class Robot(Value):
 
     @property
     def reading_coupling(self) -> dict[str, dict[str, float]]:
-        """The factors of other joints' readings by name, by the coupled joint's name, as given; a new dictionary."""
+        """For each coupled joint the factors of other joints' readings, by names, without zeros; a new dictionary."""
         return {name: dict(factors) for name, factors in self._reading_coupling}
 
     def poses(self, q: ArrayLike) -> Array:
@@ -380,7 +381,7 @@ class Robot(Value):
         values = self.input_values(q)
         if tuple(joint.name for joint in self.joints) == self.joint_names:
             return values  # every joint is its own column
-        result: Array = values @ self.coupling.T + self._offset
+        result: Array = values @ self.mimic_matrix.T + self._offset
         return result
 
     def input_values(self, q: ArrayLike) -> Array:

@@ -76,7 +76,7 @@ def _chain(robot: Robot) -> Iterator[str]:
     yield from table_lines(columns, [_joint_row(joint) for joint in robot.joints])
     all_at_zero = np.zeros(len(robot.inputs))
     offsets = robot.chain_values(all_at_zero)[0]
-    for joint, factors, offset in zip(robot.joints, robot.coupling, offsets, strict=True):
+    for joint, factors, offset in zip(robot.joints, robot.mimic_matrix, offsets, strict=True):
         text = _coupled(robot, joint, factors, float(offset))
         if text:
             yield wrap(text, "  ")

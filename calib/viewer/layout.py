@@ -67,9 +67,10 @@ def layout_of(
     stands on the floor would do below it where it only moves.
 
     Args:
-        shown: The robots by ``"nominal"`` and ``"calibrated"``, in the base of the latter.
+        shown: The robots by ``"nominal"`` and ``"calibrated"``, in the base of the latter; a robot alone is
+            ``"nominal"``.
         start: Index of the pose shown first, from 0.
-        size: Size of the scene, see `outline_of` and `calib.viewer.scene.span` [m].
+        size: Size of the scene: the diagonal of the box around `outline_of`, see `calib.viewer.scene.span` [m].
         magnified: shape (M, 3), targets of the overlaid robots with their difference magnified [m].
         around: shape (K, 3), points about the robots that the cameras see too [m].
         tracker: shape (3,), a point that is seen behind the robot, at the right [m]; None for the arm to be seen from

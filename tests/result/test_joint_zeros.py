@@ -120,7 +120,7 @@ def test_offsets_of_joints_become_those_of_the_readings_that_they_follow():
     # The second reading drives joints 2 and 3, as of a palletiser: q_3 - q_2.
     coupling = np.eye(5)
     coupling[2, 1] = -1.0
-    coupled = replace(robot, coupling=coupling)
+    coupled = replace(robot, mimic_matrix=coupling)
     moved = coupling @ np.array([0.0, 0.02, 0.01, 0.0, 0.0])
     assert reading_offsets(coupled) @ moved == pytest.approx([0.0, 0.02, 0.01, 0.0, 0.0], abs=1e-12)
 

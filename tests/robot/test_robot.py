@@ -209,7 +209,7 @@ def test_urdf_values_are_of_every_joint():
 def test_mimic_joints_move_as_pinocchio_s_own(name, base, tip, columns, joints):
     robot = Robot.load(name, base, tip)
     assert (len(robot.joint_names), len(robot.joints)) == (columns, joints)
-    assert robot.coupling.shape == (joints, columns)
+    assert robot.mimic_matrix.shape == (joints, columns)
     q = np.random.default_rng(1).uniform(-1, 1, (4, columns))
     np.testing.assert_allclose(
         robot.poses(q), by_pinocchio(robot, q, mimic=True), rtol=0, atol=1e-12

@@ -80,11 +80,11 @@ def decimal_sign_of(
         stated: The sign that the file states; None: it states none.
 
     Returns:
-        ``"."`` or ``","``.
+        ``"."`` or ``","``; ``"."`` where nothing tells and no number has a comma: 1.992 alone is less than 2.
 
     Raises:
-        MeasurementError: Numbers contradict each other or what is stated, or all of them may be read either way and
-            have a comma.
+        MeasurementError: Numbers contradict each other or what is stated, or there are commas, each with three digits
+            behind it, and nothing tells what they are.
     """
     decimal, thousands, either = _evidence_of(numerals)
     if stated is not None:

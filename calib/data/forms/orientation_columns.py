@@ -104,7 +104,8 @@ def in_units(
 def is_complete(convention: Convention, named: Named, joint_names: Collection[str]) -> bool:
     """Return True if a table has all columns of a convention, none of them a joint's.
 
-    Numbers without unit are none in a unit of angle, such as joints q1 to q4; of qx to qw that is a mistake.
+    Columns in a unit of angle do not count for a convention without units: q1 to q4 in deg are joints. Only qx to qw
+    do, so that their unit is refused.
 
     Args:
         convention: The convention.

@@ -1,1 +1,1 @@
-"""Joint zeros as controllers take them: rounded, signed and in their units; what they buy; tables and offset files."""
+"""Joint zeros as controllers take them: rounded, signed and in their units; their errors; tables and offset files."""

@@ -83,7 +83,7 @@ class DHColumns:
                 return text
         return ""
 
-    def fail(self, row: int, name: str, what: str) -> MeasurementError:
+    def error(self, row: int, name: str, what: str) -> MeasurementError:
         """Return the error of a cell, which names file, line and column.
 
         Args:
@@ -124,21 +124,21 @@ class DHColumns:
             )
         except CalibError as error:
             what = f"'{text}' is no number: {error}. Leave the cell empty for 0."
-            raise self.fail(row, name, what) from error
+            raise self.error(row, name, what) from error
         if quantity == PLAIN and value == 0.0:
             return value
         wanted = LENGTH if name in _LENGTHS or (name in _EITHER and slides) else ANGLE
         if quantity == PLAIN:
             symbol = "mm" if wanted == LENGTH else "deg"
             what = f"the number {text} has no unit. Write it into the heading: '{column.label} [{symbol}]'."
-            raise self.fail(row, name, what)
+            raise self.error(row, name, what)
         if quantity != wanted:
             example = "10 mm" if wanted == LENGTH else "90 deg"
             reason = ""
             if name in _EITHER:
                 reason = f", for the joint {'slides' if slides else 'turns'}"
             what = f"'{text}' is {quantity}; {wanted} is wanted{reason}, such as '{example}'."
-            raise self.fail(row, name, what)
+            raise self.error(row, name, what)
         return value
 
     def _filled_column(self, row: int, name: str) -> Column | None:
@@ -146,7 +146,7 @@ class DHColumns:
         filled = [c for c in self.by_name.get(name, ()) if self.table.cells[row][c.index]]
         if len(filled) > 1:
             what = f"the row has a number in '{filled[1].label}', too. Keep one of them."
-            raise self.fail(row, name, what)
+            raise self.error(row, name, what)
         return filled[0] if filled else None
 
 
@@ -205,7 +205,7 @@ def _words_for_conventions(columns: DHColumns) -> set[str]:
     for i in range(len(columns.table.cells)):
         word = columns.text(i, "convention")
         if word and word.lower() not in _CONVENTIONS:
-            raise columns.fail(i, "convention", _no_convention(word))
+            raise columns.error(i, "convention", _no_convention(word))
         if word:
             words.add(word)
     return words

@@ -145,7 +145,7 @@ def _lines(columns: DHColumns) -> list[int]:
     for i, word in enumerate(words):
         if word not in (*_READ, *_NOT_READ):
             what = f"'{word}' is no table; they are {choices((*_NOT_READ, *_READ))}."
-            raise columns.fail(i, "table", what)
+            raise columns.error(i, "table", what)
     for name in _READ:
         if name in words:
             return [i for i, word in enumerate(words) if word == name]
@@ -186,7 +186,7 @@ def _divided_lines(columns: DHColumns) -> tuple[dict[str, Array], list[int]]:
     for i in _lines(columns):
         place = _place(columns, i)
         if place in poses:
-            raise columns.fail(i, _naming(columns), f"a second line '{place}'. Keep one.")
+            raise columns.error(i, _naming(columns), f"a second line '{place}'. Keep one.")
         if place:
             poses[place] = _pose(columns, i)
         else:
@@ -211,11 +211,11 @@ def _pose(columns: DHColumns, i: int) -> Array:
     """Return the constant pose of a line, shape (4, 4), [m]."""
     if not {*POSE} & columns.by_name.keys():
         what = f"a constant pose needs the columns {choices(POSE)}, with units."
-        raise columns.fail(i, _naming(columns), what)
+        raise columns.error(i, _naming(columns), what)
     for name in _NUMBERS:
         if columns.text(i, name):
             what = f"the line of a constant pose has no {name}. Leave the cell empty."
-            raise columns.fail(i, name, what)
+            raise columns.error(i, name, what)
     values = [columns.number(i, name) or 0.0 for name in POSE]
     T = np.eye(4)
     T[:3, :3] = pin.rpy.rpyToMatrix(*values[3:])
@@ -230,7 +230,7 @@ def _names(columns: DHColumns, joint_lines: Sequence[int]) -> list[str]:
         name = columns.text(i, "joint") or f"joint_{number}"
         if name in names:
             column = "joint" if "joint" in columns.by_name else "d"
-            raise columns.fail(i, column, f"a second joint '{name}'. Rename one of them.")
+            raise columns.error(i, column, f"a second joint '{name}'. Rename one of them.")
         names.append(name)
     return names
 
@@ -250,7 +250,7 @@ def _row(
     for column in POSE:
         if columns.text(i, column):
             what = "only the lines 'base' and 'tool' have a pose. Leave the cell empty."
-            raise columns.fail(i, column, what)
+            raise columns.error(i, column, what)
     added = value_added(columns, i, name, slides=slides)
     numbers = {field: columns.number(i, field) or 0.0 for field in _NUMBERS}
     row = DHRow(
@@ -265,11 +265,11 @@ def _row(
     fault = row_fault(row, columns.convention)
     if fault:
         column = "upper" if "upper" in columns.by_name else _naming_of_row(columns)
-        raise columns.fail(i, column, f"the row of '{name}' {fault}.")
+        raise columns.error(i, column, f"the row of '{name}' {fault}.")
     fault = coupling_fault(name, added.coupling, names)
     if fault:
         column = "coupling" if "coupling" in columns.by_name else "value added"
-        raise columns.fail(i, column, f"the coupling of '{name}' {fault}.")
+        raise columns.error(i, column, f"the coupling of '{name}' {fault}.")
     return row, added.coupling
 
 
@@ -283,12 +283,12 @@ def _slides(columns: DHColumns, i: int) -> bool:
     word = columns.text(i, "type").lower()
     if word not in _TYPES:
         what = f"'{word}' is no type of joint; it must be 'revolute' or 'prismatic'."
-        raise columns.fail(i, "type", what)
+        raise columns.error(i, "type", what)
     added_to = columns.text(i, "added to").lower()
     if added_to not in ("", "theta", "d"):
         what = f"'{added_to}' is nothing that a value is added to; it must be 'theta' or 'd'."
-        raise columns.fail(i, "added to", what)
+        raise columns.error(i, "added to", what)
     if word and added_to and _TYPES[word] != (added_to == "d"):
         what = f"'{added_to}' does not fit the type '{word}'. Correct one of them."
-        raise columns.fail(i, "added to", what)
+        raise columns.error(i, "added to", what)
     return _TYPES[word] or added_to == "d"

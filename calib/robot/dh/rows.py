@@ -6,8 +6,8 @@
 
 (a prismatic joint adds q_i to d_i instead). What is added may be direction q_i + offset, where a controller counts the
 other way round or from another zero. Standard and modified rows are the same product of the same common normals,
-bracketed otherwise, and they are pure: the common normal of nearly parallel axes may lie kilometres away, and is given
-there. Hayati's rows, which the error model stands on, have no far normals: of a nearly parallel row, the last one
+grouped otherwise, and they are exact: the common normal of nearly parallel axes may lie kilometres away, and d is then
+as long. Hayati's rows, which the error model stands on, have no far normals: of a nearly parallel row, the last one
 apart, beta_i tilts the axis (S. Hayati, 1983).
 
 Choices that the convention leaves open are made as a data sheet does: frame 0 is the base frame where it can be, x_i
@@ -72,11 +72,11 @@ class DHRow:
     beta: float = 0.0
     #: 1 or -1: the factor of the joint's value.
     direction: int = 1
-    #: Added besides [rad], or [m] of a joint that slides.
+    #: Added to direction times the joint's value [rad], or [m] of a joint that slides.
     offset: float = 0.0
-    #: Least value of the joint [rad or m]; None: not known, or it turns without end.
+    #: Least value of the joint, without direction and offset [rad or m]; None: not known, or it turns without end.
     lower: float | None = None
-    #: Largest value of the joint [rad or m].
+    #: Largest value of the joint, likewise; None where ``lower`` is.
     upper: float | None = None
 
     @property
@@ -139,7 +139,10 @@ class DHTable:
 
 
 def dh_frames(table: DHTable) -> list[Array]:
-    """Return the frames of standard or Hayati rows before the rotation about beta, at q = 0.
+    """Return the frame behind each row, before its rotation by beta, at q = 0.
+
+    Args:
+        table: Standard or Hayati rows.
 
     Returns:
         n poses in the base, each of shape (4, 4), [m].

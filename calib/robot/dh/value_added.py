@@ -32,9 +32,9 @@ class ValueAdded:
 
     #: 1 or -1: the factor of the joint's value.
     direction: int
-    #: Added besides [rad], or [m] of a joint that slides.
+    #: Added to direction times the joint's value [rad], or [m] of a joint that slides.
     offset: float
-    #: Factors of other joints' readings in the joint's value, by name.
+    #: Factors of other joints' readings in the joint's value, before the direction, by name.
     coupling: dict[str, float]
 
 
@@ -43,9 +43,12 @@ def value_added(columns: DHColumns, i: int, joint: str, *, slides: bool) -> Valu
 
     Args:
         columns: The columns of the table.
-        i: The line, from 0.
-        joint: Name of the line's joint.
+        i: Index of the row in the table, from 0, the heading not counted.
+        joint: Name of the row's joint.
         slides: True if the joint slides: constants are lengths.
+
+    Returns:
+        Direction, offset and coupling; 1, 0 and none where the cells are empty.
 
     Raises:
         MeasurementError: A cell has a fault, or the joint has no value of its own; the text names row and column.
@@ -60,13 +63,13 @@ def _by_columns(columns: DHColumns, i: int, *, slides: bool) -> ValueAdded:
     word = columns.text(i, "direction")
     if word not in _DIRECTIONS:
         what = f"'{word}' is no direction; it must be 1 or -1."
-        raise columns.fail(i, "direction", what)
+        raise columns.error(i, "direction", what)
     offset = columns.number(i, "offset", slides=slides)
     coupling = {}
     if columns.text(i, "coupling"):
         coupling = _factors(columns, i, "coupling", slides=slides)
     if coupling.pop(_CONSTANT, 0.0):
-        raise columns.fail(i, "coupling", "a number without a joint. Write '1 * joint_2'.")
+        raise columns.error(i, "coupling", "a number without a joint. Write '1 * joint_2'.")
     return ValueAdded(_DIRECTIONS[word], offset or 0.0, coupling)
 
 
@@ -75,7 +78,7 @@ def _by_formula(columns: DHColumns, i: int, joint: str, *, slides: bool) -> Valu
     for other in ("direction", "offset", "coupling"):
         if columns.text(i, other):
             what = f"the column 'value added' says it already. Leave '{other}' empty."
-            raise columns.fail(i, other, what)
+            raise columns.error(i, other, what)
     factors = _factors(columns, i, "value added", slides=slides)
     offset = factors.pop(_CONSTANT, 0.0)
     direction = factors.pop(joint, 0.0)
@@ -85,7 +88,7 @@ def _by_formula(columns: DHColumns, i: int, joint: str, *, slides: bool) -> Valu
             f"'{formula}' is not 1 or -1 times the value of '{joint}': a joint that follows another one, or is held, "
             "has no row of its own here. Give such a robot as a URDF (calib convert -o robot.urdf)."
         )
-        raise columns.fail(i, "value added", what)
+        raise columns.error(i, "value added", what)
     coupling = {name: direction * factor for name, factor in factors.items()}
     return ValueAdded(int(direction), offset, coupling)
 
@@ -100,7 +103,7 @@ def _factors(columns: DHColumns, i: int, column: str, *, slides: bool) -> dict[s
     for sign, term in _signed_terms(text):
         name, factor = _term(columns, i, column, term, slides=slides)
         if name in factors:
-            raise columns.fail(i, column, f"'{text}' names '{name or term}' twice. Add them up.")
+            raise columns.error(i, column, f"'{text}' names '{name or term}' twice. Add them up.")
         factors[name] = sign * factor
     return factors
 
@@ -128,7 +131,7 @@ def _term(columns: DHColumns, i: int, column: str, term: str, *, slides: bool) -
     wanted = LENGTH if slides else ANGLE
     if quantity != wanted:
         what = f"'{term}' is {quantity}; {wanted} is wanted, with its unit."
-        raise columns.fail(i, column, what)
+        raise columns.error(i, column, what)
     return _CONSTANT, constant
 
 
