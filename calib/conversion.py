@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from calib.errors import VerdictError, choices
+from calib.errors import CalibError, VerdictError, choices
 from calib.formats.convert import FORMATS, Conversion, Options, Source, read_source
 from calib.inputs import ROBOT, RobotInput
 from calib.result.calibration import CalibrationValues
@@ -71,6 +71,12 @@ def convert(
     chosen = _with_arguments(options or Options(), to, robot, overwrite=overwrite, accept=accept)
     path = Path(path)
     content, format_name = read_source(source, path, chosen)
+    if chosen.update is not None and not FORMATS[format_name].updates:
+        able = [name for name, row in FORMATS.items() if row.updates]
+        raise CalibError(
+            f"--update {chosen.update}: a file of the format '{format_name}' is written anew; --update is for "
+            f"{choices(able)}."
+        )
     verdict_against = _verdict_against(content)
     if verdict_against and not chosen.accept:
         named = f"'{source}'" if isinstance(source, (str, Path)) else "the calibration"

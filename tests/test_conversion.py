@@ -9,7 +9,7 @@ import pytest
 
 from calib.conversion import convert
 from calib.diagnosis.reasons import CARE, NO, Reason, Verdict, Why
-from calib.errors import FileError, VerdictError
+from calib.errors import CalibError, FileError, VerdictError
 from calib.formats.convert import FORMATS, Options
 from calib.result.calibration_file import read_result, write_result
 from calib.robot.urdf import Urdf
@@ -22,6 +22,7 @@ ENDINGS = {
     "ur-yaml": ".yaml",
     "ur-conf": ".conf",
     "origins": ".yaml",
+    "pal": ".yaml",
     "dynamixel-hardware": ".yaml",
     "ros2-transmission": ".yaml",
     "lerobot": ".json",
@@ -109,3 +110,15 @@ def test_a_calibration_that_is_not_to_be_used_is_refused(shop: Path, tmp_path: P
     with pytest.raises(VerdictError, match="parameter_far"):
         convert(result, tmp_path / "made.csv", to="dh")
     assert convert(result, tmp_path / "made.csv", to="dh", accept=True).against
+
+
+def test_a_file_to_update_is_refused_where_the_format_is_written_anew(shop: Path, tmp_path: Path):
+    options = Options(update=shop / "result.json")
+    for name in ("zeros", "dh", "urdf"):
+        with pytest.raises(CalibError, match="--update"):
+            convert(
+                shop / "care.json",
+                tmp_path / f"new{ENDINGS.get(name, '.csv')}",
+                to=name,
+                options=options,
+            )

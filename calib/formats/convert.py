@@ -207,12 +207,16 @@ class Format(NamedTuple):
     endings: tuple[str, ...]
     #: Writes a source to a file that is read back and compared; returns what it has to say.
     write: Callable[[Source, Path, Options], Notes]
+    #: Whether it may be a copy of a robot's own file, `Options.update`, with new numbers.
+    updates: bool = False
 
 
 FORMATS: dict[str, Format] = {
     "urdf": Format("the URDF", (".urdf", ".xml"), _write_urdf),
     "ur-yaml": Format("kinematics.yaml of Universal Robots' ROS driver", YAML, _write_ur_yaml),
-    "ur-conf": Format("DH deltas of a Universal Robots controller", (".conf",), _write_ur_conf),
+    "ur-conf": Format(
+        "DH deltas of a Universal Robots controller", (".conf",), _write_ur_conf, updates=True
+    ),
     "origins": Format("the joints' origins, for a xacro to load", YAML, _write_origins),
     "pal": Format("geometric_calibration of PAL's robots", YAML, _write_pal),
     "dh": Format(
@@ -229,21 +233,25 @@ FORMATS: dict[str, Format] = {
         "joint zeros as offsets of ROS' dynamixel_hardware",
         YAML,
         partial(write_zeros, "dynamixel-hardware"),
+        updates=True,
     ),
     "ros2-transmission": Format(
         "joint zeros as offsets of ros2_control's transmissions",
         YAML,
         partial(write_zeros, "ros2-transmission"),
+        updates=True,
     ),
     "lerobot": Format(
         "joint zeros as homing_offset of LeRobot's Feetech servos (SO-100, SO-101)",
         (".json",),
         partial(write_zeros, "lerobot"),
+        updates=True,
     ),
     "lerobot-dynamixel": Format(
         "joint zeros as homing_offset of LeRobot's Dynamixel servos",
         (".json",),
         partial(write_zeros, "lerobot-dynamixel"),
+        updates=True,
     ),
 }
 """The formats by name, as in ``--to``."""

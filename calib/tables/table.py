@@ -275,8 +275,8 @@ def read_text(path: str | Path, what: str) -> tuple[str, str, str]:
         what: What the file should be, for messages: ``"The table"``.
 
     Returns:
-        The file's name for messages, the SHA-256 of its bytes (of a sheet: of its text), and the text, with lines that end
-        in ``\n``.
+        The file's name for messages, the SHA-256 of its bytes (of a sheet: of its text), and the text, with lines that
+        end in ``\n``.
 
     Raises:
         MeasurementError: The file does not exist, or is no text.

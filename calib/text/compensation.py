@@ -379,8 +379,9 @@ def _mismatch(commands: Commands) -> str:
     if not program.oriented or turned_deg < _MISMATCH_DEG:
         return ""
     return (
-        f"At the program's joint values the nominal robot has the tool turned by {turned_deg:.0f} deg from the program's "
-        "orientations (median), in the right places. Are these of another convention (--orientation) or tool (--tool)?"
+        f"At the program's joint values the nominal robot has the tool turned by {turned_deg:.0f} deg from the "
+        "program's orientations (median), in the right places. Are these of another convention (--orientation), or of "
+        "another tool (--tool)?"
     )
 
 

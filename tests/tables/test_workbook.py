@@ -47,10 +47,16 @@ def test_a_sheet_is_a_table(saved):
     np.testing.assert_allclose(m.points[:, 0], [1 / 7, 1e-3], rtol=1e-15)
     np.testing.assert_allclose(np.degrees(m.joints[:, 0]), [10.125, 1e-5], rtol=1e-15)
     assert (m.rows, m.source) == ((4, 9), "t.xlsx")
-    assert m.sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
+    assert m.sha256 == Table.read(path).sha256 != hashlib.sha256(path.read_bytes()).hexdigest()
     table = Table.read(f"{path}#Poses")
     assert (table.lines, table.source) == ((3, 5), "t.xlsx#Poses")
     assert Table.read(f"{path}#Notes").header == ("note",)
+
+
+def test_two_sheets_of_a_file_are_two_tables(saved):
+    path = saved(["a [deg]"], [1])
+    first, notes = Table.read(path), Table.read(f"{path}#Notes")
+    assert first.sha256 == Table.read(f"{path}#Poses").sha256 != notes.sha256
 
 
 def test_a_sheet_is_a_list_of_points(saved):

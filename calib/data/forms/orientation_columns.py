@@ -6,10 +6,11 @@ from collections.abc import Collection
 from typing import NamedTuple
 
 from calib.data.columns import Columns, Named, list_columns, with_unit
+from calib.data.forms.brands import BRANDS
 from calib.data.forms.column_options import ColumnOptions
 from calib.data.forms.orientations import CONVENTIONS, Convention
 from calib.errors import MeasurementError
-from calib.tables.table import Table
+from calib.tables.table import Column, Table
 
 
 class Orientation(NamedTuple):
@@ -92,6 +93,7 @@ def in_units(
     quantity = "angle" if convention.unit else None
     columns = []
     for name in convention.columns:
+        _check_unit(table, named[name], convention)
         column = with_unit(table, named[name], quantity, convention.words, convention.unit)  # type: ignore[arg-type]
         columns.append(column)
     alternatives: tuple[str, ...] = ()
@@ -99,6 +101,16 @@ def in_units(
         same = [c for c in CONVENTIONS.values() if c.columns == convention.columns]
         alternatives = tuple(c.name for c in same if c is not convention)
     return Orientation(convention, tuple(columns), alternatives)
+
+
+def _check_unit(table: Table, column: Column, convention: Convention) -> None:
+    """Refuse a column without unit of a brand's angles, with the option that gives it one."""
+    if convention.unit and column.symbol is None and convention.name in BRANDS:
+        raise MeasurementError(
+            f"{table.source}, column '{column.label}' ({convention.words}): the column has no unit. Give "
+            f"--columns {convention.name}, whose columns are in deg and mm; or write the header "
+            f"'{column.label} [deg]', or --columns \"{column.label}={column.name} [deg]\"."
+        )
 
 
 def is_complete(convention: Convention, named: Named, joint_names: Collection[str]) -> bool:

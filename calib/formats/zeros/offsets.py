@@ -91,8 +91,8 @@ def _updated(kind: OffsetFile, rounded: RoundedZeros, update: str | Path) -> dic
     places = list(_places(table, changes))
     if len(places) > 1:
         raise FileError(
-            f"{update}: this {kind.what} has entries of these joints in {len(places)} places, as of two arms. Give a copy "
-            "with those of the calibrated arm alone."
+            f"{update}: this {kind.what} has entries of these joints in {len(places)} places, as of two arms. Give a "
+            "copy with those of the calibrated arm alone."
         )
     entries = places[0] if places else {}
     missing = [name for name in changes if name not in entries]
@@ -135,7 +135,8 @@ def _old_offset(kind: OffsetFile, entry: Mapping[str, Any], key: str, where: str
     """Return the offset of an entry; `FileError` if it has none that is a number."""
     if kind.foreign_key in entry:
         raise FileError(
-            f"{where}: it has a '{kind.foreign_key}', so that this is no {kind.what}. Choose the format of this file with --to."
+            f"{where}: it has a '{kind.foreign_key}', so that this is no {kind.what}. Choose the format of this file "
+            "with --to."
         )
     if kind.may_lack and key not in entry:
         return 0.0

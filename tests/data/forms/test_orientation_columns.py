@@ -6,6 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from calib.data.forms.column_options import ColumnOptions
 from calib.data.measurements import Measurements
+from calib.errors import MeasurementError
 from tests.data.tables import refused
 
 DEG = 180 / np.pi
@@ -104,3 +105,24 @@ def test_a_plan_s_empty_quaternion_is_none_beside_other_angles(table):
     header = "j [deg],x [mm],y [mm],z [mm],qx,qy,qz,qw,A [deg],B [deg],C [deg]"
     m = Measurements.read(table(header, "1,100,200,300,,,,,90,0,0", "2,,,,,,,,,,"))
     assert (m.orientation, m.rows, m.unmeasured) == ("kuka", (1,), (2,))
+
+
+def test_a_brand_s_letters_are_read_in_any_case_if_it_is_given(table):
+    capitals = Measurements.read(
+        table("J1,X,Y,Z,W,P,R", "10,400,200,300,10,20,30"),
+        ["J1"],
+        columns=ColumnOptions(brand="fanuc"),
+    )
+    small = Measurements.read(
+        table("J1,x,y,z,w,p,r", "10,400,200,300,10,20,30"),
+        ["J1"],
+        columns=ColumnOptions(brand="fanuc"),
+    )
+    np.testing.assert_array_equal(small.rotations, capitals.rotations)
+    assert small.orientation == "fanuc"
+
+
+def test_a_brand_s_angles_without_unit_are_refused_with_the_option_to_type(table):
+    path = table("J1 [deg],x [mm],y [mm],z [mm],W,P,R", "10,1,2,3,10,20,30")
+    with pytest.raises(MeasurementError, match="--columns fanuc"):
+        Measurements.read(path, ["J1"])

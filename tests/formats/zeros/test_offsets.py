@@ -54,3 +54,30 @@ def test_a_gear_ratio_that_is_no_number_is_refused(tmp_path: Path, gear: object)
     own.write_text(yaml.safe_dump({name: {"gear_ratio": gear} for name in zeros.by_joint()}))
     with pytest.raises(FileError, match="gear_ratio"):
         offsets_bytes(DYNAMIXEL_YAML, zeros, own)
+
+
+@pytest.mark.parametrize(
+    ("kind", "entry", "says"),
+    [
+        (DYNAMIXEL_YAML, {"gear_ratio": 0}, "gear_ratio"),
+        (DYNAMIXEL_YAML, {"homing_offset": 12}, "--to"),
+        (LEROBOT_JSON, {"homing_offset": 12.5}, "whole ticks"),
+    ],
+)
+def test_entries_of_another_file_or_servo_are_refused(tmp_path: Path, kind, entry, says: str):
+    zeros = rounded("lerobot" if kind is LEROBOT_JSON else "dynamixel-hardware")
+    own = tmp_path / "own"
+    own.write_text(json.dumps(dict.fromkeys(zeros.by_joint(), entry)))
+    with pytest.raises(FileError, match=says):
+        offsets_bytes(kind, zeros, own)
+
+
+def test_a_file_of_two_arms_is_refused_for_one_of_them(tmp_path: Path):
+    zeros = rounded("lerobot")
+    arm = {name: {"homing_offset": 0} for name in zeros.by_joint()}
+    own = tmp_path / "own.json"
+    own.write_text(json.dumps({"left": arm, "right": arm}))
+    with pytest.raises(FileError, match="2 places"):
+        offsets_bytes(LEROBOT_JSON, zeros, own)
+    own.write_text(json.dumps({"left": arm, "right": {"camera": {"homing_offset": 0}}}))
+    assert json.loads(offsets_bytes(LEROBOT_JSON, zeros, own))["left"] != arm
