@@ -141,7 +141,7 @@ def names_by_brand(
     written = list(names.values())
     result: dict[int, str] = {}
     for name in (*_POSITION, *brand.orientation):
-        at = _position_of(name, written)
+        at = _position_of(name, written, in_any_case=True)
         if at is not None:
             result[positions[at]] = name
     axes = brand.axes_in(written)
@@ -178,12 +178,16 @@ def _fail_on_count(
     )
 
 
-def _position_of(name: str, names: Sequence[str]) -> int | None:
+def _position_of(name: str, names: Sequence[str], *, in_any_case: bool = False) -> int | None:
     """Return the position of a name among others, from 0, None if it is not there.
 
-    Single letters but those of a position are found as written, other names in any case.
+    Args:
+        name: The name.
+        names: The others.
+        in_any_case: Whether single letters are found in any case; else but those of a position they are found as
+            written. Longer names are found in any case.
     """
-    is_exact = len(name) == 1 and name not in _POSITION
+    is_exact = len(name) == 1 and name not in _POSITION and not in_any_case
     for i, other in enumerate(names):
         if other == name or (not is_exact and other.casefold() == name.casefold()):
             return i
