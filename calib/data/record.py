@@ -28,7 +28,7 @@ class Record:
     """The record of a measurement, ``[record]`` of a cell file; an entry that is not given is empty.
 
     Raises:
-        CalibError: An entry is longer than `LONGEST` letters, the note than `LONGEST_NOTE`, or a temperature is no
+        CalibError: An entry is longer than `LONGEST` characters, the note than `LONGEST_NOTE`, or a temperature is no
             number or out of range.
     """
 
@@ -75,7 +75,7 @@ class Record:
             room = LONGEST_NOTE if name == "note" else LONGEST
             if len(text) > room:
                 raise CalibError(
-                    f"A record's {name} has {len(text)} letters; there is room for {room}."
+                    f"A record's {name} has {len(text)} characters; there is room for {room}."
                 )
             object.__setattr__(self, name, text)
         object.__setattr__(self, "temperature_C", _temperatures(self.temperature_C))
