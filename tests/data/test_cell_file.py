@@ -324,7 +324,7 @@ def test_a_record_takes_texts_whole_numbers_and_dates(tmp_path: Path):
         ("temperature_C = 'warm'", "'temperature_C' in [record] is 'warm'"),
         ("temperature_C = [20, 21, 22]", "it must be one number or two"),
         ("temperature_C = 293.15", "from -50 to 80"),
-        (f"note = '{'x' * 161}'", "note has 161 letters; there is room for 160"),
+        (f"note = '{'x' * 161}'", "note has 161 characters; there is room for 160"),
     ],
 )
 def test_what_a_record_cannot_hold_is_refused(tmp_path: Path, line: str, said: str):
