@@ -71,12 +71,7 @@ def convert(
     chosen = _with_arguments(options or Options(), to, robot, overwrite=overwrite, accept=accept)
     path = Path(path)
     content, format_name = read_source(source, path, chosen)
-    if chosen.update is not None and not FORMATS[format_name].updates:
-        able = [name for name, row in FORMATS.items() if row.updates]
-        raise CalibError(
-            f"--update {chosen.update}: a file of the format '{format_name}' is written anew; --update is for "
-            f"{choices(able)}."
-        )
+    _check_update(chosen, format_name)
     verdict_against = _verdict_against(content)
     if verdict_against and not chosen.accept:
         named = f"'{source}'" if isinstance(source, (str, Path)) else "the calibration"
@@ -86,6 +81,17 @@ def convert(
         content = replace(content, robot=replace(content.robot, urdf=urdf))
     notes = FORMATS[format_name].write(content, path, chosen)
     return Conversion(content, format_name, path, notes, verdict_against, chosen)
+
+
+def _check_update(options: Options, format_name: str) -> None:
+    """Refuse a file to update where the format is written anew."""
+    if options.update is None or FORMATS[format_name].updates:
+        return
+    able = [name for name, row in FORMATS.items() if row.updates]
+    raise CalibError(
+        f"--update {options.update}: a file of the format '{format_name}' is written anew; --update is for "
+        f"{choices(able)}."
+    )
 
 
 def _with_arguments(

@@ -115,10 +115,7 @@ def name_columns(
     options = column_options(columns)
     renamed = _renamed(table, options.names)
     renamed = _renamed_by_brand(table, joint_names, options, renamed) | renamed
-    known = {name: name for name in (*reserved(), STATUS)}
-    known.update(orientations.IN_ANY_CASE)
-    for convention in options.conventions:
-        known.update({name.casefold(): name for name in convention.columns})
+    known = _names_in_any_case(options)
     named: dict[str, Column] = {}
     groups: list[Column] = []
     for index, label in enumerate(table.header):
@@ -139,6 +136,15 @@ def name_columns(
             _fail_on_two(table, named[column.name], column)
         named.setdefault(column.name, column)
     return named, tuple(groups)
+
+
+def _names_in_any_case(options: ColumnOptions) -> dict[str, str]:
+    """Return calib's names of columns by what they are in lower case."""
+    known = {name: name for name in (*reserved(), STATUS)}
+    known.update(orientations.IN_ANY_CASE)
+    for convention in options.conventions:
+        known.update({name.casefold(): name for name in convention.columns})
+    return known
 
 
 def _renamed(table: Table, columns: Mapping[str, str]) -> dict[int, str]:

@@ -267,10 +267,8 @@ def mounting_plane(
             height = min(height, _lowest(solid.geometry, T_base_shape))
     T_base_ground = np.eye(4)
     T_base_ground[2, 3] = height - 0.5 * _GROUND
-    height_mm = (
-        round(1e3 * height, 3) + 0.0
-    )  # without the rounding of a product of poses, and never -0
-    name = f"the mounting plane (z = {height_mm:.4g} mm of '{base}')"
+    # Rounded: a product of poses leaves 1e-11 mm, and never -0.
+    name = f"the mounting plane (z = {round(1e3 * height, 3) + 0.0:.4g} mm of '{base}')"
     box = hppfcl.Box(2.0 * _GROUND, 2.0 * _GROUND, _GROUND)
     return Solid(name, "plane", base, T_base_ground, box)
 
