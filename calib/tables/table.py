@@ -20,7 +20,7 @@ import numpy as np
 
 from calib.errors import CalibError, FileError, MeasurementError
 from calib.files import read_bytes
-from calib.tables.workbook import sheet_text, split_sheet
+from calib.tables.workbook import read_sheet, split_sheet
 from calib.units import NUMBER, Array, Unit, find_unit
 
 #: What may separate cells; in a tie the first wins.
@@ -288,9 +288,11 @@ def read_text(path: str | Path, what: str) -> tuple[str, str, str]:
     except FileError as error:
         raise MeasurementError(str(error)) from error
     if sheet is not None:
-        text = sheet_text(data, source, sheet)
+        read = read_sheet(data, source, sheet)
+        if not sheet and not read.is_only:
+            source = f"{source}#{read.name}"
         # Two sheets of one file are two tables.
-        return source, hashlib.sha256(text.encode()).hexdigest(), text
+        return source, hashlib.sha256(read.text.encode()).hexdigest(), read.text
     sha256 = hashlib.sha256(data).hexdigest()
     is_utf16 = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
     try:

@@ -9,7 +9,7 @@ import csv
 import io
 import warnings
 from datetime import date, time, timedelta
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 from zipfile import BadZipFile
 
 from calib.errors import MeasurementError, choices, did_you_mean
@@ -42,16 +42,24 @@ def split_sheet(path: str) -> tuple[str, str | None]:
     return path, "" if path.casefold().endswith(SUFFIXES) else None
 
 
-def sheet_text(data: bytes, source: str, sheet: str) -> str:
-    r"""Return a sheet as text.
+class Sheet(NamedTuple):
+    """A sheet of an Excel file."""
+
+    #: Its name.
+    name: str
+    #: Whether the file has no other one.
+    is_only: bool
+    #: Lines that end in ``\n``, one for each row from the first; numbers with all their digits.
+    text: str
+
+
+def read_sheet(data: bytes, source: str, sheet: str) -> Sheet:
+    """Read a sheet as text.
 
     Args:
         data: The file's bytes.
         source: The file's name, for messages.
         sheet: The sheet's name; empty: the first one.
-
-    Returns:
-        Lines that end in ``\n``, one for each row of the sheet from the first; numbers with all their digits.
 
     Raises:
         MeasurementError: openpyxl is not installed, the file or the sheet cannot be read, or a formula has no value.
@@ -69,7 +77,7 @@ def sheet_text(data: bytes, source: str, sheet: str) -> str:
                     "save the file in Excel or LibreOffice, which compute it, or save it as CSV."
                 )
         writer.writerow([_text(cell.value) for cell in row])
-    return text.getvalue()
+    return Sheet(chosen.title, len(values.worksheets) == 1, text.getvalue())
 
 
 def _load(data: bytes, source: str, *, values: bool) -> Workbook:

@@ -46,11 +46,20 @@ def test_a_sheet_is_a_table(saved):
     m = Measurements.read(path)
     np.testing.assert_allclose(m.points[:, 0], [1 / 7, 1e-3], rtol=1e-15)
     np.testing.assert_allclose(np.degrees(m.joints[:, 0]), [10.125, 1e-5], rtol=1e-15)
-    assert (m.rows, m.source) == ((4, 9), "t.xlsx")
+    assert (m.rows, m.source) == ((4, 9), "t.xlsx#Poses")
     assert m.sha256 == Table.read(path).sha256 != hashlib.sha256(path.read_bytes()).hexdigest()
     table = Table.read(f"{path}#Poses")
     assert (table.lines, table.source) == ((3, 5), "t.xlsx#Poses")
     assert Table.read(f"{path}#Notes").header == ("note",)
+
+
+def test_a_table_is_called_by_its_sheet_where_there_are_others(saved, tmp_path):
+    assert Table.read(saved(["a [deg]"], [1])).source == "t.xlsx#Poses"
+    book = Workbook()
+    book.active.append(["a [deg]"])
+    book.active.append([1])
+    book.save(tmp_path / "one.xlsx")
+    assert Table.read(tmp_path / "one.xlsx").source == "one.xlsx"
 
 
 def test_two_sheets_of_a_file_are_two_tables(saved):
