@@ -18,6 +18,7 @@ import numpy as np
 import calib.data.kinds as registry
 from calib.channels import RESIDUAL_UNITS
 from calib.data.columns import DEFAULT_TARGET, EXPECTED, POINT, name_columns
+from calib.data.forms.column_options import ColumnsInput
 from calib.data.forms.orientations import QUATERNION
 from calib.data.layout import Layout
 from calib.data.measurements import Measurements
@@ -241,12 +242,15 @@ class Poses(NamedTuple):
     last_row: int
 
 
-def read_poses(path: str | Path, robot: Robot, *, taken: bool = False) -> Poses:
+def read_poses(
+    path: str | Path, robot: Robot, columns: ColumnsInput = None, *, taken: bool = False
+) -> Poses:
     """Read the poses of a table in which measurements may be missing; several targets at one pose are one pose.
 
     Args:
         path: Path of the table.
         robot: The robot, whose m measured joints have a column each in the table.
+        columns: What is said of the columns, as by ``--columns``; None: nothing.
         taken: Whether only those are read that a fit would estimate from, measured and of the set ``estimate``; in a
             table in which nothing is measured, such as a plan that is still to be driven, all poses of that set.
 
@@ -260,7 +264,7 @@ def read_poses(path: str | Path, robot: Robot, *, taken: bool = False) -> Poses:
     """
     table = Table.read(path)
     # A row of the kind ``fixed`` has its joint values alone.
-    layout = Layout.find(table, robot.joint_names, robot.joint_types, None, "fixed")
+    layout = Layout.find(table, robot.joint_names, robot.joint_types, columns, "fixed")
     rows = Measurements(**read_values(table, layout))
     chosen = np.ones(len(rows), dtype=np.bool_)
     if taken:

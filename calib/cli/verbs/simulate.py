@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from calib.cli.executor import executor_of
-from calib.cli.options import Force, JobOptions, ModelOptions, Quiet, RobotFile
+from calib.cli.options import ColumnChoice, Force, JobOptions, ModelOptions, Quiet, RobotFile
 from calib.cli.outputs import check_outputs, written_lines
 from calib.cli.setup import load, read_cell
 from calib.cli.terminal import progress_bar
@@ -62,7 +62,7 @@ class ScenarioOptions:
 
 
 @dataclass(frozen=True, slots=True)
-class PoseOptions:
+class PoseOptions(ColumnChoice):
     """Poses of a table, and the seed of all random numbers."""
 
     poses: Annotated[_File, typer.Option(help="Poses, from this plan or table.")] = None
@@ -208,7 +208,7 @@ def _prepare(
     sets: tuple[str, ...] = ()
     default_validation = 10
     if poses.poses is not None:
-        table = read_poses(poses.poses, arm)
+        table = read_poses(poses.poses, arm, poses.parsed())
         joints, sets = table.joints, table.sets
         default_validation = 0
     validation = default_validation if poses.validation is None else poses.validation
