@@ -92,7 +92,7 @@ def _load(data: bytes, source: str, *, values: bool) -> Workbook:
         from openpyxl import load_workbook
     except ImportError as error:
         raise MeasurementError(
-            f"{source}: Excel files are read with openpyxl, which is not installed: pip install calib[xlsx]. Or save "
+            f"{source}: Excel files are read with openpyxl, which is not installed: pip install openpyxl. Or save "
             "the sheet as CSV (UTF-8)."
         ) from error
     try:
