@@ -1,0 +1,1 @@
+"""Cameras and boards as numbers: lens models, printed boards, and their files."""

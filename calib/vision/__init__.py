@@ -1,0 +1,1 @@
+"""Pictures of printed boards: drawn, recognised, searched for corners. These modules need OpenCV."""
