@@ -1,0 +1,204 @@
+"""Which board a picture shows: its pattern, columns and rows, markers and layout; all but its size.
+
+A print is sometimes mirrored, by the program that printed it or by a camera that flips its picture; its markers are
+then found in the flipped picture only.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.camera.board import APRILTAG, CHARUCO, CHESSBOARD, Board
+from calib.camera.board_file import shifted
+from calib.camera.dictionaries import DICTIONARIES
+from calib.errors import CalibError
+from calib.vision.marker_grids import Grid, grid_of
+from calib.vision.markers import Markers, find_markers, smallest_dictionary
+from calib.vision.opencv import opencv
+
+#: Side of the squares in a board that was identified: a picture does not show it [m].
+ASSUMED_SQUARE = 0.03
+
+#: The print or the picture is mirrored.
+MIRRORED = "mirrored"
+
+#: The board reaches beyond the picture, so it may have more rows.
+CUT_OFF = "cut off"
+
+#: Markers between the first and the last one are not found.
+MISSING = "missing"
+
+#: The first row of tags is the lowest one; `Board` counts from the top.
+BOTTOM_UP = "bottom up"
+
+#: The chessboard looks the same after half a turn.
+HALF_TURN = "half turn"
+
+#: Larger pictures are made smaller before they are searched: longest side [px].
+_LARGEST = 3000
+
+#: Smallest number of inner corners of a chessboard in each direction that is looked for.
+_FEWEST_CORNERS = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Identified:
+    """What a picture shows."""
+
+    #: The board, with squares of `ASSUMED_SQUARE`; None if there is none.
+    board: Board | None
+    #: Codes of what to know about it, such as `MIRRORED`.
+    findings: tuple[str, ...] = ()
+    #: Dictionary of the markers that were found; "" if none were.
+    dictionary: str = ""
+    #: Ids of the markers on the board; of those in the picture, if there is no board.
+    markers: tuple[int, ...] = ()
+
+
+def read_image(path: str) -> NDArray[np.uint8]:
+    """Read a picture in grey.
+
+    Args:
+        path: The file, of any kind that OpenCV reads.
+
+    Returns:
+        The picture, shape (height, width).
+
+    Raises:
+        FileError: The file cannot be read.
+        CalibError: It is no picture.
+    """
+    from calib.files import read_bytes
+
+    cv2 = opencv()
+    data = np.frombuffer(read_bytes(path, "picture"), dtype=np.uint8)
+    image = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE) if len(data) else None
+    if image is None:
+        raise CalibError(
+            f"picture '{path}' cannot be decoded; PNG, JPEG, TIFF and BMP can. A PDF has to be made a PNG first."
+        )
+    return np.asarray(image)
+
+
+def identify(image: NDArray[np.uint8]) -> Identified:
+    """Say which board a picture shows.
+
+    Args:
+        image: The picture, shape (height, width), or (height, width, 3) with blue, green and red.
+
+    Returns:
+        The board, as large as assumed, and what to know about it.
+
+    Raises:
+        CalibError: OpenCV is not installed.
+    """
+    grey = _prepared(image)
+    as_it_is = _marker_board(grey, mirrored=False)
+    if as_it_is.board is not None:
+        return as_it_is
+    flipped = _marker_board(np.ascontiguousarray(grey[:, ::-1]), mirrored=True)
+    if flipped.board is not None:
+        return flipped
+    chessboard = _chessboard(grey)
+    return as_it_is if chessboard is None else chessboard
+
+
+def _prepared(image: NDArray[np.uint8]) -> Any:  # noqa: ANN401  an image of OpenCV
+    """Return a picture in grey, not larger than is searched in reasonable time."""
+    cv2 = opencv()
+    grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image
+    scale = _LARGEST / max(grey.shape)
+    if scale >= 1.0:
+        return grey
+    return cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+
+
+def _marker_board(grey: Any, *, mirrored: bool) -> Identified:  # noqa: ANN401
+    """Identify a board with markers: of all kinds of markers the one with the most on a grid."""
+    kinds = list(find_markers(grey))
+    grids = [(grid, markers) for markers in kinds if (grid := grid_of(markers)) is not None]
+    if grids:
+        grid, markers = max(grids, key=lambda pair: len(pair[0].ids))
+        return _identified(grid, markers, grey.shape, mirrored=mirrored)
+    if not kinds:
+        return Identified(None)
+    most = max(kinds, key=lambda markers: len(markers.ids))
+    dictionary = smallest_dictionary(most.kind, int(most.ids.max()))
+    return Identified(None, (), dictionary, tuple(sorted(map(int, most.ids))))
+
+
+def _identified(
+    grid: Grid, markers: Markers, shape: tuple[int, ...], *, mirrored: bool
+) -> Identified:
+    """Describe the board of a grid of markers."""
+    layout = grid.layout
+    rows = grid.rows
+    if layout.starts_white:
+        rows += rows % 2  # only an even number of rows begins with a marker
+    count = layout.columns * rows
+    markers_of_board = count // 2 if layout.pattern == CHARUCO else count
+    last = layout.first + markers_of_board - 1
+    dictionary = smallest_dictionary(markers.kind, last)
+    # The marker of the last place may not exist in a dictionary that the board fills nearly.
+    rows = min(rows, _most_rows(layout.pattern, layout.columns, dictionary, layout.first))
+    board = Board(
+        pattern=layout.pattern,
+        columns=layout.columns,
+        rows=rows,
+        square=ASSUMED_SQUARE,
+        marker=shifted(round(1e3 * grid.ratio * ASSUMED_SQUARE, 1), -3),
+        dictionary=dictionary,
+        first_marker=layout.first,
+        legacy=layout.starts_white,
+    )
+    findings = []
+    if mirrored:
+        findings.append(MIRRORED)
+    if layout.bottom_up:
+        findings.append(BOTTOM_UP)
+    if _is_cut_off(grid, rows, shape):
+        findings.append(CUT_OFF)
+    if len(grid.ids) < board.markers:
+        findings.append(MISSING)
+    return Identified(board, tuple(findings), dictionary, tuple(sorted(map(int, grid.ids))))
+
+
+def _most_rows(pattern: str, columns: int, dictionary: str, first: int) -> int:
+    """Return the largest number of rows for which a dictionary has enough markers."""
+    markers = DICTIONARIES[dictionary].markers - first
+    squares = 2 * markers + 1 if pattern == CHARUCO else markers
+    return squares // columns
+
+
+def _is_cut_off(grid: Grid, rows: int, shape: tuple[int, ...]) -> bool:
+    """Return whether the outline of the board reaches beyond the picture."""
+    cv2 = opencv()
+    top, bottom = (1 - rows, 1) if grid.layout.bottom_up else (0, rows)
+    right = grid.layout.columns
+    outline = np.array([[[0.0, top], [right, top], [right, bottom], [0.0, bottom]]], dtype=float)
+    corners = cv2.perspectiveTransform(outline, grid.H_image_cells)[0]
+    largest = np.array([shape[1], shape[0]]) - 1.0
+    return bool(np.any(corners < 0.0) or np.any(corners > largest))
+
+
+def _chessboard(grey: Any) -> Identified | None:  # noqa: ANN401
+    """Identify a plain chessboard; None if there is none."""
+    cv2 = opencv()
+    flags = cv2.CALIB_CB_LARGER | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_NORMALIZE_IMAGE
+    size = (_FEWEST_CORNERS, _FEWEST_CORNERS)
+    is_found, _, meta = cv2.findChessboardCornersSBWithMeta(grey, size, flags)
+    if not is_found:
+        return None
+    rows, columns = sorted(meta.shape[:2])
+    board = Board(
+        pattern=CHESSBOARD,
+        columns=int(columns) + 1,
+        rows=int(rows) + 1,
+        square=ASSUMED_SQUARE,
+    )
+    findings = (HALF_TURN,) if (board.columns + board.rows) % 2 == 0 else ()
+    return Identified(board, findings)
