@@ -12,10 +12,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.camera.board import APRILTAG, CHARUCO, CHESSBOARD, Board
+from calib.camera.board import CHARUCO, CHESSBOARD, Board
 from calib.camera.board_file import shifted
 from calib.camera.dictionaries import DICTIONARIES
 from calib.errors import CalibError
+from calib.units import Array
 from calib.vision.marker_grids import Grid, grid_of
 from calib.vision.markers import Markers, find_markers, smallest_dictionary
 from calib.vision.opencv import opencv
@@ -26,7 +27,7 @@ ASSUMED_SQUARE = 0.03
 #: The print or the picture is mirrored.
 MIRRORED = "mirrored"
 
-#: The board reaches beyond the picture, so it may have more rows.
+#: The picture ends behind the last row that is seen, so the board may have more.
 CUT_OFF = "cut off"
 
 #: Markers between the first and the last one are not found.
@@ -40,6 +41,15 @@ HALF_TURN = "half turn"
 
 #: Larger pictures are made smaller before they are searched: longest side [px].
 _LARGEST = 3000
+
+#: So many markers do not lie on a grid by chance; other kinds are not looked for [markers].
+_CERTAIN = 8
+
+#: Between the darkest white and the brightest black square lies this share of their mean difference at least.
+_GAP = 0.25
+
+#: A corner's distance from halfway between its neighbours, in squares: perspective and lenses move it little.
+_BEND = 0.35
 
 #: Smallest number of inner corners of a chessboard in each direction that is looked for.
 _FEWEST_CORNERS = 3
@@ -119,14 +129,20 @@ def _prepared(image: NDArray[np.uint8]) -> Any:  # noqa: ANN401  an image of Ope
 
 def _marker_board(grey: Any, *, mirrored: bool) -> Identified:  # noqa: ANN401
     """Identify a board with markers: of all kinds of markers the one with the most on a grid."""
-    kinds = list(find_markers(grey))
-    grids = [(grid, markers) for markers in kinds if (grid := grid_of(markers)) is not None]
-    if grids:
-        grid, markers = max(grids, key=lambda pair: len(pair[0].ids))
-        return _identified(grid, markers, grey.shape, mirrored=mirrored)
-    if not kinds:
+    best: tuple[Grid, Markers] | None = None
+    most: Markers | None = None
+    for markers in find_markers(grey):
+        if most is None or len(markers.ids) > len(most.ids):
+            most = markers
+        grid = grid_of(markers)
+        if grid is not None and (best is None or len(grid.ids) > len(best[0].ids)):
+            best = (grid, markers)
+        if best is not None and len(best[0].ids) >= _CERTAIN:
+            break
+    if best is not None:
+        return _identified(*best, grey.shape, mirrored=mirrored)
+    if most is None:
         return Identified(None)
-    most = max(kinds, key=lambda markers: len(markers.ids))
     dictionary = smallest_dictionary(most.kind, int(most.ids.max()))
     return Identified(None, (), dictionary, tuple(sorted(map(int, most.ids))))
 
@@ -135,17 +151,35 @@ def _identified(
     grid: Grid, markers: Markers, shape: tuple[int, ...], *, mirrored: bool
 ) -> Identified:
     """Describe the board of a grid of markers."""
+    board = _board(grid, markers.kind)
+    findings = []
+    if mirrored:
+        findings.append(MIRRORED)
+    if grid.layout.bottom_up:
+        findings.append(BOTTOM_UP)
+    if _is_cut_off(grid, board.rows, shape):
+        findings.append(CUT_OFF)
+    if len(grid.ids) < board.markers:
+        findings.append(MISSING)
+    ids = tuple(sorted(map(int, grid.ids)))
+    return Identified(board, tuple(findings), board.dictionary, ids)
+
+
+def _board(grid: Grid, kind: tuple[str, ...]) -> Board:
+    """Describe the board of a grid of markers, in the smallest dictionary of a kind that is large enough."""
     layout = grid.layout
     rows = grid.rows
     if layout.starts_white:
         rows += rows % 2  # only an even number of rows begins with a marker
     count = layout.columns * rows
-    markers_of_board = count // 2 if layout.pattern == CHARUCO else count
-    last = layout.first + markers_of_board - 1
-    dictionary = smallest_dictionary(markers.kind, last)
-    # The marker of the last place may not exist in a dictionary that the board fills nearly.
-    rows = min(rows, _most_rows(layout.pattern, layout.columns, dictionary, layout.first))
-    board = Board(
+    markers = count // 2 if layout.pattern == CHARUCO else count
+    dictionary = smallest_dictionary(kind, layout.first + markers - 1)
+    # The markers of a last row that is seen in part may not all exist.
+    available = DICTIONARIES[dictionary].markers - layout.first
+    if markers > available:
+        squares = 2 * available if layout.pattern == CHARUCO else available
+        rows = squares // layout.columns
+    return Board(
         pattern=layout.pattern,
         columns=layout.columns,
         rows=rows,
@@ -155,32 +189,14 @@ def _identified(
         first_marker=layout.first,
         legacy=layout.starts_white,
     )
-    findings = []
-    if mirrored:
-        findings.append(MIRRORED)
-    if layout.bottom_up:
-        findings.append(BOTTOM_UP)
-    if _is_cut_off(grid, rows, shape):
-        findings.append(CUT_OFF)
-    if len(grid.ids) < board.markers:
-        findings.append(MISSING)
-    return Identified(board, tuple(findings), dictionary, tuple(sorted(map(int, grid.ids))))
-
-
-def _most_rows(pattern: str, columns: int, dictionary: str, first: int) -> int:
-    """Return the largest number of rows for which a dictionary has enough markers."""
-    markers = DICTIONARIES[dictionary].markers - first
-    squares = 2 * markers + 1 if pattern == CHARUCO else markers
-    return squares // columns
 
 
 def _is_cut_off(grid: Grid, rows: int, shape: tuple[int, ...]) -> bool:
-    """Return whether the outline of the board reaches beyond the picture."""
+    """Return whether a further row, behind the last one seen, would reach beyond the picture."""
     cv2 = opencv()
-    top, bottom = (1 - rows, 1) if grid.layout.bottom_up else (0, rows)
-    right = grid.layout.columns
-    outline = np.array([[[0.0, top], [right, top], [right, bottom], [0.0, bottom]]], dtype=float)
-    corners = cv2.perspectiveTransform(outline, grid.H_image_cells)[0]
+    further = -rows if grid.layout.bottom_up else rows + 1
+    ends = np.array([[[0.0, further], [grid.layout.columns, further]]])
+    corners = cv2.perspectiveTransform(ends, grid.H_image_cells)[0]
     largest = np.array([shape[1], shape[0]]) - 1.0
     return bool(np.any(corners < 0.0) or np.any(corners > largest))
 
@@ -190,8 +206,11 @@ def _chessboard(grey: Any) -> Identified | None:  # noqa: ANN401
     cv2 = opencv()
     flags = cv2.CALIB_CB_LARGER | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_NORMALIZE_IMAGE
     size = (_FEWEST_CORNERS, _FEWEST_CORNERS)
-    is_found, _, meta = cv2.findChessboardCornersSBWithMeta(grey, size, flags)
+    is_found, corners, meta = cv2.findChessboardCornersSBWithMeta(grey, size, flags)
     if not is_found:
+        return None
+    grid = np.reshape(np.asarray(corners, dtype=float), (*meta.shape[:2], 2))
+    if not (_is_regular(grid) and _is_plain(grey, grid)):
         return None
     rows, columns = sorted(meta.shape[:2])
     board = Board(
@@ -202,3 +221,37 @@ def _chessboard(grey: Any) -> Identified | None:  # noqa: ANN401
     )
     findings = (HALF_TURN,) if (board.columns + board.rows) % 2 == 0 else ()
     return Identified(board, findings)
+
+
+def _is_regular(corners: Array) -> bool:
+    """Return whether each corner lies nearly halfway between its neighbours; OpenCV finds chessboards in noise.
+
+    Args:
+        corners: Corners in the picture, shape (rows, columns, 2) [px].
+    """
+    for axis in (0, 1):
+        steps = np.linalg.norm(np.diff(corners, axis=axis), axis=-1)
+        bends = np.linalg.norm(np.diff(corners, n=2, axis=axis), axis=-1)
+        if bends.max() > _BEND * np.median(steps):
+            return False
+    return True
+
+
+def _is_plain(grey: Any, corners: Array) -> bool:  # noqa: ANN401
+    """Return whether squares are black and white in turn; those of a ChArUco board, with markers, are not.
+
+    Args:
+        grey: The picture.
+        corners: Corners in it, shape (rows, columns, 2) [px].
+    """
+    cv2 = opencv()
+    middles = (corners[:-1, :-1] + corners[:-1, 1:] + corners[1:, :-1] + corners[1:, 1:]) / 4.0
+    smooth = cv2.GaussianBlur(grey, (0, 0), 1.0)
+    x, y = np.rint(middles).astype(int).reshape(-1, 2).T
+    grey_levels = smooth[np.clip(y, 0, len(smooth) - 1), np.clip(x, 0, smooth.shape[1] - 1)]
+    row, column = np.indices(middles.shape[:2])
+    is_odd = (row + column).ravel() % 2 == 1
+    first, second = grey_levels[~is_odd].astype(float), grey_levels[is_odd].astype(float)
+    contrast = abs(first.mean() - second.mean())
+    gap = max(first.min() - second.max(), second.min() - first.max())
+    return bool(gap > _GAP * contrast)
