@@ -6,7 +6,8 @@ then found in the flipped picture only.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,8 @@ from numpy.typing import NDArray
 from calib.camera.board import CHARUCO, CHESSBOARD, Board
 from calib.camera.board_file import shifted
 from calib.camera.dictionaries import DICTIONARIES
-from calib.errors import CalibError
+from calib.errors import FileError
+from calib.files import read_bytes
 from calib.units import Array
 from calib.vision.marker_grids import Grid, grid_of
 from calib.vision.markers import Markers, find_markers, smallest_dictionary
@@ -69,7 +71,7 @@ class Identified:
     markers: tuple[int, ...] = ()
 
 
-def read_image(path: str) -> NDArray[np.uint8]:
+def read_image(path: str | Path) -> NDArray[np.uint8]:
     """Read a picture in grey.
 
     Args:
@@ -79,19 +81,30 @@ def read_image(path: str) -> NDArray[np.uint8]:
         The picture, shape (height, width).
 
     Raises:
-        FileError: The file cannot be read.
-        CalibError: It is no picture.
+        FileError: The file cannot be read, or is no picture.
     """
-    from calib.files import read_bytes
-
     cv2 = opencv()
     data = np.frombuffer(read_bytes(path, "picture"), dtype=np.uint8)
     image = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE) if len(data) else None
     if image is None:
-        raise CalibError(
+        raise FileError(
             f"picture '{path}' cannot be decoded; PNG, JPEG, TIFF and BMP can. A PDF has to be made a PNG first."
         )
     return np.asarray(image)
+
+
+def sized(board: Board, square: float | None, marker: float | None) -> Board:
+    """Return a board that was identified in the size that it is known to have.
+
+    Args:
+        board: The board, its lengths assumed.
+        square: Side of a square, or distance of two tags' centres [m]; None to keep what was assumed.
+        marker: Side of a marker or tag [m]; None for the share of the square that the picture shows.
+    """
+    square = board.square if square is None else square
+    if marker is None:
+        marker = shifted(round(1e3 * board.marker * square / board.square, 1), -3)
+    return replace(board, square=square, marker=marker)
 
 
 def identify(image: NDArray[np.uint8]) -> Identified:

@@ -19,7 +19,7 @@ def flat(board, pixels_per_mm=8.0, margin=0.01):
     scale = 1e3 * pixels_per_mm
     width, height = ((length + 2.0 * margin) * scale for length in board.size)
     image = np.full((round(height), round(width)), 255, np.uint8)
-    for x, y, w, h in (black_rectangles(board) + [margin, margin, 0.0, 0.0]) * scale:
+    for x, y, w, h in (black_rectangles(board) + np.array([margin, margin, 0, 0])) * scale:
         image[round(y) : round(y + h), round(x) : round(x + w)] = 0
     return image
 
