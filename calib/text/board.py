@@ -47,7 +47,9 @@ def _squares(board: Board) -> str:
         return (
             f"{board.columns} x {board.rows} tags of {_mm(board.marker)} every {_mm(board.square)}"
         )
-    return f"{board.columns} x {board.rows} squares of {_mm(board.square)}"
+    text = f"{board.columns} x {board.rows} squares of {_mm(board.square)}"
+    is_legacy = board.pattern == CHARUCO and board.legacy and board.rows % 2 == 0
+    return f"{text}, legacy layout" if is_legacy else text
 
 
 def _markers(board: Board) -> str:

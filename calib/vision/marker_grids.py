@@ -2,7 +2,8 @@
 
 The ids of a board's markers run along its rows, so a number of columns and a layout say in which cell of the board each
 marker lies. They are right if one homography takes the cells to the picture, and if the markers, taken back by it, are
-upright squares of one size. All numbers of columns are tried.
+upright squares of one size. All numbers of columns are tried, but first without a fit: each marker alone says where its
+neighbours lie, in sides of its own.
 """
 
 from __future__ import annotations
@@ -32,6 +33,12 @@ _SHAPE_TOLERANCE = 0.12
 
 #: The same in the picture for the centres, in sides of a marker.
 _INLIER = 0.4
+
+#: Neighbours of a marker that are looked at before the fit.
+_NEIGHBOURS = 4
+
+#: Median distance of neighbours from where a layout has them, in cells; a wrong layout has them a whole one off.
+_NEIGHBOUR_TOLERANCE = 0.35
 
 #: Corners of an upright marker of side 1 about its centre, clockwise from top left.
 _UPRIGHT = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
@@ -150,12 +157,55 @@ def _layouts_below(lowest: int) -> Iterator[Layout]:
 
 def _best(markers: Markers, layouts: Iterable[Layout]) -> Grid | None:
     """Return the most plausible of the grids with the most markers."""
-    grids = [grid for layout in layouts if (grid := _fitted(markers, layout)) is not None]
+    neighbours = _Neighbours.of(markers)
+    grids = []
+    for layout in layouts:
+        grid = _fitted(markers, layout) if neighbours.agree_with(layout) else None
+        if grid is not None:
+            grids.append(grid)
     if not grids:
         return None
     most = max(len(grid.ids) for grid in grids)
     alike = [grid for grid in grids if len(grid.ids) >= _ALIKE * most]
     return max(alike, key=lambda grid: grid.plausibility)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Neighbours(Value):
+    """Where neighbours of markers lie, as each marker sees them in its own frame."""
+
+    #: Ids of the markers, shape (pairs,).
+    ids: Integers
+    #: Ids of their neighbours, shape (pairs,).
+    others: Integers
+    #: From the centre of a marker to that of its neighbour, in sides of the marker, shape (pairs, 2).
+    offsets: Array
+
+    @classmethod
+    def of(cls, markers: Markers) -> _Neighbours:
+        """Look at the nearest neighbours of each marker."""
+        cv2 = opencv()
+        centres = markers.centres
+        ids, others, offsets = [], [], []
+        for k, corners in enumerate(markers.corners):
+            distances = np.linalg.norm(centres - centres[k], axis=1)
+            nearest = np.argsort(distances)[1 : _NEIGHBOURS + 1]
+            H = cv2.getPerspectiveTransform(np.float32(corners), np.float32(_UPRIGHT))
+            offsets.append(cv2.perspectiveTransform(centres[None, nearest], H)[0])
+            ids += [markers.ids[k]] * len(nearest)
+            others += list(markers.ids[nearest])
+        return cls(np.array(ids), np.array(others), np.concatenate(offsets))
+
+    def agree_with(self, layout: Layout) -> bool:
+        """Return whether most neighbours lie where a layout has them."""
+        cells = (layout.cells(self.others) - layout.cells(self.ids)).astype(float)
+        # Sides of a marker in a cell: more than 1, as a marker is smaller than its cell.
+        along = np.sum(self.offsets * cells, axis=1)
+        scale = float(np.median(along / np.sum(cells**2, axis=1)))
+        if scale < 1.0 - _NEIGHBOUR_TOLERANCE:
+            return False
+        distances = np.abs(self.offsets / scale - cells).max(axis=1)
+        return bool(np.median(distances) < _NEIGHBOUR_TOLERANCE)
 
 
 def _fitted(markers: Markers, layout: Layout) -> Grid | None:

@@ -29,7 +29,7 @@ def photo(board, quad=TILTED, size=(1280, 960), *, angle=0, noise=4.0, seed=0):
 
     ``angle`` turns the picture by so many quarters.
     """
-    pixels_per_mm, margin = 8.0, 0.01
+    pixels_per_mm, margin = 5.0, 0.01
     source = flat(board, pixels_per_mm, margin)
     width, height = board.size
     corners = np.array([[0, 0], [width, 0], [width, height], [0, height]], np.float32)
@@ -40,7 +40,7 @@ def photo(board, quad=TILTED, size=(1280, 960), *, angle=0, noise=4.0, seed=0):
     H_board_source = np.array(
         [[1 / scale, 0, 0.5 / scale - margin], [0, 1 / scale, 0.5 / scale - margin], [0, 0, 1]]
     )
-    oversampling = 3
+    oversampling = 2
     enlarge = np.diag([oversampling, oversampling, 1.0])
     enlarge[:2, 2] = (oversampling - 1) / 2
     large = cv2.warpPerspective(

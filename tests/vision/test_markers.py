@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import cv2
 import numpy as np
 
@@ -18,7 +20,7 @@ def test_small_dictionaries_are_the_beginning_of_large_ones():
         codes = [
             cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name)).bytesList for name in kind
         ]
-        for small, large in zip(codes, codes[1:], strict=False):
+        for small, large in itertools.pairwise(codes):
             np.testing.assert_array_equal(small, large[: len(small)])
 
 
