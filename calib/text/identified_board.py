@@ -79,7 +79,12 @@ def _size_text(board: Board) -> str:
 
 
 def next_lines(board: Board, path: str) -> list[str]:
-    """Say how to give the size of a board whose description was written."""
+    """Say how to give the size of a board whose description was written.
+
+    Args:
+        board: The board, of the size that was assumed.
+        path: The file of its description.
+    """
     return [
         fill(f"Next: measure over {board.columns} squares, and give calib what you read, such as"),
         f'  calib board {path} --measured "{30 * board.columns:g} mm / {board.columns}"',
@@ -92,7 +97,12 @@ def described(board: Board) -> list[str]:
 
 
 def nothing_text(identified: Identified, picture: str) -> str:
-    """Return the message for a picture without a board."""
+    """Return the message for a picture without a board.
+
+    Args:
+        identified: What was found instead.
+        picture: The file of the picture.
+    """
     if not identified.markers:
         return (
             f"{picture}: no board is found, neither markers nor a chessboard. The board should fill a third of the "

@@ -60,7 +60,7 @@ _FEWEST_CORNERS = 3
 
 @dataclass(frozen=True, slots=True)
 class Identified:
-    """What a picture shows."""
+    """The board in a picture, if there is one."""
 
     #: The board, with squares of `ASSUMED_SQUARE`; None if there is none.
     board: Board | None

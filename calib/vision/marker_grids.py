@@ -52,7 +52,7 @@ _ALIKE = 0.95
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """Where the markers of a board lie, by their ids."""
+    """The arrangement of a board's markers: which cell each id lies in."""
 
     #: `CHARUCO` or `APRILTAG`.
     pattern: str
@@ -106,7 +106,7 @@ class Grid(Value):
 
     @property
     def plausibility(self) -> float:
-        """How well the grid explains which markers are seen: completeness, less for rare kinds of boards."""
+        """Completeness, reduced for rare kinds of boards: how well the grid explains which markers are seen."""
         value = self.completeness
         if self.layout.first != 0:
             value *= _RARE
@@ -172,7 +172,7 @@ def _best(markers: Markers, layouts: Iterable[Layout]) -> Grid | None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Neighbours(Value):
-    """Where neighbours of markers lie, as each marker sees them in its own frame."""
+    """Positions of neighbouring markers, in the frame of each marker."""
 
     #: Ids of the markers, shape (pairs,).
     ids: Integers
@@ -219,15 +219,19 @@ def _fitted(markers: Markers, layout: Layout) -> Grid | None:
     H, near = cv2.findHomography(cells, markers.centres, cv2.RANSAC, threshold, maxIters=200)
     if H is None or near.sum() < FEWEST or abs(np.linalg.det(H)) < 1e-12:
         return None
-    corners = cv2.perspectiveTransform(markers.corners.reshape(1, -1, 2), np.linalg.inv(H))
-    about_cell = corners.reshape(-1, 4, 2) - cells[:, None]
+    about_cell = _in_cells(markers.corners, H) - cells[:, None]
     middle = about_cell.mean(axis=1)
     shape = about_cell - middle[:, None]
     ratio = float(np.median(np.sum(shape * _UPRIGHT, axis=(1, 2)))) / 2.0
-    if not 0.0 < ratio < 1.0:
-        return None
     is_square = np.abs(shape - ratio * _UPRIGHT).max(axis=(1, 2)) < _SHAPE_TOLERANCE
     is_on = is_square & (np.abs(middle).max(axis=1) < _CENTRE_TOLERANCE)
-    if is_on.sum() < FEWEST:
+    if not 0.0 < ratio < 1.0 or is_on.sum() < FEWEST:
         return None
     return Grid(layout, is_on, markers.ids[is_on], H, ratio)
+
+
+def _in_cells(corners: Array, H_image_cells: Array) -> Array:
+    """Take corners of markers from the picture to the cells, shape (n, 4, 2)."""
+    H = np.linalg.inv(H_image_cells)
+    places = opencv().perspectiveTransform(corners.reshape(1, -1, 2), H)
+    return np.asarray(places).reshape(corners.shape)

@@ -68,7 +68,12 @@ class Markers(Value):
 
 
 def smallest_dictionary(kind: tuple[str, ...], largest_id: int) -> str:
-    """Return the smallest dictionary of a kind that has a marker with this id."""
+    """Return the smallest dictionary of a kind that has a marker with this id.
+
+    Args:
+        kind: The dictionaries, the smallest first.
+        largest_id: The id; if none has it, the largest dictionary is returned.
+    """
     for name in kind:
         if largest_id < DICTIONARIES[name].markers:
             return name

@@ -87,8 +87,7 @@ def page_of(board: Board, sheet: Sheet, lines: Sequence[str]) -> Page:
     leftmost = max(EDGE + SIDE_BAND, min(x, sheet.width - EDGE - _RULER_AND_TEXT))
     across, labels_across = _ruler_across(sheet, leftmost, below)
     down, labels_down = _ruler_down(sheet, x - sheet.quiet - SIDE_BAND, y)
-    end = labels_across[0].at[0] + _GAP
-    texts = [Text((end, below + TEXT_SIZE + k * _LEADING), line) for k, line in enumerate(lines)]
+    texts = _paragraph(lines, labels_across[0].at[0] + _GAP, below + TEXT_SIZE)
     return Page(
         sheet.width,
         sheet.height,
@@ -97,6 +96,11 @@ def page_of(board: Board, sheet: Sheet, lines: Sequence[str]) -> Page:
         (*labels_across, *labels_down, *texts),
         board.name,
     )
+
+
+def _paragraph(lines: Sequence[str], x: float, y: float) -> list[Text]:
+    """Return lines of text below each other, the first with its baseline at y [m]."""
+    return [Text((x, y + k * _LEADING), line) for k, line in enumerate(lines)]
 
 
 def _ruler_across(sheet: Sheet, x: float, y: float) -> tuple[Array, list[Text]]:
