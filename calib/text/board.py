@@ -30,6 +30,16 @@ _FAR_PERCENT = 1.0
 #: A length that is further off was not drawn by calib, but assumed [%].
 _RESIZED_PERCENT = 10.0
 
+_NEW_LAYOUT = (
+    "Note: OpenCV before 4.6 lays an even number of rows out in another way; programs that use it see the markers but "
+    "no corners. An odd number of rows is the same for all."
+)
+
+_LEGACY_LAYOUT = (
+    "Note: with an even number of rows in the legacy layout, programs with OpenCV 4.6 or newer see the markers but no "
+    "corners, unless they are set to it. calib reads the layout from the description."
+)
+
 _FITTED_TO_PAGE = (
     "Note: the print is more than 1 % off; was it printed to fit the page? It can be used as it is if width and height "
     "are off alike: measure both."
@@ -111,8 +121,8 @@ def _on(sheet: Sheet, paper: str) -> str:
     if paper == NO_PAPER:
         return f"on a sheet of {_mm(sheet.width)} x {_mm(sheet.height)}"
     name = paper.upper() if len(paper) == len("a4") else paper
-    is_upright = sheet.width <= PAPERS[paper][0]
-    return f"on {name} paper, {'upright' if is_upright else 'lying'}"
+    is_portrait = sheet.width <= PAPERS[paper][0]
+    return f"on {name} paper, {'portrait' if is_portrait else 'landscape'}"
 
 
 def _notes(board: Board) -> list[str]:
@@ -125,12 +135,7 @@ def _notes(board: Board) -> list[str]:
             )
         ]
     if board.pattern == CHARUCO and board.rows % 2 == 0:
-        return [
-            fill(
-                "Note: OpenCV before 4.6 lays an even number of rows out in another way; programs that use it see the "
-                "markers but no corners. An odd number of rows is the same for all."
-            )
-        ]
+        return [fill(_LEGACY_LAYOUT if board.legacy else _NEW_LAYOUT)]
     return []
 
 

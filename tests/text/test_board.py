@@ -54,7 +54,7 @@ def test_the_console_says_what_to_print_and_to_measure(pattern):
     lines, text = drawn(board)
     assert "Written: b/left.svg" in text
     assert "100 %" in text
-    assert "A4 paper, lying" in text
+    assert "A4 paper, landscape" in text
     width = f"{1e3 * board.size[0]:g} mm"
     assert lines[-1] == f'     calib board b/left.toml --measured "{width}"'
     print_scale(board, width)  # is what the option takes
@@ -64,11 +64,12 @@ def test_the_console_says_what_to_print_and_to_measure(pattern):
 def test_boards_that_are_not_unique_come_with_a_note():
     assert "half a turn" in drawn(designed(Wish(pattern="chessboard", rows=8), "a4"))[1]
     assert "before 4.6" in drawn(designed(Wish(rows=6), "a4"))[1]
+    assert "4.6 or newer" in drawn(designed(Wish(rows=6, legacy=True), "a4"))[1]
 
 
 def test_other_papers():
     upright = designed(Wish(columns=5, rows=7), "letter")
-    assert "letter paper, upright" in drawn(upright, "letter")[1]
+    assert "letter paper, portrait" in drawn(upright, "letter")[1]
     assert "4 inches" in drawn(upright, "letter")[1]
     assert "on a sheet of" in drawn(designed(Wish(), "none"), "none")[1]
 
