@@ -189,15 +189,23 @@ class _Neighbours(Value):
         ids, others, offsets = [], [], []
         for k, corners in enumerate(markers.corners):
             distances = np.linalg.norm(centres - centres[k], axis=1)
-            nearest = np.argsort(distances)[1 : _NEIGHBOURS + 1]
+            # An id that is seen twice says nothing of where the board has it.
+            distances[markers.ids == markers.ids[k]] = np.inf
+            nearest = np.argsort(distances)[:_NEIGHBOURS]
+            nearest = nearest[np.isfinite(distances[nearest])]
+            if len(nearest) == 0:
+                continue
             H = cv2.getPerspectiveTransform(np.float32(corners), np.float32(_UPRIGHT))
             offsets.append(cv2.perspectiveTransform(centres[None, nearest], H)[0])
             ids += [markers.ids[k]] * len(nearest)
             others += list(markers.ids[nearest])
-        return cls(np.array(ids), np.array(others), np.concatenate(offsets))
+        pairs = np.concatenate(offsets) if offsets else np.empty((0, 2))
+        return cls(np.array(ids, dtype=int), np.array(others, dtype=int), pairs)
 
     def agree_with(self, layout: Layout) -> bool:
         """Return whether most neighbours lie where a layout has them."""
+        if len(self.ids) == 0:
+            return False
         cells = (layout.cells(self.others) - layout.cells(self.ids)).astype(float)
         # Sides of a marker in a cell: more than 1, as a marker is smaller than its cell.
         along = np.sum(self.offsets * cells, axis=1)

@@ -34,6 +34,9 @@ KINDS: tuple[tuple[str, ...], ...] = (
 #: Longest side of the picture of a quick look [px].
 _QUICK = 2000
 
+#: Half of the window in which a corner is refined: a larger one reaches the next square's corner [px].
+_REFINED = 2
+
 #: Markers of each kind that a quick look knows.
 _LOW_IDS = 100
 
@@ -142,6 +145,7 @@ def _find(image: Any, kind: tuple[str, ...], count: int | None) -> Markers | Non
     aruco = opencv().aruco
     parameters = aruco.DetectorParameters()
     parameters.cornerRefinementMethod = aruco.CORNER_REFINE_SUBPIX
+    parameters.cornerRefinementWinSize = _REFINED
     full = aruco.getPredefinedDictionary(getattr(aruco, kind[-1]))
     codes = full.bytesList[:count]
     dictionary = aruco.Dictionary(codes, full.markerSize, full.maxCorrectionBits)

@@ -19,8 +19,11 @@ def flat(board, pixels_per_mm=8.0, margin=0.01):
     scale = 1e3 * pixels_per_mm
     width, height = ((length + 2.0 * margin) * scale for length in board.size)
     image = np.full((round(height), round(width)), 255, np.uint8)
-    for x, y, w, h in (black_rectangles(board) + np.array([margin, margin, 0, 0])) * scale:
-        image[round(y) : round(y + h), round(x) : round(x + w)] = 0
+    rectangles = (black_rectangles(board) + np.array([margin, margin, 0, 0])) * scale
+    rectangles[:, 2:] += rectangles[:, :2]
+    # Edges that neighbours share are rounded alike, or white lines would lie between them.
+    for left, top, right, bottom in np.floor(rectangles + 0.5 + 1e-6).astype(int):
+        image[top:bottom, left:right] = 0
     return image
 
 

@@ -101,6 +101,19 @@ def test_a_stray_marker_is_left_out():
     assert 4 not in grid.ids
 
 
+def test_one_id_in_all_places_is_no_grid():
+    markers = seen(described())
+    ids = np.full_like(markers.ids, 7)
+    assert grid_of(Markers(markers.kind, ids, markers.corners)) is None
+
+
+def test_an_id_that_is_seen_twice():
+    markers = seen(described())
+    ids = markers.ids.copy()
+    ids[5] = 6
+    assert grid_of(Markers(markers.kind, ids, markers.corners)).layout.columns == 7
+
+
 def test_too_few_markers_or_one_row_are_no_grid():
     board = described()
     assert grid_of(seen(board, slice(0, 3))) is None
