@@ -23,8 +23,8 @@ _FINDINGS = {
     BOTTOM_UP: "The ids of the tags begin in the lowest row, as in Kalibr's grids. calib counts from the top: print a "
     "board of calib's, for this one cannot be described.",
     CUT_OFF: "The picture ends less than a row below the last row seen; if the board has more rows, correct them.",
-    MISSING: "Some markers are not found: hidden, cut off, blurred or in glare. Check the rows against the board, or take a "
-    "picture of all of it.",
+    MISSING: "Some markers are not found: hidden, cut off, blurred or in glare. Check the rows against the board, or "
+    "take a picture of all of it.",
     HALF_TURN: "With these columns and rows the chessboard looks the same after half a turn.",
 }
 
