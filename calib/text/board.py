@@ -113,7 +113,7 @@ def drawn_text(board: Board, sheet: Sheet, paper: str, files: Iterable[Path]) ->
     for path in files:
         lines.append(f"Written: {str(path).ljust(longest)}  {_OUTPUTS[path.suffix[1:]]}")
     toml = next((path for path in files if path.suffix == ".toml"), files[0].with_suffix(".toml"))
-    return [*lines, "", *_next_steps(board, sheet, files[0], toml)]
+    return [*lines, "", *_next_steps(board, files[0], toml)]
 
 
 def _on(sheet: Sheet, paper: str) -> str:
@@ -139,15 +139,14 @@ def _notes(board: Board) -> list[str]:
     return []
 
 
-def _next_steps(board: Board, sheet: Sheet, pdf: Path, toml: Path) -> list[str]:
+def _next_steps(board: Board, pdf: Path, toml: Path) -> list[str]:
     """Say what to do with the print."""
     width = board.size[0]
-    rulers = "100 mm and 4 inches" if sheet.inches else "100 mm"
     over = f"{board.columns} squares"
     if board.pattern == APRILTAG:
         over = f"{board.columns} tags, from edge to edge"
     steps = [
-        f"Print {pdf} at 100 % ('actual size', not 'fit to page'). The rulers on the page must be {rulers} long.",
+        f"Print {pdf} at 100 % ('actual size', not 'fit to page'). Check the rulers on it: they must be as long as they say.",
         "Glue the print onto something flat and stiff, such as glass or an aluminium panel; cardboard bends.",
         f"Measure the pattern across with a ruler or a caliper: {over}, drawn {_mm(width)}. Give calib what you read, "
         "for every length that the camera finds depends on it:",

@@ -70,7 +70,6 @@ def test_boards_that_are_not_unique_come_with_a_note():
 def test_other_papers():
     upright = designed(Wish(columns=5, rows=7), "letter")
     assert "letter paper, portrait" in drawn(upright, "letter")[1]
-    assert "4 inches" in drawn(upright, "letter")[1]
     assert "on a sheet of" in drawn(designed(Wish(), "none"), "none")[1]
 
 
