@@ -168,6 +168,8 @@ def test_values_are_those_of_a_cells_attributes(tmp_path: Path):
         "frame_directions": ("x", "rz"),
         "priors": {"source": "data", "angle": 0.003},
         "sigma": {},
+        "cameras": {},
+        "boards": {},
     }
     path.write_text("a = = 1", encoding="utf-8")
     with pytest.raises(FileError, match="this is not a TOML file"):
