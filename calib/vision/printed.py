@@ -1,0 +1,90 @@
+"""Printed boards as they really are: stretched by the printer, sagging, each corner a little off.
+
+    x = s x_0,  y = s y_0,  z = w_x (1 - xi^2) + w_y (1 - eta^2)
+
+with x_0 and y_0 as described, xi and eta from -1 to 1 across the pattern. A sag is positive where the middle lies
+behind the edges, seen from the camera.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.camera.board import Board
+from calib.robot.robot import read_only
+from calib.units import Array
+from calib.values.pickling import Value
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Print(Value):
+    """A board as it was printed, and what it has that its description does not say."""
+
+    #: The description.
+    board: Board
+    #: Length on the print by length in the description.
+    scale: float = 1.0
+    #: Sag of the middle along x and along y [m].
+    warp: tuple[float, float] = (0.0, 0.0)
+    #: Displacement of each corner on the print, shape (n, 3) [m]; None: none. Pictures do not show it.
+    offsets: Array | None = None
+    #: Whether it was printed mirrored: what lies at x is drawn at width - x. Corners stay where they are described.
+    mirrored: bool = False
+
+    def surface(self, x: Array, y: Array) -> Array:
+        """Return the surface's height where the description has a point of the plane.
+
+        Args:
+            x: Along the columns in the description, any shape (...) [m].
+            y: Along the rows, likewise.
+
+        Returns:
+            z on the print, shape (...) [m].
+        """
+        width, height = self.board.size
+        xi = 2.0 * x / width - 1.0
+        eta = 2.0 * y / height - 1.0
+        along_x, along_y = self.warp
+        return np.asarray(along_x * (1.0 - xi**2) + along_y * (1.0 - eta**2))
+
+    def points(self, x: Array, y: Array) -> Array:
+        """Return where points of the description lie on the print.
+
+        Args:
+            x: Along the columns in the description, shape (n,) [m].
+            y: Along the rows, shape (n,) [m].
+
+        Returns:
+            In the board's frame, shape (n, 3) [m].
+        """
+        return np.column_stack([self.scale * x, self.scale * y, self.surface(x, y)])
+
+    @property
+    def corners(self) -> Array:
+        """Return where the corners lie on the print, in the board's frame, in the order of their ids, (n, 3) [m]."""
+        x, y, _ = self.board.corners.T
+        corners = self.points(x, y)
+        if self.offsets is not None:
+            corners = corners + self.offsets
+        return corners
+
+
+def draw_print(board: Board, seed: int | np.random.Generator) -> Print:
+    """Draw a print with the errors that a board's description allows: scale, warp, and each corner's place.
+
+    Args:
+        board: The description, whose ``sigma_scale``, ``sigma_warp`` and ``sigma_corner`` are the standard deviations.
+        seed: Of the random numbers, or where they come from.
+    """
+    rng = np.random.default_rng(seed)
+    scale_error, along_x, along_y = rng.standard_normal(3)
+    in_plane = rng.normal(scale=board.sigma_corner, size=(len(board.corners), 2))
+    offsets = np.column_stack([in_plane, np.zeros(len(in_plane))])
+    return Print(
+        board,
+        scale=float(1.0 + board.sigma_scale * scale_error),
+        warp=(float(board.sigma_warp * along_x), float(board.sigma_warp * along_y)),
+        offsets=read_only(offsets),
+    )
