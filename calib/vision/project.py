@@ -6,6 +6,7 @@ What simulates pictures and tables of corners: none of the code of the fit, whos
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -21,10 +22,13 @@ NEAREST = 1e-3
 #: Name of the lens that OpenCV's `cv2.fisheye` has; the other is that of `cv2.projectPoints`.
 _FISHEYE = "fisheye"
 
+#: Iterations of OpenCV's search for the ray of a pixel.
+_ITERATIONS = 15
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sight(Value):
-    """What counts as seen."""
+    """Conditions under which a corner counts as seen."""
 
     #: Distance that corners keep to the image's edges [px].
     margin: float = 10.0
@@ -128,3 +132,32 @@ def in_image(camera: Camera, pixels: Array, margin: float) -> Mask:
     high = np.array([camera.width, camera.height]) - 0.5 - margin
     # NaN compares as not in the image.
     return np.asarray(((pixels >= low) & (pixels <= high)).all(axis=-1))
+
+
+def rays(camera: Camera, pixels: Array) -> Array:
+    """Return the rays of pixels by OpenCV.
+
+    Args:
+        camera: The camera, whose numbers are known.
+        pixels: shape (n, 2) [px].
+
+    Returns:
+        In the camera's frame, shape (n, 3), z = 1.
+
+    Raises:
+        CalibError: The camera's numbers are not known.
+    """
+    K, distortion = camera_matrix(camera)
+    undistorted = _undistort(camera, pixels.reshape(-1, 1, 2), K, distortion)
+    return np.column_stack([undistorted.reshape(-1, 2), np.ones(len(pixels))])
+
+
+def _undistort(camera: Camera, pixels: Array, K: Array, distortion: Array) -> Any:  # noqa: ANN401  OpenCV has no types
+    """Return the pixels (n, 1, 2) [px] of a camera without distortion and with focal length 1, shape (n, 1, 2)."""
+    cv2 = opencv()
+    end = (cv2.TERM_CRITERIA_MAX_ITER | cv2.TERM_CRITERIA_EPS, _ITERATIONS, 1e-10)
+    if camera.lens == _FISHEYE:
+        return cv2.fisheye.undistortPoints(pixels, K, distortion, criteria=end)
+    if hasattr(cv2, "undistortPointsIter"):  # OpenCV 4
+        return cv2.undistortPointsIter(pixels, K, distortion, None, None, end)
+    return cv2.undistortPoints(pixels, K, distortion, criteria=end)

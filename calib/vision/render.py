@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,7 @@ from calib.units import Array
 from calib.values.pickling import Value
 from calib.vision.opencv import opencv
 from calib.vision.printed import Print
-from calib.vision.project import NEAREST, camera_matrix, in_camera, in_image, project
+from calib.vision.project import NEAREST, camera_matrix, in_camera, in_image, project, rays
 from calib.vision.texture import Texture, texture
 
 Image = NDArray[np.uint8]
@@ -46,9 +46,6 @@ _LARGEST_TEXTURE = 6000
 #: Place on the pattern of a ray that misses it, far outside of any picture [px].
 _NOWHERE = -1e6
 
-#: Iterations of OpenCV's search for the ray of a pixel.
-_ITERATIONS = 15
-
 #: Rounds of the search for the ray's end on a sagging board: each gains two digits or more.
 _ROUNDS = 5
 
@@ -58,7 +55,7 @@ _CLOUDS = 24
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scene(Value):
-    """What the board is printed on, and what is around it. Grey values are from 0, black, to 255."""
+    """Paper, ink, light and background of a picture. Grey values are from 0, black, to 255."""
 
     #: Grey value of the paper.
     white: float = 215.0
@@ -140,8 +137,9 @@ def render(
     picture = _with_sheet(background, sheet, scene) * light
     if blur > 0.0:
         picture = opencv().GaussianBlur(picture, (0, 0), blur)
-    picture += noise * rng.standard_normal(picture.shape, dtype=np.float32)
-    return np.clip(np.rint(picture), 0, 255).astype(np.uint8)
+    grains = rng.standard_normal(picture.shape, dtype=np.float32)
+    levels: Array = np.rint(picture + noise * grains)
+    return np.asarray(np.clip(levels, 0, 255), dtype=np.uint8)
 
 
 def write_png(image: Image, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
@@ -191,7 +189,7 @@ def _with_sheet(picture: NDArray[np.float32], sheet: _Sheet, scene: Scene) -> ND
         return picture
     white, share = _pattern(sheet, region)
     ink = scene.black * share + (scene.white - scene.black) * white
-    drawn = picture.copy()
+    drawn: NDArray[np.float32] = picture.copy()
     drawn[region.slices] = ink + (1.0 - share) * picture[region.slices]
     return drawn
 
@@ -246,8 +244,9 @@ def _pattern(sheet: _Sheet, region: _Region) -> tuple[Array, Array]:
     layers = np.dstack([levels, np.full_like(levels, 255)])
     samples = cv2.remap(layers, places, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
     size = (region.width, region.height)
-    means = cv2.resize(samples.astype(np.float32), size, interpolation=cv2.INTER_AREA) / 255.0
-    return means[..., 0], means[..., 1]
+    means = cv2.resize(samples, size, interpolation=cv2.INTER_AREA)
+    white, share = np.moveaxis(means.astype(np.float32) / 255.0, -1, 0)
+    return white, share
 
 
 def _texture_pixel(sheet: _Sheet) -> float:
@@ -301,9 +300,9 @@ def _places_of(sheet: _Sheet, pixels: Array, drawn: Texture) -> Array:
     Returns:
         Column and row, shape (n, 2) [px].
     """
-    rays = _rays(sheet.camera, pixels)
+    directions_in_camera = rays(sheet.camera, pixels)
     T_board_camera = rigid_inverse(sheet.T_camera_board)
-    directions = rays @ T_board_camera[:3, :3].T
+    directions = directions_in_camera @ T_board_camera[:3, :3].T
     origin = T_board_camera[:3, 3]
     # A ray that does not come down on the board's face, or comes from below, ends nowhere.
     hits = directions[:, 2] * np.sign(-origin[2]) > 1e-9
@@ -324,21 +323,3 @@ def _on_sheet(sheet: _Sheet, xy: Array) -> tuple[Array, Array]:
     x = np.clip(xy[:, 0], -margin, width + margin)
     y = np.clip(xy[:, 1], -margin, height + margin)
     return x, y
-
-
-def _rays(camera: Camera, pixels: Array) -> Array:
-    """Return the rays of pixels (n, 2) [px] by OpenCV, shape (n, 3), z = 1."""
-    K, distortion = camera_matrix(camera)
-    undistorted = _undistort(camera, pixels.reshape(-1, 1, 2), K, distortion)
-    return np.column_stack([undistorted.reshape(-1, 2), np.ones(len(pixels))])
-
-
-def _undistort(camera: Camera, pixels: Array, K: Array, distortion: Array) -> Any:  # noqa: ANN401  OpenCV has no types
-    """Return the pixels (n, 1, 2) [px] of a camera without distortion and with focal length 1, shape (n, 1, 2)."""
-    cv2 = opencv()
-    end = (cv2.TERM_CRITERIA_MAX_ITER | cv2.TERM_CRITERIA_EPS, _ITERATIONS, 1e-10)
-    if camera.lens == "fisheye":
-        return cv2.fisheye.undistortPoints(pixels, K, distortion, criteria=end)
-    if hasattr(cv2, "undistortPointsIter"):  # OpenCV 4
-        return cv2.undistortPointsIter(pixels, K, distortion, None, None, end)
-    return cv2.undistortPoints(pixels, K, distortion, criteria=end)

@@ -16,6 +16,9 @@ from calib.errors import CalibError
 from calib.units import Array, Mask
 from calib.vision.opencv import opencv
 
+#: A length that is longer than whole pixels by this [px] has as many.
+_ROUNDING = 1e-6
+
 
 class Rectangle(NamedTuple):
     """A black rectangle of a pattern, in the board's frame [m]."""
@@ -73,8 +76,9 @@ def texture(board: Board, pixel: float, margin: float) -> Texture:
     Raises:
         CalibError: OpenCV does not have the dictionary, or it has too few markers.
     """
-    shape = [int(np.ceil((length + 2.0 * margin) / pixel)) for length in board.size]
-    black = np.zeros((shape[1], shape[0]), dtype=np.float32)
+    width, height = (np.asarray(board.size) + 2.0 * margin) / pixel
+    shape = (_whole(height), _whole(width))
+    black = np.zeros(shape, dtype=np.float32)
     for rectangle in rectangles(board):
         first_x, share_x = _shares(rectangle.left + margin, rectangle.width, pixel)
         first_y, share_y = _shares(rectangle.top + margin, rectangle.height, pixel)
@@ -83,6 +87,11 @@ def texture(board: Board, pixel: float, margin: float) -> Texture:
         part = black[rows, columns]
         part += np.outer(share_y, share_x)[: part.shape[0], : part.shape[1]]
     return Texture(1.0 - np.minimum(black, 1.0), pixel, margin)
+
+
+def _whole(pixels: float) -> int:
+    """Return the whole number of pixels that cover a length [px]; what sticks out by rounding is not covered."""
+    return int(np.ceil(pixels - _ROUNDING))
 
 
 def _shares(start: float, length: float, pixel: float) -> tuple[int, Array]:
