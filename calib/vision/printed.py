@@ -1,8 +1,9 @@
 """Printed boards as they really are: stretched by the printer, sagging, each corner a little off.
 
-    x = s x_0,  y = s y_0,  z = w_x (1 - xi^2) + w_y (1 - eta^2)
+    x = s_x x_0,  y = s_y y_0,  z = w_x (1 - xi^2) + w_y (1 - eta^2)
 
-with x_0 and y_0 as described, xi and eta from -1 to 1 across the pattern. A sag is positive where the middle lies
+with x_0 and y_0 as described, xi and eta from -1 to 1 across the pattern. Printers feed paper at another scale than
+they print across it. A sag is positive where the middle lies
 behind the edges, seen from the camera.
 """
 
@@ -24,8 +25,8 @@ class Print(Value):
 
     #: The description.
     board: Board
-    #: Length on the print by length in the description.
-    scale: float = 1.0
+    #: Length on the print by length in the description, along x and along y.
+    scale: tuple[float, float] = (1.0, 1.0)
     #: Sag of the middle along x and along y [m].
     warp: tuple[float, float] = (0.0, 0.0)
     #: Displacement of each corner on the print, shape (n, 3) [m]; None: none. Pictures do not show it.
@@ -59,7 +60,8 @@ class Print(Value):
         Returns:
             In the board's frame, shape (n, 3) [m].
         """
-        return np.column_stack([self.scale * x, self.scale * y, self.surface(x, y)])
+        along_x, along_y = self.scale
+        return np.column_stack([along_x * x, along_y * y, self.surface(x, y)])
 
     @property
     def corners(self) -> Array:
@@ -79,12 +81,13 @@ def draw_print(board: Board, seed: int | np.random.Generator) -> Print:
         seed: Of the random numbers, or where they come from.
     """
     rng = np.random.default_rng(seed)
-    scale_error, along_x, along_y = rng.standard_normal(3)
+    scale = 1.0 + board.sigma_scale * rng.standard_normal(2)
+    warp = board.sigma_warp * rng.standard_normal(2)
     in_plane = rng.normal(scale=board.sigma_corner, size=(len(board.corners), 2))
     offsets = np.column_stack([in_plane, np.zeros(len(in_plane))])
     return Print(
         board,
-        scale=float(1.0 + board.sigma_scale * scale_error),
-        warp=(float(board.sigma_warp * along_x), float(board.sigma_warp * along_y)),
+        scale=(float(scale[0]), float(scale[1])),
+        warp=(float(warp[0]), float(warp[1])),
         offsets=read_only(offsets),
     )
