@@ -14,7 +14,9 @@ def test_a_print_is_as_described_unless_told_otherwise():
 
 def test_scale_stretches_within_the_plane_only():
     corners = Print(CHESS_BOARD, scale=(1.01, 0.98), warp=(1e-3, 0.0)).corners
-    np.testing.assert_allclose(corners[:, :2], [1.01, 0.98] * CHESS_BOARD.corners[:, :2], rtol=1e-14)
+    np.testing.assert_allclose(
+        corners[:, :2], [1.01, 0.98] * CHESS_BOARD.corners[:, :2], rtol=1e-14
+    )
 
 
 def test_warp_lifts_the_middle_and_leaves_the_edges():

@@ -1,0 +1,127 @@
+"""Pictures that the camera of a virtual cell takes: the board's pose in each, and the pixels of its corners.
+
+    pixel = lens(T_camera_board(q) corner) + noise,   T_camera_board(q) = T_camera_base  T_base_tip(q)  T_tip_board
+
+with the robot, the camera, the mounts and the print as they really are, and the robot's repeatability besides.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from calib.data.columns import SETS
+from calib.errors import CalibError
+from calib.robot.robot import read_only
+from calib.simulation.camera.cell import CameraCell
+from calib.simulation.random_streams import stream
+from calib.units import Array, Integers
+from calib.values.arguments import check_names
+from calib.values.pickling import Value
+from calib.values.short import one_line
+from calib.vision.project import Sight, corner_pixels
+
+#: Corners that are found: not at the very edge of the picture, nor on a board that is seen from its side.
+SIGHT = Sight(margin=5.0, tilt=float(np.deg2rad(70.0)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pictures(Value):
+    """P pictures, and the R corners that are seen in them."""
+
+    #: The cell.
+    cell: CameraCell
+    #: Names of the pictures' files.
+    images: tuple[str, ...]
+    #: ``"estimate"`` or ``"validate"`` for each picture.
+    sets: tuple[str, ...]
+    #: Readings of the joints, shape (P, m), [rad] or [m].
+    readings: Array
+    #: True joint values, shape (P, m), [rad] or [m].
+    q: Array
+    #: True pose of the board in the camera, shape (P, 4, 4) [m].
+    T_camera_board: Array
+    #: The picture of each corner, shape (R,), from 0.
+    picture: Integers
+    #: Its id on the board, shape (R,).
+    corner: Integers
+    #: Where it is, shape (R, 2) [px].
+    true_pixels: Array
+    #: Where it is found, shape (R, 2) [px].
+    pixels: Array
+    #: Standard deviation of the noise of a coordinate [px].
+    sigma: float
+    #: Of the random numbers.
+    seed: int
+
+    def __repr__(self) -> str:
+        """Return one line: pictures, corners and the seed."""
+        count = f"{len(self.images)} pictures"
+        return one_line("Pictures", count, f"{len(self.picture)} corners", f"seed {self.seed}")
+
+
+def take_pictures(
+    cell: CameraCell, q: ArrayLike, seed: int = 0, sets: Sequence[str] | None = None
+) -> Pictures:
+    """Take a picture at every pose.
+
+    Args:
+        cell: The robot, the camera and the board.
+        q: Poses that the robot is sent to, shape (P, m), [rad] or [m].
+        seed: Of the random numbers.
+        sets: ``"estimate"`` or ``"validate"`` for each pose; None: all to estimate from.
+
+    Returns:
+        The pictures.
+
+    Raises:
+        CalibError: Values that are none of these joints, or the board is seen from none of the poses.
+    """
+    scenario, robot = cell.scenario, cell.truth.nominal
+    commanded = robot.columns(q)
+    if sets is not None:
+        check_names("sets", sets)
+    slides = [joint.type == "prismatic" for joint in robot.inputs]
+    true_q, readings = scenario.encoder.measure(commanded, slides, seed)
+    T = _displaced(cell, cell.truth.poses(true_q), seed)
+    pixels, is_seen = corner_pixels(cell.camera, cell.printed.corners, T, SIGHT)
+    picture, corner = np.nonzero(is_seen)
+    if not len(picture):
+        raise CalibError(
+            f"The camera sees no corner of the board from any of the {len(commanded)} poses; without --poses, "
+            "poses are drawn from which it does."
+        )
+    sigma = scenario.sigma.get("px", 0.0)
+    noise = sigma * stream(seed, "pixel noise").standard_normal(pixels.shape)
+    return Pictures(
+        cell=cell,
+        images=_names(len(commanded)),
+        sets=(SETS[0],) * len(commanded) if sets is None else tuple(sets),
+        readings=read_only(readings),
+        q=read_only(true_q),
+        T_camera_board=read_only(T),
+        picture=picture,
+        corner=corner,
+        true_pixels=read_only(pixels[is_seen]),
+        pixels=read_only((pixels + noise)[is_seen]),
+        sigma=sigma,
+        seed=int(seed),
+    )
+
+
+def _names(count: int) -> tuple[str, ...]:
+    """Return the names of pictures: ``picture_01.png``, with as many digits as the last one needs."""
+    digits = max(2, len(str(count)))
+    return tuple(f"picture_{number:0{digits}}.png" for number in range(1, count + 1))
+
+
+def _displaced(cell: CameraCell, T: Array, seed: int) -> Array:
+    """Return poses of the board in the camera (P, 4, 4) [m], displaced by what the robot does not repeat."""
+    noise = cell.scenario.noise
+    repeatability = 0.0 if noise is None else noise.repeatability
+    displaced: Array = T.copy()
+    displaced[:, :3, 3] += repeatability * stream(seed, "robot noise").standard_normal((len(T), 3))
+    return displaced
