@@ -12,11 +12,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.ndimage import map_coordinates
 
 from calib.camera.board import Board
 from calib.robot.robot import read_only
 from calib.units import Array
 from calib.values.pickling import Value
+
+#: Corners whose coordinates [m] agree to so many digits behind the point are in one row or column.
+_DIGITS = 9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,7 +33,7 @@ class Print(Value):
     scale: tuple[float, float] = (1.0, 1.0)
     #: Sag of the middle along x and along y [m].
     warp: tuple[float, float] = (0.0, 0.0)
-    #: Displacement of each corner on the print, shape (n, 3) [m]; None: none. Pictures do not show it.
+    #: Displacement of each corner on the print, shape (n, 3) [m]; None: none.
     offsets: Array | None = None
     #: Whether it was printed mirrored: what lies at x is drawn at width - x. Corners stay where they are described.
     mirrored: bool = False
@@ -62,6 +66,32 @@ class Print(Value):
         """
         along_x, along_y = self.scale
         return np.column_stack([along_x * x, along_y * y, self.surface(x, y)])
+
+    def displacement(self, x: Array, y: Array) -> Array:
+        """Return how far points of the description are displaced within the print, between corners bilinearly.
+
+        Args:
+            x: Along the columns in the description, shape (n,) [m].
+            y: Along the rows, shape (n,) [m].
+
+        Returns:
+            Along x and y, shape (n, 2) [m]; beyond the outermost corners as there.
+        """
+        if self.offsets is None:
+            return np.zeros((len(x), 2))
+        corners = self.board.corners
+        columns, column = np.unique(corners[:, 0].round(_DIGITS), return_inverse=True)
+        rows, row = np.unique(corners[:, 1].round(_DIGITS), return_inverse=True)
+        place = [
+            np.interp(y, rows, np.arange(len(rows))),
+            np.interp(x, columns, np.arange(len(columns))),
+        ]
+        result = np.empty((len(x), 2))
+        for axis in range(2):
+            grid = np.zeros((len(rows), len(columns)))
+            grid[row, column] = self.offsets[:, axis]
+            result[:, axis] = map_coordinates(grid, place, order=1)
+        return result
 
     @property
     def corners(self) -> Array:

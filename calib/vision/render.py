@@ -116,7 +116,7 @@ def render(
     """Draw what a camera sees of a printed board.
 
     Args:
-        printed: The board; where it displaces single corners, the picture does not.
+        printed: The board.
         camera: The camera, whose numbers are known.
         T_camera_board: Pose of the board in the camera, shape (4, 4) [m].
         scene: Paper, ink, light and background.
@@ -313,7 +313,8 @@ def _places_of(sheet: _Sheet, pixels: Array, drawn: Texture) -> Array:
         length = (height - origin[2]) / steepness
         xy = (origin[:2] + length[:, None] * directions[:, :2]) / sheet.printed.scale
         height = sheet.printed.surface(*_on_sheet(sheet, xy))
-    return np.where(hits[:, None], drawn.place(xy), _NOWHERE)
+    designed = xy - sheet.printed.displacement(*_on_sheet(sheet, xy))
+    return np.where(hits[:, None], drawn.place(designed), _NOWHERE)
 
 
 def _on_sheet(sheet: _Sheet, xy: Array) -> tuple[Array, Array]:

@@ -36,6 +36,19 @@ def test_offsets_move_single_corners():
     np.testing.assert_allclose(moved, offsets, atol=1e-17)
 
 
+def test_between_corners_the_print_is_displaced_bilinearly():
+    offsets = np.zeros((35, 3))
+    offsets[0] = [1e-4, -2e-4, 0.0]
+    printed = Print(CHESS_BOARD, offsets=offsets)
+    square = CHESS_BOARD.square
+    # The first corner, beyond it, half a square along x, half a square along both, the next corner.
+    x = np.array([1.0, 0.2, 1.5, 1.5, 2.0]) * square
+    y = np.array([1.0, 0.3, 1.0, 1.5, 1.0]) * square
+    expected = np.outer([1.0, 1.0, 0.5, 0.25, 0.0], offsets[0, :2])
+    np.testing.assert_allclose(printed.displacement(x, y), expected, atol=1e-15)
+    assert not Print(CHESS_BOARD).displacement(x, y).any()
+
+
 def test_drawn_prints_have_the_spread_that_the_description_states():
     prints = [draw_print(CHARUCO_BOARD, seed) for seed in range(400)]
     scales = np.array([printed.scale for printed in prints])

@@ -78,6 +78,19 @@ def test_a_warp_shows():
     assert np.sqrt(np.mean((corners - flat) ** 2)) > 1.0
 
 
+@pytest.mark.parametrize("board", [CHARUCO_BOARD, TAG_BOARD], ids=["squares", "tags"])
+def test_single_corners_are_displaced(board):
+    """Of a print whose corners are tenths of a millimetre off, corners are found where these are."""
+    offsets = np.zeros((len(board.corners), 3))
+    offsets[:, :2] = np.random.default_rng(3).normal(scale=2e-4, size=(len(offsets), 2))
+    printed = Print(board, offsets=offsets)
+    T = facing(board, 0.45, 20.0)
+    truth = true_pixels(printed, PINHOLE, T)
+    assert np.abs(truth - true_pixels(Print(board), PINHOLE, T)).max() > 0.6
+    error = refined(render(printed, PINHOLE, T, blur=0.7), truth) - truth
+    assert np.sqrt(np.mean(error**2)) < (0.06 if board is CHARUCO_BOARD else 0.3)
+
+
 def test_the_centre_of_a_black_square_is_where_it_is_projected():
     """Half a pixel would show: the square's centroid of grey values is exact to a hundredth."""
     board = Board(pattern=CHESSBOARD, columns=3, rows=3, square=0.05)

@@ -53,6 +53,10 @@ _DIFFERENCE = 1e-6
 #: Distance to the joints' limits [rad].
 _LIMIT_MARGIN = np.deg2rad(2.0)
 
+#: A joint that a limit has stopped goes back by this share of its range at most, and by this [rad or m].
+_BACK_SHARE = 0.1
+_BACK = 0.3
+
 #: The middle of the board is wished for in this share of the image's width and height.
 _CENTRAL = 0.7
 
@@ -99,11 +103,14 @@ def try_views(
     scene: CameraScene, tries: int, rng: np.random.Generator, framing: Framing = USUAL_FRAMING
 ) -> Array:
     """Try for a number of views; returns the readings (n, m) [rad] or [m] of those that show the whole board."""
-    ranges = planning_ranges(scene.robot, {}, _LIMIT_MARGIN)
+    robot = scene.robot
+    ranges = planning_ranges(robot, {}, _LIMIT_MARGIN)
+    limits = planning_ranges(robot, {}, _LIMIT_MARGIN, turns=True)
     wished = _wishes(scene, tries, rng, framing)
     low, high = ranges.T
     start = rng.uniform(low, high, size=(tries, len(ranges)))
-    q = scene.robot.readings(_approach(scene, wished, start, ranges))
+    values = _approach(scene, wished, start, limits)
+    q = robot.readings(_off_limits(values, limits, rng))
     return np.asarray(q[is_framed(scene, scene.board_poses(q), framing)])
 
 
@@ -138,19 +145,19 @@ def _tilted(directions: Array, tilt: Array, rng: np.random.Generator) -> Array:
     return np.asarray(np.cos(tilt)[:, None] * directions + np.sin(tilt)[:, None] * side)
 
 
-def _approach(scene: CameraScene, wished: Array, start: Array, ranges: Array) -> Array:
+def _approach(scene: CameraScene, wished: Array, start: Array, limits: Array) -> Array:
     """Go from joint values towards views.
 
     Args:
         scene: The robot, the camera and the board.
         wished: Middle and normal of the board, see `_wishes`, shape (n, 6).
         start: Joint values, shape (n, m), [rad] or [m].
-        ranges: Lowest and highest joint values, shape (m, 2), [rad] or [m].
+        limits: Lowest and highest joint values, shape (m, 2), [rad] or [m].
 
     Returns:
         Joint values, shape (n, m), [rad] or [m].
     """
-    low, high = ranges.T
+    low, high = limits.T
     values = start
     for _ in range(_STEPS):
         shown = _shown(scene, values)
@@ -163,6 +170,23 @@ def _approach(scene: CameraScene, wished: Array, start: Array, ranges: Array) ->
         step *= np.minimum(1.0, _LONGEST_STEP / np.maximum(longest, _STILL))
         values = np.clip(values + step, low, high)
     return values
+
+
+def _off_limits(values: Array, limits: Array, rng: np.random.Generator) -> Array:
+    """Move joints that a limit has stopped a little back: otherwise they would stand in the same place in many views.
+
+    Args:
+        values: Joint values, shape (n, m), [rad] or [m].
+        limits: Lowest and highest joint values, shape (m, 2), [rad] or [m].
+        rng: Random numbers.
+
+    Returns:
+        Joint values, shape (n, m), [rad] or [m].
+    """
+    low, high = limits.T
+    most = np.minimum(_BACK_SHARE * (high - low), _BACK)
+    back = rng.uniform(size=values.shape) * most
+    return np.where(values <= low, low + back, np.where(values >= high, high - back, values))
 
 
 def _shown(scene: CameraScene, values: Array) -> Array:
