@@ -13,7 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+import calib.data.kinds as registry
 from calib.data.columns import SETS
+from calib.data.measurements import Measurements
 from calib.errors import CalibError
 from calib.robot.robot import read_only
 from calib.simulation.camera.cell import CameraCell
@@ -23,6 +25,12 @@ from calib.values.arguments import check_names
 from calib.values.pickling import Value
 from calib.values.short import one_line
 from calib.vision.project import Sight, corner_pixels
+
+#: The kind of the rows.
+PIXEL = "pixel"
+
+#: Displacement of outliers: of a corner that was taken for another edge nearby [px].
+OUTLIER = 5.0
 
 #: Corners that are found: not at the very edge of the picture, nor on a board that is seen from its side.
 SIGHT = Sight(margin=5.0, tilt=float(np.deg2rad(70.0)))
@@ -52,6 +60,8 @@ class Pictures(Value):
     true_pixels: Array
     #: Where it is found, shape (R, 2) [px].
     pixels: Array
+    #: Displacement of outliers, shape (R, 2) [px]; zero in other rows.
+    outliers: Array
     #: Standard deviation of the noise of a coordinate [px].
     sigma: float
     #: Of the random numbers.
@@ -61,6 +71,30 @@ class Pictures(Value):
         """Return one line: pictures, corners and the seed."""
         count = f"{len(self.images)} pictures"
         return one_line("Pictures", count, f"{len(self.picture)} corners", f"seed {self.seed}")
+
+    @property
+    def measurements(self) -> Measurements:
+        """The table of corners, one row each, as `calib calibrate` reads it."""
+        robot, board = self.cell.truth.nominal, self.cell.printed.board
+        rows = self.picture.tolist()
+        sigma = {"px": np.full(len(rows), self.sigma)} if self.sigma > 0.0 else {}
+        return Measurements(
+            joint_names=robot.joint_names,
+            joints=self.readings[self.picture],
+            sets=tuple(self.sets[k] for k in rows),
+            sigma=sigma,
+            prismatic=tuple(joint.name for joint in robot.inputs if joint.type == "prismatic"),
+            kinds=(PIXEL,) * len(rows),
+            images=tuple(self.images[k] for k in rows),
+            corners=tuple(str(corner) for corner in self.corner.tolist()),
+            board_points=board.corners[self.corner],
+            **Measurements.columns_of(registry.get(PIXEL), self.pixels),
+        )
+
+    @property
+    def outlier_rows(self) -> tuple[int, ...]:
+        """Row numbers of the outliers, from 1."""
+        return tuple((np.flatnonzero(self.outliers.any(axis=1)) + 1).tolist())
 
 
 def take_pictures(
@@ -94,19 +128,23 @@ def take_pictures(
             f"The camera sees no corner of the board from any of the {len(commanded)} poses; without --poses, "
             "poses are drawn from which it does."
         )
+    sets = (SETS[0],) * len(commanded) if sets is None else tuple(sets)
     sigma = scenario.sigma.get("px", 0.0)
+    # Drawn for all corners, seen or not, so that the noise of one does not depend on the others.
     noise = sigma * stream(seed, "pixel noise").standard_normal(pixels.shape)
+    outliers = _outliers(cell, [sets[k] for k in picture.tolist()], seed)
     return Pictures(
         cell=cell,
         images=_names(len(commanded)),
-        sets=(SETS[0],) * len(commanded) if sets is None else tuple(sets),
+        sets=sets,
         readings=read_only(readings),
         q=read_only(true_q),
         T_camera_board=read_only(T),
         picture=picture,
         corner=corner,
         true_pixels=read_only(pixels[is_seen]),
-        pixels=read_only((pixels + noise)[is_seen]),
+        pixels=read_only((pixels + noise)[is_seen] + outliers),
+        outliers=read_only(outliers),
         sigma=sigma,
         seed=int(seed),
     )
@@ -116,6 +154,20 @@ def _names(count: int) -> tuple[str, ...]:
     """Return the names of pictures: ``picture_01.png``, with as many digits as the last one needs."""
     digits = max(2, len(str(count)))
     return tuple(f"picture_{number:0{digits}}.png" for number in range(1, count + 1))
+
+
+def _outliers(cell: CameraCell, sets: Sequence[str], seed: int) -> Array:
+    """Draw the displacement of each corner, of which each is in a set, shape (R, 2) [px]."""
+    displacement = np.zeros((len(sets), 2))
+    outliers = cell.scenario.outliers
+    if outliers is None:
+        return displacement
+    candidates = [row for row, name in enumerate(sets) if name == SETS[0]]
+    chosen = outliers.choose(candidates, seed)
+    angle = stream(seed, "outlier directions").uniform(0.0, 2.0 * np.pi, len(sets))
+    directions = np.column_stack([np.cos(angle), np.sin(angle)])
+    displacement[chosen] = OUTLIER * directions[chosen]
+    return displacement
 
 
 def _displaced(cell: CameraCell, T: Array, seed: int) -> Array:

@@ -50,6 +50,7 @@ def write_camera_truth(pictures: Pictures, path: str | Path, *, overwrite: bool 
             "encoder_step_rad": scenario.encoder.angle,
             "encoder_step_m": scenario.encoder.length,
         },
+        "events": {"outliers": list(_outliers(pictures))},
         "pictures": list(_pictures(pictures)),
     }
     return write_atomically(path, json_bytes(content), overwrite=overwrite)
@@ -103,6 +104,12 @@ def _board_table(printed: Print) -> dict[str, Any]:
         "sag_m": printed.warp,
         "corners_m": printed.corners,
     }
+
+
+def _outliers(pictures: Pictures) -> Iterator[dict[str, Any]]:
+    """Yield row number and displacement of each outlier."""
+    for row in pictures.outlier_rows:
+        yield {"row": row, "displacement_px": pictures.outliers[row - 1]}
 
 
 def _pictures(pictures: Pictures) -> Iterator[dict[str, Any]]:

@@ -5,7 +5,8 @@ values Levenberg-Marquardt steps lead towards it, with differences for derivativ
 
     e  = (c_wished - c, L (n_wished - n)),   dq = (J^T J + lambda^2)^-1 J^T e
 
-What an arm cannot reach it misses; what counts is whether the picture shows the whole board in the end.
+What an arm cannot reach it misses, and its joint values are scattered; what counts is whether the picture shows the
+whole board in the end.
 """
 
 from __future__ import annotations
@@ -53,9 +54,12 @@ _DIFFERENCE = 1e-6
 #: Distance to the joints' limits [rad].
 _LIMIT_MARGIN = np.deg2rad(2.0)
 
-#: A joint that a limit has stopped goes back by this share of its range at most, and by this [rad or m].
-_BACK_SHARE = 0.1
-_BACK = 0.3
+#: A view that is missed by less is reached [m].
+_REACHED = 0.02
+
+#: A joint is scattered by this share of its range at most, and by this [rad or m].
+_SCATTER_SHARE = 0.1
+_SCATTER = 0.3
 
 #: The middle of the board is wished for in this share of the image's width and height.
 _CENTRAL = 0.7
@@ -110,7 +114,8 @@ def try_views(
     low, high = ranges.T
     start = rng.uniform(low, high, size=(tries, len(ranges)))
     values = _approach(scene, wished, start, limits)
-    q = robot.readings(_off_limits(values, limits, rng))
+    miss = np.linalg.norm(wished - _shown(scene, values), axis=1)
+    q = robot.readings(_scattered(values, miss, limits, rng))
     return np.asarray(q[is_framed(scene, scene.board_poses(q), framing)])
 
 
@@ -172,21 +177,26 @@ def _approach(scene: CameraScene, wished: Array, start: Array, limits: Array) ->
     return values
 
 
-def _off_limits(values: Array, limits: Array, rng: np.random.Generator) -> Array:
-    """Move joints that a limit has stopped a little back: otherwise they would stand in the same place in many views.
+def _scattered(values: Array, miss: Array, limits: Array, rng: np.random.Generator) -> Array:
+    """Scatter joint values that missed their view: they lie where the arm is stretched, or a joint at its limit.
 
     Args:
         values: Joint values, shape (n, m), [rad] or [m].
+        miss: How far each is from its view, shape (n,), [m].
         limits: Lowest and highest joint values, shape (m, 2), [rad] or [m].
         rng: Random numbers.
 
     Returns:
-        Joint values, shape (n, m), [rad] or [m].
+        Joint values, shape (n, m), [rad] or [m]. A joint at its limit goes back from it.
     """
     low, high = limits.T
-    most = np.minimum(_BACK_SHARE * (high - low), _BACK)
-    back = rng.uniform(size=values.shape) * most
-    return np.where(values <= low, low + back, np.where(values >= high, high - back, values))
+    most = np.minimum(_SCATTER_SHARE * (high - low), _SCATTER)
+    step = most * rng.uniform(-1.0, 1.0, size=values.shape)
+    step = np.where(values <= low, np.abs(step), step)
+    step = np.where(values >= high, -np.abs(step), step)
+    is_stopped = (values <= low) | (values >= high)
+    is_scattered = is_stopped | (miss > _REACHED)[:, None]
+    return np.where(is_scattered, np.clip(values + step, low, high), values)
 
 
 def _shown(scene: CameraScene, values: Array) -> Array:
