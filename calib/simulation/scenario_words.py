@@ -22,7 +22,7 @@ from calib.simulation.cell_noise import cell_noise, further_noise
 from calib.simulation.disturbances import Encoder, MovedTarget, Outliers
 from calib.simulation.scenario import DEFAULT_MODEL, Scenario
 from calib.simulation.truth import NONE, TARGET_ERROR, parse_error_sizes
-from calib.units import LENGTH, parse_amount, parse_noise
+from calib.units import LENGTH, parse_amount, parse_noise, quantity_name
 
 #: Keys of ``[simulation]`` in a cell file.
 FIELDS: Mapping[str, Field] = {
@@ -138,7 +138,7 @@ def _noise(cell: Cell, text: str | None) -> tuple[TrackerNoise | None, dict[str,
     if not is_optical or text is None or text == NONE:
         noise = parse_tracker_noise(cell, text)
         return noise, _further_noise(cell, noise)
-    pixels = parse_amount(text, "--noise", "pixel", "0.3 px")
+    pixels = parse_amount(text, "--noise", quantity_name("pixel"), "0.3 px")
     noise = cell_noise(cell)
     return noise, {**_further_noise(cell, noise), "px": pixels}
 
