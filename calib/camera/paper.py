@@ -49,7 +49,7 @@ _LEAST_QUIET = 0.003
 _CHESSBOARD_QUIET = 0.005
 
 #: The smallest sheet of no certain paper: the rulers and the text have room [m].
-_SMALLEST = (0.190, 0.130)
+_SMALLEST = (0.210, 0.140)
 
 #: Differences of lengths that come from rounding [m].
 _ROUNDING = 1e-9

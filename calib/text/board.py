@@ -15,7 +15,7 @@ from calib.text.layout.lines import fill, plural
 _PATTERNS = {CHARUCO: "ChArUco board", CHESSBOARD: "Chessboard", APRILTAG: "Grid of AprilTags"}
 
 #: Longest name of a board on the page [characters].
-_LONGEST_NAME = 30
+_LONGEST_NAME = 20
 
 #: What each output is for, by the ending of the file.
 _OUTPUTS = {
@@ -26,6 +26,9 @@ _OUTPUTS = {
 
 #: A print that is further off was scaled on purpose [%].
 _FAR_PERCENT = 1.0
+
+#: A length that is further off was not drawn by calib, but assumed [%].
+_RESIZED_PERCENT = 10.0
 
 _FITTED_TO_PAGE = (
     "Note: the print is more than 1 % off; was it printed to fit the page? It can be used as it is if width and height "
@@ -55,8 +58,6 @@ def _markers(board: Board) -> str:
     text = f"{board.dictionary}, ids {board.first_marker} to {last}"
     if board.pattern == CHARUCO:
         text = f"markers of {_mm(board.marker)}, {text}"
-        if board.legacy and board.rows % 2 == 0:
-            text += ", legacy layout"
     return text
 
 
@@ -70,7 +71,7 @@ def page_lines(board: Board) -> list[str]:
     """Return the lines of text that are printed beside the pattern."""
     name = textwrap.shorten(board.name, _LONGEST_NAME, placeholder="...")
     lines = [f"{name}: {_squares(board)}", _markers(board)]
-    lines.append("Print at 100 %: both rulers must be true. Then measure the pattern.")
+    lines.append("Print at 100 %: both rulers must be true. Then measure the print.")
     return [line for line in lines if line]
 
 
@@ -183,6 +184,6 @@ def measured_text(drawn: Board, measured: Board, scale: PrintScale, path: Path) 
             "you measured better, write it into the file."
         )
     )
-    if abs(change) > _FAR_PERCENT:
+    if _FAR_PERCENT < abs(change) < _RESIZED_PERCENT:
         lines.append(fill(_FITTED_TO_PAGE))
     return [*lines, f"Written: {path}"]

@@ -34,6 +34,9 @@ _LEADING = 0.0027
 #: Distance of the text from the beginning of the label at the end of the ruler [m].
 _GAP = 0.011
 
+#: Width of the ruler below the pattern with its text: beside a small pattern they begin further left [m].
+_RULER_AND_TEXT = 0.18
+
 #: An inch [m].
 _INCH = 0.0254
 
@@ -81,7 +84,8 @@ def page_of(board: Board, sheet: Sheet, lines: Sequence[str]) -> Page:
     pattern[:, :2] += sheet.origin
     x, y = sheet.origin
     below = y + board.size[1] + sheet.quiet
-    across, labels_across = _ruler_across(sheet, x, below)
+    leftmost = max(EDGE + SIDE_BAND, min(x, sheet.width - EDGE - _RULER_AND_TEXT))
+    across, labels_across = _ruler_across(sheet, leftmost, below)
     down, labels_down = _ruler_down(sheet, x - sheet.quiet - SIDE_BAND, y)
     end = labels_across[0].at[0] + _GAP
     texts = [Text((end, below + TEXT_SIZE + k * _LEADING), line) for k, line in enumerate(lines)]

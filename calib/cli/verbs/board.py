@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -69,6 +69,10 @@ class DesignOptions:
         """Return whether any of them is given."""
         return self != DesignOptions()
 
+    def without_size(self) -> DesignOptions:
+        """Return the options without the lengths."""
+        return replace(self, square=None, marker=None)
+
     def wish(self, name: str) -> Wish:
         """Return what is wanted, in SI units."""
         from calib.camera.board import CHARUCO
@@ -103,7 +107,7 @@ Examples:
   calib board --columns 12 --rows 9 --square "40 mm" --paper none
   calib board board.toml --measured "249.3 mm"       what the print measures, into board.toml
   calib board board.toml                             the PDF and SVG of a description
-  calib board --identify photo.png -o board          the description of a board that exists
+  calib board --identify photo.png --square "30 mm" -o board
 """)
 def board(
     design: DesignOptions,
@@ -150,12 +154,9 @@ def board(
     """Run the verb; its help is the text of `verb`."""
     stem = _stem(output)
     if identify is not None:
-        _refuse(
-            design.given() or description or paper or measured,
-            "--identify",
-            "-o, --name and --force",
-        )
-        lines = _identified(identify, stem, name, force=force)
+        others = design.without_size().given() or description or paper or measured
+        _refuse(others, "--identify", "--square, --marker, -o, --name and --force")
+        lines = _identified(identify, design, stem, name, force=force)
     elif measured is not None:
         _refuse(
             design.given() or paper or output or name, "--measured", "a description, BOARD.toml"
@@ -246,6 +247,27 @@ def _measured(description: Path | None, measured: str) -> list[str]:
     return measured_text(board, corrected, scale, description)
 
 
-def _identified(picture: Path, stem: Path | None, name: str | None, *, force: bool) -> list[str]:
+def _identified(
+    picture: Path, size: DesignOptions, stem: Path | None, name: str | None, *, force: bool
+) -> list[str]:
     """Say which board a picture shows, and write its description if an output is named."""
-    raise NotImplementedError
+    from calib.camera.board_file import board_toml
+    from calib.files import write_atomically
+    from calib.text.identified_board import described, identified_text, next_lines, nothing_text
+    from calib.vision.identify import identify, read_image, sized
+
+    path = None if stem is None else _with_ending(stem, "toml")
+    check_outputs([path], [picture], force=force)
+    square = _length(size.square, "--square")
+    marker = _length(size.marker, "--marker")
+    identified = identify(read_image(picture))
+    if identified.board is None:
+        raise CalibError(nothing_text(identified, str(picture)))
+    board = sized(identified.board, square, marker)
+    board = replace(board, name=name or (_OUTPUT if stem is None else stem.name))
+    lines = identified_text(identified, board, str(picture), is_sized=square is not None)
+    if path is None:
+        return [*lines, *described(board)]
+    write_atomically(path, board_toml(board).encode(), overwrite=force)
+    lines.append(f"Written: {path}")
+    return lines if square is not None else [*lines, *next_lines(board, str(path))]
