@@ -9,28 +9,20 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
-
-import numpy as np
-import yaml
 
 from calib.camera.board_file import board_toml
-from calib.camera.camera import Camera
+from calib.camera.camera_file import camera_info_yaml
 from calib.data.columns import SETS
 from calib.files import check_writable, csv_bytes, make_folder, write_atomically
 from calib.jobs import Progress
 from calib.simulation.camera.pictures import Pictures
 from calib.simulation.random_streams import stream
-from calib.vision.project import camera_matrix
 from calib.vision.render import USUAL_SCENE, Scene, render, write_png
 
 #: Names of the files beside the pictures.
 JOINTS = "joints.csv"
 BOARD = "board.toml"
 CAMERA = "camera.yaml"
-
-#: Names that ROS has for the lenses.
-_ROS_LENSES = {"pinhole": "plumb_bob", "fisheye": "equidistant"}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -101,41 +93,10 @@ def write_pictures(
             progress(k + 1, len(pictures.images))
     contents = [csv_bytes(_joint_rows(pictures)), board_toml(cell.printed.board).encode()]
     if cell.stated.values is not None:
-        contents.append(camera_info(cell.stated))
+        contents.append(camera_info_yaml(cell.stated).encode())
     for path, content in zip(paths[len(pictures.images) :], contents, strict=True):
         write_atomically(path, content, overwrite=overwrite)
     return paths
-
-
-def camera_info(camera: Camera) -> bytes:
-    """Return the numbers of a camera as a file of ROS 2's camera_info_manager.
-
-    Args:
-        camera: The camera, whose numbers are known.
-
-    Raises:
-        CalibError: They are not.
-    """
-    K, distortion = camera_matrix(camera)
-    P = np.column_stack([K, np.zeros(3)])
-    table: dict[str, Any] = {
-        "image_width": camera.width,
-        "image_height": camera.height,
-        "camera_name": camera.name,
-        "camera_matrix": _matrix(K),
-        "distortion_model": _ROS_LENSES[camera.lens],
-        "distortion_coefficients": _matrix(distortion[None]),
-        "rectification_matrix": _matrix(np.eye(3)),
-        "projection_matrix": _matrix(P),
-    }
-    text: str = yaml.safe_dump(table, sort_keys=False, default_flow_style=None)
-    return text.encode()
-
-
-def _matrix(values: np.ndarray[Any, Any]) -> dict[str, Any]:
-    """Return a matrix (rows, columns) as such a file has it."""
-    rows, columns = values.shape
-    return {"rows": rows, "cols": columns, "data": values.ravel().tolist()}
 
 
 def _joint_rows(pictures: Pictures) -> Iterator[list[object]]:
