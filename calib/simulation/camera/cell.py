@@ -8,9 +8,12 @@ import numpy as np
 
 from calib.camera.board import Board
 from calib.camera.camera import Camera
+from calib.data.cell import Cell
+from calib.errors import CalibError
 from calib.robot.robot import read_only
 from calib.simulation.camera.equipment import draw_camera
-from calib.simulation.camera.placing import draw_scene
+from calib.simulation.camera.mounts import pose
+from calib.simulation.camera.placing import Mounts, draw_scene
 from calib.simulation.camera.scene import CameraScene
 from calib.simulation.camera.views import draw_views
 from calib.simulation.random_streams import stream
@@ -83,8 +86,8 @@ def draw_camera_cell(scenario: Scenario, camera: Camera, board: Board, seed: int
         seed: Of the random numbers.
 
     Returns:
-        The cell. How good its camera and its print are is drawn as their standard deviations say; where they stand, as
-        `calib.simulation.camera.placing.draw_scene` does.
+        The cell. How good its camera and its print are is drawn as their standard deviations say; where they stand, if
+        the scenario's cell does not give it, as `calib.simulation.camera.placing.draw_scene` does.
 
     Raises:
         CalibError: Both links move, or the board is seen from nowhere; or as `calib.simulation.truth.draw_truth`.
@@ -100,7 +103,8 @@ def draw_camera_cell(scenario: Scenario, camera: Camera, board: Board, seed: int
     )
     true_camera = draw_camera(camera, stream(seed, "camera"))
     printed = draw_print(board, stream(seed, "board"))
-    scene = draw_scene(scenario.robot, true_camera, printed, stream(seed, "mounts"))
+    mounts = given_mounts(scenario.cell)
+    scene = draw_scene(scenario.robot, true_camera, printed, stream(seed, "mounts"), mounts)
     placed = replace(
         truth,
         groups=("",),
@@ -110,3 +114,26 @@ def draw_camera_cell(scenario: Scenario, camera: Camera, board: Board, seed: int
         stated_T_tip_target=read_only(scene.T_tip_board[None]),
     )
     return CameraCell(scenario, placed, camera, true_camera, printed)
+
+
+def given_mounts(cell: Cell) -> Mounts:
+    """Return the mounts that a cell gives: its measurement frame is the camera, its target the board.
+
+    Raises:
+        CalibError: It gives the board's position, and not how it is turned.
+    """
+    T_camera_base = cell.T_frame_base
+    if len(cell.frames) == 1:
+        T_camera_base = next(iter(cell.frames.values()))
+    position = cell.target
+    if len(cell.targets) == 1:
+        position = next(iter(cell.targets.values()))
+    if position is None:
+        return Mounts(T_camera_base=T_camera_base)
+    if cell.target_rotation is None:
+        raise CalibError(
+            "The cell gives the position of the board in its link, and not how it is turned: add target_rpy_deg, or "
+            "leave both out, and the board's place is drawn."
+        )
+    T_tip_board = pose(cell.target_rotation, position)
+    return Mounts(T_camera_base=T_camera_base, T_tip_board=T_tip_board)

@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from calib.data.cell import Cell
+from calib.errors import CalibError
 from calib.robot.robot import Robot
-from calib.simulation.camera.cell import draw_camera_cell
+from calib.simulation.camera.cell import draw_camera_cell, given_mounts
 from calib.simulation.camera.equipment import usual_camera
 from calib.simulation.camera.scene import is_framed
 from calib.simulation.scenario import Scenario
@@ -43,6 +45,22 @@ def test_views_to_validate_with_are_others(cell):
     assert np.abs(q - other).min() > 1e-6
     assert is_framed(cell.scene, cell.scene.board_poses(other)).all()
     assert cell.views(0, seed=1).shape == (0, 6)
+
+
+def test_mounts_of_a_cell_file_are_taken(cell):
+    T_camera_base, T_tip_board = cell.truth.T_frame_base[0], cell.truth.T_tip_target[0]
+    assert given_mounts(Cell()).T_camera_base is None
+    assert given_mounts(Cell()).T_tip_board is None
+    position = T_tip_board[:3, 3]
+    stated = Cell(T_frame_base=T_camera_base, target=position, target_rotation=T_tip_board[:3, :3])
+    np.testing.assert_allclose(given_mounts(stated).T_camera_base, T_camera_base)
+    np.testing.assert_allclose(given_mounts(stated).T_tip_board, T_tip_board)
+    scenario = Scenario(cell.scenario.robot, stated)
+    other = draw_camera_cell(scenario, usual_camera(), BOARD, seed=11)
+    np.testing.assert_allclose(other.truth.T_frame_base[0], T_camera_base)
+    np.testing.assert_allclose(other.truth.T_tip_target[0], T_tip_board)
+    with pytest.raises(CalibError, match="target_rpy_deg"):
+        given_mounts(Cell(target=position))
 
 
 def test_the_cell_of_another_seed_is_another(cell):
