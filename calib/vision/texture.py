@@ -46,15 +46,11 @@ def texture(board: Board, pixel: float, margin: float) -> Texture:
         CalibError: OpenCV, which has the markers, is not installed.
     """
     width, height = (np.asarray(board.size) + 2.0 * margin) / pixel
-    shape = (_whole(height), _whole(width))
-    black = np.zeros(shape, dtype=np.float32)
+    black = np.zeros((_whole(height), _whole(width)), dtype=np.float32)
     for left, top, length_x, length_y in black_rectangles(board):
-        first_x, share_x = _shares(left + margin, length_x, pixel)
-        first_y, share_y = _shares(top + margin, length_y, pixel)
-        rows = slice(first_y, first_y + len(share_y))
-        columns = slice(first_x, first_x + len(share_x))
-        part = black[rows, columns]
-        part += np.outer(share_y, share_x)[: part.shape[0], : part.shape[1]]
+        columns, share_x = _shares(left + margin, length_x, pixel, black.shape[1])
+        rows, share_y = _shares(top + margin, length_y, pixel, black.shape[0])
+        black[rows, columns] += np.outer(share_y, share_x)
     return Texture(1.0 - np.minimum(black, 1.0), pixel, margin)
 
 
@@ -63,17 +59,19 @@ def _whole(pixels: float) -> int:
     return int(np.ceil(pixels - _ROUNDING))
 
 
-def _shares(start: float, length: float, pixel: float) -> tuple[int, Array]:
-    """Return the first pixel that a stretch covers, and what share of this one and those behind it.
+def _shares(start: float, length: float, pixel: float, count: int) -> tuple[slice, Array]:
+    """Return the pixels that a stretch covers, and what share of each.
 
     Args:
         start: Where the stretch begins, from the picture's edge [m].
         length: Its length [m].
         pixel: Side of a pixel [m].
+        count: Number of pixels.
     """
     low = start / pixel
     high = (start + length) / pixel
     first = int(np.floor(low))
-    edges = np.arange(first, int(np.ceil(high)))
+    last = min(int(np.ceil(high)), count)
+    edges = np.arange(first, last)
     shares = np.minimum(edges + 1, high) - np.maximum(edges, low)
-    return first, np.maximum(shares, 0.0)
+    return slice(first, last), np.maximum(shares, 0.0)

@@ -209,15 +209,15 @@ def _check_options(outputs: SimulateOutputs, study: StudyOptions) -> None:
 
 
 def _check_kind(scenario: Scenario, outputs: SimulateOutputs, study: StudyOptions) -> None:
-    """Refuse pictures of other kinds, and studies of pictures; raises `CalibError`."""
+    """Refuse pictures of other kinds, and plans of pictures in a study; raises `CalibError`."""
     if outputs.images is not None and not scenario.kind.optical:
         raise CalibError(
             "--images draws what a camera sees of a printed board: add --kind pixel, with --camera-on and --board-on."
         )
-    if study.study is not None and scenario.kind.optical:
+    if study.planned and scenario.kind.optical:
         raise CalibError(
-            f"--study does not go with the kind '{scenario.kind.name}'; simulate tables with several values of --seed, "
-            "and calibrate each."
+            f"--planned does not go with the kind '{scenario.kind.name}', whose poses are those from which the board is "
+            "seen; give those of a plan with --poses."
         )
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -97,6 +98,16 @@ class Pictures(Value):
         return tuple((np.flatnonzero(self.outliers.any(axis=1)) + 1).tolist())
 
 
+class _Corners(NamedTuple):
+    """R corners that are seen; see `Pictures`, but without outliers in the pixels."""
+
+    picture: Integers
+    corner: Integers
+    true_pixels: Array
+    pixels: Array
+    outliers: Array
+
+
 def take_pictures(
     cell: CameraCell, q: ArrayLike, seed: int = 0, sets: Sequence[str] | None = None
 ) -> Pictures:
@@ -114,40 +125,60 @@ def take_pictures(
     Raises:
         CalibError: Values that are none of these joints, or the board is seen from none of the poses.
     """
-    scenario, robot = cell.scenario, cell.truth.nominal
+    robot = cell.truth.nominal
     commanded = robot.columns(q)
     if sets is not None:
         check_names("sets", sets)
+    names = (SETS[0],) * len(commanded) if sets is None else tuple(sets)
     slides = [joint.type == "prismatic" for joint in robot.inputs]
-    true_q, readings = scenario.encoder.measure(commanded, slides, seed)
+    true_q, readings = cell.scenario.encoder.measure(commanded, slides, seed)
     T = _displaced(cell, cell.truth.poses(true_q), seed)
+    corners = _corners(cell, T, names, seed)
+    return Pictures(
+        cell=cell,
+        images=_names(len(commanded)),
+        sets=names,
+        readings=read_only(readings),
+        q=read_only(true_q),
+        T_camera_board=read_only(T),
+        picture=corners.picture,
+        corner=corners.corner,
+        true_pixels=read_only(corners.true_pixels),
+        pixels=read_only(corners.pixels + corners.outliers),
+        outliers=read_only(corners.outliers),
+        sigma=_sigma(cell),
+        seed=int(seed),
+    )
+
+
+def _sigma(cell: CameraCell) -> float:
+    """Return the standard deviation of the noise of a corner's coordinate [px]."""
+    return cell.scenario.sigma.get("px", 0.0)
+
+
+def _corners(cell: CameraCell, T: Array, sets: Sequence[str], seed: int) -> _Corners:
+    """Draw where corners are found.
+
+    Args:
+        cell: The camera, the board and the noise.
+        T: Poses of the board in the camera, shape (P, 4, 4) [m].
+        sets: The set of each picture.
+        seed: Of the random numbers.
+
+    Raises:
+        CalibError: No corner is seen in any picture.
+    """
     pixels, is_seen = corner_pixels(cell.camera, cell.printed.corners, T, SIGHT)
     picture, corner = np.nonzero(is_seen)
     if not len(picture):
         raise CalibError(
-            f"The camera sees no corner of the board from any of the {len(commanded)} poses; without --poses, "
-            "poses are drawn from which it does."
+            f"The camera sees no corner of the board from any of the {len(T)} poses; without --poses, poses are drawn "
+            "from which it does."
         )
-    sets = (SETS[0],) * len(commanded) if sets is None else tuple(sets)
-    sigma = scenario.sigma.get("px", 0.0)
     # Drawn for all corners, seen or not, so that the noise of one does not depend on the others.
-    noise = sigma * stream(seed, "pixel noise").standard_normal(pixels.shape)
+    noise = _sigma(cell) * stream(seed, "pixel noise").standard_normal(pixels.shape)
     outliers = _outliers(cell, [sets[k] for k in picture.tolist()], seed)
-    return Pictures(
-        cell=cell,
-        images=_names(len(commanded)),
-        sets=sets,
-        readings=read_only(readings),
-        q=read_only(true_q),
-        T_camera_board=read_only(T),
-        picture=picture,
-        corner=corner,
-        true_pixels=read_only(pixels[is_seen]),
-        pixels=read_only((pixels + noise)[is_seen] + outliers),
-        outliers=read_only(outliers),
-        sigma=sigma,
-        seed=int(seed),
-    )
+    return _Corners(picture, corner, pixels[is_seen], (pixels + noise)[is_seen], outliers)
 
 
 def _names(count: int) -> tuple[str, ...]:

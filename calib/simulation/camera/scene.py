@@ -43,7 +43,7 @@ class CameraScene(Value):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Framing(Value):
-    """How a picture is to show the board."""
+    """Conditions under which a picture shows the board well."""
 
     #: Distance of the corners from the image's edges [px].
     margin: float = 15.0
@@ -58,7 +58,7 @@ USUAL_FRAMING = Framing()
 
 
 class View(NamedTuple):
-    """What the camera sees at N poses of the board."""
+    """Visible corners, tilt and size of the board at N of its poses."""
 
     #: Number of corners that are seen, shape (N,).
     seen: Array
