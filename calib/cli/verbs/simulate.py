@@ -216,8 +216,8 @@ def _check_kind(scenario: Scenario, outputs: SimulateOutputs, study: StudyOption
         )
     if study.planned and scenario.kind.optical:
         raise CalibError(
-            f"--planned does not go with the kind '{scenario.kind.name}', whose poses are those from which the board is "
-            "seen; give those of a plan with --poses."
+            f"--planned does not go with the kind '{scenario.kind.name}', whose poses are those from which the board "
+            "is seen; give those of a plan with --poses."
         )
 
 
