@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -13,12 +14,15 @@ import yaml
 from calib.camera.board_file import read_board
 from calib.camera.camera import Camera
 from calib.camera.camera_file import read_camera
+from calib.data.cell import Cell
 from calib.errors import FileError
+from calib.result.calibrate import calibrate
 from calib.robot.robot import Robot
 from calib.simulation.camera.cell import draw_camera_cell
 from calib.simulation.camera.equipment import usual_camera
 from calib.simulation.camera.picture_files import picture_paths, write_pictures
 from calib.simulation.camera.pictures import take_pictures
+from calib.simulation.camera.simulate import simulate_pictures
 from calib.simulation.camera.truth_file import write_camera_truth
 from calib.simulation.scenario import Scenario
 from tests.simulation.camera.cells import BOARD
@@ -110,3 +114,29 @@ def test_the_truth_has_robot_camera_board_and_pictures(pictures, tmp_path):
     is_here = pictures.picture == 1
     np.testing.assert_allclose(second["pixels"], pictures.true_pixels[is_here])
     assert second["corners"] == pictures.corner[is_here].tolist()
+
+
+@pytest.mark.slow
+def test_from_drawn_pictures_the_robot_and_the_camera_are_found(tmp_path):
+    """The whole way, with OpenCV's own detection: the errors of the joints' zeros and of the camera come out."""
+    robot = Robot.load("ur5", base="tool0", tip="base_link")
+    cell = Cell(kind="pixel", model="zeros", cameras={"": usual_camera()}, boards={"": BOARD})
+    made = simulate_pictures(Scenario(robot, cell, model="zeros"), 14, 0, seed=5)
+    write_pictures(made, tmp_path)
+    rows = []
+    for k, name in enumerate(made.images):
+        image = cv2.imread(str(tmp_path / name), cv2.IMREAD_UNCHANGED)
+        corners, ids = charuco_corners(image, BOARD)
+        rows += [(k, int(i), *corner) for corner, i in zip(corners, ids, strict=True)]
+    picture, corner = (np.array([row[column] for row in rows]) for column in range(2))
+    found = replace(made, picture=picture, corner=corner, pixels=np.array(rows)[:, 2:])
+    fitted = calibrate(robot, found.measurements, cell=cell, validate=False)
+    true = {name: made.cell.truth.value(name) for name in made.cell.truth.model.names}
+    estimates = {estimate.name: estimate for estimate in fitted.parameters}
+    # Zeros of the joints at the camera and at the board are those of the mounts too.
+    for name in list(true)[1:-1]:
+        assert estimates[name].delta == pytest.approx(true[name], abs=3e-4)
+    error = made.cell.camera.values[:2] - usual_camera().values[:2]
+    found_error = [estimates["fx"].delta, estimates["fy"].delta]
+    np.testing.assert_allclose(found_error, error, atol=1.0)
+    assert estimates["board_sag_x"].delta == pytest.approx(made.cell.printed.warp[0], abs=1e-4)
