@@ -1,0 +1,83 @@
+"""Markers in an image, by OpenCV's detector with parameters for small, steep and blurred ones."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from calib.errors import CalibError, choices, did_you_mean
+from calib.units import Array, Integers
+from calib.values.pickling import Value
+from calib.vision.opencv import opencv
+
+#: What the names of OpenCV's dictionaries begin with.
+_PREFIX = "DICT_"
+
+#: Widest window of the adaptive threshold [px]: large markers and blurred edges need more than the default of 23.
+_WIDEST_THRESHOLD = 43
+
+#: Smallest perimeter of a marker as a share of the image's longer side: 14 px in 1280.
+_SMALLEST_PERIMETER = 0.011
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Markers(Value):
+    """The markers of one dictionary that an image shows; an id may occur more than once, or be wrong."""
+
+    #: Their ids, shape (m,).
+    ids: Integers
+    #: Their corners, clockwise from the top left, shape (m, 4, 2) [px].
+    corners: Array
+
+    def of_ids(self, first: int, count: int) -> Markers:
+        """Return the markers with ids from ``first`` on, ``count`` of them, with ids counted from 0."""
+        used = (self.ids >= first) & (self.ids < first + count)
+        return Markers(self.ids[used] - first, self.corners[used])
+
+
+def dictionary_names() -> tuple[str, ...]:
+    """Return the names of OpenCV's dictionaries of markers."""
+    names = [name for name in dir(opencv().aruco) if name.startswith(_PREFIX)]
+    return tuple(sorted(names))
+
+
+def dictionary_of(name: str) -> Any:  # noqa: ANN401  a class without types
+    """Return one of OpenCV's dictionaries; raises `CalibError` for an unknown name."""
+    aruco = opencv().aruco
+    number = getattr(aruco, name, None) if name.startswith(_PREFIX) else None
+    if number is None:
+        names = dictionary_names()
+        raise CalibError(
+            f"OpenCV has no dictionary of markers '{name}'{did_you_mean(name, names)}; it has "
+            f"{choices(names, limit=30)}."
+        )
+    return aruco.getPredefinedDictionary(number)
+
+
+def find_markers(image: Any, dictionary: str) -> Markers:  # noqa: ANN401  8-bit, which Array is not
+    """Find the markers of a dictionary.
+
+    Args:
+        image: Grey values, 8 bits, shape (height, width).
+        dictionary: Name of the dictionary.
+
+    Returns:
+        The markers; their corners are where OpenCV has them, to about half a pixel.
+    """
+    aruco = opencv().aruco
+    parameters = aruco.DetectorParameters()
+    parameters.adaptiveThreshWinSizeMax = _WIDEST_THRESHOLD
+    parameters.minMarkerPerimeterRate = _SMALLEST_PERIMETER
+    parameters.polygonalApproxAccuracyRate = 0.05
+    parameters.minDistanceToBorder = 1
+    parameters.minMarkerDistanceRate = 0.02
+    parameters.perspectiveRemovePixelPerCell = 8
+    parameters.cornerRefinementMethod = aruco.CORNER_REFINE_SUBPIX
+    detector = aruco.ArucoDetector(dictionary_of(dictionary), parameters)
+    corners, ids, _ = detector.detectMarkers(image)
+    if ids is None or len(ids) == 0:
+        return Markers(np.zeros(0, dtype=int), np.zeros((0, 4, 2)))
+    quadrilaterals = np.array(corners, dtype=np.float64).reshape(-1, 4, 2)
+    return Markers(np.asarray(ids, dtype=int).reshape(-1), quadrilaterals)
