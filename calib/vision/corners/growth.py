@@ -15,11 +15,14 @@ from calib.vision.corners.layouts import corner_signs
 from calib.vision.corners.planar_map import PlanarMap, fit_planar_map, in_image
 from calib.vision.corners.saddles import Saddles, find_saddles
 
-#: Width of the window around a corner, in squares, of a chessboard, and the largest of a ChArUco board.
-_WINDOW = 0.16
+#: Width of the window around a corner of a chessboard, in squares; the largest of a ChArUco board.
+_WINDOW = 0.14
 
-#: The smallest, where there is hardly any white around the markers.
-_SMALLEST_WINDOW = 0.08
+#: Width of the window around a corner of a ChArUco board, in widths of the white around a marker.
+_WINDOW_IN_MARGINS = 0.7
+
+#: The smallest, where there is hardly any white, in squares.
+_SMALLEST_WINDOW = 0.04
 
 #: Searches, each with the map of the last.
 _ROUNDS = 4
@@ -90,7 +93,7 @@ def window_size(board: Board) -> float:
     if board.pattern != CHARUCO:
         return largest
     margin = (board.square - board.marker) / 2.0
-    return float(np.clip(margin, _SMALLEST_WINDOW * board.square, largest))
+    return float(np.clip(_WINDOW_IN_MARGINS * margin, _SMALLEST_WINDOW * board.square, largest))
 
 
 def _search(image: Array, board: Board, planar_map: PlanarMap, signs: Array) -> Saddles:
