@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -13,8 +12,8 @@ from calib.units import Array, Integers
 from calib.values.pickling import Value
 from calib.vision.corners.chessboards import find_chessboard
 from calib.vision.corners.growth import grow, visible_corners
-from calib.vision.corners.layouts import marker_corners, marker_count
-from calib.vision.corners.markers import Markers
+from calib.vision.corners.layouts import marker_corners
+from calib.vision.corners.markers import Markers, find_markers
 from calib.vision.corners.placing import FEWEST_MARKERS, Placement, place
 from calib.vision.corners.planar_map import PlanarMap, fit_planar_map
 from calib.vision.corners.saddles import Saddles
@@ -99,7 +98,7 @@ def search_board(
     """
     if board.pattern == CHESSBOARD:
         return _search_chessboard(image, board, fewest)
-    markers = markers.of_ids(board.first_marker, marker_count(board))
+    markers = markers.of_ids(board.first_marker, board.markers)
     layout = marker_corners(board)
     image_size = (image.shape[1], image.shape[0])
     placement = place(markers, layout, image_size)
@@ -121,35 +120,30 @@ def search_board(
     return _judged(board, saddles, planar_map, image_size, fewest)
 
 
-def reason_of_nothing(
-    image: Any,  # noqa: ANN401  8-bit
-    board: Board,
-    find: Mapping[str, Any],
-) -> str:
+def reason_of_nothing(image: Any, board: Board) -> str:  # noqa: ANN401  8-bit
     """Return why a board is not found in an image: `MIRRORED`, `BLURRED` or `NO_BOARD`.
 
     Args:
-        image: Grey values, 8 bits.
+        image: Grey values, 8 bits, shape (height, width).
         board: The board.
-        find: By the board's dictionary the function that finds its markers in an image.
     """
-    if board.pattern != CHESSBOARD:
-        mirrored = search_board(image[:, ::-1].copy(), board, find[board.dictionary](image[:, ::-1].copy()), _SIGN_OF_BOARD)
-        if mirrored.is_used:
-            return MIRRORED
+    if board.pattern != CHESSBOARD and _is_in(np.ascontiguousarray(image[:, ::-1]), board):
+        return MIRRORED
     cv2 = opencv()
     for factor in _SMALLER:
         size = (image.shape[1] // factor, image.shape[0] // factor)
-        smaller = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
-        markers = _no_markers() if board.pattern == CHESSBOARD else find[board.dictionary](smaller)
-        if search_board(smaller, board, markers, _SIGN_OF_BOARD).is_used:
+        if _is_in(cv2.resize(image, size, interpolation=cv2.INTER_AREA), board):
             return BLURRED
     return NO_BOARD
 
 
-def _no_markers() -> Markers:
-    """Return no markers."""
-    return Markers(np.zeros(0, dtype=int), np.zeros((0, 4, 2)))
+def _is_in(image: Any, board: Board) -> bool:  # noqa: ANN401  8-bit
+    """Test whether a board is found in an image, roughly."""
+    if board.pattern == CHESSBOARD:
+        return find_chessboard(image, board) is not None
+    markers = find_markers(image, board.dictionary).of_ids(board.first_marker, board.markers)
+    placement = place(markers, marker_corners(board), (image.shape[1], image.shape[0]))
+    return placement is not None and placement.is_sound
 
 
 def _empty(board: Board, reason: str) -> BoardView:

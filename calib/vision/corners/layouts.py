@@ -39,11 +39,6 @@ def corner_signs(board: Board) -> Array:
     return np.where(is_white, 1.0, -1.0).reshape(-1)
 
 
-def marker_count(board: Board) -> int:
-    """Return the number of markers."""
-    return len(marker_corners(board))
-
-
 def _first_is_white(board: Board) -> int:
     """Return 1 if the square at the origin is white, else 0."""
     return int(board.legacy and board.rows % 2 == 0)

@@ -7,13 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from calib.errors import CalibError, choices, did_you_mean
+from calib.camera.dictionaries import DICTIONARIES
+from calib.errors import CalibError
 from calib.units import Array, Integers
 from calib.values.pickling import Value
 from calib.vision.opencv import opencv
-
-#: What the names of OpenCV's dictionaries begin with.
-_PREFIX = "DICT_"
 
 #: Widest window of the adaptive threshold [px]: large markers and blurred edges need more than the default of 23.
 _WIDEST_THRESHOLD = 43
@@ -37,23 +35,21 @@ class Markers(Value):
         return Markers(self.ids[used] - first, self.corners[used])
 
 
-def dictionary_names() -> tuple[str, ...]:
-    """Return the names of OpenCV's dictionaries of markers."""
-    names = [name for name in dir(opencv().aruco) if name.startswith(_PREFIX)]
-    return tuple(sorted(names))
+def no_markers() -> Markers:
+    """Return no markers, as a chessboard has."""
+    return Markers(np.zeros(0, dtype=int), np.zeros((0, 4, 2)))
 
 
-def dictionary_of(name: str) -> Any:  # noqa: ANN401  a class without types
-    """Return one of OpenCV's dictionaries; raises `CalibError` for an unknown name."""
-    aruco = opencv().aruco
-    number = getattr(aruco, name, None) if name.startswith(_PREFIX) else None
+def _dictionary(name: str) -> Any:  # noqa: ANN401  a class without types
+    """Return one of OpenCV's dictionaries; raises `CalibError` for one that this version does not have."""
+    cv2 = opencv()
+    number = getattr(cv2.aruco, name, None) if name in DICTIONARIES else None
     if number is None:
-        names = dictionary_names()
         raise CalibError(
-            f"OpenCV has no dictionary of markers '{name}'{did_you_mean(name, names)}; it has "
-            f"{choices(names, limit=30)}."
+            f"OpenCV {cv2.__version__} has no dictionary of markers '{name}'; a newer one may: pip install --upgrade "
+            "opencv-python-headless"
         )
-    return aruco.getPredefinedDictionary(number)
+    return cv2.aruco.getPredefinedDictionary(number)
 
 
 def find_markers(image: Any, dictionary: str) -> Markers:  # noqa: ANN401  8-bit, which Array is not
@@ -75,9 +71,9 @@ def find_markers(image: Any, dictionary: str) -> Markers:  # noqa: ANN401  8-bit
     parameters.minMarkerDistanceRate = 0.02
     parameters.perspectiveRemovePixelPerCell = 8
     parameters.cornerRefinementMethod = aruco.CORNER_REFINE_SUBPIX
-    detector = aruco.ArucoDetector(dictionary_of(dictionary), parameters)
+    detector = aruco.ArucoDetector(_dictionary(dictionary), parameters)
     corners, ids, _ = detector.detectMarkers(image)
     if ids is None or len(ids) == 0:
-        return Markers(np.zeros(0, dtype=int), np.zeros((0, 4, 2)))
+        return no_markers()
     quadrilaterals = np.array(corners, dtype=np.float64).reshape(-1, 4, 2)
     return Markers(np.asarray(ids, dtype=int).reshape(-1), quadrilaterals)

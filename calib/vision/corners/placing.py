@@ -24,8 +24,9 @@ _FINE = 0.15
 #: Fewest pixels that either tolerance means.
 _TOLERANCE_PX = 1.5
 
-#: Least share of the markers that agree on where the board is; of a wrong layout every second row may.
-LEAST_SHARE = 0.7
+#: Share of the markers that may disagree on where the board is, and one in any case: an id that was misread. Of a wrong
+#: layout every second row may agree, of one shifted by a row more.
+_MISREAD_SHARE = 0.12
 
 #: Fits of the map, each to the markers that agreed with the last.
 _ROUNDS = 3
@@ -41,14 +42,11 @@ class Placement(Value):
     agrees: Mask
 
     @property
-    def share(self) -> float:
-        """Share of the markers that agree."""
-        return float(np.mean(self.agrees))
-
-    @property
     def is_sound(self) -> bool:
         """Whether enough markers agree."""
-        return int(self.agrees.sum()) >= FEWEST_MARKERS and self.share >= LEAST_SHARE
+        agreeing = int(self.agrees.sum())
+        misread = len(self.agrees) - agreeing
+        return agreeing >= FEWEST_MARKERS and misread <= max(1.0, _MISREAD_SHARE * len(self.agrees))
 
 
 def place(markers: Markers, layout: Array, image_size: tuple[int, int]) -> Placement | None:

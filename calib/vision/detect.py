@@ -1,0 +1,185 @@
+"""Corners of boards in pictures: every picture is searched, and every one that gives nothing has its reason."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+import calib.jobs as jobs
+from calib.camera.board import CHESSBOARD, Board
+from calib.camera.dictionaries import DICTIONARIES
+from calib.errors import CalibError, choices
+from calib.values.pickling import Value
+from calib.vision.board_search import FEWEST_CORNERS, LAYOUT
+from calib.vision.corners.markers import find_markers
+from calib.vision.findings import (
+    DICTIONARY,
+    Finding,
+    board_findings,
+    is_wrong_description,
+    names,
+    picture_findings,
+    usual_sizes,
+    without_board,
+)
+from calib.vision.image_files import ImageFile, read_image
+from calib.vision.picture import OTHER_SIZE, Picture, Search, look
+
+#: Pictures that are searched for the markers of every dictionary, where those of the board's are not seen.
+_MOST_FOR_DICTIONARIES = 3
+
+#: Fewest different markers of a dictionary in a picture that are no accident.
+_FEWEST_MARKERS = 4
+
+
+@dataclass(frozen=True, slots=True)
+class Detection(Value):
+    """The boards in pictures."""
+
+    boards: tuple[Board, ...]
+    #: In the order in which they were named.
+    pictures: tuple[Picture, ...]
+    findings: tuple[Finding, ...]
+    #: Fewest corners of a board in a picture that are used.
+    fewest: int
+
+    @property
+    def used(self) -> tuple[Picture, ...]:
+        """The pictures of which corners are used."""
+        return tuple(picture for picture in self.pictures if picture.used)
+
+    @property
+    def corner_count(self) -> int:
+        """Number of all corners that are used."""
+        return sum(len(view.ids) for picture in self.pictures for view in picture.used)
+
+
+def detect(
+    files: Sequence[ImageFile],
+    boards: Sequence[Board],
+    *,
+    fewest: int = FEWEST_CORNERS,
+    executor: Executor | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Detection:
+    """Find the corners of boards in pictures.
+
+    Args:
+        files: The pictures.
+        boards: The boards that they may show; their names and their markers are different.
+        fewest: Fewest corners of a board in a picture that are used.
+        executor: Where the pictures are searched; None: here.
+        progress: Called with the number of pictures done and of all.
+
+    Returns:
+        What every picture shows, and what is wrong with them or with the boards' descriptions.
+
+    Raises:
+        CalibError: Two boards have one name, or share markers.
+    """
+    check_boards(boards)
+    search = Search(tuple(boards), fewest, single_thread=executor is not None)
+    seen: list[Picture | None] = [None] * len(files)
+    done = 0
+    for number, picture in jobs.run(look, search, files, executor):
+        seen[number] = picture
+        done += 1
+        if progress is not None:
+            progress(done, len(files))
+    pictures = _of_usual_size([picture for picture in seen if picture is not None])
+    findings = list(picture_findings(pictures))
+    readable = [picture for picture in pictures if not picture.reason]
+    for board in boards:
+        of_board = [*board_findings(board, readable), *_other_dictionary(board, readable, executor)]
+        findings += of_board
+        if any(is_wrong_description(finding, readable, board) for finding in of_board):
+            pictures = [_without(picture, board) for picture in pictures]
+    return Detection(tuple(boards), tuple(pictures), tuple(findings), fewest)
+
+
+def check_boards(boards: Sequence[Board]) -> None:
+    """Refuse boards that cannot be told apart; raises `CalibError`."""
+    for k, board in enumerate(boards):
+        for other in boards[:k]:
+            _check_pair(other, board)
+
+
+def _check_pair(first: Board, second: Board) -> None:
+    """Refuse two boards that cannot be told apart."""
+    if first.name == second.name:
+        raise CalibError(f"Two boards have the name '{first.name}'; give each its own.")
+    if CHESSBOARD in (first.pattern, second.pattern):
+        is_same = (
+            first.pattern == second.pattern
+            and {first.columns, first.rows} == {second.columns, second.rows}
+        )
+    else:
+        begin = max(first.first_marker, second.first_marker)
+        end = min(first.first_marker + first.markers, second.first_marker + second.markers)
+        is_same = first.dictionary == second.dictionary and begin < end
+    if is_same:
+        raise CalibError(
+            f"The boards {choices([first.name, second.name])} look alike in a picture: they have the same size, or "
+            "share markers of a dictionary. Print one with other markers: calib board --first-marker, or another "
+            "--dictionary."
+        )
+
+
+def _of_usual_size(pictures: Sequence[Picture]) -> list[Picture]:
+    """Return pictures, those of another size than most of their camera's with that reason."""
+    usual = usual_sizes(pictures)
+    result = []
+    for picture in pictures:
+        is_other = not picture.reason and picture.size != usual[picture.file.camera]
+        result.append(replace(picture, reason=OTHER_SIZE) if is_other else picture)
+    return result
+
+
+def _without(picture: Picture, board: Board) -> Picture:
+    """Return a picture whose corners of a board are not used: the board is described wrongly."""
+    views = []
+    for view in picture.views:
+        is_wrong = view.board == board.name and view.is_used
+        views.append(replace(view, reason=LAYOUT) if is_wrong else view)
+    return replace(picture, views=tuple(views))
+
+
+def _other_dictionary(
+    board: Board, pictures: Sequence[Picture], executor: Executor | None
+) -> list[Finding]:
+    """Return the finding of another dictionary, if half of the pictures or more show nothing of a board."""
+    nothing = without_board(board, pictures)
+    if board.pattern == CHESSBOARD or not nothing or len(nothing) < len(pictures) / 2:
+        return []
+    spread = np.linspace(0, len(nothing) - 1, min(len(nothing), _MOST_FOR_DICTIONARIES)).astype(int)
+    counts: dict[str, int] = {}
+    tried = [nothing[k].file for k in spread]
+    for _, found in jobs.run(_count_markers, None, tried, executor):
+        for name, count in found.items():
+            counts[name] = counts.get(name, 0) + count
+    counts.pop(board.dictionary, None)
+    most = max(counts.values(), default=0)
+    if most < _FEWEST_MARKERS:
+        return []
+    # A smaller dictionary has the first markers of a larger one of as many bits.
+    smallest = min(
+        (name for name, count in counts.items() if count == most),
+        key=lambda name: DICTIONARIES[name].markers,
+    )
+    return [
+        Finding(code=DICTIONARY, board=board.name, pictures=names(nothing), dictionary=smallest)
+    ]
+
+
+def _count_markers(_: None, file: ImageFile) -> dict[str, int]:
+    """Count the different markers of every dictionary in a picture, where there are more than by accident."""
+    image = read_image(file)
+    counts = {}
+    for name in DICTIONARIES:
+        ids = set(find_markers(image, name).ids.tolist())
+        if len(ids) >= _FEWEST_MARKERS:
+            counts[name] = len(ids)
+    return counts

@@ -1,0 +1,116 @@
+"""One picture: read, searched for all boards, and made small for a page."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from calib.camera.board import CHESSBOARD, Board
+from calib.errors import FileError
+from calib.mappings import ReadOnlyMapping
+from calib.values.pickling import Value
+from calib.vision.board_search import NO_BOARD, BoardView, reason_of_nothing, search_board
+from calib.vision.corners.markers import Markers, find_markers, no_markers
+from calib.vision.image_files import ImageFile, read_image
+from calib.vision.opencv import opencv
+
+#: The file is no picture.
+UNREADABLE = "unreadable"
+
+#: The picture has another size than most of its camera's.
+OTHER_SIZE = "other_size"
+
+#: No row of joint values belongs to it.
+NO_ROW = "no_row"
+
+#: Longer side of a small copy [px].
+_SMALL = 480
+
+#: Quality of its JPEG, of 100.
+_QUALITY = 70
+
+
+@dataclass(frozen=True, slots=True)
+class Search(Value):
+    """What pictures are searched for."""
+
+    boards: tuple[Board, ...]
+    #: Fewest corners of a board in a picture that are used.
+    fewest: int
+    #: Whether OpenCV uses one thread, as beside other processes.
+    single_thread: bool = False
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Picture(Value):
+    """What was found in a picture."""
+
+    file: ImageFile
+    #: Width and height [px]; zeros if it cannot be read.
+    size: tuple[int, int] = (0, 0)
+    #: What it shows of each board, in their order.
+    views: tuple[BoardView, ...] = ()
+    #: Why nothing of it is used; "" if something is, or if the views say it.
+    reason: str = ""
+    #: The markers in it by the name of their dictionary.
+    markers: ReadOnlyMapping[str, Markers] = field(default_factory=ReadOnlyMapping)
+    #: Hash of its grey values.
+    sha256: str = ""
+    #: A small copy as JPEG.
+    small: bytes = b""
+
+    @property
+    def used(self) -> tuple[BoardView, ...]:
+        """The views whose corners are used."""
+        return () if self.reason else tuple(view for view in self.views if view.is_used)
+
+
+def look(search: Search, file: ImageFile) -> Picture:
+    """Read a picture and search it for boards.
+
+    Args:
+        search: The boards.
+        file: The picture.
+
+    Returns:
+        What was found, or why there is nothing.
+    """
+    cv2 = opencv()
+    if search.single_thread:
+        cv2.setNumThreads(1)
+    try:
+        image = read_image(file)
+    except FileError:
+        image = None
+    if image is None:
+        return Picture(file=file, reason=UNREADABLE)
+    dictionaries = {board.dictionary for board in search.boards if board.dictionary}
+    markers = {name: find_markers(image, name) for name in sorted(dictionaries)}
+    views = []
+    for board in search.boards:
+        of_board = no_markers() if board.pattern == CHESSBOARD else markers[board.dictionary]
+        views.append(search_board(image, board, of_board, search.fewest))
+    if all(view.reason == NO_BOARD for view in views):
+        reasons = [reason_of_nothing(image, board) for board in search.boards]
+        views = [
+            replace(view, reason=reason) for view, reason in zip(views, reasons, strict=True)
+        ]
+    return Picture(
+        file=file,
+        size=(image.shape[1], image.shape[0]),
+        views=tuple(views),
+        markers=ReadOnlyMapping(markers),
+        sha256=hashlib.sha256(image.tobytes()).hexdigest(),
+        small=_small(image),
+    )
+
+
+def _small(image: Any) -> bytes:  # noqa: ANN401  8-bit
+    """Return a small copy of a picture as JPEG."""
+    cv2 = opencv()
+    scale = min(1.0, _SMALL / max(image.shape))
+    size = (max(1, round(scale * image.shape[1])), max(1, round(scale * image.shape[0])))
+    copy = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+    _, data = cv2.imencode(".jpg", copy, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
+    return bytes(data.tobytes())
