@@ -11,6 +11,7 @@ from calib.cli.verbs.compare import compare
 from calib.cli.verbs.compensate import compensate
 from calib.cli.verbs.convert import convert
 from calib.cli.verbs.demo import demo
+from calib.cli.verbs.detect import detect
 from calib.cli.verbs.evaluate import evaluate
 from calib.cli.verbs.fleet import fleet
 from calib.cli.verbs.inspect import inspect
@@ -31,6 +32,7 @@ app = typer.Typer(
 #: The verbs, in the order of ``calib --help``.
 _VERBS = (
     demo,
+    detect,
     calibrate,
     fleet,
     evaluate,
