@@ -48,9 +48,7 @@ class Card:
     marks: tuple[Mark, ...]
 
 
-def write_contact_sheet(
-    detection: Detection, path: str | Path, *, overwrite: bool = False
-) -> Path:
+def write_contact_sheet(detection: Detection, path: str | Path, *, overwrite: bool = False) -> Path:
     """Write the contact sheet.
 
     Args:

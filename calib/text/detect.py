@@ -27,10 +27,10 @@ _REASONS = {
 #: Why a board is not used in a picture.
 _VIEW_REASONS = {
     "no_board": "no board in it",
-    "blurred": "blurred: a board is found in a smaller copy only; hold still, focus, or add light",
+    "blurred": "blurred; wait until the arm stands still, focus, or add light",
     "mirrored": "a mirror image: a board is found in the flipped picture only",
-    "cut": "{found} of the {wanted} corners that are needed; the board reaches out of the picture",
-    "few_corners": "{found} of the {wanted} corners that are needed; the others are hidden, too small, or badly lit",
+    "cut": "{count} of the {wanted} corners that are needed; the board reaches out of the picture",
+    "few_corners": "{count} of the {wanted} corners that are needed; the others are hidden, too small, or badly lit",
     "layout": "its markers are not where the description has them",
     "two_boards": "two boards with the same markers are in it; cover one, or print other markers",
 }
@@ -132,14 +132,14 @@ def findings_text(detection: Detection) -> list[str]:
     texts = []
     for finding in detection.findings:
         sentence = _sentence(finding, boards.get(finding.board))
-        pictures = f" ({_some(finding.pictures)})" if finding.pictures else ""
-        texts.append(f"{sentence[:1].upper()}{sentence[1:]}{pictures}")
+        pictures = f" ({_first_names(finding.pictures)})" if finding.pictures else ""
+        texts.append(f"{sentence}{pictures}")
     return texts
 
 
 def _view_reason(view: BoardView, fewest: int) -> str:
     """Write why a board is not used in a picture."""
-    return _VIEW_REASONS[view.reason].format(found=len(view.ids), wanted=fewest)
+    return _VIEW_REASONS[view.reason].format(count=len(view.ids), wanted=fewest)
 
 
 def _boards_text(detection: Detection) -> Iterator[str]:
@@ -155,9 +155,15 @@ def _boards_text(detection: Detection) -> Iterator[str]:
         sigma = float(np.median(np.concatenate([view.sigma for view in views])))
         total = len(board.corners)
         yield (
-            f"{board.name}: {plural(len(views), 'picture')}, {min(counts)} to {max(counts)} of {total} corners each, "
+            f"{board.name}: {_range(counts)} of {total} corners in {plural(len(views), 'picture')}, "
             f"sigma {number(sigma)} px (median)."
         )
+
+
+def _range(counts: Sequence[int]) -> str:
+    """Write the smallest and the largest of some numbers."""
+    fewest, most = min(counts), max(counts)
+    return str(most) if fewest == most else f"{fewest} to {most}"
 
 
 def _unmatched_text(joints: JointTable, matches: Matches) -> str:
@@ -167,10 +173,10 @@ def _unmatched_text(joints: JointTable, matches: Matches) -> str:
         cell = joints.cell(row, joints.image or joints.index)
         names.append(f"{cell} (line {joints.table.lines[row]})")
     count = plural(len(names), "row")
-    return f"Without a picture: {count} of {joints.table.source}: {_some(names)}."
+    return f"Without a picture: {count} of {joints.table.source}: {_first_names(names)}."
 
 
-def _some(names: Sequence[str]) -> str:
+def _first_names(names: Sequence[str]) -> str:
     """List names, the first of many."""
     shown = ", ".join(names[:_MOST_NAMES])
     more = len(names) - _MOST_NAMES
@@ -186,7 +192,7 @@ def _sentence(finding: Finding, board: Board | None) -> str:
     has_layouts = better.pattern == CHARUCO and better.rows % 2 == 0
     layout_name = "legacy" if better.legacy else "new"
     return template.format(
-        Board=f"{board.name}: ",
+        Board=f"Board '{board.name}': ",
         columns=better.columns,
         rows=better.rows,
         layout=f", in the {layout_name} layout" if has_layouts else "",

@@ -50,6 +50,12 @@ _SECOND_BOARD = 3
 #: How much smaller the copies are in which a blurred board is sought.
 _SMALLER = (2, 4)
 
+#: Blur without a board above which the picture is called blurred [px].
+_BLURRED = 3.0
+
+#: Blur that is added to measure that of a picture [px].
+_FURTHER_BLUR = 3.0
+
 #: Fewest corners or markers that tell that a board is in a copy.
 _SIGN_OF_BOARD = 4
 
@@ -77,6 +83,11 @@ class BoardView(Value):
     def is_used(self) -> bool:
         """Whether the corners are used."""
         return not self.reason
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether all corners that are inside the image were found."""
+        return len(self.ids) >= self.visible
 
 
 def search_board(
@@ -134,7 +145,30 @@ def reason_of_nothing(image: Any, board: Board) -> str:  # noqa: ANN401  8-bit
         size = (image.shape[1] // factor, image.shape[0] // factor)
         if _is_in(cv2.resize(image, size, interpolation=cv2.INTER_AREA), board):
             return BLURRED
-    return NO_BOARD
+    return BLURRED if blur_of(image) > _BLURRED else NO_BOARD
+
+
+def blur_of(image: Any) -> float:  # noqa: ANN401  8-bit
+    """Return the standard deviation of the blur of the sharpest edges in an image, or of noise if there is much [px].
+
+    The steepest slope of an edge is its step divided by sqrt(2 pi) sigma. A further blur of s makes sigma to
+    sqrt(sigma^2 + s^2), so the ratio of the slopes before and after tells sigma.
+    """
+    cv2 = opencv()
+    smooth = cv2.GaussianBlur(image.astype(np.float32), (0, 0), 1.0)
+    smoother = cv2.GaussianBlur(image.astype(np.float32), (0, 0), _FURTHER_BLUR)
+    before, after = (_steepest(picture) for picture in (smooth, smoother))
+    if after <= 0.0 or before <= after:
+        return np.inf
+    square = (before / after) ** 2
+    # before^2 / after^2 = (sigma^2 + s^2) / (sigma^2 + 1)
+    return float(np.sqrt(max((_FURTHER_BLUR**2 - square) / (square - 1.0), 0.0)))
+
+
+def _steepest(image: Any) -> float:  # noqa: ANN401  32-bit
+    """Return the slope that one pixel of a thousand exceeds [grey values a px]."""
+    by_v, by_u = np.gradient(image)
+    return float(np.quantile(np.hypot(by_u, by_v), 0.999))
 
 
 def _is_in(image: Any, board: Board) -> bool:  # noqa: ANN401  8-bit
@@ -160,10 +194,10 @@ def _empty(board: Board, reason: str) -> BoardView:
 
 def _search_chessboard(image: Any, board: Board, fewest: int) -> BoardView:  # noqa: ANN401  8-bit
     """Search an image for a chessboard."""
-    found = find_chessboard(image, board)
-    if found is None:
+    chessboard = find_chessboard(image, board)
+    if chessboard is None:
         return _empty(board, NO_BOARD)
-    planar_map, pixels = found
+    planar_map, pixels = chessboard
     grey = np.asarray(image, dtype=np.float64)
     saddles, planar_map = grow(grey, board, planar_map, board.corners[:, :2], pixels)
     return _judged(board, saddles, planar_map, (image.shape[1], image.shape[0]), fewest)
@@ -179,11 +213,11 @@ def _tags(image: Array, board: Board, markers: Markers) -> tuple[Saddles, Planar
     sigma[ids] = refined.sigma
     saddles = Saddles(pixels, sigma)
     exist = saddles.exist
-    points = board.corners[:, :2]
+    image_size = (image.shape[1], image.shape[0])
     if exist.sum() < _SIGN_OF_BOARD:
-        points, exist, pixels = marker_corners(board)[markers.ids].reshape(-1, 2), ..., markers.corners.reshape(-1, 2)
-    planar_map = fit_planar_map(points[exist], pixels[exist], (image.shape[1], image.shape[0]))
-    return saddles, planar_map
+        points = marker_corners(board)[markers.ids].reshape(-1, 2)
+        return saddles, fit_planar_map(points, markers.corners.reshape(-1, 2), image_size)
+    return saddles, fit_planar_map(board.corners[exist, :2], pixels[exist], image_size)
 
 
 def _second(

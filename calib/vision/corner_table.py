@@ -61,21 +61,21 @@ def corner_table(detection: Detection, joints: JointTable, matches: Matches) -> 
     Raises:
         MeasurementError: Some pictures have a camera, others none.
     """
-    cameras = _cameras(detection, matches)
+    has_camera = _names_cameras(detection, matches)
     has_target = len(detection.boards) > 1 or joints.target is not None
-    heads = [_head(name, column) for name, column in _kept(joints)]
+    heads: list[object] = [_head(name, column) for name, column in _kept(joints)]
     heads.append(IMAGE)
-    heads += ["group"] if cameras else []
+    heads += ["group"] if has_camera else []
     heads += [TARGET] if has_target else []
-    rows: list[list[object]] = [[*heads, *_CORNER_HEADS]]
+    rows = [[*heads, *_CORNER_HEADS]]
     boards = {board.name: board for board in detection.boards}
     for picture, row in zip(detection.pictures, matches.rows, strict=True):
         if row is None:
             continue
+        of_row = [joints.cell(row, column) for _, column in _kept(joints)]
         for view in picture.used:
-            cells: list[object] = [joints.cell(row, column) for _, column in _kept(joints)]
-            cells.append(picture.file.name)
-            cells += [picture.file.camera] if cameras else []
+            cells: list[object] = [*of_row, picture.file.name]
+            cells += [picture.file.camera] if has_camera else []
             cells += [_target(detection, joints, row, view)] if has_target else []
             rows += [[*cells, *corner] for corner in _corners(boards[view.board], view)]
     return csv_bytes(rows)
@@ -92,7 +92,7 @@ def _head(name: str, column: Column) -> str:
     return name if column.symbol is None else f"{name} [{column.symbol}]"
 
 
-def _cameras(detection: Detection, matches: Matches) -> bool:
+def _names_cameras(detection: Detection, matches: Matches) -> bool:
     """Test whether the cameras are named; refuse pictures of which some have one and others none."""
     pairs = zip(detection.pictures, matches.rows, strict=True)
     used = [picture for picture, row in pairs if row is not None and picture.used]
@@ -100,7 +100,7 @@ def _cameras(detection: Detection, matches: Matches) -> bool:
     if without and len(without) < len(used):
         raise MeasurementError(
             f"The camera of the picture '{without[0].file.name}' is not named, of others it is. Name its folder: "
-            '--camera-name "NAME=FOLDER", or fill the column \'group\' of the table of joints.'
+            "--camera-name \"NAME=FOLDER\", or fill the column 'group' of the table of joints."
         )
     return bool(used) and not without
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
@@ -30,6 +31,9 @@ from calib.vision.picture import OTHER_SIZE, Picture, Search, look
 
 #: Pictures that are searched for the markers of every dictionary, where those of the board's are not seen.
 _MOST_FOR_DICTIONARIES = 3
+
+#: Names of dictionaries that differ in the number of their markers only.
+_SIZED = re.compile(r"(DICT_\dX\d)_\d+")
 
 #: Fewest different markers of a dictionary in a picture that are no accident.
 _FEWEST_MARKERS = 4
@@ -82,14 +86,7 @@ def detect(
     """
     check_boards(boards)
     search = Search(tuple(boards), fewest, single_thread=executor is not None)
-    seen: list[Picture | None] = [None] * len(files)
-    done = 0
-    for number, picture in jobs.run(look, search, files, executor):
-        seen[number] = picture
-        done += 1
-        if progress is not None:
-            progress(done, len(files))
-    pictures = _of_usual_size([picture for picture in seen if picture is not None])
+    pictures = _of_usual_size(_looked_at(search, files, executor, progress))
     findings = list(picture_findings(pictures))
     readable = [picture for picture in pictures if not picture.reason]
     for board in boards:
@@ -98,6 +95,21 @@ def detect(
         if any(is_wrong_description(finding, readable, board) for finding in of_board):
             pictures = [_without(picture, board) for picture in pictures]
     return Detection(tuple(boards), tuple(pictures), tuple(findings), fewest)
+
+
+def _looked_at(
+    search: Search,
+    files: Sequence[ImageFile],
+    executor: Executor | None,
+    progress: Callable[[int, int], None] | None,
+) -> list[Picture]:
+    """Return what was found in each picture, in their order."""
+    by_number: dict[int, Picture] = {}
+    for number, picture in jobs.run(look, search, files, executor):
+        by_number[number] = picture
+        if progress is not None:
+            progress(len(by_number), len(files))
+    return [by_number[number] for number in range(len(files))]
 
 
 def check_boards(boards: Sequence[Board]) -> None:
@@ -112,20 +124,28 @@ def _check_pair(first: Board, second: Board) -> None:
     if first.name == second.name:
         raise CalibError(f"Two boards have the name '{first.name}'; give each its own.")
     if CHESSBOARD in (first.pattern, second.pattern):
-        is_same = (
-            first.pattern == second.pattern
-            and {first.columns, first.rows} == {second.columns, second.rows}
-        )
+        is_same = first.pattern == second.pattern and _sides(first) == _sides(second)
     else:
         begin = max(first.first_marker, second.first_marker)
         end = min(first.first_marker + first.markers, second.first_marker + second.markers)
-        is_same = first.dictionary == second.dictionary and begin < end
+        is_same = _family(first.dictionary) == _family(second.dictionary) and begin < end
     if is_same:
         raise CalibError(
             f"The boards {choices([first.name, second.name])} look alike in a picture: they have the same size, or "
             "share markers of a dictionary. Print one with other markers: calib board --first-marker, or another "
             "--dictionary."
         )
+
+
+def _sides(board: Board) -> set[int]:
+    """Return the numbers of columns and rows, in no order."""
+    return {board.columns, board.rows}
+
+
+def _family(dictionary: str) -> str:
+    """Return the part of a dictionary's name that all have whose first markers are the same: of ``DICT_5X5_100``."""
+    match = _SIZED.fullmatch(dictionary)
+    return match[1] if match else dictionary
 
 
 def _of_usual_size(pictures: Sequence[Picture]) -> list[Picture]:
@@ -157,8 +177,8 @@ def _other_dictionary(
     spread = np.linspace(0, len(nothing) - 1, min(len(nothing), _MOST_FOR_DICTIONARIES)).astype(int)
     counts: dict[str, int] = {}
     tried = [nothing[k].file for k in spread]
-    for _, found in jobs.run(_count_markers, None, tried, executor):
-        for name, count in found.items():
+    for _, counted in jobs.run(_count_markers, None, tried, executor):
+        for name, count in counted.items():
             counts[name] = counts.get(name, 0) + count
     counts.pop(board.dictionary, None)
     most = max(counts.values(), default=0)

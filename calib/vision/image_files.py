@@ -58,17 +58,17 @@ def find_images(
     for word in words:
         for path in _named_by(word):
             paths.setdefault(os.path.realpath(path), path)
-    found = list(paths.values())
+    unique = list(paths.values())
     folders = {os.path.realpath(folder): name for folder, name in (cameras or {}).items() if folder}
     of_others = (cameras or {}).get("", "")
     images = []
-    for path, name in zip(found, _names(found), strict=True):
+    for path, name in zip(unique, _names(unique), strict=True):
         images.append(ImageFile(path, name, _camera_of(path, folders) or of_others))
     without = set((cameras or {}).values()) - {image.camera for image in images}
     if without:
         raise FileError(
-            f"There is no picture of the camera {choices(sorted(without))}; name its folder, which is among the images: "
-            '--camera-name "NAME=FOLDER".'
+            f"There is no picture of the camera {choices(sorted(without))}; name its folder, one of those with the "
+            'pictures: --camera-name "NAME=FOLDER".'
         )
     return tuple(images)
 
@@ -131,15 +131,15 @@ def _names(paths: Iterable[Path]) -> list[str]:
     parts = [Path(os.path.abspath(path)).parts for path in paths]  # noqa: PTH100  links keep their names
     names = [""] * len(parts)
     length = 1
-    open_ones = set(range(len(parts)))
-    while open_ones:
-        ends = {k: "/".join(parts[k][-length:]) for k in open_ones}
+    unnamed = set(range(len(parts)))
+    while unnamed:
+        ends = {k: "/".join(parts[k][-length:]) for k in unnamed}
         counts = Counter(ends.values())
-        is_last = length >= max(len(parts[k]) for k in open_ones)
+        is_last = length >= max(len(parts[k]) for k in unnamed)
         for k, end in ends.items():
             if counts[end] == 1 or is_last:
                 names[k] = end
-                open_ones.discard(k)
+                unnamed.discard(k)
         length += 1
     return names
 

@@ -146,9 +146,9 @@ def match(joints: JointTable, images: Sequence[ImageFile]) -> Matches:
         fitting = _fitting(joints, image, by_key)
         if len(fitting) > 1:
             _fail_on_rows(joints, image, fitting)
-        row = fitting[0] if fitting else None
-        rows.append(row)
-        cameras.append(image.camera or (joints.cell(row, joints.camera) if row is not None else ""))
+        named_in_row = joints.cell(fitting[0], joints.camera) if fitting else ""
+        rows.append(fitting[0] if fitting else None)
+        cameras.append(image.camera or named_in_row)
     if all(row is None for row in rows):
         _fail_on_none(joints, images)
     _check_used_once(joints, images, rows, cameras)

@@ -85,16 +85,13 @@ def look(search: Search, file: ImageFile) -> Picture:
         image = None
     if image is None:
         return Picture(file=file, reason=UNREADABLE)
-    dictionaries = {board.dictionary for board in search.boards if board.dictionary}
-    markers = {name: find_markers(image, name) for name in sorted(dictionaries)}
-    views = []
-    for board in search.boards:
-        of_board = no_markers() if board.pattern == CHESSBOARD else markers[board.dictionary]
-        views.append(search_board(image, board, of_board, search.fewest))
+    markers, views = _search(search, image, thorough=False)
+    if not all(view.is_used and view.is_complete for view in views):
+        markers, views = _search(search, image, thorough=True)
     if all(view.reason == NO_BOARD for view in views):
-        reasons = [reason_of_nothing(image, board) for board in search.boards]
         views = [
-            replace(view, reason=reason) for view, reason in zip(views, reasons, strict=True)
+            _with_reason(view, image, board)
+            for view, board in zip(views, search.boards, strict=True)
         ]
     return Picture(
         file=file,
@@ -104,6 +101,27 @@ def look(search: Search, file: ImageFile) -> Picture:
         sha256=hashlib.sha256(image.tobytes()).hexdigest(),
         small=_small(image),
     )
+
+
+def _search(
+    search: Search,
+    image: Any,  # noqa: ANN401  8-bit
+    *,
+    thorough: bool,
+) -> tuple[dict[str, Markers], list[BoardView]]:
+    """Return the markers in a picture by dictionary, and what it shows of each board."""
+    dictionaries = sorted({board.dictionary for board in search.boards if board.dictionary})
+    markers = {name: find_markers(image, name, thorough=thorough) for name in dictionaries}
+    views = []
+    for board in search.boards:
+        of_board = no_markers() if board.pattern == CHESSBOARD else markers[board.dictionary]
+        views.append(search_board(image, board, of_board, search.fewest))
+    return markers, views
+
+
+def _with_reason(view: BoardView, image: Any, board: Board) -> BoardView:  # noqa: ANN401  8-bit
+    """Return the view of a board that is not in a picture, with the reason."""
+    return replace(view, reason=reason_of_nothing(image, board))
 
 
 def _small(image: Any) -> bytes:  # noqa: ANN401  8-bit

@@ -20,7 +20,12 @@ CHARUCO_BOARD = Board(
 )
 CHESS_BOARD = Board(pattern="chessboard", columns=8, rows=5, square=0.03)
 TAG_BOARD = Board(
-    pattern="apriltag", columns=4, rows=3, square=0.05, marker=0.035, dictionary="DICT_APRILTAG_36h11"
+    pattern="apriltag",
+    columns=4,
+    rows=3,
+    square=0.05,
+    marker=0.035,
+    dictionary="DICT_APRILTAG_36h11",
 )
 
 
@@ -85,7 +90,10 @@ def pattern(board: Board, per_metre: float) -> Array:
         for column in range(board.columns):
             for row in range(board.rows):
                 if (column, row) not in whites:
-                    picture[(row + 1) * cells : (row + 2) * cells, (column + 1) * cells : (column + 2) * cells] = 0
+                    picture[
+                        (row + 1) * cells : (row + 2) * cells,
+                        (column + 1) * cells : (column + 2) * cells,
+                    ] = 0
     if board.pattern == CHESSBOARD:
         return picture
     dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, board.dictionary))

@@ -18,7 +18,9 @@ from calib.errors import CalibError
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from calib.vision.matching import JointTable
+    from calib.camera.board import Board
+    from calib.vision.detect import Detection
+    from calib.vision.matching import JointTable, Matches
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,6 +82,12 @@ class BoardsAndCameras:
         ),
     ] = 12
 
+    def boards(self) -> list[Board]:
+        """Read the descriptions of the boards; raises `CalibError`."""
+        from calib.camera.board_file import read_board
+
+        return [read_board(path) for path in self.board]
+
     def cameras(self) -> Mapping[str, str]:
         """Return the names of cameras by folder, "" for all other pictures; raises `CalibError`."""
         cameras: dict[str, str] = {}
@@ -123,10 +131,41 @@ class DetectOutputs:
         from calib.report.page import check_ending
 
         if self.no_sheet and self.sheet is not None:
-            raise CalibError("--sheet names the contact sheet and --no-sheet wants none; leave one out.")
+            raise CalibError(
+                "--sheet names the contact sheet and --no-sheet wants none; leave one out."
+            )
         if self.page is not None:
             check_ending(self.page)
         check_outputs((self.output, self.page), inputs, force=self.force)
+
+    def write(self, detection: Detection, joints: JointTable, matches: Matches) -> list[str]:
+        """Write the contact sheet, then the table.
+
+        Args:
+            detection: What was detected.
+            joints: The table of joint values.
+            matches: The row of each picture.
+
+        Returns:
+            The lines to print.
+
+        Raises:
+            CalibError: No corner can be used: the sheet is written, the table is not.
+        """
+        from calib.files import write_atomically
+        from calib.report.contact_sheet import write_contact_sheet
+        from calib.text.detect import detection_text
+        from calib.vision.corner_table import corner_table
+
+        if self.page is not None:
+            write_contact_sheet(detection, self.page, overwrite=self.force)
+        lines = detection_text(detection, joints, matches)
+        if not detection.corner_count:
+            text = "\n".join([*lines, *written_lines(self.page)])
+            raise CalibError(f"No corner can be used, so no table is written.\n{text}")
+        table = corner_table(detection, joints, matches)
+        write_atomically(self.output, table, overwrite=self.force)
+        return [*lines, *written_lines(self.output, self.page)]
 
 
 @verb("""Find the corners of printed boards in pictures, and write them beside the joint values of each picture.
@@ -152,39 +191,28 @@ def detect(
     quiet: Quiet = False,
 ) -> None:
     """Run the verb; its help is the text of `verb`."""
-    from calib.camera.board_file import read_board
-    from calib.files import write_atomically
-    from calib.report.contact_sheet import write_contact_sheet
-    from calib.text.detect import detection_text
-    from calib.vision.corner_table import corner_table, with_cameras, with_rows_only
-    from calib.vision.detect import check_boards
-    from calib.vision.detect import detect as detect_boards
+    from calib.vision.corner_table import with_cameras, with_rows_only
+    from calib.vision.detect import check_boards, detect as detect_boards
     from calib.vision.image_files import find_images
     from calib.vision.matching import match
 
     outputs.check([*seen.board, rows.joints])
-    boards = [read_board(path) for path in seen.board]
+    boards = seen.boards()
     check_boards(boards)
     joints = rows.read()
     files = find_images(images, seen.cameras())
     matches = match(joints, files)
-    files = with_cameras(files, matches)
     with (
         executor_of(workers, None, len(files)) as executor,
         progress_bar("pictures", quiet=quiet) as progress,
     ):
-        found = detect_boards(
-            files, boards, fewest=seen.fewest, executor=executor, progress=progress
+        detection = detect_boards(
+            with_cameras(files, matches),
+            boards,
+            fewest=seen.fewest,
+            executor=executor,
+            progress=progress,
         )
-    detection = with_rows_only(found, matches)
-    if outputs.page is not None:
-        write_contact_sheet(detection, outputs.page, overwrite=outputs.force)
-    lines = detection_text(detection, joints, matches)
-    if not detection.corner_count:
-        sheet = "" if outputs.page is None else f"\nThe pictures: {outputs.page}"
-        text = "\n".join(lines)
-        raise CalibError(f"No corner was found that can be used, so no table is written.\n{text}{sheet}")
-    table = corner_table(detection, joints, matches)
-    write_atomically(outputs.output, table, overwrite=outputs.force)
+    lines = outputs.write(with_rows_only(detection, matches), joints, matches)
     if not quiet:
-        typer.echo("\n".join([*lines, *written_lines(outputs.output, outputs.page)]))
+        typer.echo("\n".join(lines))

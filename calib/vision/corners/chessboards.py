@@ -70,8 +70,8 @@ def size_of_chessboard(image: Any) -> tuple[int, int] | None:  # noqa: ANN401  8
     """Return the columns and rows of squares of whatever chessboard is in an image, the larger first; None if none."""
     cv2 = opencv()
     flags = cv2.CALIB_CB_LARGER | cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE
-    found, _, meta = cv2.findChessboardCornersSBWithMeta(image, (3, 3), flags)
-    if not found or meta is None:
+    is_seen, _, meta = cv2.findChessboardCornersSBWithMeta(image, (3, 3), flags)
+    if not is_seen or meta is None:
         return None
     larger, smaller = sorted(np.asarray(meta).shape[:2], reverse=True)
     return larger + 1, smaller + 1
@@ -80,11 +80,13 @@ def size_of_chessboard(image: Any) -> tuple[int, int] | None:  # noqa: ANN401  8
 def _all_corners(image: Any, size: tuple[int, int]) -> Array | None:  # noqa: ANN401  8-bit
     """Return all inner corners in rows, in any of OpenCV's orders, shape (n, 2) [px]; None if they are not all seen."""
     cv2 = opencv()
-    found, corners = cv2.findChessboardCornersSB(image, size, flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
-    if not found:
-        flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_FAST_CHECK
-        found, corners = cv2.findChessboardCorners(image, size, flags=flags)
-    if not found:
+    is_seen, corners = cv2.findChessboardCornersSB(image, size, flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
+    if not is_seen:
+        flags = (
+            cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_FAST_CHECK
+        )
+        is_seen, corners = cv2.findChessboardCorners(image, size, flags=flags)
+    if not is_seen:
         return None
     return np.asarray(corners, dtype=np.float64).reshape(-1, 2)
 

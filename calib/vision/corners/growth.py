@@ -75,9 +75,10 @@ def grow(
                 weights,
             )
             saddles = _without_outliers(saddles, corners, planar_map, board.square)
-        if saddles.exist.sum() <= count:
-            break
+        last = count
         count = int(saddles.exist.sum())
+        if count <= last or count == visible_corners(board, planar_map, image_size).sum():
+            break
     return saddles, planar_map
 
 
@@ -104,13 +105,13 @@ def _search(image: Array, board: Board, planar_map: PlanarMap, signs: Array) -> 
     is_large = board.square * _smallest_stretch(jacobians) >= _SMALLEST_SQUARE
     image_size = (image.shape[1], image.shape[0])
     tried = is_large & in_image(np.nan_to_num(expected, nan=-1.0), image_size, 2.0)
-    found = find_saddles(
+    saddles = find_saddles(
         image, expected[tried], window_size(board) * jacobians[tried], signs[tried]
     )
     pixels = np.full((len(corners), 2), np.nan)
     sigma = np.full(len(corners), np.nan)
-    pixels[tried] = found.pixels
-    sigma[tried] = found.sigma
+    pixels[tried] = saddles.pixels
+    sigma[tried] = saddles.sigma
     return Saddles(pixels, sigma)
 
 

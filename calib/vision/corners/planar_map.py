@@ -148,13 +148,8 @@ def _homography(points: Array, image: Array, root_weights: Array) -> Array:
     """
     from_points = _normalisation(points)
     from_image = _normalisation(image)
-    x, y = _apply(from_points, points).T
-    u, v = _apply(from_image, image).T
-    one = np.ones_like(x)
-    zero = np.zeros_like(x)
-    rows_u = np.stack([x, y, one, zero, zero, zero, -u * x, -u * y, -u], axis=1)
-    rows_v = np.stack([zero, zero, zero, x, y, one, -v * x, -v * y, -v], axis=1)
-    system = np.concatenate([root_weights[:, None] * rows_u, root_weights[:, None] * rows_v])
+    equations = _equations(_apply(from_points, points), _apply(from_image, image))
+    system = np.tile(root_weights, 2)[:, None] * equations
     # The eigenvector of the smallest eigenvalue of the 9 x 9 normal matrix: the data are scaled to size 1.
     _, vectors = np.linalg.eigh(system.T @ system)
     normalised = vectors[:, 0].reshape(3, 3)
@@ -163,11 +158,24 @@ def _homography(points: Array, image: Array, root_weights: Array) -> Array:
     return np.asarray(H / (np.sign(depth) * np.linalg.norm(H)))
 
 
+def _equations(points: Array, image: Array) -> Array:
+    """Return the linear equations of the nine elements of a homography, shape (2 n, 9)."""
+    x, y = points.T
+    u, v = image.T
+    ones = np.ones_like(x)
+    zeros = np.zeros_like(x)
+    by_u = np.stack([x, y, ones, zeros, zeros, zeros, -u * x, -u * y, -u], axis=1)
+    by_v = np.stack([zeros, zeros, zeros, x, y, ones, -v * x, -v * y, -v], axis=1)
+    return np.concatenate([by_u, by_v])
+
+
 def _normalisation(points: Array) -> Array:
     """Return the similarity that moves points to mean 0 and size 1, shape (3, 3)."""
     mean = points.mean(axis=0)
     scale = 1.0 / max(float(np.sqrt(np.mean((points - mean) ** 2))), 1e-12)
-    return np.array([[scale, 0.0, -scale * mean[0]], [0.0, scale, -scale * mean[1]], [0.0, 0.0, 1.0]])
+    return np.array(
+        [[scale, 0.0, -scale * mean[0]], [0.0, scale, -scale * mean[1]], [0.0, 0.0, 1.0]]
+    )
 
 
 def in_image(pixels: Array, image_size: tuple[int, int], margin: float) -> Mask:

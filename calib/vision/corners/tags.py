@@ -2,7 +2,7 @@
 
 A blur rounds a corner and moves what a corner detector finds inwards, but not an edge away from the corners. Each edge
 is sampled across, once a pixel of its length; its place is the mean of the slope's positions there, and a line is
-fitted to the half next to the corner, so that a lens bends it little. The scatter about the lines gives the uncertainty.
+fitted to the half next to the corner, which a lens bends little. The scatter about the lines gives the uncertainty.
 """
 
 from __future__ import annotations
@@ -13,7 +13,8 @@ import numpy as np
 
 from calib.units import Array
 from calib.values.pickling import Value
-from calib.vision.corners.saddles import FLOOR, Saddles
+from calib.vision.corners.saddles import Saddles
+from calib.vision.corners.uncertainty import FLOOR
 
 #: Bits along a side of a tag's inside, of the families in use, and its border: the black is a cell wide.
 _CELLS = 10.0
@@ -71,10 +72,10 @@ def tag_corners(image: Array, quadrilaterals: Array) -> Saddles:
     for k, corners in enumerate(quadrilaterals):
         refined = corners
         for _ in range(_ROUNDS):
-            found = [_corner(image, refined, j) for j in range(4)]
-            if any(corner is None for corner in found):
+            ends = [_corner(image, refined, j) for j in range(4)]
+            if any(corner is None for corner in ends):
                 break
-            known = [corner for corner in found if corner is not None]
+            known = [corner for corner in ends if corner is not None]
             refined = np.array([place for place, _ in known])
             pixels[4 * k : 4 * k + 4] = refined
             sigma[4 * k : 4 * k + 4] = [uncertainty for _, uncertainty in known]
