@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
 
 import cv2
 import numpy as np
@@ -14,6 +16,9 @@ from calib.vision.corners.layouts import white_squares
 
 #: Parts of a pixel along u and v.
 PARTS = 3
+
+#: Cells of the print in a metre.
+PER_METRE = 6000.0
 
 CHARUCO_BOARD = Board(
     pattern="charuco", columns=7, rows=5, square=0.03, marker=0.022, dictionary="DICT_5X5_100"
@@ -49,7 +54,7 @@ class View:
     levels: tuple[float, float] = (40.0, 200.0)
     seed: int = 0
     #: Whether the print is a mirror image.
-    mirrored: bool = field(default=False)
+    mirrored: bool = False
 
     def T_camera_board(self, board: Board) -> Array:
         """The pose of the board in the camera."""
@@ -72,10 +77,10 @@ class View:
         r2 = np.sum(xy**2, axis=1, keepdims=True)
         k1, k2 = self.distortion
         xy = xy * (1 + k1 * r2 + k2 * r2**2)
-        return self.focal * xy + self._principal
+        return self.focal * xy + self.principal
 
     @property
-    def _principal(self) -> Array:
+    def principal(self) -> Array:
         return (np.array(self.size) - 1.0) / 2.0 + np.array([3.3, -2.7])
 
 
@@ -111,42 +116,40 @@ def pattern(board: Board, per_metre: float) -> Array:
     return picture
 
 
-def render(board: Board, view: View, background: Array | None = None) -> Array:
-    """The picture, 8 bits; ``background``: another picture without noise, on which the board lies.
+@cache
+def render(board: Board, view: View) -> Any:
+    """The picture, 8 bits; read-only, since it is the same for all who ask."""
+    image = _seen(board, view)
+    noise = view.noise * np.random.default_rng(view.seed).normal(size=image.shape)
+    picture = np.clip(np.rint(image + noise), 0, 255).astype(np.uint8)
+    picture.setflags(write=False)
+    return picture
 
-    The noise of a picture with a background is added once more.
-    """
+
+@cache
+def _seen(board: Board, view: View) -> Array:
+    """The picture without noise."""
     width, height = view.size
     fine = (np.arange(PARTS) - (PARTS - 1) / 2) / PARTS
     u = (np.arange(width)[:, None] + fine).reshape(-1)
     v = (np.arange(height)[:, None] + fine).reshape(-1)
     uv = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
-    distorted = (uv - view._principal) / view.focal
+    distorted = (uv - view.principal) / view.focal
     xy = distorted
     k1, k2 = view.distortion
     for _ in range(12 if k1 or k2 else 0):
         r2 = np.sum(xy**2, axis=1, keepdims=True)
         xy = distorted / (1 + k1 * r2 + k2 * r2**2)
-    T = view.T_camera_board(board)
-    H = np.linalg.inv(T[:3, [0, 1, 3]])
-    on_board = np.column_stack([xy, np.ones(len(xy))]) @ H.T
+    H = np.linalg.inv(view.T_camera_board(board)[:3, [0, 1, 3]])
+    on_board = xy @ H[:, :2].T + H[:, 2]
     on_board = on_board[:, :2] / on_board[:, 2:]
-    per_metre = 6000.0
-    picture = pattern(board, per_metre)
-    if view.mirrored:
-        picture = picture[:, ::-1]
-    places = ((on_board + board.square) * per_metre - 0.5).astype(np.float32)
-    u_map = places[:, 0].reshape(len(v), len(u))
-    v_map = places[:, 1].reshape(len(v), len(u))
+    picture = pattern(board, PER_METRE)
+    picture = picture[:, ::-1] if view.mirrored else picture
+    # Edges a part of a pixel wide: remap takes single values.
     picture = gaussian_filter(picture, 1.0).astype(np.float32)
-    seen = cv2.remap(picture, u_map, v_map, cv2.INTER_LINEAR, borderValue=-1.0)
-    seen = seen.reshape(height, PARTS, width, PARTS)
+    places = ((on_board + board.square) * PER_METRE - 0.5).astype(np.float32)
+    u_map, v_map = (np.ascontiguousarray(column.reshape(len(v), len(u))) for column in places.T)
+    seen = cv2.remap(picture, u_map, v_map, cv2.INTER_LINEAR, borderValue=0.6)
+    grey = seen.reshape(height, PARTS, width, PARTS).mean(axis=(1, 3))
     black, white = view.levels
-    grey = np.where(seen < -0.5, 0.6, seen).mean(axis=(1, 3))
-    image = black + (white - black) * grey
-    if background is not None:
-        covered = (seen > -0.5).all(axis=(1, 3))
-        image = np.where(covered, image, background)
-    image = gaussian_filter(image, view.blur)
-    noise = view.noise * np.random.default_rng(view.seed).normal(size=image.shape)
-    return np.clip(np.rint(image + noise), 0, 255).astype(np.uint8)
+    return gaussian_filter(black + (white - black) * grey.astype(float), view.blur)

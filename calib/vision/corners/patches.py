@@ -34,11 +34,13 @@ class Patch(Value):
 
 def patch_at(image: Array, q: Array, window: Array) -> Patch | None:
     """Return the pixels of the window at q; None where it leaves the image."""
+    if not np.isfinite(q).all():
+        return None
     half = _REACH * np.sqrt(np.sum(window**2, axis=1))
     low = np.ceil(q - half).astype(int)
     high = np.floor(q + half).astype(int)
     height, width = image.shape
-    if not np.isfinite(q).all() or (low < 1).any() or high[0] > width - 2 or high[1] > height - 2:
+    if (low < 1).any() or high[0] > width - 2 or high[1] > height - 2:
         return None
     around = image[low[1] - 1 : high[1] + 2, low[0] - 1 : high[0] + 2]
     du = 0.5 * (around[1:-1, 2:] - around[1:-1, :-2])
