@@ -53,6 +53,9 @@ _SMALLER = (2, 4)
 #: Blur without a board above which the picture is called blurred [px].
 _BLURRED = 3.0
 
+#: Slope below which there is no edge whose blur could be measured [grey values a px].
+_LEAST_SLOPE = 0.5
+
 #: Blur that is added to measure that of a picture [px].
 _FURTHER_BLUR = 3.0
 
@@ -76,6 +79,8 @@ class BoardView(Value):
     visible: int = 0
     #: Distance of the corners from one smooth map of the board, rms [px]; NaN without corners.
     rms: float = np.nan
+    #: Number of markers that are not where the others and the description have them.
+    misread: int = 0
     #: Why the corners are not used, one of the codes above; "" if they are.
     reason: str = ""
 
@@ -128,7 +133,8 @@ def search_board(
         points = layout[used.ids].reshape(-1, 2)
         pixels = used.corners.reshape(-1, 2)
         saddles, planar_map = grow(grey, board, placement.map, points, pixels)
-    return _judged(board, saddles, planar_map, image_size, fewest)
+    view = _judged(board, saddles, planar_map, image_size, fewest)
+    return replace(view, misread=placement.misread)
 
 
 def reason_of_nothing(image: Any, board: Board) -> str:  # noqa: ANN401  8-bit
@@ -149,7 +155,7 @@ def reason_of_nothing(image: Any, board: Board) -> str:  # noqa: ANN401  8-bit
 
 
 def blur_of(image: Any) -> float:  # noqa: ANN401  8-bit
-    """Return the standard deviation of the blur of the sharpest edges in an image, or of noise if there is much [px].
+    """Return the standard deviation of the blur of the sharpest edges in an image, or of noise if there is much; 0 without edges [px].
 
     The steepest slope of an edge is its step divided by sqrt(2 pi) sigma. A further blur of s makes sigma to
     sqrt(sigma^2 + s^2), so the ratio of the slopes before and after tells sigma.
@@ -158,7 +164,9 @@ def blur_of(image: Any) -> float:  # noqa: ANN401  8-bit
     smooth = cv2.GaussianBlur(image.astype(np.float32), (0, 0), 1.0)
     smoother = cv2.GaussianBlur(image.astype(np.float32), (0, 0), _FURTHER_BLUR)
     before, after = (_steepest(picture) for picture in (smooth, smoother))
-    if after <= 0.0 or before <= after:
+    if before < _LEAST_SLOPE:
+        return 0.0
+    if before <= after:
         return np.inf
     square = (before / after) ** 2
     # before^2 / after^2 = (sigma^2 + s^2) / (sigma^2 + 1)

@@ -30,12 +30,12 @@ from calib.vision.image_files import ImageFile, read_image
 from calib.vision.picture import OTHER_SIZE, Picture, Search, look
 
 #: Pictures that are searched for the markers of every dictionary, where those of the board's are not seen.
-_MOST_FOR_DICTIONARIES = 3
+_MOST_FOR_DICTIONARIES = 2
 
 #: Names of dictionaries that differ in the number of their markers only.
 _SIZED = re.compile(r"(DICT_\dX\d)_\d+")
 
-#: Fewest different markers of a dictionary in a picture that are no accident.
+#: Fewest different markers of a dictionary that are no accident.
 _FEWEST_MARKERS = 4
 
 
@@ -175,31 +175,39 @@ def _other_dictionary(
     if board.pattern == CHESSBOARD or not nothing or len(nothing) < len(pictures) / 2:
         return []
     spread = np.linspace(0, len(nothing) - 1, min(len(nothing), _MOST_FOR_DICTIONARIES)).astype(int)
-    counts: dict[str, int] = {}
+    ids: dict[str, set[int]] = {}
     tried = [nothing[k].file for k in spread]
-    for _, counted in jobs.run(_count_markers, None, tried, executor):
-        for name, count in counted.items():
-            counts[name] = counts.get(name, 0) + count
-    counts.pop(board.dictionary, None)
-    most = max(counts.values(), default=0)
-    if most < _FEWEST_MARKERS:
+    for _, of_file in jobs.run(_markers_of_all, None, tried, executor):
+        for name, seen in of_file.items():
+            ids[name] = ids.get(name, set()) | seen
+    ids.pop(_largest(board.dictionary), None)
+    name = max(ids, key=lambda name: len(ids[name]), default="")
+    if len(ids.get(name, ())) < _FEWEST_MARKERS:
         return []
-    # A smaller dictionary has the first markers of a larger one of as many bits.
-    smallest = min(
-        (name for name, count in counts.items() if count == most),
-        key=lambda name: DICTIONARIES[name].markers,
-    )
+    dictionary = _smallest_with(name, max(ids[name]))
     return [
-        Finding(code=DICTIONARY, board=board.name, pictures=names(nothing), dictionary=smallest)
+        Finding(code=DICTIONARY, board=board.name, pictures=names(nothing), dictionary=dictionary)
     ]
 
 
-def _count_markers(_: None, file: ImageFile) -> dict[str, int]:
-    """Count the different markers of every dictionary in a picture, where there are more than by accident."""
+def _markers_of_all(_: None, file: ImageFile) -> dict[str, set[int]]:
+    """Return the ids of the markers in a picture by dictionary, of those that differ only in size the largest."""
     image = read_image(file)
-    counts = {}
-    for name in DICTIONARIES:
-        ids = set(find_markers(image, name).ids.tolist())
-        if len(ids) >= _FEWEST_MARKERS:
-            counts[name] = len(ids)
-    return counts
+    largest = sorted({_largest(name) for name in DICTIONARIES})
+    return {name: set(find_markers(image, name).ids.tolist()) for name in largest}
+
+
+def _largest(dictionary: str) -> str:
+    """Return the largest dictionary whose first markers are all those of a dictionary."""
+    return max(_relatives(dictionary), key=lambda name: DICTIONARIES[name].markers)
+
+
+def _smallest_with(dictionary: str, last: int) -> str:
+    """Return the smallest dictionary with the markers of another up to the id ``last``."""
+    enough = [name for name in _relatives(dictionary) if DICTIONARIES[name].markers > last]
+    return min(enough, key=lambda name: DICTIONARIES[name].markers)
+
+
+def _relatives(dictionary: str) -> list[str]:
+    """Return the dictionaries that differ from one in the number of markers only, itself among them."""
+    return [name for name in DICTIONARIES if _family(name) == _family(dictionary)]

@@ -91,9 +91,7 @@ def board_findings(board: Board, pictures: Sequence[Picture]) -> Iterator[Findin
     for code in (MIRRORED, TWO_BOARDS):
         if by_reason[code]:
             yield Finding(code=code, board=board.name, pictures=names(by_reason[code]))
-    wrong = by_reason[LAYOUT]
-    if wrong:
-        yield _of_layout(board, wrong)
+    yield from _of_layout(board, pictures)
     placed = [picture for picture in pictures if _view(picture, board).visible]
     yield from _of_size(board, placed)
     yield from _of_ratio(board, [*placed, *by_reason[FEW_CORNERS]])
@@ -154,18 +152,25 @@ def _seen(board: Board, pictures: Sequence[Picture]) -> list[Seen]:
     return [(picture.markers[board.dictionary], picture.size) for picture in pictures]
 
 
-def _of_layout(board: Board, wrong: Sequence[Picture]) -> Finding:
-    """Return the finding of markers that are not where the description has them."""
-    better: Explanation | None = explanation(board, _seen(board, wrong))
+def _of_layout(board: Board, pictures: Sequence[Picture]) -> Iterator[Finding]:
+    """Yield why markers are not where the description has them; one or two that were misread are no reason."""
+    wrong = [picture for picture in pictures if _view(picture, board).reason == LAYOUT]
+    doubtful = [picture for picture in pictures if _view(picture, board).misread]
+    if not wrong and not doubtful:
+        return
+    concerned = [*wrong, *doubtful]
+    better: Explanation | None = explanation(board, _seen(board, concerned))
+    if better is None and wrong:
+        yield Finding(code=UNEXPLAINED, board=board.name, pictures=names(wrong))
     if better is None:
-        return Finding(code=UNEXPLAINED, board=board.name, pictures=names(wrong))
+        return
     value = np.nan
     if better.code == RATIO:
-        value = measured_ratio(better.board, _seen(board, wrong))
-    return Finding(
+        value = measured_ratio(better.board, _seen(board, concerned))
+    yield Finding(
         code=better.code,
         board=board.name,
-        pictures=names(wrong),
+        pictures=names(concerned),
         better=better.board,
         value=value,
     )

@@ -51,6 +51,9 @@ _FEWEST_MARKERS = 4
 #: Least share of all markers that agree with the right description.
 _LEAST_SHARE = 0.8
 
+#: How much larger than with the description as it is [share of all markers].
+_GAIN = 0.02
+
 #: Fewest markers that tell the ratio of marker and square.
 _FEWEST_FOR_RATIO = 6
 
@@ -73,20 +76,25 @@ def explanation(board: Board, seen: Sequence[Seen]) -> Explanation | None:
 
     Args:
         board: The board as described.
-        seen: Markers of the board's dictionary in pictures that do not fit it.
+        seen: Markers of the board's dictionary in pictures where some do not fit it.
 
     Returns:
-        The first of the mistakes that most markers agree with; None if there is none.
+        The mistake without which most markers agree, the first of several; None if there is none.
     """
     telling = [(markers, size) for markers, size in seen if len(markers.ids) >= _FEWEST_MARKERS]
     telling = sorted(telling, key=lambda pair: -len(pair[0].ids))[:_MOST_PICTURES]
     if not telling:
         return None
     ids = np.concatenate([markers.ids for markers, _ in telling])
+    best = None
+    most = max(_LEAST_SHARE, _share(board, telling) + _GAIN)
     for code, other in _alternatives(board, int(ids.min()), int(ids.max())):
-        if _share(other, telling) >= _LEAST_SHARE:
-            return Explanation(code, other)
-    return None
+        share = _share(other, telling)
+        if (best is None and share >= most) or share > most + _GAIN:
+            best, most = Explanation(code, other), share
+        if share == 1.0:
+            break
+    return best
 
 
 def measured_ratio(board: Board, seen: Sequence[Seen]) -> float:

@@ -25,8 +25,8 @@ _FINE = 0.15
 _TOLERANCE_PX = 1.5
 
 #: Share of the markers that may disagree on where the board is, and one in any case: an id that was misread. Of a wrong
-#: layout every second row may agree, of one shifted by a row more.
-_MISREAD_SHARE = 0.12
+#: layout every second row may agree, or all markers but the last of every second row.
+_MISREAD_SHARE = 0.06
 
 #: Fits of the map, each to the markers that agreed with the last.
 _ROUNDS = 3
@@ -44,9 +44,13 @@ class Placement(Value):
     @property
     def is_sound(self) -> bool:
         """Whether enough markers agree."""
-        agreeing = int(self.agrees.sum())
-        misread = len(self.agrees) - agreeing
-        return agreeing >= FEWEST_MARKERS and misread <= max(1.0, _MISREAD_SHARE * len(self.agrees))
+        allowed = max(1.0, _MISREAD_SHARE * len(self.agrees))
+        return int(self.agrees.sum()) >= FEWEST_MARKERS and self.misread <= allowed
+
+    @property
+    def misread(self) -> int:
+        """Number of the markers that do not agree."""
+        return int((~self.agrees).sum())
 
 
 def place(markers: Markers, layout: Array, image_size: tuple[int, int]) -> Placement | None:

@@ -38,7 +38,7 @@ def test_a_patch_has_central_differences():
     total = patch.weights.sum()
     np.testing.assert_allclose(normal_matrix(patch), total * np.array([[9, -6], [-6, 4]]))
     # Offsets are from the place to the pixels.
-    np.testing.assert_allclose((patch.offsets + [20.3, 14.8]) % 1.0, 0.0, atol=1e-9)
+    np.testing.assert_allclose((patch.offsets + np.array([20.3, 14.8])) % 1.0, 0.0, atol=1e-9)
 
 
 @pytest.mark.parametrize("place", [(2.0, 15.0), (38.0, 15.0), (20.0, 1.0), (np.nan, 3.0)])
