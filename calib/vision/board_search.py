@@ -155,7 +155,7 @@ def reason_of_nothing(image: Any, board: Board) -> str:  # noqa: ANN401  8-bit
 
 
 def blur_of(image: Any) -> float:  # noqa: ANN401  8-bit
-    """Return the standard deviation of the blur of the sharpest edges in an image, or of noise if there is much; 0 without edges [px].
+    """Return the standard deviation of the blur of an image's sharpest edges [px]; 0 without edges.
 
     The steepest slope of an edge is its step divided by sqrt(2 pi) sigma. A further blur of s makes sigma to
     sqrt(sigma^2 + s^2), so the ratio of the slopes before and after tells sigma.

@@ -6,6 +6,7 @@ import re
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
@@ -26,7 +27,7 @@ from calib.vision.findings import (
     usual_sizes,
     without_board,
 )
-from calib.vision.image_files import ImageFile, read_image
+from calib.vision.image_files import ImageFile, find_images, read_image
 from calib.vision.picture import OTHER_SIZE, Picture, Search, look
 
 #: Pictures that are searched for the markers of every dictionary, where those of the board's are not seen.
@@ -62,7 +63,7 @@ class Detection(Value):
 
 
 def detect(
-    files: Sequence[ImageFile],
+    images: Sequence[ImageFile | str | Path],
     boards: Sequence[Board],
     *,
     fewest: int = FEWEST_CORNERS,
@@ -72,7 +73,7 @@ def detect(
     """Find the corners of boards in pictures.
 
     Args:
-        files: The pictures.
+        images: The pictures, or files, folders and patterns as `calib.vision.image_files.find_images` takes them.
         boards: The boards that they may show; their names and their markers are different.
         fewest: Fewest corners of a board in a picture that are used.
         executor: Where the pictures are searched; None: here.
@@ -82,9 +83,15 @@ def detect(
         What every picture shows, and what is wrong with them or with the boards' descriptions.
 
     Raises:
-        CalibError: Two boards have one name, or share markers.
+        CalibError: Two boards have one name, or share markers, or there is no such picture.
+
+    Example:
+        >>> board = Board(pattern="chessboard", columns=9, rows=6, square=0.025)
+        >>> calib.detect(["images"], [board]).corner_count  # doctest: +SKIP
+        480
     """
     check_boards(boards)
+    files = _files(images)
     search = Search(tuple(boards), fewest, single_thread=executor is not None)
     pictures = _of_usual_size(_looked_at(search, files, executor, progress))
     findings = list(picture_findings(pictures))
@@ -95,6 +102,13 @@ def detect(
         if any(is_wrong_description(finding, readable, board) for finding in of_board):
             pictures = [_without(picture, board) for picture in pictures]
     return Detection(tuple(boards), tuple(pictures), tuple(findings), fewest)
+
+
+def _files(images: Sequence[ImageFile | str | Path]) -> list[ImageFile]:
+    """Return pictures; words are the files that they name."""
+    words = [image for image in images if not isinstance(image, ImageFile)]
+    files = [image for image in images if isinstance(image, ImageFile)]
+    return [*files, *(find_images(words) if words else ())]
 
 
 def _looked_at(

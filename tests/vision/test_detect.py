@@ -78,6 +78,13 @@ def test_every_picture_has_corners_or_a_reason(detected: Detect):
     }
 
 
+def test_pictures_by_their_folder(tmp_path: Path):
+    (tmp_path / "a.png").write_bytes(b"")
+    assert [picture.file.name for picture in detect([tmp_path], [CHARUCO_BOARD]).pictures] == [
+        "a.png"
+    ]
+
+
 def test_progress_is_told(tmp_path: Path):
     (tmp_path / "a.png").write_bytes(b"")
     steps = []
