@@ -14,6 +14,13 @@ import calib.jobs as jobs
 from calib.camera.board import CHESSBOARD, Board
 from calib.camera.dictionaries import DICTIONARIES
 from calib.errors import CalibError, choices
+from calib.values.arguments import (
+    check_callable,
+    check_executor,
+    check_type,
+    check_whole,
+    wrong_type,
+)
 from calib.values.pickling import Value
 from calib.vision.board_search import FEWEST_CORNERS, LAYOUT
 from calib.vision.corners.markers import find_markers
@@ -83,6 +90,7 @@ def detect(
         What every picture shows, and what is wrong with them or with the boards' descriptions.
 
     Raises:
+        ArgumentError: An argument has a wrong type.
         CalibError: Two boards have one name, or share markers, or there is no such picture.
 
     Example:
@@ -90,6 +98,11 @@ def detect(
         >>> calib.detect(["images"], [board]).corner_count  # doctest: +SKIP
         480
     """
+    _check_all("images", images, (ImageFile, str, Path), "files, folders or patterns")
+    _check_all("boards", boards, Board, "Board values")
+    check_whole("fewest", fewest, 4)
+    check_executor(executor)
+    check_callable("progress", progress)
     check_boards(boards)
     files = _files(images)
     search = Search(tuple(boards), fewest, single_thread=executor is not None)
@@ -102,6 +115,14 @@ def detect(
         if any(is_wrong_description(finding, readable, board) for finding in of_board):
             pictures = [_without(picture, board) for picture in pictures]
     return Detection(tuple(boards), tuple(pictures), tuple(findings), fewest)
+
+
+def _check_all(argument: str, given: object, types: type | tuple[type, ...], allowed: str) -> None:
+    """Refuse an argument that is no sequence of values of a type, or has none."""
+    if isinstance(given, (str, bytes)) or not isinstance(given, Sequence) or not given:
+        raise wrong_type(argument, given, f"a sequence of {allowed}, one or more")
+    for k, value in enumerate(given):
+        check_type(f"{argument}[{k}]", value, types, f"one of {allowed}")
 
 
 def _files(images: Sequence[ImageFile | str | Path]) -> list[ImageFile]:

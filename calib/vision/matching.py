@@ -64,9 +64,13 @@ class JointTable(Value):
     @property
     def kept(self) -> tuple[Column, ...]:
         """The columns that go into the table of corners as they are."""
-        moved = [column for column in (self.image, self.camera, self.target) if column is not None]
+        moved = [column for column in (self.camera, self.target) if column is not None]
         places = {column.index for column in moved}
-        return tuple(column for column in self.columns.values() if column.index not in places)
+        return tuple(
+            column
+            for name, column in self.columns.items()
+            if column.index not in places and name.casefold() != IMAGE
+        )
 
     def cell(self, row: int, column: Column | None) -> str:
         """Return a cell; "" without the column."""

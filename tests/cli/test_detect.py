@@ -75,7 +75,9 @@ def test_corners_beside_the_joints_of_their_picture(call, bench: Path):
 def test_by_number_and_without_a_sheet(call, bench: Path):
     done = call(bench, "detect", "images/*.png", *WORDS, "--index", "no", "--no-sheet", "--quiet")
     assert (done.code, done.out, done.err) == (0, "", "")
-    # The table's own column 'image' is not the pictures' here.
+    # The table's own column 'image' is not the pictures' here, and it does not come twice.
+    assert list(corners(bench)[0]).count("image") == 1
+    assert (bench / "corners.csv").read_text(encoding="utf-8").splitlines()[0].count("image") == 2
     assert {(row["image"], row["j1 [deg]"]) for row in corners(bench)} == {
         ("p_1.png", "10.0"),
         ("p_2.png", "20.0"),
