@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
-
 import calib.jobs as jobs
 from calib.camera.board import CHESSBOARD, Board
-from calib.camera.dictionaries import DICTIONARIES
 from calib.errors import CalibError, choices
 from calib.values.arguments import (
     check_callable,
@@ -23,28 +19,16 @@ from calib.values.arguments import (
 )
 from calib.values.pickling import Value
 from calib.vision.board_search import FEWEST_CORNERS, LAYOUT
-from calib.vision.corners.markers import find_markers
 from calib.vision.findings import (
-    DICTIONARY,
     Finding,
     board_findings,
     is_wrong_description,
-    names,
     picture_findings,
     usual_sizes,
-    without_board,
 )
-from calib.vision.image_files import ImageFile, find_images, read_image
+from calib.vision.image_files import ImageFile, find_images
+from calib.vision.other_patterns import family, other_pattern
 from calib.vision.picture import OTHER_SIZE, Picture, Search, look
-
-#: Pictures that are searched for the markers of every dictionary, where those of the board's are not seen.
-_MOST_FOR_DICTIONARIES = 2
-
-#: Names of dictionaries that differ in the number of their markers only.
-_SIZED = re.compile(r"(DICT_\dX\d)_\d+")
-
-#: Fewest different markers of a dictionary that are no accident.
-_FEWEST_MARKERS = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,7 +94,7 @@ def detect(
     findings = list(picture_findings(pictures))
     readable = [picture for picture in pictures if not picture.reason]
     for board in boards:
-        of_board = [*board_findings(board, readable), *_other_dictionary(board, readable, executor)]
+        of_board = [*board_findings(board, readable), *other_pattern(board, readable, executor)]
         findings += of_board
         if any(is_wrong_description(finding, readable, board) for finding in of_board):
             pictures = [_without(picture, board) for picture in pictures]
@@ -163,7 +147,7 @@ def _check_pair(first: Board, second: Board) -> None:
     else:
         begin = max(first.first_marker, second.first_marker)
         end = min(first.first_marker + first.markers, second.first_marker + second.markers)
-        is_same = _family(first.dictionary) == _family(second.dictionary) and begin < end
+        is_same = family(first.dictionary) == family(second.dictionary) and begin < end
     if is_same:
         raise CalibError(
             f"The boards {choices([first.name, second.name])} look alike in a picture: they have the same size, or "
@@ -175,12 +159,6 @@ def _check_pair(first: Board, second: Board) -> None:
 def _sides(board: Board) -> set[int]:
     """Return the numbers of columns and rows, in no order."""
     return {board.columns, board.rows}
-
-
-def _family(dictionary: str) -> str:
-    """Return the part of a dictionary's name that all have whose first markers are the same: of ``DICT_5X5_100``."""
-    match = _SIZED.fullmatch(dictionary)
-    return match[1] if match else dictionary
 
 
 def _of_usual_size(pictures: Sequence[Picture]) -> list[Picture]:
@@ -200,49 +178,3 @@ def _without(picture: Picture, board: Board) -> Picture:
         is_wrong = view.board == board.name and view.is_used
         views.append(replace(view, reason=LAYOUT) if is_wrong else view)
     return replace(picture, views=tuple(views))
-
-
-def _other_dictionary(
-    board: Board, pictures: Sequence[Picture], executor: Executor | None
-) -> list[Finding]:
-    """Return the finding of another dictionary, if half of the pictures or more show nothing of a board."""
-    nothing = without_board(board, pictures)
-    if board.pattern == CHESSBOARD or not nothing or len(nothing) < len(pictures) / 2:
-        return []
-    spread = np.linspace(0, len(nothing) - 1, min(len(nothing), _MOST_FOR_DICTIONARIES)).astype(int)
-    ids: dict[str, set[int]] = {}
-    tried = [nothing[k].file for k in spread]
-    for _, of_file in jobs.run(_markers_of_all, None, tried, executor):
-        for name, seen in of_file.items():
-            ids[name] = ids.get(name, set()) | seen
-    ids.pop(_largest(board.dictionary), None)
-    name = max(ids, key=lambda name: len(ids[name]), default="")
-    if len(ids.get(name, ())) < _FEWEST_MARKERS:
-        return []
-    dictionary = _smallest_with(name, max(ids[name]))
-    return [
-        Finding(code=DICTIONARY, board=board.name, pictures=names(nothing), dictionary=dictionary)
-    ]
-
-
-def _markers_of_all(_: None, file: ImageFile) -> dict[str, set[int]]:
-    """Return the ids of the markers in a picture by dictionary, of those that differ only in size the largest."""
-    image = read_image(file)
-    largest = sorted({_largest(name) for name in DICTIONARIES})
-    return {name: set(find_markers(image, name).ids.tolist()) for name in largest}
-
-
-def _largest(dictionary: str) -> str:
-    """Return the largest dictionary whose first markers are all those of a dictionary."""
-    return max(_relatives(dictionary), key=lambda name: DICTIONARIES[name].markers)
-
-
-def _smallest_with(dictionary: str, last: int) -> str:
-    """Return the smallest dictionary with the markers of another up to the id ``last``."""
-    enough = [name for name in _relatives(dictionary) if DICTIONARIES[name].markers > last]
-    return min(enough, key=lambda name: DICTIONARIES[name].markers)
-
-
-def _relatives(dictionary: str) -> list[str]:
-    """Return the dictionaries that differ from one in the number of markers only, itself among them."""
-    return [name for name in DICTIONARIES if _family(name) == _family(dictionary)]

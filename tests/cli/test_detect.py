@@ -123,6 +123,16 @@ def test_refusals_before_any_work(call, bench: Path, words: tuple[str, ...], mes
     assert sorted(bench.iterdir()) == before
 
 
+@pytest.mark.parametrize("option", ["--joints", "--board", "--output"])
+def test_what_is_needed_is_said(call, bench: Path, option: str):
+    words = list(WORDS)
+    k = words.index("-o" if option == "--output" else option)
+    done = call(bench, "detect", "images", *words[:k], *words[k + 2 :])
+    assert done.code == 2
+    assert f"Missing option '{option}'" in done.err or f"'{option}'" in done.err
+    assert "MISSING" not in call(bench, "detect", "--help").out
+
+
 def test_a_file_that_exists_is_kept(call, bench: Path):
     (bench / "corners.html").write_text("mine", encoding="utf-8")
     done = call(bench, "detect", "images", *WORDS)

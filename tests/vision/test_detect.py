@@ -78,6 +78,14 @@ def test_every_picture_has_corners_or_a_reason(detected: Detect):
     }
 
 
+def test_a_chessboard_of_another_size(detected: Detect):
+    detection = detected(replace(CHESS_BOARD, columns=6), CHESS_BOARD)
+    better = findings(detection)["size"].better
+    assert better is not None
+    assert (better.columns, better.rows) == (8, 5)
+    assert detection.corner_count == 0
+
+
 def test_pictures_by_their_folder(tmp_path: Path):
     (tmp_path / "a.png").write_bytes(b"")
     assert [picture.file.name for picture in detect([tmp_path], [CHARUCO_BOARD]).pictures] == [

@@ -1,0 +1,128 @@
+"""Other patterns in pictures where a board is not seen: markers of another dictionary, a chessboard of another size."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Sequence
+from concurrent.futures import Executor
+from dataclasses import replace
+
+import numpy as np
+
+import calib.jobs as jobs
+from calib.camera.board import CHESSBOARD, Board
+from calib.camera.dictionaries import DICTIONARIES
+from calib.vision.corners.chessboards import size_of_chessboard
+from calib.vision.corners.markers import find_markers
+from calib.vision.findings import DICTIONARY, Finding, names, without_board
+from calib.vision.image_files import ImageFile, read_image
+from calib.vision.other_boards import SIZE
+from calib.vision.picture import Picture
+
+#: Pictures that are searched.
+_MOST_PICTURES = 2
+
+#: Names of dictionaries that differ in the number of their markers only.
+_SIZED = re.compile(r"(DICT_\dX\d)_\d+")
+
+#: Fewest different markers of a dictionary that are no accident.
+_FEWEST_MARKERS = 4
+
+
+def other_pattern(
+    board: Board, pictures: Sequence[Picture], executor: Executor | None = None
+) -> list[Finding]:
+    """Find what is there in place of a board, if half of the pictures or more show nothing of it.
+
+    Args:
+        board: The board.
+        pictures: The pictures that could be read.
+        executor: Where pictures are searched; None: here.
+
+    Returns:
+        The finding of another dictionary, or of a chessboard of another size; none if nothing is seen.
+    """
+    nothing = without_board(board, pictures)
+    if not nothing or len(nothing) < len(pictures) / 2:
+        return []
+    count = min(len(nothing), _MOST_PICTURES)
+    spread = np.linspace(0, len(nothing) - 1, count).astype(int)
+    tried = [nothing[k].file for k in spread]
+    if board.pattern == CHESSBOARD:
+        return _other_size(board, nothing, tried, executor)
+    return _other_dictionary(board, nothing, tried, executor)
+
+
+def _other_size(
+    board: Board,
+    nothing: Sequence[Picture],
+    tried: Sequence[ImageFile],
+    executor: Executor | None,
+) -> list[Finding]:
+    """Return the finding of a chessboard of another size in the pictures that are tried."""
+    seen = [size for _, size in jobs.run(_size_of_chessboard, None, tried, executor)]
+    sizes = Counter(size for size in seen if size is not None)
+    if not sizes:
+        return []
+    larger, smaller = sizes.most_common(1)[0][0]
+    described = sorted((board.columns, board.rows), reverse=True)
+    if [larger, smaller] == described:
+        return []
+    better = replace(board, columns=larger, rows=smaller)
+    return [Finding(code=SIZE, board=board.name, pictures=names(nothing), better=better)]
+
+
+def _size_of_chessboard(_: None, file: ImageFile) -> tuple[int, int] | None:
+    """Return the size of whatever chessboard is in a picture."""
+    return size_of_chessboard(read_image(file))
+
+
+def _other_dictionary(
+    board: Board,
+    nothing: Sequence[Picture],
+    tried: Sequence[ImageFile],
+    executor: Executor | None,
+) -> list[Finding]:
+    """Return the finding of markers of another dictionary in the pictures that are tried."""
+    ids: dict[str, set[int]] = {}
+    for _, of_file in jobs.run(_markers_of_all, None, tried, executor):
+        for name, seen in of_file.items():
+            ids[name] = ids.get(name, set()) | seen
+    ids.pop(_largest(board.dictionary), None)
+    name = max(ids, key=lambda name: len(ids[name]), default="")
+    if len(ids.get(name, ())) < _FEWEST_MARKERS:
+        return []
+    dictionary = _smallest_with(name, max(ids[name]))
+    return [
+        Finding(code=DICTIONARY, board=board.name, pictures=names(nothing), dictionary=dictionary)
+    ]
+
+
+def family(dictionary: str) -> str:
+    """Return the part of a dictionary's name that all have whose first markers are the same: of ``DICT_5X5_100``."""
+    match = _SIZED.fullmatch(dictionary)
+    return match[1] if match else dictionary
+
+
+def _markers_of_all(_: None, file: ImageFile) -> dict[str, set[int]]:
+    """Return the ids of the markers in a picture by dictionary, of those that differ only in size the largest."""
+    image = read_image(file)
+    largest = sorted({_largest(name) for name in DICTIONARIES})
+    return {name: set(find_markers(image, name).ids.tolist()) for name in largest}
+
+
+def _largest(dictionary: str) -> str:
+    """Return the largest dictionary whose first markers are all those of a dictionary."""
+    return max(_relatives(dictionary), key=lambda name: DICTIONARIES[name].markers)
+
+
+def _smallest_with(dictionary: str, last: int) -> str:
+    """Return the smallest dictionary with the markers of another up to the id ``last``."""
+    enough = [name for name in _relatives(dictionary) if DICTIONARIES[name].markers > last]
+    return min(enough, key=lambda name: DICTIONARIES[name].markers)
+
+
+def _relatives(dictionary: str) -> list[str]:
+    """Return the dictionaries that differ from one in the number of markers only, itself among them."""
+    return [name for name in DICTIONARIES if family(name) == family(dictionary)]
