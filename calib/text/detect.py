@@ -31,7 +31,7 @@ _VIEW_REASONS = {
     "mirrored": "a mirror image: a board is found in the flipped picture only",
     "cut": "{count} of the {wanted} corners that are needed; the board reaches out of the picture",
     "few_corners": "{count} of the {wanted} corners that are needed; the others are hidden, too small, or badly lit",
-    "layout": "its markers are not where the description has them",
+    "layout": "it is another board than the description's",
     "two_boards": "two boards with the same markers are in it; cover one, or print other markers",
 }
 

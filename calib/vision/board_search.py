@@ -10,7 +10,7 @@ import numpy as np
 from calib.camera.board import APRILTAG, CHESSBOARD, Board
 from calib.units import Array, Integers
 from calib.values.pickling import Value
-from calib.vision.corners.chessboards import find_chessboard
+from calib.vision.corners.chessboards import find_chessboard, is_part_of_larger
 from calib.vision.corners.growth import grow, visible_corners
 from calib.vision.corners.layouts import marker_corners
 from calib.vision.corners.markers import Markers, find_markers
@@ -38,7 +38,7 @@ CUT = "cut"
 #: Too few corners, though all are inside: hidden, small, or badly lit.
 FEW_CORNERS = "few_corners"
 
-#: The markers are not where the description has them.
+#: The markers are not where the description has them, or a chessboard has more columns or rows.
 LAYOUT = "layout"
 
 #: Some ids are there twice: another board of the same dictionary.
@@ -208,6 +208,8 @@ def _search_chessboard(image: Any, board: Board, fewest: int) -> BoardView:  # n
     planar_map, pixels = chessboard
     grey = np.asarray(image, dtype=np.float64)
     saddles, planar_map = grow(grey, board, planar_map, board.corners[:, :2], pixels)
+    if is_part_of_larger(grey, board, planar_map):
+        return _empty(board, LAYOUT)
     return _judged(board, saddles, planar_map, (image.shape[1], image.shape[0]), fewest)
 
 

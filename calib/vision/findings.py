@@ -138,8 +138,9 @@ def names(pictures: Sequence[Picture]) -> tuple[str, ...]:
 
 
 def without_board(board: Board, pictures: Sequence[Picture]) -> list[Picture]:
-    """Return the pictures that show nothing of a board."""
-    return [picture for picture in pictures if _view(picture, board).reason == NO_BOARD]
+    """Return the pictures that show nothing of a board; a larger chessboard is another one."""
+    reasons = (NO_BOARD, LAYOUT) if board.pattern == CHESSBOARD else (NO_BOARD,)
+    return [picture for picture in pictures if _view(picture, board).reason in reasons]
 
 
 def _view(picture: Picture, board: Board) -> BoardView:

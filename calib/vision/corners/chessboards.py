@@ -23,6 +23,9 @@ from calib.vision.opencv import opencv
 #: Fewest columns and rows of squares that OpenCV finds.
 _FEWEST = 4
 
+#: Share of the points of an outer edge that are no corners of squares, if the board ends there.
+_MOST_ON_EDGE = 0.5
+
 #: Width of the windows in which the colours are compared, in squares.
 _WINDOW = 0.14
 
@@ -64,6 +67,34 @@ def find_chessboard(image: Any, board: Board) -> tuple[PlanarMap, Array] | None:
         if best is None or score > best[0]:
             best = (score, planar_map, ordered)
     return None if best is None else best[1:]
+
+
+def is_part_of_larger(image: Array, board: Board, planar_map: PlanarMap) -> bool:
+    """Test whether a chessboard goes on beside the corners found: OpenCV finds a part of a larger board too.
+
+    Args:
+        image: Grey values, shape (height, width).
+        board: The board as described.
+        planar_map: From the board to the image.
+    """
+    width, height = board.size
+    x = board.square * np.arange(1, board.columns)
+    y = board.square * np.arange(1, board.rows)
+    sides = [np.stack(np.broadcast_arrays(x, edge), axis=1) for edge in (0.0, height)]
+    sides += [np.stack(np.broadcast_arrays(edge, y), axis=1) for edge in (0.0, width)]
+    return any(_corners_on_line(image, board, planar_map, side) for side in sides)
+
+
+def _corners_on_line(image: Array, board: Board, planar_map: PlanarMap, points: Array) -> bool:
+    """Test whether most of the points of an outer edge are corners of squares."""
+    pixels = planar_map.project(points)
+    windows = _WINDOW * board.square * planar_map.jacobians(points, 0.25 * board.square)
+    known = np.isfinite(pixels).all(axis=1)
+    signs = np.ones(int(known.sum()))
+    exist = np.zeros(int(known.sum()), dtype=bool)
+    for sign in (signs, -signs):
+        exist |= find_saddles(image, pixels[known], windows[known], sign).exist
+    return bool(exist.sum() > _MOST_ON_EDGE * len(points))
 
 
 def size_of_chessboard(image: Any) -> tuple[int, int] | None:  # noqa: ANN401  8-bit

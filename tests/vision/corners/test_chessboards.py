@@ -9,7 +9,12 @@ import pytest
 
 from calib.camera.board import Board
 from calib.errors import CalibError
-from calib.vision.corners.chessboards import find_chessboard, is_ambiguous, size_of_chessboard
+from calib.vision.corners.chessboards import (
+    find_chessboard,
+    is_ambiguous,
+    is_part_of_larger,
+    size_of_chessboard,
+)
 from tests.vision.rendered import CHESS_BOARD, View, render
 
 #: Looks the same after half a turn.
@@ -53,6 +58,18 @@ def test_a_square_board_is_turned_to_its_black_corner():
 
 def test_a_board_that_is_cut_is_not_found():
     assert find_chessboard(render(CHESS_BOARD, View(middle=(0.2, 0, 0.35))), CHESS_BOARD) is None
+
+
+def test_a_part_of_a_larger_board():
+    image = render(CHESS_BOARD, View(tilt=(15, 10, 0)))
+    smaller = replace(CHESS_BOARD, columns=6)
+    found = find_chessboard(image, smaller)
+    assert found is not None
+    grey = np.asarray(image, dtype=float)
+    assert is_part_of_larger(grey, smaller, found[0])
+    found = find_chessboard(image, CHESS_BOARD)
+    assert found is not None
+    assert not is_part_of_larger(grey, CHESS_BOARD, found[0])
 
 
 def test_the_size_of_another_board():
