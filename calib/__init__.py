@@ -49,7 +49,7 @@ if TYPE_CHECKING:
     from calib.robot.robot import Robot as Robot
     from calib.simulation.scenario import Scenario as Scenario, simulate as simulate
     from calib.viewer.live import view as view
-    from calib.vision.detect import detect as detect
+    from calib.vision.detection.detect import detect as detect
 
     formats = _formats
     models = error_model
@@ -81,7 +81,7 @@ _NAMES = {
     "calib.robot.robot": "Robot",
     "calib.simulation.scenario": "Scenario simulate",
     "calib.viewer.live": "view",
-    "calib.vision.detect": "detect",
+    "calib.vision.detection.detect": "detect",
 }
 #: Modules by which a user extends calib: a registry each, by its name in `calib.plugins.WORDS`, and plugins.
 _EXTENSIONS = {

@@ -10,9 +10,9 @@ from pathlib import Path
 from calib.files import write_atomically
 from calib.report.page import check_ending, page_bytes
 from calib.text.detect import findings_text, reason_text, summary
-from calib.vision.board_search import BoardView
-from calib.vision.detect import Detection
-from calib.vision.picture import Picture
+from calib.vision.detection.board_search import BoardView
+from calib.vision.detection.detect import Detection
+from calib.vision.detection.picture import Picture
 
 
 @dataclass(frozen=True, slots=True)

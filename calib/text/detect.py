@@ -8,11 +8,11 @@ import numpy as np
 
 from calib.camera.board import CHARUCO, Board
 from calib.text.layout.lines import fill, number, plural
-from calib.vision.board_search import BoardView
-from calib.vision.detect import Detection
-from calib.vision.findings import Finding
-from calib.vision.matching import JointTable, Matches
-from calib.vision.picture import Picture
+from calib.vision.detection.board_search import BoardView
+from calib.vision.detection.detect import Detection
+from calib.vision.detection.findings import Finding
+from calib.vision.detection.matching import JointTable, Matches
+from calib.vision.detection.picture import Picture
 
 #: Names that a line lists at most; the others are counted.
 _MOST_NAMES = 6

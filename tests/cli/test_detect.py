@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from tests.vision.rendered import CHARUCO_BOARD, View, render
+from tests.vision.board_views import CHARUCO_BOARD, View, render
 
 BOARD = """name = "wall"
 pattern = "charuco"

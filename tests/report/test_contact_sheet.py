@@ -12,10 +12,10 @@ import pytest
 
 from calib.errors import FileError
 from calib.report.contact_sheet import cards_of, write_contact_sheet
-from calib.vision.detect import Detection
-from calib.vision.findings import Finding
+from calib.vision.detection.detect import Detection
+from calib.vision.detection.findings import Finding
 from tests.browser import Browser
-from tests.vision.test_corner_table import detection, picture, view
+from tests.vision.detection.test_corner_table import detection, picture, view
 
 SMALL = cv2.imencode(".jpg", np.full((48, 64), 90, np.uint8))[1].tobytes()
 

@@ -9,11 +9,11 @@ import pytest
 
 import calib.text.detect as text_module
 from calib.text.detect import detection_text, findings_text, not_used, reason_text
-from calib.vision import board_search, findings, other_boards, picture as pictures
-from calib.vision.findings import Finding
-from calib.vision.matching import match
-from tests.vision.rendered import CHARUCO_BOARD
-from tests.vision.test_corner_table import detection, joints_of, picture, view
+from calib.vision.detection import board_search, findings, other_boards, picture as pictures
+from calib.vision.detection.findings import Finding
+from calib.vision.detection.matching import match
+from tests.vision.board_views import CHARUCO_BOARD
+from tests.vision.detection.test_corner_table import detection, joints_of, picture, view
 
 SIX_ROWS = replace(CHARUCO_BOARD, rows=6)
 OLD = replace(SIX_ROWS, legacy=True)

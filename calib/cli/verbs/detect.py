@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from calib.camera.board import Board
-    from calib.vision.detect import Detection
-    from calib.vision.matching import JointTable, Matches
+    from calib.vision.detection.detect import Detection
+    from calib.vision.detection.matching import JointTable, Matches
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +47,7 @@ class JointRows:
     def read(self) -> JointTable:
         """Read the table; raises `CalibError`."""
         from calib.cli.words import parse_columns
-        from calib.vision.matching import read_joint_table
+        from calib.vision.detection.matching import read_joint_table
 
         options = parse_columns(self.columns, None, None)
         if options.brand is not None:
@@ -155,7 +155,7 @@ class DetectOutputs:
         from calib.files import write_atomically
         from calib.report.contact_sheet import write_contact_sheet
         from calib.text.detect import detection_text
-        from calib.vision.corner_table import corner_table
+        from calib.vision.detection.corner_table import corner_table
 
         if self.page is not None:
             write_contact_sheet(detection, self.page, overwrite=self.force)
@@ -191,10 +191,10 @@ def detect(
     quiet: Quiet = False,
 ) -> None:
     """Run the verb; its help is the text of `verb`."""
-    from calib.vision.corner_table import with_cameras, with_rows_only
-    from calib.vision.detect import check_boards, detect as detect_boards
-    from calib.vision.image_files import find_images
-    from calib.vision.matching import match
+    from calib.vision.detection.corner_table import with_cameras, with_rows_only
+    from calib.vision.detection.detect import check_boards, detect as detect_boards
+    from calib.vision.detection.image_files import find_images
+    from calib.vision.detection.matching import match
 
     outputs.check([*seen.board, rows.joints])
     boards = seen.boards()

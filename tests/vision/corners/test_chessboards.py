@@ -15,7 +15,7 @@ from calib.vision.corners.chessboards import (
     is_part_of_larger,
     size_of_chessboard,
 )
-from tests.vision.rendered import CHESS_BOARD, View, render
+from tests.vision.board_views import CHESS_BOARD, View, render
 
 #: Looks the same after half a turn.
 EVEN = Board(pattern="chessboard", columns=8, rows=6, square=0.03)

@@ -14,7 +14,7 @@ from calib.vision.corners.layouts import marker_corners
 from calib.vision.corners.markers import find_markers
 from calib.vision.corners.placing import place
 from calib.vision.corners.saddles import Saddles
-from tests.vision.rendered import CHARUCO_BOARD, CHESS_BOARD, View, render
+from tests.vision.board_views import CHARUCO_BOARD, CHESS_BOARD, View, render
 
 #: Sixty degrees, noise and a slight blur, from all sides, near and far.
 STEEP = [

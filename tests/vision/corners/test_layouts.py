@@ -8,7 +8,7 @@ import pytest
 
 from calib.camera.board import Board
 from calib.vision.corners.layouts import corner_signs, marker_corners, white_squares
-from tests.vision.rendered import CHESS_BOARD, TAG_BOARD
+from tests.vision.board_views import CHESS_BOARD, TAG_BOARD
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ import pytest
 from calib.errors import CalibError
 from calib.vision.corners.layouts import marker_corners
 from calib.vision.corners.markers import Markers, find_markers, no_markers
-from tests.vision.rendered import CHARUCO_BOARD, View, render
+from tests.vision.board_views import CHARUCO_BOARD, View, render
 
 
 def test_all_markers_with_their_corners():

@@ -11,7 +11,7 @@ from calib.units import Array
 from calib.vision.corners.layouts import marker_corners
 from calib.vision.corners.markers import Markers
 from calib.vision.corners.placing import place
-from tests.vision.rendered import CHARUCO_BOARD, View
+from tests.vision.board_views import CHARUCO_BOARD, View
 
 SIZE = (640, 480)
 STEEP = View(tilt=(10, 55, 20), distortion=(-0.2, 0.05))

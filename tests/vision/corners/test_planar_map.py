@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calib.vision.corners.planar_map import fit_planar_map, in_image
-from tests.vision.rendered import CHARUCO_BOARD, View
+from tests.vision.board_views import CHARUCO_BOARD, View
 
 POINTS = CHARUCO_BOARD.corners[:, :2]
 SIZE = (640, 480)

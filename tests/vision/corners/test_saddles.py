@@ -11,7 +11,7 @@ from calib.vision.corners.growth import window_size
 from calib.vision.corners.layouts import corner_signs
 from calib.vision.corners.planar_map import fit_planar_map
 from calib.vision.corners.saddles import Saddles, find_saddles
-from tests.vision.rendered import CHARUCO_BOARD, CHESS_BOARD, View, render
+from tests.vision.board_views import CHARUCO_BOARD, CHESS_BOARD, View, render
 
 
 def windows(board: Board, view: View) -> Array:

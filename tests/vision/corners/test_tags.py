@@ -9,7 +9,7 @@ import pytest
 
 from calib.vision.corners.markers import find_markers
 from calib.vision.corners.tags import tag_corners
-from tests.vision.rendered import TAG_BOARD, View, render
+from tests.vision.board_views import TAG_BOARD, View, render
 
 
 def true_corners(view: View, ids: np.ndarray) -> np.ndarray:

@@ -11,8 +11,8 @@ import calib.vision.corners.uncertainty as uncertainty_module
 from calib.camera.board import Board
 from calib.vision.corners.layouts import corner_signs
 from calib.vision.corners.saddles import find_saddles
+from tests.vision.board_views import CHARUCO_BOARD, CHESS_BOARD, View, render
 from tests.vision.corners.test_saddles import windows
-from tests.vision.rendered import CHARUCO_BOARD, CHESS_BOARD, View, render
 
 PICTURES = 12
 

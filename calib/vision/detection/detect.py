@@ -18,17 +18,17 @@ from calib.values.arguments import (
     wrong_type,
 )
 from calib.values.pickling import Value
-from calib.vision.board_search import FEWEST_CORNERS, LAYOUT
-from calib.vision.findings import (
+from calib.vision.detection.board_search import FEWEST_CORNERS, LAYOUT
+from calib.vision.detection.findings import (
     Finding,
     board_findings,
     is_wrong_description,
     picture_findings,
     usual_sizes,
 )
-from calib.vision.image_files import ImageFile, find_images
-from calib.vision.other_patterns import family, other_pattern
-from calib.vision.picture import OTHER_SIZE, Picture, Search, look
+from calib.vision.detection.image_files import ImageFile, find_images
+from calib.vision.detection.other_patterns import family, other_pattern
+from calib.vision.detection.picture import OTHER_SIZE, Picture, Search, look
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +64,7 @@ def detect(
     """Find the corners of boards in pictures.
 
     Args:
-        images: The pictures, or files, folders and patterns as `calib.vision.image_files.find_images` takes them.
+        images: The pictures, or files, folders and patterns as `calib.vision.detection.image_files.find_images` takes them.
         boards: The boards that they may show; their names and their markers are different.
         fewest: Fewest corners of a board in a picture that are used.
         executor: Where the pictures are searched; None: here.

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from calib.camera.board import Board
-from calib.vision.board_search import BoardView, blur_of, reason_of_nothing, search_board
 from calib.vision.corners.markers import find_markers, no_markers
-from tests.vision.rendered import CHARUCO_BOARD, CHESS_BOARD, TAG_BOARD, View, render
+from calib.vision.detection.board_search import BoardView, blur_of, reason_of_nothing, search_board
+from tests.vision.board_views import CHARUCO_BOARD, CHESS_BOARD, TAG_BOARD, View, render
 
 NEAR = View(tilt=(10, 5, 20), middle=(0, 0, 0.4))
 

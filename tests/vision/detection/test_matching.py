@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from calib.errors import MeasurementError
-from calib.vision.image_files import ImageFile
-from calib.vision.matching import JointTable, match, read_joint_table
+from calib.vision.detection.image_files import ImageFile
+from calib.vision.detection.matching import JointTable, match, read_joint_table
 
 
 def images(*names: str, camera: str = "") -> list[ImageFile]:

@@ -12,10 +12,10 @@ import pytest
 
 from calib.camera.board import Board
 from calib.errors import CalibError
-from calib.vision.detect import Detection, check_boards, detect
-from calib.vision.findings import Finding
-from calib.vision.image_files import find_images
-from tests.vision.rendered import CHARUCO_BOARD, CHESS_BOARD, TAG_BOARD, View, render
+from calib.vision.detection.detect import Detection, check_boards, detect
+from calib.vision.detection.findings import Finding
+from calib.vision.detection.image_files import find_images
+from tests.vision.board_views import CHARUCO_BOARD, CHESS_BOARD, TAG_BOARD, View, render
 
 VIEWS = {
     "1.png": View(tilt=(10, 5, 20)),

@@ -10,9 +10,16 @@ import numpy as np
 
 from calib.camera.board import CHESSBOARD, Board
 from calib.values.pickling import Value
-from calib.vision.board_search import FEW_CORNERS, LAYOUT, MIRRORED, NO_BOARD, TWO_BOARDS, BoardView
 from calib.vision.corners.chessboards import is_ambiguous
-from calib.vision.other_boards import (
+from calib.vision.detection.board_search import (
+    FEW_CORNERS,
+    LAYOUT,
+    MIRRORED,
+    NO_BOARD,
+    TWO_BOARDS,
+    BoardView,
+)
+from calib.vision.detection.other_boards import (
     FIRST_MARKER,
     LEGACY,
     RATIO,
@@ -23,7 +30,7 @@ from calib.vision.other_boards import (
     explanation,
     measured_ratio,
 )
-from calib.vision.picture import OTHER_SIZE, Picture
+from calib.vision.detection.picture import OTHER_SIZE, Picture
 
 #: The markers are of another dictionary.
 DICTIONARY = "dictionary"
@@ -60,7 +67,7 @@ _FEWEST_MORE = 2
 class Finding(Value):
     """Something to mend, or to know."""
 
-    #: One of the codes of this module, of `calib.vision.board_search` or of `calib.vision.other_boards`.
+    #: One of the codes of this module, of `calib.vision.detection.board_search` or of `calib.vision.detection.other_boards`.
     code: str
     #: The board's name; "" where it is not about one.
     board: str = ""

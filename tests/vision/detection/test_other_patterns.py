@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from calib.camera.board import Board
-from calib.vision.image_files import ImageFile
-from calib.vision.other_patterns import family, other_pattern
-from calib.vision.picture import Picture
-from tests.vision.rendered import CHARUCO_BOARD, CHESS_BOARD, View, render
-from tests.vision.test_corner_table import picture, view
+from calib.vision.detection.image_files import ImageFile
+from calib.vision.detection.other_patterns import family, other_pattern
+from calib.vision.detection.picture import Picture
+from tests.vision.board_views import CHARUCO_BOARD, CHESS_BOARD, View, render
+from tests.vision.detection.test_corner_table import picture, view
 
 
 def nothing(folder: Path, printed: Board | None) -> Picture:

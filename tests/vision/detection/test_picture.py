@@ -8,9 +8,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from calib.vision.image_files import ImageFile
-from calib.vision.picture import Search, look
-from tests.vision.rendered import CHARUCO_BOARD, TAG_BOARD, View, render
+from calib.vision.detection.image_files import ImageFile
+from calib.vision.detection.picture import Search, look
+from tests.vision.board_views import CHARUCO_BOARD, TAG_BOARD, View, render
 
 SEARCH = Search((CHARUCO_BOARD,), 12)
 

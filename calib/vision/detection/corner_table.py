@@ -9,11 +9,11 @@ from calib.camera.board import Board
 from calib.errors import MeasurementError
 from calib.files import csv_bytes
 from calib.tables.table import Column
-from calib.vision.board_search import BoardView
-from calib.vision.detect import Detection
-from calib.vision.image_files import ImageFile
-from calib.vision.matching import IMAGE, TARGET, JointTable, Matches
-from calib.vision.picture import NO_ROW
+from calib.vision.detection.board_search import BoardView
+from calib.vision.detection.detect import Detection
+from calib.vision.detection.image_files import ImageFile
+from calib.vision.detection.matching import IMAGE, TARGET, JointTable, Matches
+from calib.vision.detection.picture import NO_ROW
 
 #: The kind of measurement of a corner.
 KIND = "pixel"

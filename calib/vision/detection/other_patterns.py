@@ -15,10 +15,10 @@ from calib.camera.board import CHESSBOARD, Board
 from calib.camera.dictionaries import DICTIONARIES
 from calib.vision.corners.chessboards import size_of_chessboard
 from calib.vision.corners.markers import find_markers
-from calib.vision.findings import DICTIONARY, Finding, names, without_board
-from calib.vision.image_files import ImageFile, read_image
-from calib.vision.other_boards import SIZE
-from calib.vision.picture import Picture
+from calib.vision.detection.findings import DICTIONARY, Finding, names, without_board
+from calib.vision.detection.image_files import ImageFile, read_image
+from calib.vision.detection.other_boards import SIZE
+from calib.vision.detection.picture import Picture
 
 #: Pictures that are searched.
 _MOST_PICTURES = 2

@@ -10,9 +10,9 @@ from calib.camera.board import CHESSBOARD, Board
 from calib.errors import FileError
 from calib.mappings import ReadOnlyMapping
 from calib.values.pickling import Value
-from calib.vision.board_search import NO_BOARD, BoardView, reason_of_nothing, search_board
 from calib.vision.corners.markers import Markers, find_markers, no_markers
-from calib.vision.image_files import ImageFile, read_image
+from calib.vision.detection.board_search import NO_BOARD, BoardView, reason_of_nothing, search_board
+from calib.vision.detection.image_files import ImageFile, read_image
 from calib.vision.opencv import opencv
 
 #: The file is no picture.

@@ -10,9 +10,9 @@ import pytest
 
 from calib.camera.board import Board
 from calib.vision.corners.markers import Markers
-from calib.vision.other_boards import explanation, measured_ratio
+from calib.vision.detection.other_boards import explanation, measured_ratio
+from tests.vision.board_views import CHARUCO_BOARD, TAG_BOARD, View
 from tests.vision.corners.test_placing import markers
-from tests.vision.rendered import CHARUCO_BOARD, TAG_BOARD, View
 
 SIZE = (640, 480)
 VIEWS = (View(tilt=(10, 40, 20)), View(tilt=(-20, 10, 90), distortion=(-0.2, 0.05)))

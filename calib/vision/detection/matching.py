@@ -12,7 +12,7 @@ from calib.data.columns import list_columns, name_columns
 from calib.errors import MeasurementError, choices, did_you_mean
 from calib.tables.table import Column, Table
 from calib.values.pickling import Value
-from calib.vision.image_files import ImageFile
+from calib.vision.detection.image_files import ImageFile
 
 #: The column with the name of a row's picture.
 IMAGE = "image"

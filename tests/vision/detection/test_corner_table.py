@@ -13,13 +13,13 @@ import pytest
 
 from calib.camera.board import Board
 from calib.errors import MeasurementError
-from calib.vision.board_search import BoardView
-from calib.vision.corner_table import corner_table, with_cameras, with_rows_only
-from calib.vision.detect import Detection
-from calib.vision.image_files import ImageFile
-from calib.vision.matching import JointTable, Matches, match, read_joint_table
-from calib.vision.picture import Picture
-from tests.vision.rendered import CHARUCO_BOARD, TAG_BOARD
+from calib.vision.detection.board_search import BoardView
+from calib.vision.detection.corner_table import corner_table, with_cameras, with_rows_only
+from calib.vision.detection.detect import Detection
+from calib.vision.detection.image_files import ImageFile
+from calib.vision.detection.matching import JointTable, Matches, match, read_joint_table
+from calib.vision.detection.picture import Picture
+from tests.vision.board_views import CHARUCO_BOARD, TAG_BOARD
 
 BOARD = CHARUCO_BOARD
 

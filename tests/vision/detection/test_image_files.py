@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from calib.errors import FileError
-from calib.vision.image_files import ImageFile, find_images, read_image
+from calib.vision.detection.image_files import ImageFile, find_images, read_image
 
 
 @pytest.fixture

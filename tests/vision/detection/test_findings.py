@@ -4,10 +4,15 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from calib.vision.findings import Finding, is_wrong_description, picture_findings, usual_sizes
-from calib.vision.picture import Picture
-from tests.vision.rendered import CHARUCO_BOARD
-from tests.vision.test_corner_table import picture, view
+from calib.vision.detection.findings import (
+    Finding,
+    is_wrong_description,
+    picture_findings,
+    usual_sizes,
+)
+from calib.vision.detection.picture import Picture
+from tests.vision.board_views import CHARUCO_BOARD
+from tests.vision.detection.test_corner_table import picture, view
 
 SIX = [picture(f"{k}.png", view()) for k in range(6)]
 
