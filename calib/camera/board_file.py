@@ -33,7 +33,7 @@ _FILE = "file"
 _HEAD = """\
 # A printed board. Print at 100 %, glue the print to something flat and stiff, then measure it: over many squares, with
 # a ruler or a caliper, divided by their number. Correct square_mm here, or let calib do it with what you measured:
-#   calib board --measured "209.7 mm" board.toml
+#   calib board --measured "249.3 mm" board.toml
 # A wrong square_mm makes all positions that the camera finds wrong by the same percentage.
 """
 
@@ -214,7 +214,7 @@ def read_board(path: str | Path) -> Board:
     """
     data = read_bytes(path, "description of a board")
     try:
-        table = tomllib.loads(data.decode("utf-8-sig"))
+        table = parsed_toml(data.decode("utf-8-sig"))
     except (ValueError, RecursionError) as error:  # TOMLDecodeError is a ValueError
         raise FileError(f"{path}: this is not a TOML file: {error}") from error
     if _FILE in table:
@@ -222,6 +222,12 @@ def read_board(path: str | Path) -> Board:
             f"{path}: '{_FILE}' names the description of a board in another file; this is one itself."
         )
     return board_of_table(table, str(path))
+
+
+def parsed_toml(text: str) -> dict[str, Any]:
+    """Parse a TOML text; ValueError if it is none."""
+    table: dict[str, Any] = tomllib.loads(text)
+    return table
 
 
 def board_of_table(table: Mapping[str, Any], where: str, folder: str | Path = ".") -> Board:
