@@ -64,7 +64,7 @@ def detect(
     """Find the corners of boards in pictures.
 
     Args:
-        images: The pictures, or files, folders and patterns as `calib.vision.detection.image_files.find_images` takes them.
+        images: The pictures, or files, folders and patterns as `find_images` takes them.
         boards: The boards that they may show; their names and their markers are different.
         fewest: Fewest corners of a board in a picture that are used.
         executor: Where the pictures are searched; None: here.

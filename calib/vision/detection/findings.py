@@ -67,7 +67,7 @@ _FEWEST_MORE = 2
 class Finding(Value):
     """Something to mend, or to know."""
 
-    #: One of the codes of this module, of `calib.vision.detection.board_search` or of `calib.vision.detection.other_boards`.
+    #: One of the codes of this module, of `board_search` or of `other_boards` beside it.
     code: str
     #: The board's name; "" where it is not about one.
     board: str = ""
