@@ -12,7 +12,7 @@ from scipy.ndimage import gaussian_filter
 
 from calib.camera.board import APRILTAG, CHESSBOARD, Board
 from calib.units import Array
-from calib.vision.corners.layouts import white_squares
+from calib.vision.drawing import is_white
 
 #: Parts of a pixel along u and v.
 PARTS = 3
@@ -84,6 +84,12 @@ class View:
         return (np.array(self.size) - 1.0) / 2.0 + np.array([3.3, -2.7])
 
 
+def _white_squares(board: Board) -> list[tuple[int, int]]:
+    """Column and row of the white squares, in rows along x."""
+    rows, columns = np.nonzero(is_white(board))
+    return list(zip(columns.tolist(), rows.tolist(), strict=True))
+
+
 def pattern(board: Board, per_metre: float) -> Array:
     """The print between 0 and 1 with a white margin of one square, shape (h, w); black is 0."""
     cells = round(board.square * per_metre)
@@ -91,7 +97,7 @@ def pattern(board: Board, per_metre: float) -> Array:
     width = (board.columns + 2) * cells
     picture = np.ones((height, width))
     if board.pattern != APRILTAG:
-        whites = {tuple(square) for square in white_squares(board)}
+        whites = _white_squares(board)
         for column in range(board.columns):
             for row in range(board.rows):
                 if (column, row) not in whites:
@@ -107,7 +113,7 @@ def pattern(board: Board, per_metre: float) -> Array:
         places = [(c, r) for r in range(board.rows) for c in range(board.columns)]
         margin = 0
     else:
-        places = [tuple(map(int, square)) for square in white_squares(board)]
+        places = _white_squares(board)
         margin = round((board.square - board.marker) / 2 * per_metre)
     for k, (column, row) in enumerate(places):
         marker = cv2.aruco.generateImageMarker(dictionary, board.first_marker + k, side) / 255.0

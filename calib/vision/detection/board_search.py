@@ -12,7 +12,7 @@ from calib.units import Array, Integers
 from calib.values.pickling import Value
 from calib.vision.corners.chessboards import find_chessboard, is_part_of_larger
 from calib.vision.corners.growth import grow, visible_corners
-from calib.vision.corners.layouts import marker_corners
+from calib.vision.corners.layouts import marker_outlines
 from calib.vision.corners.markers import Markers, find_markers
 from calib.vision.corners.placing import FEWEST_MARKERS, Placement, place
 from calib.vision.corners.planar_map import PlanarMap, fit_planar_map
@@ -115,7 +115,7 @@ def search_board(
     if board.pattern == CHESSBOARD:
         return _search_chessboard(image, board, fewest)
     markers = markers.of_ids(board.first_marker, board.markers)
-    layout = marker_corners(board)
+    layout = marker_outlines(board)
     image_size = (image.shape[1], image.shape[0])
     placement = place(markers, layout, image_size)
     if len(markers.ids) < FEWEST_MARKERS:
@@ -184,7 +184,7 @@ def _is_in(image: Any, board: Board) -> bool:  # noqa: ANN401  8-bit
     if board.pattern == CHESSBOARD:
         return find_chessboard(image, board) is not None
     markers = find_markers(image, board.dictionary).of_ids(board.first_marker, board.markers)
-    placement = place(markers, marker_corners(board), (image.shape[1], image.shape[0]))
+    placement = place(markers, marker_outlines(board), (image.shape[1], image.shape[0]))
     return placement is not None and placement.is_sound
 
 
@@ -225,7 +225,7 @@ def _tags(image: Array, board: Board, markers: Markers) -> tuple[Saddles, Planar
     exist = saddles.exist
     image_size = (image.shape[1], image.shape[0])
     if exist.sum() < _SIGN_OF_BOARD:
-        points = marker_corners(board)[markers.ids].reshape(-1, 2)
+        points = marker_outlines(board)[markers.ids].reshape(-1, 2)
         return saddles, fit_planar_map(points, markers.corners.reshape(-1, 2), image_size)
     return saddles, fit_planar_map(board.corners[exist, :2], pixels[exist], image_size)
 

@@ -27,7 +27,7 @@ from calib.vision.detection.findings import (
     usual_sizes,
 )
 from calib.vision.detection.image_files import ImageFile, find_images
-from calib.vision.detection.other_patterns import family, other_pattern
+from calib.vision.detection.other_patterns import kind_of, other_pattern
 from calib.vision.detection.picture import OTHER_SIZE, Picture, Search, look
 
 
@@ -147,7 +147,7 @@ def _check_pair(first: Board, second: Board) -> None:
     else:
         begin = max(first.first_marker, second.first_marker)
         end = min(first.first_marker + first.markers, second.first_marker + second.markers)
-        is_same = family(first.dictionary) == family(second.dictionary) and begin < end
+        is_same = kind_of(first.dictionary) == kind_of(second.dictionary) and begin < end
     if is_same:
         raise CalibError(
             f"The boards {choices([first.name, second.name])} look alike in a picture: they have the same size, or "

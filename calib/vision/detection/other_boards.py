@@ -16,7 +16,7 @@ from calib.camera.board import CHARUCO, Board
 from calib.errors import CalibError
 from calib.units import Array
 from calib.values.pickling import Value
-from calib.vision.corners.layouts import marker_corners
+from calib.vision.corners.layouts import marker_outlines
 from calib.vision.corners.markers import Markers
 from calib.vision.corners.placing import place
 from calib.vision.corners.planar_map import fit_planar_map
@@ -109,7 +109,7 @@ def measured_ratio(board: Board, seen: Sequence[Seen]) -> float:
         inside = markers.of_ids(board.first_marker, board.markers)
         if len(inside.ids) < _FEWEST_FOR_RATIO:
             continue
-        placement = place(inside, marker_corners(board), image_size)
+        placement = place(inside, marker_outlines(board), image_size)
         if placement is None or not placement.is_sound:
             continue
         used = placement.agrees
@@ -121,7 +121,7 @@ def measured_ratio(board: Board, seen: Sequence[Seen]) -> float:
 
 def _ratio(board: Board, markers: Markers, image_size: tuple[int, int]) -> float:
     """Return the mean side of markers on a map of their middles, in sides of a square."""
-    middles = marker_corners(board)[markers.ids].mean(axis=1)
+    middles = marker_outlines(board)[markers.ids].mean(axis=1)
     # The diagonals of a square seen in perspective meet in its middle.
     pixels = np.array([_crossing(corners) for corners in markers.corners])
     planar_map = fit_planar_map(middles, pixels, image_size)
@@ -140,7 +140,7 @@ def _crossing(corners: Array) -> Array:
 
 def _share(board: Board, seen: Sequence[Seen]) -> float:
     """Return the share of all markers that agree with a description."""
-    layout = marker_corners(board)
+    layout = marker_outlines(board)
     agreeing = 0
     total = 0
     for markers, image_size in seen:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections import Counter
 from collections.abc import Sequence
 from concurrent.futures import Executor
@@ -12,19 +11,16 @@ import numpy as np
 
 import calib.jobs as jobs
 from calib.camera.board import CHESSBOARD, Board
-from calib.camera.dictionaries import DICTIONARIES
 from calib.vision.corners.chessboards import size_of_chessboard
 from calib.vision.corners.markers import find_markers
 from calib.vision.detection.findings import DICTIONARY, Finding, names, without_board
 from calib.vision.detection.image_files import ImageFile, read_image
 from calib.vision.detection.other_boards import SIZE
 from calib.vision.detection.picture import Picture
+from calib.vision.markers import KINDS, smallest_dictionary
 
 #: Pictures that are searched.
 _MOST_PICTURES = 2
-
-#: Names of dictionaries that differ in the number of their markers only.
-_SIZED = re.compile(r"(DICT_\dX\d)_\d+")
 
 #: Fewest different markers of a dictionary that are no accident.
 _FEWEST_MARKERS = 4
@@ -85,44 +81,26 @@ def _other_dictionary(
     executor: Executor | None,
 ) -> list[Finding]:
     """Return the finding of markers of another dictionary in the pictures that are tried."""
-    ids: dict[str, set[int]] = {}
+    ids: dict[tuple[str, ...], set[int]] = {}
     for _, of_file in jobs.run(_markers_of_all, None, tried, executor):
-        for name, seen in of_file.items():
-            ids[name] = ids.get(name, set()) | seen
-    ids.pop(_largest(board.dictionary), None)
-    name = max(ids, key=lambda name: len(ids[name]), default="")
-    if len(ids.get(name, ())) < _FEWEST_MARKERS:
+        for kind, seen in of_file.items():
+            ids[kind] = ids.get(kind, set()) | seen
+    ids.pop(kind_of(board.dictionary), None)
+    most = max(ids, key=lambda kind: len(ids[kind]), default=())
+    if len(ids.get(most, ())) < _FEWEST_MARKERS:
         return []
-    dictionary = _smallest_with(name, max(ids[name]))
+    dictionary = smallest_dictionary(most, max(ids[most]))
     return [
         Finding(code=DICTIONARY, board=board.name, pictures=names(nothing), dictionary=dictionary)
     ]
 
 
-def family(dictionary: str) -> str:
-    """Return the part of a dictionary's name that all have whose first markers are the same: of ``DICT_5X5_100``."""
-    match = _SIZED.fullmatch(dictionary)
-    return match[1] if match else dictionary
+def kind_of(dictionary: str) -> tuple[str, ...]:
+    """Return the dictionaries whose first markers are those of a dictionary, itself among them."""
+    return next(kind for kind in KINDS if dictionary in kind)
 
 
-def _markers_of_all(_: None, file: ImageFile) -> dict[str, set[int]]:
-    """Return the ids of the markers in a picture by dictionary, of those that differ only in size the largest."""
+def _markers_of_all(_: None, file: ImageFile) -> dict[tuple[str, ...], set[int]]:
+    """Return the ids of the markers in a picture by kind of dictionary."""
     image = read_image(file)
-    largest = sorted({_largest(name) for name in DICTIONARIES})
-    return {name: set(find_markers(image, name).ids.tolist()) for name in largest}
-
-
-def _largest(dictionary: str) -> str:
-    """Return the largest dictionary whose first markers are all those of a dictionary."""
-    return max(_relatives(dictionary), key=lambda name: DICTIONARIES[name].markers)
-
-
-def _smallest_with(dictionary: str, last: int) -> str:
-    """Return the smallest dictionary with the markers of another up to the id ``last``."""
-    enough = [name for name in _relatives(dictionary) if DICTIONARIES[name].markers > last]
-    return min(enough, key=lambda name: DICTIONARIES[name].markers)
-
-
-def _relatives(dictionary: str) -> list[str]:
-    """Return the dictionaries that differ from one in the number of markers only, itself among them."""
-    return [name for name in DICTIONARIES if family(name) == family(dictionary)]
+    return {kind: set(find_markers(image, kind[-1]).ids.tolist()) for kind in KINDS}

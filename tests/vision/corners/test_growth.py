@@ -10,7 +10,7 @@ import pytest
 from calib.camera.board import Board
 from calib.units import Array
 from calib.vision.corners.growth import grow, visible_corners, window_size
-from calib.vision.corners.layouts import marker_corners
+from calib.vision.corners.layouts import marker_outlines
 from calib.vision.corners.markers import find_markers
 from calib.vision.corners.placing import place
 from calib.vision.corners.saddles import Saddles
@@ -30,7 +30,7 @@ STEEP = [
 def corners_of(image: Array, board: Board, of_ids: tuple[int, int] = (0, 17)) -> Saddles:
     """The corners, grown from some of the markers."""
     markers = find_markers(image, board.dictionary).of_ids(*of_ids)
-    layout = marker_corners(board)[of_ids[0] :]
+    layout = marker_outlines(board)[of_ids[0] :]
     placement = place(markers, layout, (image.shape[1], image.shape[0]))
     assert placement is not None
     used = placement.agrees
@@ -89,7 +89,7 @@ def test_corners_inside_the_picture():
     view = View(middle=(0.12, 0, 0.35))
     image = render(CHARUCO_BOARD, view)
     markers = find_markers(image, CHARUCO_BOARD.dictionary)
-    placement = place(markers, marker_corners(CHARUCO_BOARD), view.size)
+    placement = place(markers, marker_outlines(CHARUCO_BOARD), view.size)
     assert placement is not None
     visible = visible_corners(CHARUCO_BOARD, placement.map, view.size)
     expected = view.corners(CHARUCO_BOARD)[:, 0] < view.size[0] - 3

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from calib.camera.board import Board
-from calib.vision.corners.layouts import corner_signs, marker_corners, white_squares
+from calib.vision.corners.layouts import corner_signs, marker_outlines
 from tests.vision.board_views import CHESS_BOARD, TAG_BOARD
 
 
@@ -29,12 +29,11 @@ def test_markers_are_where_opencv_has_them(columns: int, rows: int, legacy: bool
     theirs = cv2.aruco.CharucoBoard((columns, rows), 0.034, 0.028, dictionary)
     theirs.setLegacyPattern(legacy)
     expected = np.array(theirs.getObjPoints())[:, :, :2]
-    np.testing.assert_allclose(marker_corners(board), expected, atol=1e-7)
+    np.testing.assert_allclose(marker_outlines(board), expected, atol=1e-7)
     np.testing.assert_allclose(board.corners, theirs.getChessboardCorners(), atol=1e-7)
 
 
 def test_the_square_at_the_origin_is_black():
-    assert (0.0, 0.0) not in {tuple(square) for square in white_squares(CHESS_BOARD)}
     # The first corner has black towards +x and +y, its neighbours in the row and below white.
     signs = corner_signs(CHESS_BOARD).reshape(4, 7)
     assert signs[0, 0] == -1
@@ -42,7 +41,7 @@ def test_the_square_at_the_origin_is_black():
 
 
 def test_tags_are_the_corners_of_the_board():
-    corners = marker_corners(TAG_BOARD)
+    corners = marker_outlines(TAG_BOARD)
     assert corners.shape == (12, 4, 2)
     np.testing.assert_allclose(corners[5, 2], [0.05 + 0.035, 0.05 + 0.035])
-    assert marker_corners(CHESS_BOARD).shape == (0, 4, 2)
+    assert marker_outlines(CHESS_BOARD).shape == (0, 4, 2)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from calib.errors import CalibError
-from calib.vision.corners.layouts import marker_corners
+from calib.vision.corners.layouts import marker_outlines
 from calib.vision.corners.markers import Markers, find_markers, no_markers
 from tests.vision.board_views import CHARUCO_BOARD, View, render
 
@@ -17,7 +17,7 @@ def test_all_markers_with_their_corners():
     markers = find_markers(render(CHARUCO_BOARD, view), CHARUCO_BOARD.dictionary)
     assert sorted(markers.ids) == list(range(17))
     T = view.T_camera_board(CHARUCO_BOARD)
-    layout = marker_corners(CHARUCO_BOARD)[markers.ids]
+    layout = marker_outlines(CHARUCO_BOARD)[markers.ids]
     points = layout @ T[:3, :2].T + T[:3, 3]
     pixels = view.focal * points[..., :2] / points[..., 2:] + view.principal
     assert np.abs(markers.corners - pixels).max() < 1.0

@@ -8,7 +8,7 @@ import numpy as np
 
 from calib.camera.board import Board
 from calib.units import Array
-from calib.vision.corners.layouts import marker_corners
+from calib.vision.corners.layouts import marker_outlines
 from calib.vision.corners.markers import Markers
 from calib.vision.corners.placing import place
 from tests.vision.board_views import CHARUCO_BOARD, View
@@ -29,12 +29,12 @@ def pixels_of(points: Array, view: View, board: Board) -> Array:
 
 def markers(board: Board = CHARUCO_BOARD, view: View = STEEP) -> Markers:
     """All markers of a board, exactly."""
-    layout = marker_corners(board)
+    layout = marker_outlines(board)
     return Markers(np.arange(len(layout)), pixels_of(layout, view, board))
 
 
 def test_all_agree():
-    placement = place(markers(), marker_corners(CHARUCO_BOARD), SIZE)
+    placement = place(markers(), marker_outlines(CHARUCO_BOARD), SIZE)
     assert placement is not None
     assert placement.is_sound
     assert placement.agrees.all()
@@ -46,7 +46,7 @@ def test_a_misread_id_is_left_out():
     right = markers()
     ids = right.ids.copy()
     ids[4] = 16
-    placement = place(Markers(ids, right.corners), marker_corners(CHARUCO_BOARD), SIZE)
+    placement = place(Markers(ids, right.corners), marker_outlines(CHARUCO_BOARD), SIZE)
     assert placement is not None
     assert placement.is_sound
     assert np.flatnonzero(~placement.agrees).tolist() == [4]
@@ -54,14 +54,14 @@ def test_a_misread_id_is_left_out():
 
 def test_another_layout_is_no_sound_place():
     swapped = replace(CHARUCO_BOARD, columns=5, rows=7)
-    placement = place(markers(), marker_corners(swapped), SIZE)
+    placement = place(markers(), marker_outlines(swapped), SIZE)
     assert placement is None or not placement.is_sound
     # Of a shift by some ids most markers of every second row agree.
     shifted = markers().of_ids(3, 14)
-    placement = place(shifted, marker_corners(CHARUCO_BOARD), SIZE)
+    placement = place(shifted, marker_outlines(CHARUCO_BOARD), SIZE)
     assert placement is None or not placement.is_sound
 
 
 def test_one_marker_is_no_place():
-    assert place(markers().of_ids(5, 1), marker_corners(CHARUCO_BOARD), SIZE) is None
-    assert place(markers().of_ids(5, 2), marker_corners(CHARUCO_BOARD), SIZE) is not None
+    assert place(markers().of_ids(5, 1), marker_outlines(CHARUCO_BOARD), SIZE) is None
+    assert place(markers().of_ids(5, 2), marker_outlines(CHARUCO_BOARD), SIZE) is not None

@@ -11,7 +11,7 @@ import pytest
 
 from calib.camera.board import Board
 from calib.vision.detection.image_files import ImageFile
-from calib.vision.detection.other_patterns import family, other_pattern
+from calib.vision.detection.other_patterns import kind_of, other_pattern
 from calib.vision.detection.picture import Picture
 from tests.vision.board_views import CHARUCO_BOARD, CHESS_BOARD, View, render
 from tests.vision.detection.test_corner_table import picture, view
@@ -27,8 +27,8 @@ def nothing(folder: Path, printed: Board | None) -> Picture:
 
 
 def test_dictionaries_with_the_same_first_markers():
-    assert family("DICT_5X5_100") == family("DICT_5X5_1000") == "DICT_5X5"
-    assert family("DICT_APRILTAG_36h11") != family("DICT_APRILTAG_36h10")
+    assert kind_of("DICT_5X5_100") == kind_of("DICT_5X5_1000")
+    assert kind_of("DICT_APRILTAG_36h11") != kind_of("DICT_APRILTAG_36h10")
 
 
 def test_the_smallest_dictionary_that_has_the_markers(tmp_path: Path):
