@@ -59,7 +59,7 @@ class JointRows:
 
 @dataclass(frozen=True, slots=True)
 class BoardsAndCameras:
-    """What the pictures show, and who took them."""
+    """Boards that the pictures show, and cameras that took them."""
 
     board: Annotated[
         list[Path],

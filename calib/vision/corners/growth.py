@@ -83,7 +83,16 @@ def grow(
 
 
 def visible_corners(board: Board, planar_map: PlanarMap, image_size: tuple[int, int]) -> Mask:
-    """Test which corners of a board a map has inside an image, shape (n,)."""
+    """Test which corners of a board are inside an image.
+
+    Args:
+        board: The board.
+        planar_map: From the board to the image.
+        image_size: Width and height [px].
+
+    Returns:
+        A truth value for each corner, shape (n,).
+    """
     pixels = planar_map.project(board.corners[:, :2])
     return in_image(np.nan_to_num(pixels, nan=-1.0), image_size, 2.0)
 

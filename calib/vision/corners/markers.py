@@ -36,7 +36,15 @@ class Markers(Value):
     corners: Array
 
     def of_ids(self, first: int, count: int) -> Markers:
-        """Return the markers with ids from ``first`` on, ``count`` of them, with ids counted from 0."""
+        """Return the markers of a board.
+
+        Args:
+            first: Id of the board's first marker.
+            count: Number of its markers.
+
+        Returns:
+            Those with one of these ids, which are then counted from 0.
+        """
         used = (self.ids >= first) & (self.ids < first + count)
         return Markers(self.ids[used] - first, self.corners[used])
 

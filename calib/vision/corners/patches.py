@@ -33,7 +33,16 @@ class Patch(Value):
 
 
 def patch_at(image: Array, q: Array, window: Array) -> Patch | None:
-    """Return the pixels of the window at q; None where it leaves the image."""
+    """Cut out the pixels of a window.
+
+    Args:
+        image: Grey values, shape (height, width).
+        q: The place, shape (2,) [px].
+        window: Its columns are the window along the board's x and y, shape (2, 2) [px].
+
+    Returns:
+        The pixels; None where the window leaves the image, or q is no number.
+    """
     if not np.isfinite(q).all():
         return None
     half = _REACH * np.sqrt(np.sum(window**2, axis=1))
@@ -55,7 +64,15 @@ def patch_at(image: Array, q: Array, window: Array) -> Patch | None:
 
 
 def window_weights(offsets: Array, window: Array) -> Array:
-    """Return the weights w of pixels at offsets from a corner, shape (h, w)."""
+    """Return the weights w of pixels.
+
+    Args:
+        offsets: From the place to the pixels, shape (h, w, 2) [px].
+        window: Its columns are the window along the board's x and y, shape (2, 2) [px].
+
+    Returns:
+        Weights from 0 to 1, shape (h, w).
+    """
     on_board = (offsets @ np.linalg.inv(window).T) ** 2
     share_y = on_board[..., 1] / np.maximum(on_board[..., 0] + on_board[..., 1], 1e-12)
     by_x, by_y = 1.0 / np.sum((_REACH * window) ** 2, axis=0)
@@ -71,7 +88,15 @@ def normal_matrix(patch: Patch) -> Array:
 
 
 def pull(offsets: Array, gradients: Array) -> Array:
-    """Return g (g . (p - q)) of each pixel, shape (h, w, 2)."""
+    """Return how strongly each pixel draws the corner q towards it.
+
+    Args:
+        offsets: From q to the pixels p, shape (h, w, 2) [px].
+        gradients: Central differences g, shape (h, w, 2).
+
+    Returns:
+        g (g . (p - q)), shape (h, w, 2).
+    """
     along = np.sum(gradients * offsets, axis=-1, keepdims=True)
     return np.asarray(gradients * along)
 

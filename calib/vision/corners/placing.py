@@ -34,7 +34,7 @@ _ROUNDS = 3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Placement(Value):
-    """Where a board is by its markers."""
+    """The place of a board by its markers."""
 
     #: From the board to pixels.
     map: PlanarMap
@@ -43,7 +43,7 @@ class Placement(Value):
 
     @property
     def is_sound(self) -> bool:
-        """Whether enough markers agree."""
+        """True if enough markers agree."""
         allowed = max(1.0, _MISREAD_SHARE * len(self.agrees))
         return int(self.agrees.sum()) >= FEWEST_MARKERS and self.misread <= allowed
 

@@ -179,7 +179,16 @@ def _normalisation(points: Array) -> Array:
 
 
 def in_image(pixels: Array, image_size: tuple[int, int], margin: float) -> Mask:
-    """Test which pixels are inside an image, at least ``margin`` [px] from its edges, shape (n,)."""
+    """Test which pixels are inside an image.
+
+    Args:
+        pixels: The pixels, shape (n, 2).
+        image_size: Width and height of the image [px].
+        margin: Least distance from the centres of the outermost pixels [px].
+
+    Returns:
+        A truth value for each, shape (n,).
+    """
     low = np.full(2, margin)
     high = np.array(image_size) - 1.0 - margin
     return np.asarray(((pixels >= low) & (pixels <= high)).all(axis=1))

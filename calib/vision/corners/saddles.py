@@ -64,7 +64,7 @@ class Saddles(Value):
 
     @property
     def exist(self) -> Mask:
-        """Where there is a saddle, shape (n,)."""
+        """Mask of the places with a saddle, shape (n,)."""
         return np.isfinite(self.sigma)
 
 

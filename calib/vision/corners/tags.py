@@ -19,8 +19,11 @@ from calib.vision.corners.uncertainty import FLOOR
 #: Bits along a side of a tag's inside, of the families in use, and its border: the black is a cell wide.
 _CELLS = 10.0
 
-#: Part of an edge next to a corner that is left out, and where the half beside it ends.
-_FROM, _TO = 0.08, 0.55
+#: Part of an edge next to a corner that is left out: the blur rounds it.
+_FROM = 0.08
+
+#: Where the half of an edge next to a corner ends, in lengths of the edge.
+_TO = 0.55
 
 #: Shortest and longest reach to either side of an edge [px].
 _REACH = (1.5, 3.5)

@@ -40,7 +40,16 @@ FLOOR = 0.01
 
 
 def uncertainty(image: Array, q: Array, window: Array) -> float:
-    """Return the standard deviation of a corner, the mean of all directions [px]; infinite at the image's edge."""
+    """Return the standard deviation of a corner, the mean of all directions.
+
+    Args:
+        image: Grey values, shape (height, width).
+        q: The corner, shape (2,) [px].
+        window: The window that it was found with, shape (2, 2) [px].
+
+    Returns:
+        The standard deviation [px]; infinite where the window leaves the image.
+    """
     patch = patch_at(image, q, window)
     if patch is None:
         return np.inf

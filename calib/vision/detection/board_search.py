@@ -65,7 +65,7 @@ _SIGN_OF_BOARD = 4
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class BoardView(Value):
-    """What one image shows of one board."""
+    """The corners of one board in one image, and whether they are used."""
 
     #: The board's name.
     board: str
@@ -86,12 +86,12 @@ class BoardView(Value):
 
     @property
     def is_used(self) -> bool:
-        """Whether the corners are used."""
+        """True if the corners are used."""
         return not self.reason
 
     @property
     def is_complete(self) -> bool:
-        """Whether all corners that are inside the image were found."""
+        """True if all corners that are inside the image were found."""
         return len(self.ids) >= self.visible
 
 

@@ -105,7 +105,13 @@ def board_findings(board: Board, pictures: Sequence[Picture]) -> Iterator[Findin
 
 
 def is_wrong_description(finding: Finding, pictures: Sequence[Picture], board: Board) -> bool:
-    """Test whether a finding takes a board's corners out of all pictures: no fewer speak for it than against it."""
+    """Test whether a finding takes a board's corners out of all pictures: no fewer speak for it than against it.
+
+    Args:
+        finding: The finding.
+        pictures: The pictures that could be read.
+        board: The board.
+    """
     if finding.code not in WRONG_DESCRIPTION or finding.board != board.name:
         return False
     if not finding.pictures:
@@ -145,7 +151,12 @@ def names(pictures: Sequence[Picture]) -> tuple[str, ...]:
 
 
 def without_board(board: Board, pictures: Sequence[Picture]) -> list[Picture]:
-    """Return the pictures that show nothing of a board; a larger chessboard is another one."""
+    """Return the pictures that show nothing of a board; a larger chessboard is another one.
+
+    Args:
+        board: The board.
+        pictures: The pictures that could be read.
+    """
     reasons = (NO_BOARD, LAYOUT) if board.pattern == CHESSBOARD else (NO_BOARD,)
     return [picture for picture in pictures if _view(picture, board).reason in reasons]
 

@@ -73,7 +73,12 @@ class JointTable(Value):
         )
 
     def cell(self, row: int, column: Column | None) -> str:
-        """Return a cell; "" without the column."""
+        """Return a cell.
+
+        Args:
+            row: Its row, from 0.
+            column: Its column; None: the table has no such column, and its cells are empty.
+        """
         return "" if column is None else self.table.cells[row][column.index]
 
 

@@ -33,7 +33,7 @@ _QUALITY = 70
 
 @dataclass(frozen=True, slots=True)
 class Search(Value):
-    """What pictures are searched for."""
+    """Boards that pictures are searched for."""
 
     boards: tuple[Board, ...]
     #: Fewest corners of a board in a picture that are used.
@@ -44,7 +44,7 @@ class Search(Value):
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Picture(Value):
-    """What was found in a picture."""
+    """A picture, and the boards found in it."""
 
     file: ImageFile
     #: Width and height [px]; zeros if it cannot be read.
