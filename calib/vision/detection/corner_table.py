@@ -117,7 +117,39 @@ class _Form(Value):
             for corner in _corners(self.boards[view.board], view):
                 yield [*cells, *corner]
 
-    def _corners(board: Board, view: BoardView) -> Iterator[list[object]]:
+    def _target(self, row: int, view: BoardView) -> str:
+        """Return the name of the target of corners: the board, where it was, or both."""
+        parts = [view.board] if len(self.boards) > 1 else []
+        place = self.joints.cell(row, self.joints.target)
+        parts += [place] if place else []
+        return "/".join(parts) or view.board
+
+
+def _kept(joints: JointTable) -> list[tuple[str, Column]]:
+    """Return the columns of the table of joints that are kept, by the names that they are read by."""
+    kept = {column.index for column in joints.kept}
+    return [(name, column) for name, column in joints.columns.items() if column.index in kept]
+
+
+def _head(name: str, column: Column) -> str:
+    """Return the header of a column: its name, perhaps as renamed, and its unit."""
+    return name if column.symbol is None else f"{name} [{column.symbol}]"
+
+
+def _names_cameras(detection: Detection, matches: Matches) -> bool:
+    """Test whether the cameras are named; refuse pictures of which some have one and others none."""
+    pairs = zip(detection.pictures, matches.rows, strict=True)
+    used = [picture for picture, row in pairs if row is not None and picture.used]
+    without = [picture for picture in used if not picture.file.camera]
+    if without and len(without) < len(used):
+        raise MeasurementError(
+            f"The camera of the picture '{without[0].file.name}' is not named, of others it is. Name its folder: "
+            "--camera-name \"NAME=FOLDER\", or fill the column 'group' of the table of joints."
+        )
+    return bool(used) and not without
+
+
+def _corners(board: Board, view: BoardView) -> Iterator[list[object]]:
     """Yield the cells of each corner that a picture shows of a board."""
     positions = board.corners
     for corner, pixel, sigma in zip(view.ids, view.pixels, view.sigma, strict=True):
