@@ -12,7 +12,7 @@ from calib.data.columns import list_columns, name_columns
 from calib.errors import MeasurementError, choices, did_you_mean
 from calib.tables.table import Column, Table
 from calib.values.pickling import Value
-from calib.vision.detection.image_files import ImageFile
+from calib.vision.detection.image_files import ENDINGS, ImageFile
 
 #: The column with the name of a row's picture.
 IMAGE = "image"
@@ -195,9 +195,10 @@ def _image_key(joints: JointTable, image: ImageFile) -> str:
 
 
 def _stem(name: str) -> str:
-    """Return a file's name without folders and without an ending of letters, in lower case."""
-    last = PurePosixPath(name.replace("\\", "/")).name
-    return re.sub(r"\.[a-z]{3,4}$", "", last.casefold())
+    """Return a file's name without folders and without the ending of a picture, in lower case."""
+    last = PurePosixPath(name.replace("\\", "/")).name.casefold()
+    ending = next((ending for ending in ENDINGS if last.endswith(ending)), "")
+    return last.removesuffix(ending)
 
 
 def _fitting(

@@ -37,6 +37,11 @@ def test_a_folder_in_the_table_counts(tmp_path: Path):
     assert match(joints, images("x/right/1.png", "x/middle/1.png")).rows == (1, None)
 
 
+def test_a_dot_in_a_name_is_no_ending(tmp_path: Path):
+    joints = table(tmp_path, "image,j1 [deg]", ["run.test,1", "run.two.JPEG,2"])
+    assert match(joints, images("run.two.png", "run.test.png")).rows == (1, 0)
+
+
 def test_of_two_endings_the_written(tmp_path: Path):
     joints = table(tmp_path, "image,j1 [deg]", ["1.png,1", "1.jpg,2"])
     assert match(joints, images("1.jpg", "1.png")).rows == (1, 0)
