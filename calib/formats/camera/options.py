@@ -13,8 +13,8 @@ class CameraOptions:
     camera: str | None = None
     #: The link that is the camera's optical frame: z along the line of sight, x to the right in the image.
     camera_frame: str | None = None
-    #: The fixed joint whose origin is changed, so that the optical frame comes out at its estimated pose; None: the only
-    #: one between the link that carries the camera and the optical frame.
+    #: The fixed joint whose origin is changed, so that the optical frame comes out at its estimated pose; None: the
+    #: only one between the link that carries the camera and the optical frame.
     move: str | None = None
     #: Name of a link to add at the optical frame, where the URDF has none.
     new_camera_frame: str | None = None
