@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import difflib
 import io
 import itertools
@@ -20,8 +21,9 @@ from calib.formats.camera.mount import (
     with_fixed_link,
     with_moved_mount,
 )
+from calib.formats.camera.readback import check_fixed_frame
 from calib.robot.robot import Robot
-from calib.robot.urdf import Urdf
+from calib.robot.urdf import Urdf, robot_data_urdfs
 from tests.formats.camera.arms import CAMERA, T_TOOL_OPTICAL, pose, urdf_with_camera
 
 MOUNT = "camera_mount_joint"
@@ -209,3 +211,39 @@ def test_a_new_link_takes_no_name_of_another_one(name, words):
     assert CAMERA in text
     with pytest.raises(UrdfError, match=words):
         with_fixed_link(urdf_with_camera(), name, "tool0", T_TOOL_OPTICAL)
+
+
+def fixed_joints_above(urdf: Urdf, frame: str) -> list[str]:
+    """The fixed joints next above a link, topmost first."""
+    names = reversed(urdf.chain(urdf.root, frame)[1])
+    fixed = itertools.takewhile(lambda name: urdf.joint(name).type == "fixed", names)
+    return list(fixed)[::-1]
+
+
+def check_every_mount(urdf: Urdf) -> int:
+    """Move every optical frame of a robot by every fixed joint above it; their number."""
+    count = 0
+    wanted = pose(0.1, 0.2, 0.3, 0.4, 0.5, 0.6)
+    for frame in (link for link in urdf.links if "optical" in link):
+        joints = fixed_joints_above(urdf, frame)
+        for joint in joints:
+            link = urdf.joint(joints[0]).parent
+            check_fixed_frame(
+                with_moved_mount(urdf, link, frame, joint, wanted), link, frame, wanted
+            )
+            count += 1
+    return count
+
+
+def test_the_cameras_of_a_tiago():
+    assert check_every_mount(Robot.load("tiago_no_hand").urdf) == 8
+
+
+@pytest.mark.slow
+def test_the_cameras_of_all_robots():
+    """Of example-robot-data; two of its files are no URDFs of a robot with joints."""
+    robots = []
+    for path in robot_data_urdfs().values():
+        with contextlib.suppress(UrdfError):
+            robots.append(Urdf.read(path))
+    assert sum(map(check_every_mount, robots)) > 150
