@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from calib.data.cell import DIRECTIONS
 from calib.errors import ModelError, choices, did_you_mean
 from calib.result.calibration import CalibrationValues
 from calib.robot.robot import read_only, rigid_inverse
@@ -43,7 +44,8 @@ def estimated_camera(calibration: CalibrationValues, name: str | None = None) ->
     """
     setup = calibration.setup
     index = _index("camera", "--camera", name, setup.groups)
-    if not calibration.tells_place:
+    is_estimated = len(setup.unknown[index]) == len(DIRECTIONS)
+    if not (is_estimated or setup.frame_given[index] or calibration.tells_place):
         raise ModelError(
             f"No measurement of this result tells where the camera '{setup.groups[index]}' is: its kinds are "
             f"{choices(dict.fromkeys(calibration.rows.kinds))}. Calibrate with pictures of a board, kind 'pixel'."

@@ -67,5 +67,9 @@ def test_a_point_is_no_board_and_a_frame_that_no_row_places_is_no_camera():
     with pytest.raises(ModelError, match="'board' of this result is a point"):
         estimated_board(points)
     rows = replace(result.rows, kinds=("plane",) * len(result.rows))
+    plane = replace(result.setup, unknown=(("z", "rx", "ry"),))
     with pytest.raises(ModelError, match="'plane'"):
-        estimated_camera(replace(result, rows=rows))
+        estimated_camera(replace(result, rows=rows, setup=plane))
+    given = replace(plane, frame_given=np.array([True]))
+    for setup in (result.setup, given):
+        assert estimated_camera(replace(result, rows=rows, setup=setup)).link == "tool0"
