@@ -10,8 +10,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from calib.data.cell import DIRECTIONS
 from calib.errors import ModelError, choices, did_you_mean
+from calib.model.error_model import DIRECTIONS
 from calib.result.calibration import CalibrationValues
 from calib.robot.robot import read_only, rigid_inverse
 from calib.units import Array

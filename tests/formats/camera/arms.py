@@ -11,6 +11,9 @@ from scipy.spatial.transform import Rotation
 
 import calib.example
 from calib.calibration import Calibration, calibrate
+from calib.camera.board import Board
+from calib.camera.camera import Camera
+from calib.camera.lenses import LENSES
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.model.error_model import error_model
@@ -72,15 +75,26 @@ def urdf_with_camera() -> Urdf:
     return Urdf.from_bytes(text.replace("</robot>", f"{CAMERA}</robot>").encode(), "arm.urdf")
 
 
+def nominal_and_actual() -> tuple[Robot, Robot]:
+    """The arm from the flange to the base, and one whose zeros are off."""
+    robot = Robot.from_urdf(urdf_with_camera(), "tool0", "base")
+    model = error_model(robot, "zeros")
+    zeros = np.random.default_rng(2).normal(0.0, 3e-3, len(model))
+    return robot, model.apply(robot, zeros)
+
+
+def poses_of_board(actual: Robot, q: np.ndarray) -> np.ndarray:
+    """The board in the camera (N, 4, 4)."""
+    return rigid_inverse(T_TOOL_OPTICAL) @ actual.poses(q) @ T_BASE_BOARD
+
+
 @cache
 def calibration() -> Calibration:
     """A calibration of an arm with wrong zeros, by poses of a board on the base as a camera on the flange sees it."""
-    robot = Robot.from_urdf(urdf_with_camera(), "tool0", "base")
-    model = error_model(robot, "zeros")
-    rng = np.random.default_rng(2)
-    actual = model.apply(robot, rng.normal(0.0, 3e-3, len(model)))
+    robot, actual = nominal_and_actual()
+    rng = np.random.default_rng(4)
     q = random_joint_values(robot, 40, 3)
-    T_optical_board = rigid_inverse(T_TOOL_OPTICAL) @ actual.poses(q) @ T_BASE_BOARD
+    T_optical_board = poses_of_board(actual, q)
     table = Measurements(
         joint_names=robot.joint_names,
         joints=q,
@@ -91,3 +105,60 @@ def calibration() -> Calibration:
         groups=("color",) * len(q),
     )
     return calibrate(robot, table, cell=Cell(kind="pose", estimate_frame=True, model="zeros"))
+
+
+#: The camera's numbers, which the images tell; and the print.
+INTRINSICS = np.array([900.0, 905.0, 640.0, 360.0, -0.05, 0.02, 1e-3, -5e-4, 0.0])
+BOARD = Board(
+    pattern="chessboard", columns=6, rows=5, square=0.04, sigma_corner=0.0, sigma_warp=0.0
+)
+WIDTH, HEIGHT = 1280, 720
+
+
+def images(actual: Robot, q: np.ndarray) -> np.ndarray:
+    """The images of the board's corners (N, n, 2) [px]; NaN where the board is not wholly in sight."""
+    n = len(BOARD.corners)
+    result = np.full((len(q), n, 2), np.nan)
+    for k, T in enumerate(poses_of_board(actual, q)):
+        points = BOARD.corners @ T[:3, :3].T + T[:3, 3]
+        if points[:, 2].min() < 0.2 or points[:, 2].max() > 0.9 or T[2, 2] < 0.5:
+            continue
+        pixels = LENSES["pinhole"].project(points, INTRINSICS)
+        if np.all(pixels > 0.0) and np.all(pixels < (WIDTH - 1, HEIGHT - 1)):
+            result[k] = pixels
+    return result
+
+
+@cache
+def image_calibration() -> Calibration:
+    """A calibration of the same arm by images of the board, of whose camera the size alone is known."""
+    robot, actual = nominal_and_actual()
+    candidates = random_joint_values(robot, 12000, 3)
+    pixels = images(actual, candidates)
+    seen = np.flatnonzero(np.isfinite(pixels[:, 0, 0]))[:20]
+    n = len(BOARD.corners)
+    count = len(seen) * n
+    measured = pixels[seen].reshape(-1, 2)
+    measured += np.random.default_rng(5).normal(0.0, 0.05, measured.shape)
+    table = Measurements(
+        joint_names=robot.joint_names,
+        joints=np.repeat(candidates[seen], n, axis=0),
+        points=np.full((count, 3), np.nan),
+        kinds=("pixel",) * count,
+        targets=("board",) * count,
+        groups=("color",) * count,
+        images=tuple(f"{k // n}.png" for k in range(count)),
+        corners=tuple(str(k % n) for k in range(count)),
+        board_points=np.tile(BOARD.corners, (len(seen), 1)),
+        readings={"u": measured[:, 0], "v": measured[:, 1]},
+        sigma={"px": np.full(count, 0.05)},
+    )
+    camera = Camera(name="color", width=WIDTH, height=HEIGHT)
+    cell = Cell(
+        kind="pixel",
+        estimate_frame=True,
+        model="zeros",
+        cameras={"color": camera},
+        boards={"board": BOARD},
+    )
+    return calibrate(robot, table, cell=cell, validate=False)

@@ -37,6 +37,7 @@ def two_of_each():
         targets=("board", "other"),
         T_frame_base=frames,
         T_tip_target=targets,
+        unknown=setup.unknown * 2,
     )
     return replace(result, setup=both)
 

@@ -9,12 +9,13 @@ import pytest
 from calib.conversion import convert
 from calib.errors import CalibError, FileError, UrdfError
 from calib.formats.camera import readback
+from calib.formats.camera.mount import fixed_pose
 from calib.formats.camera.options import CameraOptions
 from calib.formats.camera.write import mounted, transform_of
 from calib.formats.convert import Options
 from calib.formats.source_kinds import result_source
 from calib.robot.robot import Robot, rigid_inverse
-from tests.formats.camera.arms import calibration
+from tests.formats.camera.arms import T_TOOL_OPTICAL, calibration, image_calibration
 
 SOURCE = result_source(calibration(), Options(), "result")
 MOVED = CameraOptions(camera_frame="color_optical", move="camera_mount_joint")
@@ -111,3 +112,16 @@ def test_names_of_a_camera_belong_to_its_formats(tmp_path):
     with pytest.raises(CalibError, match=r"'urdf' has nothing.*'camera-mount'"):
         convert(calibration(), path, options=Options(camera=MOVED))
     assert not path.exists()
+
+
+def test_a_calibration_by_images_that_was_read_from_its_file(tmp_path):
+    result = image_calibration()
+    result.write_json(tmp_path / "result.json")
+    path = tmp_path / "arm.urdf"
+    convert(tmp_path / "result.json", path, to="camera-mount", options=Options(camera=MOVED))
+    read = Robot.load(path, "tool0", "base").urdf
+    T_optical = fixed_pose(read, "tool0", "color_optical")
+    np.testing.assert_allclose(T_optical @ result.T_frame_base, np.eye(4), rtol=0, atol=1e-9)
+    # to a tenth of a millimetre along; about z as well as the priors know the last joint's zero
+    np.testing.assert_allclose(T_optical[:3, 3], T_TOOL_OPTICAL[:3, 3], rtol=0, atol=2e-4)
+    np.testing.assert_allclose(T_optical[:3, 2], T_TOOL_OPTICAL[:3, 2], rtol=0, atol=5e-4)
