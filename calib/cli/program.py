@@ -6,6 +6,7 @@ import typer
 
 from calib.cli.verb import Verb
 from calib.cli.verbs.base_frame import base_frame
+from calib.cli.verbs.board import board
 from calib.cli.verbs.calibrate import calibrate
 from calib.cli.verbs.compare import compare
 from calib.cli.verbs.compensate import compensate
@@ -38,6 +39,7 @@ _VERBS = (
     compensate,
     inspect,
     base_frame,
+    board,
     plan,
     simulate,
     convert,
