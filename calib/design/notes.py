@@ -9,6 +9,7 @@ Code = Literal[
     "orientation_noise",  # the noise of an orientation was assumed [rad]
     "reflector_not_checked",  # a reflector, and no tracker that it must face
     "collisions_not_checked",
+    "images_checked",  # camera and board were checked with the robot: the names of boxes and plane around
     "collisions_checked",  # the holder's radius [m], and the names of boxes and plane around
     "no_geometry",  # links that were not checked, or not all of them
     "always_close",  # pairs that are always closer than the clearance, and refused only where they touch
