@@ -155,8 +155,9 @@ def draw(
     Raises:
         ModelError: No pose passed.
     """
-    most = _MOST * max(count, _BATCH)
-    return collect(_batches(robot, ranges, seed), conditions, Draws(count, _NONE_YET, most), progress)
+    draws = Draws(count, _NONE_YET, _MOST * max(count, _BATCH))
+    batches = (batch[: _MOST * count] for batch in _batches(robot, ranges, seed))
+    return collect(batches, conditions, draws, progress)
 
 
 def collect(
@@ -181,11 +182,11 @@ def collect(
         ModelError: No pose passed.
     """
     count = draws.enough
-    sifted = _sift(next(batches)[: _MOST * count], conditions)
+    sifted = _sift(next(batches), conditions)
     while len(sifted.measurable) < count and sifted.drawn < draws.most_after(sifted.measurable):
         if progress is not None:
             progress(len(sifted.measurable), count)
-        sifted = sifted.joined(_sift(next(batches)[: _MOST * count], conditions))
+        sifted = sifted.joined(_sift(next(batches), conditions))
     if progress is not None:
         progress(min(len(sifted.measurable), count), count)
     if not len(sifted.measurable):

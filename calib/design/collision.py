@@ -305,9 +305,7 @@ class CollisionModel:
         way = self._configurations((1.0 - share) * ends[0] + share * ends[1])
         return not any(self._scene.touches(way))
 
-    def beam_free(
-        self, T_tip_target: Array, tracker: Array, q: Array, ahead: float = 0.0
-    ) -> Mask:
+    def beam_free(self, T_tip_target: Array, tracker: Array, q: Array, ahead: float = 0.0) -> Mask:
         """Test at which poses no link and no box is in the beam from a tracker to the target.
 
         The beam is a rod from the tracker, 10 mm thick, that ends 30 mm in front of the target. Targets and the

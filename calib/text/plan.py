@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -33,7 +33,11 @@ _REASONS = {
     "region": "outside the region",
     "tracker_range": "out of the tracker's range",
     "reflector_cone": "with the reflector turned away",
-    "beam": "with the beam obstructed",
+    "beam": "with the line of sight obstructed",
+    "limits": "not within the joint ranges",
+    "focus": "too near or too far",
+    "tilt": "too slanted",
+    "image": "not in the image",
     "collision": "in collision",
 }
 
@@ -44,6 +48,9 @@ _NOTES: dict[Code, str] = {
     "reflector_not_checked": "The reflector's direction was not checked: the tracker's position is not known "
     "(--tracker).",
     "collisions_not_checked": "Collisions were not checked.",
+    "images_checked": "Checked for collisions: links, the board as a plate of 10 mm, and the camera as a ball, in the "
+    "hand as a rod, with each other{0}; and that no link is between the camera and the board. Not checked: obstacles "
+    "that the cell file does not name, cables, hoses, brackets, people. Run the first round slowly.",
     "collisions_checked": "Checked for collisions: links, and each target with a rod of {0} as its holder, with each "
     "other{1}. Not checked: obstacles that the cell file does not name, cables, hoses, other holders, the "
     "instrument, people. Run the first round slowly.",
@@ -67,11 +74,18 @@ def plan_text(plan: PlanValues) -> str:
 
 def note_text(note: Note) -> str:
     """Word a note of a plan."""
+    if note.code == "images_checked":
+        return _NOTES[note.code].format(_and_with(note.values))
     if note.code == "collisions_checked":
         radius, *obstacles = note.values
-        others = f" and with {', '.join(map(str, obstacles))}" if obstacles else ""
+        others = _and_with(obstacles)
         return _NOTES[note.code].format(f"{1e3 * float(radius):g} mm radius", others)
     return _NOTES[note.code].format(", ".join(map(str, note.values)))
+
+
+def _and_with(obstacles: Sequence[str | float]) -> str:
+    """Word further bodies that are compared; empty where there are none."""
+    return f" and with {', '.join(map(str, obstacles))}" if obstacles else ""
 
 
 def _paragraphs(*paragraphs: Iterable[str]) -> str:

@@ -32,7 +32,7 @@ class ImageBodies(NamedTuple):
 
     #: Tests poses and moves.
     model: CollisionModel
-    #: Shape (4,), position of the camera in its link [m], homogeneous.
+    #: Shape (3,), position of the camera in its link [m].
     eye: Array
     #: Shape (5, 4, 4), points of the board that must not be hidden, as poses in the link that carries it [m].
     T_tip_points: Array
@@ -81,7 +81,8 @@ class ImageBodies(NamedTuple):
         """
         free = np.ones(len(q), dtype=np.bool_)
         for T_tip_point in self.T_tip_points:
-            free[free] = self.model.beam_free(T_tip_point, self.eye, q[free], _AHEAD)
+            still = np.flatnonzero(free)
+            free[still] = self.model.beam_free(T_tip_point, self.eye, q[still], _AHEAD)
         return free
 
 
@@ -91,7 +92,8 @@ def _board_solid(robot: Robot, sight: CameraSight) -> Solid:
     square = sight.board.square
     plate = hppfcl.Box(width + square, height + square, _THICKNESS)
     T_board_plate = np.eye(4)
-    T_board_plate[:3, 3] = sight.board.centre + [0.0, 0.0, 0.5 * _THICKNESS]
+    T_board_plate[:3, 3] = sight.board.centre
+    T_board_plate[2, 3] += 0.5 * _THICKNESS
     return Solid("the board", "target", robot.tip, sight.T_tip_board @ T_board_plate, plate)
 
 

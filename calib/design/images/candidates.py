@@ -21,21 +21,21 @@ from calib.robot.ranges import spread_between
 from calib.robot.robot import Robot, read_only, rigid_inverse
 from calib.units import Array, Integers, Mask
 
-#: Inverse kinematics: function of wanted poses of the tip in the base, shape (n, 4, 4), [m], and of joint values to start
-#: at, shape (n, m), [rad] or [m], that returns joint values as near to the wanted poses as it comes.
+#: Inverse kinematics: function of wanted poses of the tip in the base, shape (n, 4, 4), [m], and of joint values to
+#: start at, shape (n, m), [rad] or [m], that returns joint values as near to the wanted poses as it comes.
 Reach = Callable[[Array, Array], Array]
 
 #: Viewpoints of one batch; a power of two keeps the sequence even.
 _BATCH = 512
 
 #: At most this many times the wanted number are drawn, and this many until the first that can be measured.
-_MOST, _NONE_YET = 10, 16 * _BATCH
+_MOST, _NONE_YET = 10, 8 * _BATCH
 
 #: Viewpoints drawn for each that is tried: of those with the board in the image the robot tries the nearest.
 _CHOICE = 8
 
 #: Joint values among which those to start at are looked for.
-_STARTS = 4096
+_STARTS = 2048
 
 #: Distance that counts as much as a turn by one radian where views are compared [m].
 _RADIAN = 0.3
@@ -75,7 +75,9 @@ def draw_images(
     count, seed = draws
     conditions = list(_conditions(robot, sight, ranges, bodies))
     batches = _batches(robot, sight, ranges, seed, reach)
-    pool = collect(batches, conditions, Draws(count, _NONE_YET, _MOST * max(count, _BATCH)), progress)
+    pool = collect(
+        batches, conditions, Draws(count, _NONE_YET, _MOST * max(count, _BATCH)), progress
+    )
     workspace = robot.readings(spread_between(ranges, count))
     return pool._replace(workspace=read_only(workspace))
 

@@ -1,7 +1,7 @@
-"""Sight of a camera: whether it sees a printed board at a pose of the robot, sharp and neither too slanted nor too small.
+"""Sight of a camera: whether it sees a printed board at a pose of the robot, sharp, not too slanted, not too small.
 
-The board's pose in the camera is T_camera_board = T_frame_base T_base_tip(q) T_tip_board, with the link that carries the
-camera as the base of the chain and the link that carries the board as its tip.
+The board's pose in the camera is T_camera_board = T_frame_base T_base_tip(q) T_tip_board, with the link that carries
+the camera as the base of the chain and the link that carries the board as its tip.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ class SightLimits(Value):
             )
         if not 0.0 < self.tilt < 0.5 * math.pi:
             raise CalibError(
-                f"The largest tilt of the board is {math.degrees(self.tilt):g} deg; it must be above 0 and below 90 deg."
+                f"The largest tilt of the board is {math.degrees(self.tilt):g} deg; it must be above 0 and below 90."
             )
         if not 0.0 < self.share <= 1.0:
             raise CalibError(
@@ -198,7 +198,7 @@ def transformed(T: Array, points: Array) -> Array:
 
 
 def outline(board: Board) -> Array:
-    """Return the four outer corners of a board's pattern in its frame, shape (4, 3) [m]."""
+    """Return the outer corners of a board's pattern in its frame, clockwise from the origin, shape (4, 3) [m]."""
     width, height = board.size
     return np.array([[0.0, 0.0, 0.0], [width, 0.0, 0.0], [width, height, 0.0], [0.0, height, 0.0]])
 
@@ -233,7 +233,9 @@ def widest_ray(camera: Camera) -> float:
         camera: The camera, with intrinsics.
     """
     right, bottom = camera.width - 0.5, camera.height - 0.5
-    edges = np.array([[u, v] for u in (-0.5, 0.5 * right, right) for v in (-0.5, 0.5 * bottom, bottom)])
+    edges = np.array(
+        [[u, v] for u in (-0.5, 0.5 * right, right) for v in (-0.5, 0.5 * bottom, bottom)]
+    )
     rays = LENSES[camera.lens].rays(edges, intrinsics(camera))
     angles = np.arctan2(np.hypot(rays[:, 0], rays[:, 1]), rays[:, 2])
     return float(np.nanmax(angles)) if np.isfinite(angles).any() else _WIDEST

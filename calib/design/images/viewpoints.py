@@ -1,7 +1,7 @@
 """Viewpoints: poses of a board in a camera from which it is measured well, spread over distance, tilt, roll and image.
 
-With the ray r of a random pixel, a distance d, a tilt t in a random direction and a random roll, the centre of the board
-is at d r, and its normal t away from r.
+With the ray r of a random pixel, a distance d, a tilt t in a random direction and a random roll, the centre of the
+board is at d r, and its normal t away from r.
 """
 
 from __future__ import annotations
