@@ -145,6 +145,39 @@ CellFile = Annotated[
         help="TOML file with frames, target, noise, priors; options on the command line win.",
     ),
 ]
+CameraFiles = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--camera",
+        metavar="[NAME=]FILE|WIDTHxHEIGHT",
+        help="Intrinsics of the camera: ROS camera_info, OpenCV or calib's own file; or the size of its images alone, "
+        "such as 1280x720, where nothing is known of it. With NAME= that of one station; can be repeated.",
+    ),
+]
+BoardFiles = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--board",
+        metavar="[NAME=]FILE",
+        help="Description of the printed board, as 'calib board' writes it: how well its print is known. With NAME= "
+        "that of one target; can be repeated.",
+    ),
+]
+CameraOn = Annotated[
+    str | None,
+    typer.Option(
+        metavar="LINK",
+        help="Link that carries the camera: the flange, or for one that stands, the URDF's root (default). The same as "
+        "--base.",
+    ),
+]
+BoardOn = Annotated[
+    str | None,
+    typer.Option(
+        metavar="LINK",
+        help="Link that carries the board: the URDF's root where the camera is on the hand. The same as --tip.",
+    ),
+]
 SolverName = Annotated[
     str,
     typer.Option(
@@ -246,6 +279,10 @@ class CellOptions:
     frame: Frame = None
     kind: MeasuredKind = None
     hold: Hold = None
+    camera: CameraFiles = None
+    camera_on: CameraOn = None
+    board: BoardFiles = None
+    board_on: BoardOn = None
     cell: CellFile = None
 
 

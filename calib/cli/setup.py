@@ -8,7 +8,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from calib.cli.options import TableOptions
-from calib.cli.words import parse_held, parse_payload, parse_point
+from calib.cli.words import (
+    parse_boards,
+    parse_cameras,
+    parse_held,
+    parse_payload,
+    parse_point,
+)
 from calib.errors import CalibError, choices
 
 if TYPE_CHECKING:
@@ -28,6 +34,10 @@ def read_cell(
     model: str | None = None,
     kind: str | None = None,
     hold: Iterable[str] | None = None,
+    camera: Iterable[str] | None = None,
+    camera_on: str | None = None,
+    board: Iterable[str] | None = None,
+    board_on: str | None = None,
     payload: str | None = None,
     fix_target: bool = False,
     freeze: Iterable[str] | None = None,
@@ -45,6 +55,10 @@ def read_cell(
         model: See ``base``.
         kind: See ``base``.
         hold: Added to the held joints of the file.
+        camera: Added to the cameras of the file.
+        camera_on: Link that carries the camera, which is the base.
+        board: Added to the boards of the file.
+        board_on: Link that carries the board, which is the tip.
         payload: See ``base``; the file's centre of mass is kept.
         fix_target: Whether the target is known.
         freeze: Added to the frozen parameters of the file.
@@ -62,8 +76,10 @@ def read_cell(
 
     of_file = Cell() if cell is None else Cell.read(cell)
     changes: dict[str, Any] = {
-        "base": base,
-        "tip": tip,
+        "base": _link("--base", base, "--camera-on", camera_on),
+        "tip": _link("--tip", tip, "--board-on", board_on),
+        "cameras": {**of_file.cameras, **parse_cameras(camera or [])},
+        "boards": {**of_file.boards, **parse_boards(board or [])},
         "model": model,
         "kind": kind,
         "repeats": repeats,
@@ -82,6 +98,15 @@ def read_cell(
         changes |= FRAME(frame, "--frame")
     given = {name: value for name, value in changes.items() if value is not None}
     return replace(of_file, **given)
+
+
+def _link(option: str, link: str | None, of_image: str, link_of_image: str | None) -> str | None:
+    """Return the link that one of two options names, which mean the same; `CalibError` where they name two links."""
+    if link is not None and link_of_image is not None and link != link_of_image:
+        raise CalibError(
+            f"{option} is '{link}' and {of_image} is '{link_of_image}': they name the same link. Give one of them."
+        )
+    return link if link_of_image is None else link_of_image
 
 
 def load(robot: str, cell: Cell, measured: Collection[str] | None = None) -> Robot:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from dataclasses import replace
 from typing import TYPE_CHECKING
@@ -12,9 +13,14 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from calib.camera.board import Board
+    from calib.camera.camera import Camera
     from calib.data.cell import Tracker
     from calib.data.forms.column_options import ColumnOptions
     from calib.robot.payload import Payload
+
+#: The size of images: width and height [px].
+_IMAGE_SIZE = re.compile(r"(\d{2,5})\s*x\s*(\d{2,5})")
 
 
 def parse_point(text: str, option: str, example: str = "70 -70 22.5 mm") -> NDArray[np.float64]:
@@ -223,3 +229,58 @@ def _mapping(pairs: Iterable[str], option: str, form: str) -> dict[str, str]:
             raise CalibError(f"{option} was given '{pair}'; it must be {form}.")
         values[name] = value
     return values
+
+
+def parse_cameras(texts: Iterable[str]) -> dict[str, Camera]:
+    """Parse ``--camera``: files or sizes of images, each with the name of its station in front, or without one.
+
+    Args:
+        texts: As typed, such as ``"camera_info.yaml"``, ``"left=left.yaml"`` or ``"1280x720"``.
+
+    Returns:
+        The cameras by the names of their stations; ``""`` for one without a name.
+
+    Raises:
+        CalibError: A name occurs twice, or a file cannot be read.
+    """
+    from calib.camera.camera import Camera
+    from calib.camera.camera_file import read_camera
+
+    result: dict[str, Camera] = {}
+    for name, text in _named_files(texts, "--camera").items():
+        size = _IMAGE_SIZE.fullmatch(text)
+        if size is None:
+            result[name] = read_camera(text)
+        else:
+            result[name] = Camera(width=int(size[1]), height=int(size[2]))
+    return result
+
+
+def parse_boards(texts: Iterable[str]) -> dict[str, Board]:
+    """Parse ``--board``: descriptions of boards, each with the name of its target in front, or without one.
+
+    Args:
+        texts: As typed, such as ``"board.toml"`` or ``"left=board.toml"``.
+
+    Returns:
+        The boards by the names of their targets; ``""`` for one without a name.
+
+    Raises:
+        CalibError: A name occurs twice, or a file cannot be read.
+    """
+    from calib.camera.board_file import read_board
+
+    return {name: read_board(path) for name, path in _named_files(texts, "--board").items()}
+
+
+def _named_files(texts: Iterable[str], option: str) -> dict[str, str]:
+    """Return what stands behind the names of an option that can be repeated, by the names; CalibError for one twice."""
+    result: dict[str, str] = {}
+    for text in texts:
+        before, equals, behind = text.partition("=")
+        name = before.strip() if equals else ""
+        if name in result:
+            which = f"'{name}'" if name else "one without a name"
+            raise CalibError(f"{option} is given twice for {which}; put NAME= before each.")
+        result[name] = behind.strip() if equals else text.strip()
+    return result

@@ -24,7 +24,7 @@ import calib.data.kinds as registry
 from calib.model.error_model import DIRECTIONS, OWN, error_model, split_name
 from calib.model.families import FAMILIES
 from calib.model.kinematics import Samples
-from calib.model.parameters import FRAME, TARGET, Parameter
+from calib.model.parameters import TARGET, Parameter
 from calib.numerics.rigid_motion import displacements_by
 from calib.result.calibration import CalibrationValues
 from calib.result.prediction import FittedModel, twists_in_base
@@ -243,7 +243,7 @@ def _determined(part: FittedModel) -> Array:
     Without priors, what no measurement determines has a standard deviation of a metre or a radian: it is taken to be as
     large as the errors of its family typically are, C - C_r (C_rr + D)^-1 C_r^T with these variances D.
     """
-    of_robot = ~part.model.family(FRAME, TARGET)
+    of_robot = part.model.of_robot
     if part.prior_std or not np.any(of_robot):
         return part.covariance
     typical = np.diag(np.square(_typical(part)[of_robot]))

@@ -17,6 +17,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 import calib.data.kinds as registry
+from calib.camera.board import Board
+from calib.camera.camera import Camera
 from calib.channels import RESIDUAL_UNITS
 from calib.data.cell_file import checked, read_cell_file
 from calib.data.kinds import SIGMAS
@@ -345,6 +347,10 @@ class Cell(Value):
     reflector: Reflector | None = None
     #: The least and the largest value of the URDF's joints by name, within which poses are planned [rad] or [m].
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=_no_entries)
+    #: Cameras by the name of their station; ``""`` is that of a table without stations.
+    cameras: Mapping[str, Camera] = field(default_factory=_no_entries)
+    #: Printed boards by the name of their target; ``""`` is that of a table without targets.
+    boards: Mapping[str, Board] = field(default_factory=_no_entries)
     #: Who measured what for whom, where, when and with what; for reports.
     record: Record = field(default_factory=Record)
 
@@ -365,6 +371,7 @@ class Cell(Value):
         if self.kind is not None:
             registry.get(self.kind)
         check_box_names(self.boxes)
+        self._check_optics()
         self._check_target()
         self._check_ties()
 
@@ -394,6 +401,15 @@ class Cell(Value):
             check_type(name, getattr(self, name), Sequence, allowed)
             for entry in getattr(self, name):
                 check_type(name, entry, kind, allowed)
+
+    def _check_optics(self) -> None:
+        """Refuse cameras and boards of another type; keep read-only copies."""
+        for name, kind, allowed in (("cameras", Camera, "a Camera"), ("boards", Board, "a Board")):
+            given = getattr(self, name)
+            check_mapping(name, given)
+            for entry in given.values():
+                check_type(name, entry, kind, f"a mapping from names to {allowed} each")
+            object.__setattr__(self, name, ReadOnlyMapping(given))
 
     def _check_target(self) -> None:
         """Refuse a target that is known and not given."""

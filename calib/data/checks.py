@@ -13,11 +13,20 @@ from numpy.typing import ArrayLike
 
 import calib.data.kinds as registry
 from calib.data.columns import SETS, reserved
+from calib.data.forms.column_options import ColumnOptions
 from calib.errors import MeasurementError, choices
 from calib.numerics.geometry import not_rotations
 from calib.robot.robot import read_only
+from calib.tables.table import Table
 from calib.units import Array, Integers, Mask
-from calib.values.arguments import check_mapping, check_names, check_type, numbers, wrong_type
+from calib.values.arguments import (
+    check_mapping,
+    check_names,
+    check_path,
+    check_type,
+    numbers,
+    wrong_type,
+)
 
 #: Two rows of a pair that both give its distance give the same to all digits of a table [m].
 _AGREE_M = 1e-9
@@ -353,3 +362,18 @@ def check_argument_types(given: object) -> None:
     numbers("points", value("points"), "positions of shape (N, 3), [m]")
     if not np.ndim(value("points")):
         raise wrong_type("points", value("points"), "positions of shape (N, 3), [m]")
+
+
+def check_reading(
+    path: object, points: object, joint_names: object, joint_types: object, columns: object
+) -> None:
+    """Refuse arguments of `Measurements.read` that are of another type."""
+    if not isinstance(path, Table):
+        check_path("path", path)
+    if joint_names is not None:
+        check_names("joint_names", joint_names)
+    if points is not None:
+        check_path("points", points)
+    for argument, mapping in (("joint_types", joint_types), ("columns", columns)):
+        if mapping is not None and not isinstance(mapping, ColumnOptions):
+            check_mapping(argument, mapping)

@@ -21,11 +21,14 @@ from calib.units import UNITS, Array, Quantity, split_header, symbols
 #: Columns of a position.
 POINT = ("x", "y", "z")
 
+#: Columns of the position on its board of a corner that a camera saw.
+BOARD_POINT = ("board_x", "board_y", "board_z")
+
 #: Columns of an orientation that are never a joint's where the joints are not known.
 ORIENTATION = (*orientations.ROTATION_VECTOR.columns, *orientations.QUATERNION.columns)
 
 #: Columns of words.
-WORDS = ("row", "set", "kind", "target", "group", "pair", "point", "approach")
+WORDS = ("row", "set", "kind", "target", "group", "pair", "point", "approach", "image", "corner")
 
 #: The column of a table of commands that says whether a row has one.
 STATUS = "status"
@@ -64,7 +67,7 @@ Columns = tuple[Column, ...]
 def reserved() -> tuple[str, ...]:
     """Return the names of columns that no joint can have: words, noise, readings, positions."""
     noise = [unit.sigma_name for unit in RESIDUAL_UNITS.values()]
-    return (*WORDS, *noise, *registry.readings(), *POINT)
+    return (*WORDS, *noise, *registry.readings(), *POINT, *BOARD_POINT)
 
 
 def list_columns(table: Table) -> str:

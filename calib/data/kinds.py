@@ -8,6 +8,9 @@ With the pose (R, p) of the target in its measurement frame, what is measured, w
     pair       the distance between two rows     |p_i - p_j|    d - |p_i - p_j|
     fixed      nothing: the target is in a socket               0 - p                the frame stands in the socket
     plane      nothing: the target is on a plane                0 - p_z              the frame lies in the plane
+    pixel      the image of a corner         u = f(R P + p)     m - u                the frame is the camera's
+
+P is the corner on the board, which is the target, and f the camera's lens; see `calib.camera.optics`.
 
 Ball in a socket, anchored distance and plane are thus points, of which some coordinates are measured in a frame that is
 unknown in some directions: one error model for all. `register` adds a kind from outside; see docs/extending.md.
@@ -23,12 +26,14 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 import calib.plugins as plugins
+from calib.camera.optics import image_derivatives, images
 from calib.channels import RESIDUAL_UNITS
 from calib.data.kind_check import check_functions
+from calib.data.reading import Reading as Reading
 from calib.errors import CalibError, MeasurementError, choices
 from calib.model.error_model import DIRECTIONS
 from calib.numerics.geometry import inverse_right_jacobian
-from calib.units import UNITS, Array, Quantity
+from calib.units import Array
 from calib.values.arguments import check_type
 from calib.values.pickling import Value
 
@@ -44,32 +49,6 @@ _TINY = 1e-12
 
 #: Relative singular value below which an anchor's coordinates count as undetermined.
 _RANK_TOLERANCE = 1e-9
-
-
-@dataclass(frozen=True, slots=True)
-class Reading:
-    """A column of the table with a number that rows of a kind measure.
-
-    Raises:
-        CalibError: The quantity is none of these.
-    """
-
-    #: Name of the column without its unit, ``"distance"``.
-    name: str
-    #: What it measures: ``"length"``, ``"angle"`` or ``"pixel"``.
-    quantity: Quantity = "length"
-    #: Whether it is always greater than zero, as a distance is.
-    positive: bool = False
-
-    def __post_init__(self) -> None:
-        """Check the quantity."""
-        allowed = [unit.quantity for unit in RESIDUAL_UNITS.values()]
-        if self.quantity not in allowed:
-            unit = UNITS.get(str(self.quantity))
-            hint = f"; '{unit.symbol}' is a unit of '{unit.quantity}'" if unit else ""
-            raise CalibError(
-                f"The reading '{self.name}' has the quantity '{self.quantity}'; allowed are {choices(allowed)}{hint}."
-            )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -104,14 +83,14 @@ class Kind(Value):
     units: tuple[str, ...]
     #: Derivative of the prediction by the parameters, which is minus that of the residual:
     #: (measured, T_frame_target, twists) to shape (n, s, p) [its unit per parameter unit].
-    derivative: Callable[[Array, Array, Array], Array]
+    derivative: Callable[..., Any]
     #: Reading of a perfect instrument, to predict and to simulate with: T_frame_target to shape
     #: (n, k), in SI units. None for kinds whose target is held, such as a ball in a socket: their
     #: poses cannot be chosen.
-    measure: Callable[[Array], Array] | None = None
+    measure: Callable[..., Array] | None = None
     #: Residual, measured minus predicted: (measured, T_frame_target) to shape (n, s), in ``units``.
     #: None: the difference ``measured - measure(T_frame_target)``.
-    residual: Callable[[Array, Array], Array] | None = None
+    residual: Callable[..., Array] | None = None
     #: Whether the columns x, y, z are measured.
     position: bool = False
     #: Whether an orientation is measured, with the position. The next three units are its angles, a rotation vector.
@@ -141,6 +120,10 @@ class Kind(Value):
     settle: Callable[[Array], Array] | None = None
     #: What the frame stands for, in texts: ``"Socket"``.
     place: str = "Measurement frame"
+    #: Whether rows are images of a board's corners, predicted by numbers of the camera and the board besides the pose.
+    #: ``measure``, ``residual`` and ``derivative`` then take these as a last argument, shape (n, `optics.COUNT`), and
+    #: ``derivative`` returns the derivative by them too, shape (n, s, `optics.COUNT`).
+    optical: bool = False
 
     def __post_init__(self) -> None:
         """Check that the residual is defined, and its units."""
@@ -238,9 +221,9 @@ class Kind(Value):
 
     @property
     def measures_length(self) -> bool:
-        """True if rows compare the arm with a unit of length: not a socket or a touched plane."""
+        """True if rows compare the arm with a unit of length, a board's too: not a socket or a touched plane."""
         reads_length = any(reading.quantity == "length" for reading in self.readings)
-        return self.position or reads_length
+        return self.position or reads_length or self.optical
 
     @property
     def free(self) -> bool:
@@ -252,20 +235,37 @@ class Kind(Value):
         """Number k of measured numbers a row."""
         return 3 * self.position + 9 * self.orientation + len(self.readings)
 
-    def residual_of(self, measured: Array, T_frame_target: Array) -> Array:
+    def readings_at(self, T_frame_target: Array, optics: Array | None = None) -> Array:
+        """Return what a perfect instrument reads.
+
+        Args:
+            T_frame_target: Poses, shape (n, 4, 4) [m]; of a paired kind (n, 2, 4, 4).
+            optics: Numbers of camera and board of an optical kind, shape (n, `calib.camera.optics.COUNT`).
+
+        Returns:
+            shape (n, k), in SI units.
+        """
+        assert self.measure is not None
+        if self.optical:
+            return self.measure(T_frame_target, optics)
+        return self.measure(T_frame_target)
+
+    def residual_of(
+        self, measured: Array, T_frame_target: Array, optics: Array | None = None
+    ) -> Array:
         """Return the residual, measured minus predicted.
 
         Args:
             measured: Measured numbers, shape (n, k), in SI units.
             T_frame_target: Poses, shape (n, 4, 4) [m]; of a paired kind (n, 2, 4, 4).
+            optics: Numbers of camera and board of an optical kind, shape (n, `calib.camera.optics.COUNT`).
 
         Returns:
             The residual, shape (n, s), in ``units``, not whitened.
         """
         if self.residual is not None:
-            return self.residual(measured, T_frame_target)
-        assert self.measure is not None
-        return measured - self.measure(T_frame_target)
+            return self.residual(measured, T_frame_target, *([optics] if self.optical else []))
+        return measured - self.readings_at(T_frame_target, optics)
 
 
 # The registry
@@ -481,7 +481,17 @@ def _plane_frame(normal: Array, distance: float) -> Array:
     return T
 
 
-# The six kinds
+# Images
+
+
+def _image_derivative(
+    _measured: Array, T: Array, twists: Array, optics: Array
+) -> tuple[Array, Array]:
+    """Return the derivatives of images by the parameters, shape (n, 2, p), and by the optics."""
+    return image_derivatives(T, twists, optics)
+
+
+# The seven kinds
 
 _DISTANCE_READING = Reading("distance", positive=True)
 
@@ -561,6 +571,21 @@ _add(
         locate=_fitted_plane,
         settle=_settled_plane,
         place="Plane",
+    )
+)
+_add(
+    Kind(
+        name="pixel",
+        words="image of a corner of the board",
+        units=("px",) * 2,
+        measure=images,
+        derivative=_image_derivative,
+        turns=True,
+        readings=(Reading("u", "pixel"), Reading("v", "pixel")),
+        own_frame=True,
+        fewest=8,
+        place="Camera",
+        optical=True,
     )
 )
 plugins.watch("kinds", _KINDS)

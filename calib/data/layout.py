@@ -10,6 +10,7 @@ import calib.data.kinds as registry
 import calib.plugins as plugins
 from calib.channels import RESIDUAL_UNITS
 from calib.data.columns import (
+    BOARD_POINT,
     COMMON,
     EXPECTED,
     ORIENTATION,
@@ -44,13 +45,13 @@ class Layout:
     """Columns of a table of measurements by what they hold, and the kinds of its rows."""
 
     #: Columns of words that are used, by name: ``row``, ``set``, ``kind``, ``target``, ``pair``, ``point``,
-    #: ``approach``, ``status``.
+    #: ``approach``, ``status``, ``image``, ``corner``.
     words: Named
     #: Columns whose words make the group's name, in the order of the table.
     groups: Columns
-    #: Columns of numbers that are used: ``joints`` in the order of the joints, ``torques``, ``points``, ``orientation``
-    #: (as many as its convention has), the noise of each unit (``sigma``, ``sigma_angle``), and each reading of a kind
-    #: by its name.
+    #: Columns of numbers that are used: ``joints`` in the order of the joints, ``torques``, ``points``,
+    #: ``board_points``, ``orientation`` (as many as its convention has), the noise of each unit (``sigma``,
+    #: ``sigma_angle``), and each reading of a kind by its name.
     blocks: Mapping[str, Columns]
     #: Kinds of the rows; more than one only with a column ``kind``.
     kinds: tuple[str, ...]
@@ -104,6 +105,7 @@ class Layout:
             "torques": _torques(table, named, joints),
             **_noise(table, named, present),
             **_positions(table, named, present, points_elsewhere=points_elsewhere),
+            **_board_points(table, named, present),
             **({} if orientation is None else {"orientation": orientation.columns}),
             **_readings(table, named, present),
         }
@@ -195,6 +197,16 @@ def _positions(
         return {}
     columns = [_needed(table, named, name, "length", "measured points") for name in POINT]
     return {"points": tuple(columns)}
+
+
+def _board_points(table: Table, named: Named, present: Sequence[Kind]) -> dict[str, Columns]:
+    """Return the columns of the positions of corners on their boards."""
+    if not any(kind.optical for kind in present):
+        return {}
+    columns = [
+        _needed(table, named, name, "length", "images of a board's corners") for name in BOARD_POINT
+    ]
+    return {"board_points": tuple(columns)}
 
 
 def _noise(table: Table, named: Named, present: Sequence[Kind]) -> dict[str, Columns]:
@@ -319,6 +331,8 @@ def _words(
         used.append("point")
     if _OF_COMMANDS in named:  # its status says where a row has no command, and is empty
         used.append(STATUS)
+    if any(kind.optical for kind in present):
+        used += ["image", "corner"]
     words = {name: named[name] for name in used if name in named}
     for kind in present:
         if kind.paired:

@@ -21,6 +21,7 @@ from calib.data.checks import (
     check_groups,
     check_joint_names,
     check_pairs,
+    check_reading,
     check_rotations,
     check_torques,
     check_words,
@@ -29,6 +30,7 @@ from calib.data.checks import (
     shared_by_pairs,
 )
 from calib.data.columns import (
+    BOARD_POINT,
     COMMON,
     DEFAULT_TARGET,
     POINT,
@@ -36,7 +38,8 @@ from calib.data.columns import (
     TORQUE,
     cells_of,
 )
-from calib.data.forms.column_options import ColumnOptions, ColumnsInput
+from calib.data.copies import repeats_of_earlier
+from calib.data.forms.column_options import ColumnsInput
 from calib.data.forms.orientations import QUATERNION
 from calib.data.kinds import SIGMAS, Kind
 from calib.data.layout import Layout
@@ -49,20 +52,20 @@ from calib.numerics.geometry import FARTHEST, to_quaternions
 from calib.robot.robot import read_only
 from calib.tables.table import Table
 from calib.units import Array, Mask, Quantity
-from calib.values.arguments import check_mapping, check_names, check_path, mask_of_rows, numbers
+from calib.values.arguments import check_names, mask_of_rows, numbers
 from calib.values.pickling import Value
 from calib.values.short import one_line
 
 #: Attributes with a word a row, and the word where they are not given.
 _WORDS = {
-    **dict.fromkeys(("groups", "pairs", "approaches"), ""),
+    **dict.fromkeys(("groups", "pairs", "approaches", "images", "corners"), ""),
     "sets": SETS[0],
     "targets": DEFAULT_TARGET,
     "kinds": "point",
 }
 
 #: Attributes that are arrays with an entry a row.
-_ARRAYS = ("joints", "points", "rotations", "distances", "torques")
+_ARRAYS = ("joints", "points", "rotations", "distances", "torques", "board_points")
 
 #: Attributes that map names to arrays with an entry a row.
 _MAPPINGS = ("sigma", "readings")
@@ -79,8 +82,8 @@ class Measurements(Value):
     """N rows: the joint values of the robot and what was measured of the target there.
 
     What a row measures is its kind, one of `calib.data.kinds`: ``point``, ``pose``, ``distance``, ``pair``, ``fixed``,
-    ``plane``, or one that was registered. What it does not measure is NaN, whatever was given; an array that is NaN in
-    all rows is None. Arrays are read-only. Words are one a row.
+    ``plane``, ``pixel``, or one that was registered. What it does not measure is NaN, whatever was given; an array that
+    is NaN in all rows is None. Arrays are read-only. Words are one a row.
 
     Raises:
         MeasurementError: A shape, a value or a word does not fit.
@@ -133,6 +136,12 @@ class Measurements(Value):
     orientation: str = ""
     #: Names of the directions that the poses were approached from; ``""`` when not given.
     approaches: tuple[str, ...] = ()
+    #: Names of the pictures in which corners of boards were found; ``""`` when not given.
+    images: tuple[str, ...] = ()
+    #: Names of the corners on their boards, such as ``"17"``; ``""`` when not given.
+    corners: tuple[str, ...] = ()
+    #: Positions of the corners as designed, each in its board's frame, shape (N, 3), [m]; None: no row is an image.
+    board_points: Array | None = None
 
     def __post_init__(self) -> None:
         """Copy the arrays, fill in what was not given, and check that all of it fits together."""
@@ -176,6 +185,7 @@ class Measurements(Value):
             ("joints", (len(self.joint_names),), every_row, _REACH),
             ("points", (3,), self.positions, _REACH),
             ("rotations", (3, 3), has_rotation, _REACH),
+            ("board_points", (3,), self.where(lambda kind: kind.optical), _REACH),
         )
         arrays: dict[str, Array | None] = {}
         for name, tail, rows, limits in specifications:
@@ -209,9 +219,9 @@ class Measurements(Value):
         result: dict[str, Array] = {}
         for name, reading in registered.items():
             values = given.get(name)
-            if values is not None:
-                values = shared_by_pairs(labels, values, self.pair_rows)
             reading_kinds = [k for k in registry.names() if reading in registry.get(k).readings]
+            if values is not None and any(registry.get(kind).paired for kind in reading_kinds):
+                values = shared_by_pairs(labels, values, self.pair_rows)
             rows = self.of_kind(*reading_kinds)
             least = SIGMAS[0] if reading.positive else -FARTHEST
             array = checked_numbers(labels, name, values, (), rows, (least, FARTHEST))
@@ -274,7 +284,7 @@ class Measurements(Value):
             ArgumentError: An argument of another type.
             MeasurementError: The table cannot be read; the text names the file, row and column.
         """
-        _check_reading(path, points, joint_names, joint_types, columns)
+        check_reading(path, points, joint_names, joint_types, columns)
         elsewhere = None if points is None else read_points(points, points_unit)
         table = path if isinstance(path, Table) else Table.read(path)
         layout = Layout.find(
@@ -441,15 +451,12 @@ class Measurements(Value):
         Returns:
             The rows; ``copies`` has the row numbers of those that were left out.
         """
-        arrays = (self.joints, self.points, self.rotations, self.distances, *self.readings.values())
+        given = [getattr(self, name) for name in _ARRAYS if name != "torques"]
+        arrays = [*given, *self.readings.values()]
         numbers = np.hstack([a.reshape(len(self), -1) for a in arrays if a is not None])
-        seen = set()
-        is_repeated = np.zeros(len(self), dtype=np.bool_)
-        words = zip(self.kinds, self.groups, self.targets, strict=True)
-        for i, row_words in enumerate(words):
-            key = (*row_words, numbers[i].tobytes())
-            is_repeated[i] = key in seen
-            seen.add(key)
+        is_repeated = repeats_of_earlier(
+            zip(self.kinds, self.groups, self.targets, strict=True), numbers
+        )
         measures_number = self.where(lambda kind: kind.size > 0)
         is_copy = is_repeated & ~self.paired & measures_number
         copies = tuple(compress(self.rows, is_copy.tolist()))
@@ -487,7 +494,13 @@ class Measurements(Value):
             columns["kind"] = self.kinds
         if set(self.targets) - {DEFAULT_TARGET}:
             columns["target"] = self.targets
-        further = {"group": self.groups, "pair": self.pairs, "approach": self.approaches}
+        further = {
+            "group": self.groups,
+            "pair": self.pairs,
+            "approach": self.approaches,
+            "image": self.images,
+            "corner": self.corners,
+        }
         return columns | {name: words for name, words in further.items() if any(words)}
 
     def _number_columns(self) -> Iterator[_NumberColumn]:
@@ -497,8 +510,9 @@ class Measurements(Value):
             yield name, "length" if slides else "angle", self.joints[:, i]
             if self.torques is not None:
                 yield name + TORQUE, "force" if slides else "torque", self.torques[:, i]
-        for i, name in enumerate(POINT):
-            yield name, "length", self.points[:, i]
+        for names, values in ((POINT, self.points), (BOARD_POINT, self.board_points)):
+            for i, name in enumerate(names if values is not None else ()):
+                yield name, "length", values[:, i]
         if self.rotations is not None:
             quaternions = to_quaternions(self.rotations)
             for i, name in enumerate(QUATERNION.columns):
@@ -508,18 +522,3 @@ class Measurements(Value):
         for symbol, values in self.sigma.items():
             unit = RESIDUAL_UNITS[symbol]
             yield unit.sigma_name, unit.quantity, values
-
-
-def _check_reading(
-    path: object, points: object, joint_names: object, joint_types: object, columns: object
-) -> None:
-    """Refuse arguments of `Measurements.read` that are of another type."""
-    if not isinstance(path, Table):
-        check_path("path", path)
-    if joint_names is not None:
-        check_names("joint_names", joint_names)
-    if points is not None:
-        check_path("points", points)
-    for argument, mapping in (("joint_types", joint_types), ("columns", columns)):
-        if mapping is not None and not isinstance(mapping, ColumnOptions):
-            check_mapping(argument, mapping)

@@ -37,7 +37,7 @@ _NO_COMMAND = "no command: "
 _QUOTED = 80
 
 #: Blocks of several columns; the others have one.
-_WIDE = ("joints", "torques", "points", "orientation")
+_WIDE = ("joints", "torques", "points", "board_points", "orientation")
 
 
 def read_values(table: Table, layout: Layout, elsewhere: Points | None = None) -> dict[str, Any]:
@@ -86,6 +86,8 @@ def read_values(table: Table, layout: Layout, elsewhere: Points | None = None) -
         "groups": chosen.get("group", ()),
         "pairs": chosen.get("pair", ()),
         "approaches": chosen.get("approach", ()),
+        "images": chosen.get("image", ()),
+        "corners": chosen.get("corner", ()),
         "kinds": kinds[measured].tolist(),
         "rows": list(compress(row_numbers, measured)),
         "unmeasured": list(compress(row_numbers, ~measured)),
@@ -130,7 +132,8 @@ def _measured_blocks(kind: Kind, blocks: Blocks) -> list[str]:
 def _used_blocks(kind: Kind, blocks: Blocks) -> set[str]:
     """Return the names of the blocks that rows of a kind use: measured ones, joints and noise."""
     noise = {RESIDUAL_UNITS[symbol].sigma_name for symbol in kind.units}
-    return {"joints", "torques", *noise, *_measured_blocks(kind, blocks)}
+    designed = {"board_points"} if kind.optical else set()
+    return {"joints", "torques", *designed, *noise, *_measured_blocks(kind, blocks)}
 
 
 # Numbers
@@ -348,6 +351,7 @@ def _arrays(layout: Layout, si: Blocks, count: int) -> dict[str, Any]:
         "prismatic": [column.name for column in joints if slides(column)],
         "joints": si.get("joints", np.empty((count, 0))),
         "points": si.get("points", np.full((count, 3), np.nan)),
+        "board_points": si.get("board_points"),
         "rotations": _rotations(layout, si),
         "orientation": "" if layout.orientation is None else layout.orientation.convention.name,
         "torques": _torques(layout, si["torques"]) if "torques" in si else None,

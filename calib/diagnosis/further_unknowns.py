@@ -23,7 +23,6 @@ from calib.estimate.stages import Stage
 from calib.estimate.task import PAPER
 from calib.model.dh_table import zero_poses
 from calib.model.families import ANGLE, LENGTH, ZERO
-from calib.model.parameters import FRAME, TARGET
 from calib.numerics.errors import rms
 from calib.numerics.likelihood import GaussianPriors
 from calib.registration.rows import Rows
@@ -327,7 +326,7 @@ def instrument_scale(fitted: Fitted) -> Scale | None:
     model = fitted.kinematics.model
     problem = fitted.estimate.problem
     rows = problem.rows
-    lengths = ~model.family(FRAME, TARGET) & (np.array(model.units) == "m")
+    lengths = model.of_robot & (np.array(model.units) == "m")
     if not np.any(lengths):
         return None
     T_frame_target = fitted.kinematics.poses(fitted.estimate.x, rows.samples)
@@ -395,7 +394,7 @@ def motion_of_base(fitted: Fitted) -> BaseMotion | None:
     joint = estimate_jointly(fitted, columns, held=of_first)
     motion, p = _significant_motion(fitted, joint, of_first)
     by_base = columns[seen][:, :3] @ motion
-    of_robot = ~fitted.kinematics.model.family(FRAME, TARGET)
+    of_robot = fitted.kinematics.model.of_robot
     by_arm = problem.jacobian(x)[seen][:, :3, of_robot] @ joint.x[of_robot]
     return BaseMotion(
         moved=float(np.linalg.norm(motion[:3])),
@@ -466,7 +465,7 @@ def _p_values_of_motion(
         The three p-values, in this order.
     """
     model = fitted.kinematics.model
-    of_robot = ~model.family(FRAME, TARGET)
+    of_robot = model.of_robot
     freedom = float(np.sum(joint.determined[of_robot & ~of_first]))
     shift = float(directions.along @ joint.b)
     turn = float(directions.about @ joint.b)

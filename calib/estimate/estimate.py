@@ -229,7 +229,7 @@ def _without_traces(problem: Problem, linear: LinearProblem, covariance: Array) 
     """
     model, x = problem.kinematics.model, linear.x
     of_setup = model.family(FRAME, TARGET)
-    of_placements = ~of_setup & np.isin(model.units, ("m", "rad"))
+    of_placements = model.of_robot & np.isin(model.units, ("m", "rad"))
     std = np.sqrt(np.diagonal(covariance))
     least = np.maximum(_NOTHING, _TRACE * std)
     traces = of_placements & (np.abs(x) < least)

@@ -52,8 +52,14 @@ class Fitted(Value):
             The setup with ``T_frame_base``, shape (F, 4, 4), pose of the base in each measurement frame, and
             ``T_tip_target``, shape (T, 4, 4), pose of each target in the tip [m]; all else as registered.
         """
-        displacement, _ = self.kinematics.model.displacements(self.estimate.x)
-        return self.setup.displaced(displacement)
+        x = self.estimate.x
+        displacement, _ = self.kinematics.model.displacements(x)
+        changes = {parameter.name: float(x[k]) for k, parameter in self.kinematics.model.optical}
+        optics = []
+        for unknown in self.setup.optics:
+            change = changes.get(unknown.parameter.name, 0.0)
+            optics.append(replace(unknown, change=change))
+        return replace(self.setup.displaced(displacement), optics=tuple(optics))
 
     def tip_poses(self, samples: Samples) -> Array:
         """T_base_tip of the calibrated robot, non-geometric errors of its joints included.
@@ -108,7 +114,8 @@ class Fitted(Value):
             row's measurement frame; 0 where nothing was measured.
         """
         T_frame_target = self.kinematics.poses(self.estimate.x, rows.samples)
-        return rows.residual(T_frame_target)
+        optics = self.kinematics.optics(self.estimate.x, rows.samples)
+        return rows.residual(T_frame_target, optics)
 
     def held_out_scores(self, rows: Rows) -> Array:
         """Score rows that the fit did not use by their distance from what it predicts; see `calib.numerics.scores`.

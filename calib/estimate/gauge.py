@@ -18,7 +18,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.model.kinematics import Kinematics
-from calib.model.parameters import FRAME, TARGET
 from calib.numerics.errors import rms
 from calib.registration.known_distances import KnownDistance
 from calib.registration.rows import Rows
@@ -111,14 +110,14 @@ def size_gauge(
         parameters cannot represent growth, or where the rows do see it, as with a known target or frame.
     """
     model = kinematics.model
-    lengths = ~model.family(FRAME, TARGET) & (np.array(model.units) == "m")
+    lengths = model.of_robot & (np.array(model.units) == "m")
     chain_growth, reach = _growth_of_chain(kinematics, lengths)
     if chain_growth is None:
         return None
     of_robot = np.zeros(len(model))
     of_robot[lengths] = chain_growth
     used = rows.used
-    growth = _with_setup_growth(of_robot, derivative, used, model.family(FRAME, TARGET))
+    growth = _with_setup_growth(of_robot, derivative, used, ~model.of_robot)
     observed_change = rms((derivative @ growth)[used])
     negligible = _NEGLIGIBLE * reach / rms(rows.scales[used])
     if observed_change > _RESIDUALS * rms(residual[used]) + negligible:

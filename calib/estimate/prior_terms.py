@@ -73,10 +73,15 @@ class PriorTerms:
         """
         cell = task.cell
         origin = _origins(task.setup, registered, model, _constrained(task, model))
-        std = np.array([cell.parameter_priors.get(name, np.nan) for name in model.names])
+        of_optics = {unknown.parameter.name: unknown for unknown in registered.optics}
+        optical_std = {name: unknown.sigma for name, unknown in of_optics.items()}
+        known_std = {**optical_std, **cell.parameter_priors}
+        std = np.array([known_std.get(name, np.nan) for name in model.names])
         has_own = np.isfinite(std)
         of_setup = model.family(FRAME, TARGET)
         weak_precision = np.where(of_setup, 1.0 / _WEAK**2, 0.0)
+        for k, _ in model.optical:
+            origin[k] = of_optics[model.names[k]].mean
         bounds = np.array([cell.bounds.get(name, (-np.inf, np.inf)) for name in model.names])
         members = _members(model, has_own)
         return cls(

@@ -146,7 +146,8 @@ class Problem(Value):
             standard deviations; 0 where nothing was measured.
         """
         T_frame_target = self.kinematics.poses(x, self.rows.samples)
-        return self.rows.residual(T_frame_target)
+        optics = self.kinematics.optics(x, self.rows.samples)
+        return self.rows.residual(T_frame_target, optics)
 
     def jacobian(self, x: Array) -> Array:
         """Jacobian of the prediction, which is minus that of the residual.
@@ -212,9 +213,10 @@ class Problem(Value):
             poses, twists = self.kinematics.twists(x, part_rows.samples, rotation=rotation)
             if width < rows.width:  # these rows lack a kind that others have
                 columns[:, width:, part] = 0.0
-            derivative = part_rows.derivative(poses, twists).transpose(2, 1, 0)
+            optics = self.kinematics.optics(x, part_rows.samples)
+            derivative = part_rows.derivative(poses, twists, optics).transpose(2, 1, 0)
             columns[:-1, :width, part] = derivative / scale
-            columns[-1][:width, part] = part_rows.residual(poses).T / scale
+            columns[-1][:width, part] = part_rows.residual(poses, optics).T / scale
         return columns
 
     def observability(self, x: Array) -> Observability:
@@ -243,7 +245,21 @@ class Problem(Value):
         sigma = np.array([distance.sigma for distance in self.distances])
         _, whitened = self._distance_residuals(x)
         of_distances = whitened * sigma[:, None]
-        return analyse(np.concatenate([jacobian, of_distances]), model.names, model.units)
+        known = np.concatenate([jacobian, of_distances, self._known_optics()])
+        return analyse(known, model.names, model.units)
+
+    def _known_optics(self) -> Array:
+        """What is known beforehand of cameras and boards, as rows of the Jacobian of `observability`.
+
+        Their priors, 1 / tau_k^2 of `precision`, are what was stated or measured, as the print of a board was; those
+        of the robot are not.
+
+        Returns:
+            shape (k, p), [m].
+        """
+        numbers = [k for k, _ in self.kinematics.model.optical]
+        of_optics = np.diag(np.sqrt(self.precision))[numbers]
+        return np.asarray(of_optics * np.median(self.rows.sigma["m"]))
 
     def constraints(self, x: Array) -> tuple[Array, Array]:
         """Residuals of what is known besides the measured rows: of the known distances between frames (`distances`).

@@ -29,27 +29,29 @@ def stop_of_rows(rows: Rows) -> Integers | None:
         shape (N,), number of each row's stop, >= 0, the same for all rows of a stop, not all numbers being used; -1 for
         rows of a stop with one target, or of a kind that measures no position. None where all are such.
     """
-    target = rows.samples.target
-    if not len(rows) or target.min() == target.max():
+    measured_point = rows.poses  # of one frame, target and corner at one pose
+    if not len(rows) or len(np.unique(measured_point)) == len(np.unique(rows.blocks)):
         return None
     # The two poses of a pair are one block.
     pose = same_poses(rows.joints) if np.any(rows.partner >= 0) else rows.blocks
     labels = np.column_stack([pose, rows.samples.frame, rows.kind])
     stop = np.unique(labels, axis=0, return_inverse=True)[1].reshape(-1)
-    stop_and_target = np.unique(np.column_stack([stop, target]), axis=0)
-    targets_of_stop = np.bincount(stop_and_target[:, 0])
-    several = targets_of_stop[stop] > 1
-    chosen = several & rows.where(lambda kind: kind.position)
+    stop_and_point = np.unique(np.column_stack([stop, measured_point]), axis=0)
+    points_of_stop = np.bincount(stop_and_point[:, 0])
+    several = points_of_stop[stop] > 1
+    chosen = several & rows.where(lambda kind: kind.position or kind.optical)
     if not np.any(chosen):
         return None
     return np.where(chosen, stop, -1)
 
 
-def twists_of_bodies(points: Array, stops: Integers, counts: Array) -> Array:
+def twists_of_bodies(origins: Array, points: Array, stops: Integers, counts: Array) -> Array:
     """Differentiate the poses of targets by the displacements of their bodies, which turn about their centroids.
 
     Args:
-        points: shape (K, 3), position of the measured target of each of K rows in its measurement frame [m].
+        origins: shape (K, 3), position of the origin of each row's target in its measurement frame [m].
+        points: shape (K, 3), position of the measured point of each of K rows in its measurement frame, which is the
+            target's origin or a corner of a board [m].
         stops: shape (K,), points of one number are of one body, which is the body at one stop (standstill of the
             robot).
         counts: shape (K,), weight of each point in its body's centroid, > 0.
@@ -62,7 +64,7 @@ def twists_of_bodies(points: Array, stops: Integers, counts: Array) -> Array:
     body = np.unique(stops, return_inverse=True)[1].reshape(-1)
     sums = np.stack([np.bincount(body, counts * column) for column in points.T], axis=1)
     centroids = sums / np.bincount(body, counts)[:, None]
-    lever = points - centroids[body]
+    lever = origins - centroids[body]
     twists = np.zeros((len(points), 6, 6))
     twists[:] = np.eye(6)
     # Column k is e_k x lever.

@@ -121,7 +121,8 @@ class Stops:
         T_frame_target = kinematics.poses(nominal, of_stops.samples)
         # Repeats of a target are one point of the body.
         weight = 1.0 / np.bincount(of_stops.poses)[of_stops.poses]
-        twists = twists_of_bodies(T_frame_target[:, :3, 3], stop, weight)
+        points = of_stops.points(T_frame_target)
+        twists = twists_of_bodies(T_frame_target[:, :3, 3], points, stop, weight)
         derivative = of_stops.derivative(T_frame_target, twists)
         J = np.zeros((len(of_stops), rows.width, 6))
         J[:, : of_stops.width] = derivative / of_stops.scales[:, :, None]

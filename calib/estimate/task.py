@@ -71,6 +71,7 @@ class Task(Value):
             targets=setup.target_names,
             rotation=setup.rotation,
             gravity=self.cell.gravity,
+            further=[unknown.parameter for unknown in setup.optics],
         )
         self._check_setup_is_whole(model)
         frozen = self.cell.frozen

@@ -66,6 +66,7 @@ def error_model(
     targets: Sequence[str] = ("",),
     rotation: bool = False,
     gravity: ArrayLike = GRAVITY,
+    further: Sequence[Parameter] = (),
 ) -> ErrorModel:
     """Return a named set of parameters for a robot, its measurement frames and its targets.
 
@@ -82,6 +83,7 @@ def error_model(
         rotation: True if targets are frames, of which six parameters are estimated; False for points.
         gravity: Shape (3,), acceleration in the URDF's root [m/s^2]; the family ``gravity`` leaves out what it cannot
             bend.
+        further: Further parameters, of cameras and boards, which come last.
 
     Raises:
         ModelError: No such set or family; or ``paper`` with an unknown frame, which the paper does not have.
@@ -112,7 +114,7 @@ def error_model(
     model = ErrorModel(
         name=name if isinstance(name, str) else OWN,
         places=(*outer.places[: len(frame)], *joints, *outer.places[len(frame) :]),
-        parameters=(*robot_parameters, *outer.parameters),
+        parameters=(*robot_parameters, *outer.parameters, *further),
     )
     if set_name == "zeros":
         return model.tied(_follower_ties(robot))

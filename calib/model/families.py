@@ -120,8 +120,19 @@ M_PER_N = Unit(
     example="1e-6 m/N",
 )
 
+PX = Unit(
+    symbol="px",
+    key="px",
+    quantity="a length in the image",
+    step=1.0,
+    shown=(1.0, "px"),
+    cell=("_px", 1.0),
+    example="2 px",
+    largest=1e5,
+)
+
 #: calib's own units of parameters.
-_UNITS = (M, RAD, ONE, M_PER_M, RAD_PER_NM, RAD_PER_M, M_PER_N)
+_UNITS = (M, RAD, PX, ONE, M_PER_M, RAD_PER_NM, RAD_PER_M, M_PER_N)
 
 #: Names of the points that the chain ends at, besides those of its joints.
 ENDS = ("tip", "base")

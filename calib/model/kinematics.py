@@ -8,6 +8,7 @@ joints' own errors dq of `joint_displacements`.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -15,11 +16,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from calib.model.joint_errors import joint_displacements
-from calib.model.parameters import ErrorModel
+from calib.model.parameters import ErrorModel, Parameter
 from calib.robot import kernel
 from calib.robot.robot import Robot, read_only
 from calib.units import Array, Integers, Mask
 from calib.values.pickling import Value
+
+#: Index of the parameter of a number that is not estimated.
+FIXED = -1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,6 +38,9 @@ class Samples(Value):
     target: Integers
     #: shape (N, n, n + 3), see `calib.robot.gravity.gravity_loads`; None if not known.
     load: Array | None = None
+    #: shape (N, `calib.camera.optics.COUNT`), numbers of camera and board by which images are predicted, before the
+    #: fit; None without cameras.
+    optics: Array | None = None
 
     @classmethod
     def at(cls, q: ArrayLike, load: Array | None = None) -> Samples:
@@ -54,7 +61,42 @@ class Samples(Value):
     def select(self, chosen: Mask | Integers | slice) -> Samples:
         """Return some of the samples, by a mask, by their indices, or a slice of them."""
         load = None if self.load is None else self.load[chosen]
-        return Samples(self.q[chosen], self.frame[chosen], self.target[chosen], load)
+        optics = None if self.optics is None else self.optics[chosen]
+        return Samples(self.q[chosen], self.frame[chosen], self.target[chosen], load, optics)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Optics(Value):
+    """Numbers of camera and board in N samples, and the parameters that change them."""
+
+    #: shape (N, c), `calib.camera.optics.COUNT` numbers of each sample.
+    values: Array
+    #: shape (N, c), index of the parameter that each number grows with, from 0; -1 for one that is not estimated.
+    parameter: Integers
+
+
+def changed_optics(
+    samples: Samples, parameters: Sequence[Parameter], x: Array, numbers: Sequence[int]
+) -> Optics | None:
+    """Return the numbers of camera and board in samples, changed by parameters; None without cameras.
+
+    Args:
+        samples: N samples, with these numbers before the fit.
+        parameters: k parameters of cameras and boards.
+        x: shape (k,), their values.
+        numbers: Their indices among all parameters.
+    """
+    if samples.optics is None:
+        return None
+    values = samples.optics.copy()
+    parameter_of = np.full(values.shape, FIXED)
+    for parameter, value, number in zip(parameters, x, numbers, strict=True):
+        rows = np.ones(len(samples), dtype=bool)
+        for column, selected in parameter.samples:
+            rows &= samples.optics[:, column] == selected
+        values[rows, parameter.optic] += value
+        parameter_of[rows, parameter.optic] = number
+    return Optics(values, parameter_of)
 
 
 #: Samples, or joint values (N, m) alone, then of the first target seen from the first frame.
@@ -126,6 +168,17 @@ class Kinematics(Value):
         geometry, directions = self._displaced(x)
         chain_samples = self._chain_samples(x, samples)
         return kernel.twists(geometry, directions, chain_samples, rotation=rotation)
+
+    def optics(self, x: Array, samples: Samples) -> Optics | None:
+        """Return the numbers of camera and board by which images are predicted; None without cameras.
+
+        Args:
+            x: Shape (p,), the parameters in their units.
+            samples: N samples.
+        """
+        optical = self.model.optical
+        numbers = [k for k, _ in optical]
+        return changed_optics(samples, [parameter for _, parameter in optical], x[numbers], numbers)
 
     def _displaced(self, x: Array) -> tuple[kernel.Geometry, kernel.Directions]:
         """Return all placements displaced by x, and the twist of a unit of each parameter there."""

@@ -27,6 +27,15 @@ TIP = "(tip)"
 #: Place of a target, with the target's name behind it.
 TARGET = "(target)"
 
+#: Family of the numbers of a camera, which are estimated with its frame: focal lengths, centre, distortion.
+CAMERA = "camera"
+
+#: Family of the errors of a board's print: scale, sag, corners.
+BOARD = "board"
+
+#: Families of parameters that are not errors of the robot.
+SETUP = (FRAME, TARGET, CAMERA, BOARD)
+
 #: A placement that is displaced by less stays as it is, and so does its <origin> [m; rotation matrices: 1].
 _UNMOVED = 1e-12
 
@@ -43,12 +52,17 @@ class Parameter(Value):
     place: str
     #: shape (6,), twist in the place's frame, linear then angular, of a unit of the parameter or the joint's motion.
     direction: Array
-    #: One of `calib.model.families.FAMILIES`, `FRAME` or `TARGET`.
+    #: One of `calib.model.families.FAMILIES`, or of `SETUP`.
     family: str
     #: The value that it adds to, in its unit: the DH table's, or 0.
     nominal: float = 0.0
     #: The number of the joint's state that multiplies it; None for 1.
     factor: Factor | None = None
+    #: Column of `calib.camera.optics` that it adds to; None for one that moves something, as its direction says.
+    optic: int | None = None
+    #: Columns of `calib.camera.optics` and their values in the samples that it changes: the number of the camera or the
+    #: board, and that of a corner.
+    samples: tuple[tuple[int, int], ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,7 +89,11 @@ class ErrorModel(Value):
         if not self.terms:
             object.__setattr__(self, "terms", self.parameters)
             object.__setattr__(self, "mixing", read_only(np.eye(len(self.parameters))))
-        of_placements = [(t, term) for t, term in enumerate(self.terms) if term.factor is None]
+        of_placements = [
+            (t, term)
+            for t, term in enumerate(self.terms)
+            if term.factor is None and term.optic is None
+        ]
         self._check([term.place for _, term in of_placements])
         place_index = {place: k for k, place in enumerate(self.places)}
         undisplaced = np.zeros((6 * len(self.places), len(self.terms)))
@@ -117,6 +135,16 @@ class ErrorModel(Value):
     def __len__(self) -> int:
         """The number p of parameters."""
         return len(self.parameters)
+
+    @property
+    def of_robot(self) -> Mask:
+        """The parameters that are errors of the robot, not of frames, targets, cameras or boards; shape (p,)."""
+        return ~self.family(*SETUP)
+
+    @property
+    def optical(self) -> tuple[tuple[int, Parameter], ...]:
+        """Index and parameter of each number of a camera or a board that is estimated."""
+        return tuple((k, p) for k, p in enumerate(self.parameters) if p.optic is not None)
 
     def family(self, *names: str) -> Mask:
         """Return the mask of the parameters that belong to one of the families named, shape (p,)."""

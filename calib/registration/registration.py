@@ -17,13 +17,17 @@ from calib.registration.refinement import refined, sum_of_squares
 from calib.registration.rows import NONE, Rows
 from calib.registration.setup import Setup
 from calib.registration.starts import starts_of
-from calib.units import Array, Mask
+from calib.registration.views import views_of
+from calib.units import Array, Integers, Mask
 
 #: The most starts that are refined: those with the lowest cost.
 _REFINED = 5
 
 #: Rows that are enough for a registration, shared by the pairs of a frame and a target.
 _ROWS = 200
+
+#: Images that are enough for a registration, shared likewise.
+_VIEWS = 60
 
 #: The fewest rows of each pair of a frame and a target; with no more rows in all none is left out.
 _FEWEST_ROWS = 20
@@ -81,6 +85,9 @@ def register_all_rows(
     """
     if not setup.count:
         return setup
+    if np.any(rows.where(lambda kind: kind.optical)):
+        starts = [_registered_to_views(setup, T_base_tip, rows, tolerance)]
+        return _settled(_best_refined(starts, T_base_tip, rows, tolerance), rows)
     linear = linear_setup(setup, T_base_tip, rows)
     only_points = np.all(rows.where(lambda kind: kind.position and kind.size == 3))
     if linear is not None and only_points:
@@ -93,6 +100,26 @@ def register_all_rows(
         starts = starts_of(setup, T_base_tip, rows)
     best = _best_refined(starts, T_base_tip, rows, tolerance)
     return _settled(best, rows)
+
+
+def _registered_to_views(setup: Setup, T_base_tip: Array, rows: Rows, tolerance: float) -> Setup:
+    """Register cameras and boards to the poses of the boards in single views, without those that are far off.
+
+    Args:
+        setup: Frames and targets, with what is estimated of them.
+        T_base_tip: shape (N, 4, 4), pose of the tip at each row [m].
+        rows: N rows, of which some are images.
+        tolerance: Relative fall of the sum of squares at which a refinement ends.
+    """
+    views = views_of(rows)
+    T_base_tip = T_base_tip[views.first]
+    poses = views.rows
+    registered = register_all_rows(T_base_tip, setup, poses, tolerance=tolerance)
+    # A board nearly head on may be taken for its mirror image.
+    near = _near_rows(registered, T_base_tip, poses)
+    if near is None or np.all(near):
+        return registered
+    return register_all_rows(T_base_tip[near], setup, poses.select(near), tolerance=tolerance)
 
 
 def _with_frames_found(setup: Setup, T_base_tip: Array, rows: Rows, tolerance: float) -> Setup:
@@ -283,16 +310,24 @@ def _subsample(rows: Rows) -> Mask:
     """Mask of rows that are enough for a registration, evenly spaced for each frame and target; pairs stay whole."""
     if len(rows) <= _FEWEST_ROWS:
         return np.ones(len(rows), dtype=bool)
-    measuring = np.flatnonzero(rows.kind != NONE)
+    is_image = rows.where(lambda kind: kind.optical)
     samples = rows.samples
     # Each pair of a frame and a target has a number.
     targets = int(samples.target.max()) + 1
-    view = (samples.frame * targets + samples.target)[measuring]
-    views = np.unique(view)
-    most = max(_ROWS // len(views), _FEWEST_ROWS)
+    seen_pair = samples.frame * targets + samples.target
+    pairs = np.unique(seen_pair)
+    most = max(_ROWS // len(pairs), _FEWEST_ROWS)
     mask = np.zeros(len(rows), dtype=bool)
-    for v in views:
-        of_view = measuring[view == v]
-        spaced = np.linspace(0, len(of_view) - 1, min(len(of_view), most))
-        mask[of_view[spaced.astype(int)]] = True
+    for pair in pairs:
+        of_pair = seen_pair == pair
+        mask[_evenly_spaced(np.flatnonzero(of_pair & ~is_image & (rows.kind != NONE)), most)] = True
+        poses = np.unique(rows.blocks[of_pair & is_image])
+        chosen = _evenly_spaced(poses, max(_VIEWS // len(pairs), _FEWEST_ROWS))
+        mask |= of_pair & is_image & np.isin(rows.blocks, chosen)  # images are kept whole
     return rows.with_partners(mask)
+
+
+def _evenly_spaced(values: Integers, most: int) -> Integers:
+    """Return at most so many of n values, evenly spaced in their order."""
+    spaced = np.linspace(0, len(values) - 1, min(len(values), most))
+    return np.asarray(values[spaced.astype(int)])

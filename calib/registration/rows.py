@@ -7,10 +7,11 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from calib.camera.optics import board_points
 from calib.channels import Channels, channels_of
 from calib.data.kinds import Kind
 from calib.mappings import ReadOnlyMapping
-from calib.model.kinematics import Samples
+from calib.model.kinematics import FIXED, Optics, Samples
 from calib.units import Array, Integers, Mask
 
 #: Index of the kind of rows that hold no measurement themselves: the second rows of pairs.
@@ -169,11 +170,12 @@ class Rows:
             sole=None if self.sole is None else self.sole[chosen],
         )
 
-    def residual(self, T_frame_target: Array) -> Array:
+    def residual(self, T_frame_target: Array, optics: Optics | None = None) -> Array:
         """Return measured minus predicted.
 
         Args:
             T_frame_target: shape (N, 4, 4), predicted pose of each row's target in its frame [m].
+            optics: Numbers of camera and board; None: those before the fit.
 
         Returns:
             shape (N, D), in the units of ``channels``; 0 where nothing was measured.
@@ -183,35 +185,74 @@ class Rows:
         for part in self._by_kind:
             measured = self.measured[part.rows, : part.kind.size]
             predicted = self._at_kind(part, T_frame_target)
-            values = part.kind.residual_of(measured, predicted)
+            values = part.kind.residual_of(measured, predicted, self._optics_at(part, optics))
             result[numbers[part.rows], part.columns] = values
         return result
 
-    def derivative(self, T_frame_target: Array, twists: Array) -> Array:
+    def derivative(
+        self, T_frame_target: Array, twists: Array, optics: Optics | None = None
+    ) -> Array:
         """Return the Jacobian of the prediction by the parameters: minus that of the residual.
 
         Args:
             T_frame_target: shape (N, 4, 4), predicted pose of each row's target in its frame [m].
             twists: shape (N, 6, p), motion of the target by each parameter, along the frame's axes; see
                 `Kinematics.twists`. (N, 3, p), translations alone, where no row depends on its target's orientation.
+            optics: Numbers of camera and board, and the parameters that change them; None: those before the fit,
+                which none of the p parameters changes.
 
         Returns:
             shape (N, D, p); 0 where nothing was measured.
         """
-        shape = (len(self), self.width, twists.shape[2])
         numbers = np.arange(len(self))[:, None]
+        shape = (len(self), self.width, twists.shape[2])
         result: Array | None = None
         for part in self._by_kind:
-            measured = self.measured[part.rows, : part.kind.size]
-            predicted = self._at_kind(part, T_frame_target)
-            moved = self._at_kind(part, twists)
-            values = part.kind.derivative(measured, predicted, moved)
+            values = self._derivative_of(part, T_frame_target, twists, optics)
             if values.shape == shape:
                 return values  # the only kind, and all columns
             if result is None:
                 result = np.zeros(shape)
             result[numbers[part.rows], part.columns] = values
         return np.zeros(shape) if result is None else result
+
+    def _derivative_of(
+        self, part: _KindRows, T_frame_target: Array, twists: Array, optics: Optics | None
+    ) -> Array:
+        """The Jacobian of the prediction of the n rows of one kind, shape (n, s, p); see `derivative`."""
+        measured = self.measured[part.rows, : part.kind.size]
+        predicted = self._at_kind(part, T_frame_target)
+        moved = self._at_kind(part, twists)
+        if not part.kind.optical:
+            return np.asarray(part.kind.derivative(measured, predicted, moved))
+        values = self._optics_at(part, optics)
+        by_motion, by_optics = part.kind.derivative(measured, predicted, moved, values)
+        if optics is not None:
+            add_by_parameter(by_motion, by_optics, optics.parameter[part.rows])
+        return np.asarray(by_motion)
+
+    def points(self, T_frame_target: Array) -> Array:
+        """Return the measured point of each row: its target's origin, or a corner of the board.
+
+        Args:
+            T_frame_target: shape (N, 4, 4), predicted pose of each row's target in its frame [m].
+
+        Returns:
+            shape (N, 3), in the row's measurement frame [m].
+        """
+        result: Array = T_frame_target[:, :3, 3].copy()
+        if self.samples.optics is None:
+            return result
+        on_board = board_points(self.samples.optics)
+        return np.asarray(result + np.einsum("nij,nj->ni", T_frame_target[:, :3, :3], on_board))
+
+    def _optics_at(self, part: _KindRows, optics: Optics | None) -> Array | None:
+        """Numbers of camera and board at the rows of an optical kind; None for another kind."""
+        if not part.kind.optical:
+            return None
+        values = self.samples.optics if optics is None else optics.values
+        assert values is not None
+        return values[part.rows]
 
     def as_measured_at(self, T_frame_target: Array) -> Rows:
         """Return the rows with the readings of a perfect instrument.
@@ -222,7 +263,8 @@ class Rows:
         measured = self.measured.copy()
         for part in self._by_kind:
             if part.kind.measure is not None:
-                readings = part.kind.measure(self._at_kind(part, T_frame_target))
+                predicted = self._at_kind(part, T_frame_target)
+                readings = part.kind.readings_at(predicted, self._optics_at(part, None))
                 measured[part.rows, : part.kind.size] = readings
         return replace(self, measured=measured)
 
@@ -284,6 +326,19 @@ class Rows:
         if np.any(self.partner >= 0):
             size = max(len(self), 1)
         return [slice(k, k + size) for k in range(0, len(self), size)]
+
+
+def add_by_parameter(jacobian: Array, by_optics: Array, parameter: Integers) -> None:
+    """Add the derivative by numbers of camera and board to that by the parameters that change them, in place.
+
+    Args:
+        jacobian: shape (n, s, p), derivative by the parameters.
+        by_optics: shape (n, s, c), derivative by c numbers of each row.
+        parameter: shape (n, c), index of the parameter that changes each; `FIXED` for none.
+    """
+    for optic in np.flatnonzero(np.any(parameter != FIXED, axis=0)).tolist():
+        rows = np.flatnonzero(parameter[:, optic] != FIXED)
+        jacobian[rows, :, parameter[rows, optic]] += by_optics[rows, :, optic]
 
 
 def _rows_by_kind(kinds: tuple[Kind, ...], kind_of_row: Integers) -> tuple[_KindRows, ...]:

@@ -12,11 +12,25 @@ from itertools import compress
 
 import numpy as np
 
-from calib.model.kinematics import Samples
+from calib.model.kinematics import Optics, Samples, changed_optics
 from calib.model.parameters import FRAME, TARGET, ErrorModel, Parameter
 from calib.robot.robot import read_only
 from calib.units import Array, Mask
 from calib.values.pickling import Value
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OpticalUnknown(Value):
+    """A number of a camera or a board that is estimated, and what is known of it beforehand."""
+
+    #: The parameter: the change from the number with which images are predicted before the fit
+    parameter: Parameter
+    #: Mean of its prior, in its unit: 0 where the fit begins at what was given
+    mean: float
+    #: Standard deviation of its prior, in its unit
+    sigma: float
+    #: The change as estimated, in its unit; 0 before the fit
+    change: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,6 +59,8 @@ class Setup(Value):
     own_axes: Mask
     #: Whether the targets' orientations are known, measured or given
     oriented: bool = False
+    #: Numbers of cameras and boards that are estimated
+    optics: tuple[OpticalUnknown, ...] = ()
 
     @property
     def frame_unknowns(self) -> Mapping[str, tuple[str, ...]]:
@@ -119,6 +135,12 @@ class Setup(Value):
         """
         T_frame_tip = self.T_frame_base[samples.frame] @ T_base_tip
         return np.asarray(T_frame_tip @ self.T_tip_target[samples.target])
+
+    def optics_at(self, samples: Samples) -> Optics | None:
+        """Return the numbers of camera and board by which images in samples are predicted; None without cameras."""
+        parameters = [unknown.parameter for unknown in self.optics]
+        changes = np.array([unknown.change for unknown in self.optics])
+        return changed_optics(samples, parameters, changes, range(len(parameters)))
 
     def seen_by(self, samples: Samples) -> tuple[Mask, Mask]:
         """Return the frames, shape (F,), and the targets, shape (T,), that occur in samples."""

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 import calib.data.kinds as registry
+from calib.camera.optics import CORNER
 from calib.channels import RESIDUAL_UNITS
 from calib.data.cell import AUTO, Cell
 from calib.data.kinds import Kind
@@ -13,6 +16,7 @@ from calib.errors import MeasurementError
 from calib.model.error_model import split_name
 from calib.model.families import FAMILIES
 from calib.model.kinematics import Samples
+from calib.registration.cameras import optics_of_rows
 from calib.registration.joint_loads import joint_loads
 from calib.registration.labels import joined_labels, numbered
 from calib.registration.rows import NONE, Rows
@@ -41,14 +45,16 @@ def rows_and_setup(robot: Robot, measurements: Measurements, cell: Cell) -> tupl
     q = measurements.joints_for(robot.joint_names)
     kinds = _kinds_of(measurements)
     kind, partner = _kind_and_partner(measurements, kinds)
+    pose = same_poses(q)
     setup = measurement_setup(cell, measurements, kinds, kind)
+    optics, unknowns = optics_of_rows(measurements, cell, setup, pose)
     samples = Samples(
         q=q,
         frame=numbered(measurements.groups, setup.groups),
         target=numbered(measurements.targets, setup.targets),
         load=joint_loads(robot, measurements, cell, q) if _needs_loads(cell) else None,
+        optics=optics,
     )
-    pose = same_poses(q)
     first_rows = np.flatnonzero(partner >= 0)
     pairs = [(int(i), int(partner[i])) for i in first_rows]
     rows = Rows(
@@ -61,7 +67,7 @@ def rows_and_setup(robot: Robot, measurements: Measurements, cell: Cell) -> tupl
         poses=_repeats(pose, samples, kind, partner),
         blocks=joined_labels(pose, pairs),
     )
-    return rows, setup
+    return rows, replace(setup, optics=unknowns)
 
 
 def _kinds_of(measurements: Measurements) -> tuple[Kind, ...]:
@@ -120,6 +126,8 @@ def _repeats(pose: Integers, samples: Samples, kind: Integers, partner: Integers
     if poses == len(pose):
         return pose  # no pose is repeated
     labels = np.column_stack([pose, samples.frame, samples.target, kind])
+    if samples.optics is not None:
+        labels = np.column_stack([labels, samples.optics[:, CORNER]])
     labels_of_partner = np.where((partner >= 0)[:, None], labels[partner], -1)
     both = np.hstack([labels, labels_of_partner])
     _, number = np.unique(both, axis=0, return_inverse=True)

@@ -26,7 +26,7 @@ from calib.json_files import Json, JsonLayout, Key, damage, json_bytes, nested, 
 from calib.model.families import FAMILIES, Factor, factor_of
 from calib.model.kinematics import Kinematics
 from calib.model.observability import Observability
-from calib.model.parameters import FRAME, TARGET, ErrorModel, Parameter
+from calib.model.parameters import SETUP, ErrorModel, Parameter
 from calib.numerics.errors import CrossValidation, Errors, UnitErrors
 from calib.numerics.repeats import Repeats
 from calib.registration.setup import Setup
@@ -351,7 +351,7 @@ def _registered_names(table: Json) -> dict[str, set[str]]:
         models.append(table["non_geometric"]["model"])
     families = {term["family"] for model in models for term in model["terms"]}
     return {
-        "families": families - {FRAME, TARGET},
+        "families": families - {*SETUP},
         "kinds": {*table["rows"]["kinds"]},
         "solvers": {table["solver"]["name"]},
         "models": {model["set"].partition("+")[0] for model in models},

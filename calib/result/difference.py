@@ -19,7 +19,6 @@ from scipy.spatial.transform import Rotation
 from calib.model.error_model import DIRECTIONS
 from calib.model.kinematics import Kinematics
 from calib.model.observability import steps
-from calib.model.parameters import FRAME, TARGET
 from calib.numerics.drift import (
     DriftTest,
     Estimate,
@@ -127,7 +126,7 @@ def _own_indices(result: CalibrationValues) -> NDArray[np.int_]:
     Returns:
         shape (k,), from 0, ascending.
     """
-    return np.flatnonzero(~result.model.family(FRAME, TARGET))
+    return np.flatnonzero(result.model.of_robot)
 
 
 def _own_steps(result: CalibrationValues) -> Array:

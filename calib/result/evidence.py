@@ -10,7 +10,6 @@ from calib.channels import Channels
 from calib.diagnosis.reasons import NO, Reason, Why
 from calib.diagnosis.verdict import Evidence
 from calib.estimate.fitting import Fitted
-from calib.model.parameters import FRAME, TARGET
 from calib.numerics.errors import Errors
 from calib.numerics.rigid_motion import without_rigid_motion
 from calib.registration.rows import Rows
@@ -51,7 +50,7 @@ def evidence_of(
     assert part.cross_validation is not None
     of_non_geometric = isinstance(part, NonGeometric)
     fitted = _fit_of(result, part)
-    of_robot = ~part.model.family(FRAME, TARGET)
+    of_robot = part.model.of_robot
     lengths_and_angles = of_robot & np.isin(part.model.units, ("m", "rad"))
     changes = np.abs(part.x[lengths_and_angles])
     expected, expected_of_nominal = _over_joint_limits(result, part)

@@ -20,7 +20,6 @@ from calib.errors import CalibError
 from calib.estimate.fitting import Fitted, fit
 from calib.estimate.task import PAPER
 from calib.mappings import keep_read_only
-from calib.model.parameters import FRAME, TARGET
 from calib.registration.rows import Rows
 from calib.result.fits import TableFits
 from calib.robot.robot import Robot, read_only
@@ -163,7 +162,7 @@ def _fit_zeros(geometry: Fitted) -> tuple[Fitted, Mask]:
 
 def _of_robot(fitted: Fitted) -> Mask:
     """Return True for the zeros among the p parameters, False for frames and targets, shape (p,)."""
-    return np.asarray(~fitted.kinematics.model.family(FRAME, TARGET))
+    return np.asarray(fitted.kinematics.model.of_robot)
 
 
 # From parameters to readings
@@ -288,5 +287,6 @@ def _derivative_by_readings(fitted: Fitted, rows: Rows) -> Array:
 
 def _residual_at(fitted: Fitted, rows: Rows, q: Array) -> Array:
     """Return measured minus predicted with other readings, shape (N, m), [rad] or [m]."""
-    T_frame_target = fitted.kinematics.poses(fitted.estimate.x, replace(rows.samples, q=q))
-    return rows.residual(T_frame_target)
+    samples = replace(rows.samples, q=q)
+    T_frame_target = fitted.kinematics.poses(fitted.estimate.x, samples)
+    return rows.residual(T_frame_target, fitted.kinematics.optics(fitted.estimate.x, samples))

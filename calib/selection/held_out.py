@@ -61,7 +61,8 @@ def residual_after_registration(
         good_rows = held_out_rows.select(good)
         placed = register_all_rows(T_base_tip[good], unseen, good_rows)
     T_frame_target = placed.target_poses(T_base_tip, held_out_rows.samples)
-    return held_out_rows.residual(T_frame_target)
+    optics = placed.optics_at(held_out_rows.samples)
+    return held_out_rows.residual(T_frame_target, optics)
 
 
 def seen_only_by(fitted: Fitted, chosen: Mask) -> Mask:

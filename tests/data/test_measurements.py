@@ -189,7 +189,7 @@ def test_what_a_kind_measures_as_arguments_and_readings(name):
 @given(st.data())
 def test_what_is_written_reads_back(tmp_path_factory, data):
     names = data.draw(st.lists(st.sampled_from(kinds.names()), min_size=1, max_size=5))
-    for kind, count in (("pair", 2), ("fixed", 2), ("plane", 4)):
+    for kind, count in (("pair", 2), ("fixed", 2), ("plane", 4), ("pixel", 8)):
         if kind in names:
             names = [k for k in names if k != kind] + [kind] * count
     count = len(names)
@@ -210,6 +210,10 @@ def test_what_is_written_reads_back(tmp_path_factory, data):
         approaches=data.draw(st.just(()) | st.just(("from above",) * count)),
         torques=data.draw(st.none() | st.just(torques)),
         prismatic=("rail",),
+        readings={name: random.uniform(0, 999, count) for name in ("u", "v")},
+        board_points=random.uniform(0, 0.2, (count, 3)),
+        images=data.draw(st.just(()) | st.just(("left.png",) * count)),
+        corners=data.draw(st.just(()) | st.just(tuple(map(str, range(count))))),
     )
     path = tmp_path_factory.mktemp("written") / "data.csv"
     m.write(path)

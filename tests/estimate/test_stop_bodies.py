@@ -11,7 +11,7 @@ from calib.estimate.stop_bodies import of_unit_size, twists_of_bodies
 def test_points_of_a_body_turn_about_their_weighted_centroid():
     points = np.array([[1.0, 0.0, 0.0], [0.0, 2.0, 0.0], [4.0, 0.0, 0.0], [5.0, 5.0, 5.0]])
     stops = np.array([3, 3, 3, 8])
-    twists = twists_of_bodies(points, stops, np.array([1.0, 1.0, 2.0, 1.0]))
+    twists = twists_of_bodies(points, points, stops, np.array([1.0, 1.0, 2.0, 1.0]))
     centroid = np.array([2.25, 0.5, 0.0])
     np.testing.assert_array_equal(twists[:, :3, :3], np.tile(np.eye(3), (4, 1, 1)))
     np.testing.assert_array_equal(twists[:, 3:, :3], 0.0)
@@ -22,6 +22,16 @@ def test_points_of_a_body_turn_about_their_weighted_centroid():
         np.testing.assert_allclose(moved, np.cross(turn, points[k] - centroid))
     # The only point of its body stays where it is.
     np.testing.assert_array_equal(twists[3, :3, 3:], 0.0)
+
+
+def test_corners_of_a_board_turn_its_origin_about_their_centroid():
+    corners = np.array([[1.0, 0.0, 0.5], [3.0, 2.0, 0.5]])
+    origins = np.array([[5.0, 5.0, 5.0], [5.0, 5.0, 5.0]])
+    twists = twists_of_bodies(origins, corners, np.array([0, 0]), np.ones(2))
+    turn = np.array([0.1, -0.2, 0.3])
+    for k in range(2):
+        moved = twists[k, :3, 3:] @ turn
+        np.testing.assert_allclose(moved, np.cross(turn, origins[k] - [2.0, 1.0, 0.5]))
 
 
 def test_each_instrument_has_a_scale_of_its_own():

@@ -1,0 +1,256 @@
+"""Lens models: where a point of the camera's frame is in the image, and how that changes.
+
+With x = X / Z and y = Y / Z of a point (X, Y, Z), the image is u = fx x' + cx, v = fy y' + cy with the distorted
+
+    pinhole   x' = x (1 + k1 r^2 + k2 r^4 + k3 r^6) + 2 p1 x y + p2 (r^2 + 2 x^2),      r^2 = x^2 + y^2
+              y' = y (1 + k1 r^2 + k2 r^4 + k3 r^6) + p1 (r^2 + 2 y^2) + 2 p2 x y
+    fisheye   (x', y') = (x, y) s / r,      s = a (1 + k1 a^2 + k2 a^4 + k3 a^6 + k4 a^8),      a = atan(r)
+
+as OpenCV and ROS define them ("plumb_bob", "equidistant"); sources: D. C. Brown, Close-range camera calibration, 1971;
+J. Kannala, S. Brandt, A generic camera model, 2006. A new lens is one row of `LENSES`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.mappings import ReadOnlyMapping
+from calib.units import Array
+
+#: Distorted coordinates (2, n) of normalised ones (2, n) by the distortion's coefficients (d, n).
+_Distort = Callable[[Array, Array], Array]
+
+#: Derivatives of distorted coordinates: by normalised ones, (2, 2, n), and by the coefficients, (2, d, n).
+_Slopes = Callable[[Array, Array], tuple[Array, Array]]
+
+#: Focal lengths and centre.
+_LINEAR = ("fx", "fy", "cx", "cy")
+
+#: Depths below this are taken as this [m]: a point beside or behind a camera has an image far out, not none.
+_NEAREST = 1e-3
+
+#: Relative standard deviation of focal lengths, and that of the centre over the image's width, where they are given
+#: without one. A maker's numbers of one type of camera are that good; a calibration of one's own is better.
+_FOCAL = 0.01
+_CENTRE = 0.005
+
+#: Standard deviation of radial and of tangential coefficients of distortion, where they are given without one.
+_RADIAL = 0.02
+_TANGENTIAL = 0.002
+
+#: Rounds of Newton's method that undo a distortion, and the change at which it ends.
+_ROUNDS = 50
+_SETTLED = 1e-13
+
+#: Below this the angle from the line of sight is taken as its tangent.
+_TINY = 1e-9
+
+
+@dataclass(frozen=True, slots=True)
+class Lens:
+    """A lens model with m numbers: fx, fy, cx, cy [px], then coefficients of distortion."""
+
+    #: Name of the model: ``"pinhole"``.
+    name: str
+    #: Names of the coefficients of distortion.
+    distortion: tuple[str, ...]
+    #: Distorted coordinates of normalised ones.
+    distort: _Distort
+    #: Their derivatives.
+    slopes: _Slopes
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the m numbers."""
+        return (*_LINEAR, *self.distortion)
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Symbols of their units."""
+        return ("px",) * len(_LINEAR) + ("1",) * len(self.distortion)
+
+    def project(self, points: Array, values: Array) -> Array:
+        """Return the images of points.
+
+        Args:
+            points: shape (n, 3), in the camera's frame, in front of it [m]. The image of one that is not is far out.
+            values: shape (m,) or (n, m), the lens's numbers.
+
+        Returns:
+            shape (n, 2) [px].
+        """
+        fx, fy, cx, cy, *coefficients = np.broadcast_to(values, (len(points), len(self.names))).T
+        x, y = self.distort(_normalised(points), np.array(coefficients))
+        return np.column_stack([fx * x + cx, fy * y + cy])
+
+    def derivatives(self, points: Array, values: Array) -> tuple[Array, Array]:
+        """Return the derivatives of images by the points and by the lens's numbers.
+
+        Args:
+            points: shape (n, 3), in the camera's frame [m].
+            values: shape (m,) or (n, m), the lens's numbers.
+
+        Returns:
+            shape (n, 2, 3) [px/m], and shape (n, 2, m), [px] a unit of each number.
+        """
+        numbers = np.broadcast_to(values, (len(points), len(self.names))).T
+        focal = numbers[:2]
+        coefficients = numbers[4:]
+        normalised = _normalised(points)
+        distorted = self.distort(normalised, coefficients)
+        by_normalised, by_coefficients = self.slopes(normalised, coefficients)
+        by_point = np.einsum("abn,bcn->acn", by_normalised, _normalised_slopes(points, normalised))
+        by_values = np.zeros((2, len(self.names), len(points)))
+        for axis in range(2):
+            by_values[axis, axis] = distorted[axis]
+            by_values[axis, 2 + axis] = 1.0
+        by_values[:, 4:] = focal[:, None] * by_coefficients
+        return (focal[:, None] * by_point).transpose(2, 0, 1), by_values.transpose(2, 0, 1)
+
+    def rays(self, pixels: Array, values: Array) -> Array:
+        """Return the directions in which a camera sees images, by Newton's method.
+
+        Args:
+            pixels: shape (n, 2) [px].
+            values: shape (m,) or (n, m), the lens's numbers.
+
+        Returns:
+            shape (n, 3), points at a depth of 1. Where the lens has no such image, that of the nearest round.
+        """
+        fx, fy, cx, cy, *coefficients = np.broadcast_to(values, (len(pixels), len(self.names))).T
+        wanted = np.array([(pixels[:, 0] - cx) / fx, (pixels[:, 1] - cy) / fy])
+        normalised = wanted.copy()
+        numbers = np.array(coefficients).reshape(len(self.distortion), -1)
+        for _ in range(_ROUNDS):
+            missing = wanted - self.distort(normalised, numbers)
+            slopes, _ = self.slopes(normalised, numbers)
+            step = _solved(slopes, missing)
+            # Never further than as far as the image is from the centre: where the distortion turns, Newton jumps.
+            length = np.maximum(np.linalg.norm(step, axis=0), _TINY)
+            longest = 0.5 * (1.0 + np.linalg.norm(normalised, axis=0))
+            normalised = normalised + step * np.minimum(1.0, longest / length)
+            if np.abs(step).max(initial=0.0) < _SETTLED:
+                break
+        return np.column_stack([*normalised, np.ones(len(pixels))])
+
+    def default_sigma(self, values: Array, width: int) -> Array:
+        """Return standard deviations of numbers that were given without any.
+
+        Args:
+            values: shape (m,), the lens's numbers.
+            width: Columns of the image [px].
+
+        Returns:
+            shape (m,): 1 % of the focal lengths, 0.5 % of the width for the centre, 0.02 for radial coefficients, 0.002
+            for tangential ones.
+        """
+        sigma = np.full(len(self.names), _RADIAL)
+        sigma[:2] = _FOCAL * np.abs(values[:2])
+        sigma[2:4] = _CENTRE * width
+        tangential = [name.startswith("p") for name in self.names]
+        sigma[tangential] = _TANGENTIAL
+        return sigma
+
+
+def _normalised(points: Array) -> Array:
+    """Return X / Z and Y / Z of points (n, 3), shape (2, n)."""
+    depth = np.maximum(points[:, 2], _NEAREST)
+    return np.array([points[:, 0] / depth, points[:, 1] / depth])
+
+
+def _normalised_slopes(points: Array, normalised: Array) -> Array:
+    """Return the derivative of X / Z and Y / Z by X, Y and Z, shape (2, 3, n) [1/m]."""
+    depth = np.maximum(points[:, 2], _NEAREST)
+    slopes = np.zeros((2, 3, len(points)))
+    slopes[0, 0] = slopes[1, 1] = 1.0 / depth
+    slopes[:, 2] = np.where(points[:, 2] > _NEAREST, -normalised / depth, 0.0)
+    return slopes
+
+
+def _solved(matrices: Array, sides: Array) -> Array:
+    """Solve 2 x 2 systems, shape (2, 2, n) and (2, n), by Cramer's rule; shape (2, n)."""
+    (a, b), (c, d) = matrices
+    determinant = a * d - b * c
+    determinant = np.where(np.abs(determinant) < _TINY, _TINY, determinant)
+    return np.array(
+        [(d * sides[0] - b * sides[1]) / determinant, (a * sides[1] - c * sides[0]) / determinant]
+    )
+
+
+# Pinhole
+
+
+def _pinhole(normalised: Array, coefficients: Array) -> Array:
+    """Distort normalised coordinates (2, n) by k1, k2, p1, p2, k3, shape (5, n)."""
+    x, y = normalised
+    k1, k2, p1, p2, k3 = coefficients
+    rr = x**2 + y**2
+    radial = 1.0 + rr * (k1 + rr * (k2 + rr * k3))
+    return np.array(
+        [
+            x * radial + 2.0 * p1 * x * y + p2 * (rr + 2.0 * x**2),
+            y * radial + p1 * (rr + 2.0 * y**2) + 2.0 * p2 * x * y,
+        ]
+    )
+
+
+def _pinhole_slopes(normalised: Array, coefficients: Array) -> tuple[Array, Array]:
+    """Return the derivatives of `_pinhole` by the coordinates and by the coefficients."""
+    x, y = normalised
+    k1, k2, p1, p2, k3 = coefficients
+    rr = x**2 + y**2
+    radial = 1.0 + rr * (k1 + rr * (k2 + rr * k3))
+    slope = 2.0 * (k1 + rr * (2.0 * k2 + rr * 3.0 * k3))  # of the radial factor, over x or y
+    mixed = x * y * slope + 2.0 * p1 * x + 2.0 * p2 * y
+    by_normalised = np.array(
+        [
+            [radial + x**2 * slope + 2.0 * p1 * y + 6.0 * p2 * x, mixed],
+            [mixed, radial + y**2 * slope + 6.0 * p1 * y + 2.0 * p2 * x],
+        ]
+    )
+    along_x = [x * rr, x * rr**2, 2.0 * x * y, rr + 2.0 * x**2, x * rr**3]
+    along_y = [y * rr, y * rr**2, rr + 2.0 * y**2, 2.0 * x * y, y * rr**3]
+    return by_normalised, np.array([along_x, along_y])
+
+
+# Fisheye
+
+
+def _fisheye(normalised: Array, coefficients: Array) -> Array:
+    """Distort normalised coordinates (2, n) by k1 to k4, shape (4, n)."""
+    ratio, _, _ = _fisheye_ratio(normalised, coefficients)
+    return normalised * ratio
+
+
+def _fisheye_slopes(normalised: Array, coefficients: Array) -> tuple[Array, Array]:
+    """Return the derivatives of `_fisheye` by the coordinates and by the coefficients."""
+    ratio, slope, angle = _fisheye_ratio(normalised, coefficients)
+    r = np.maximum(np.hypot(*normalised), _TINY)
+    outer = normalised[:, None] * normalised[None] / r**2
+    by_normalised = ratio * np.eye(2)[:, :, None] + (slope - ratio) * outer
+    powers = np.array([angle**3, angle**5, angle**7, angle**9])
+    return by_normalised, normalised[:, None] * (powers / r)[None]
+
+
+def _fisheye_ratio(normalised: Array, coefficients: Array) -> tuple[Array, Array, Array]:
+    """Return s / r, its ds / dr, and the angle a = atan(r) from the line of sight, each of shape (n,)."""
+    k1, k2, k3, k4 = coefficients
+    r = np.hypot(*normalised)
+    angle = np.arctan(r)
+    aa = angle**2
+    s = angle * (1.0 + aa * (k1 + aa * (k2 + aa * (k3 + aa * k4))))
+    by_angle = 1.0 + aa * (3.0 * k1 + aa * (5.0 * k2 + aa * (7.0 * k3 + aa * 9.0 * k4)))
+    ratio = np.where(r > _TINY, s / np.maximum(r, _TINY), 1.0)
+    return ratio, by_angle / (1.0 + r**2), angle
+
+
+_ROWS = (
+    Lens("pinhole", ("k1", "k2", "p1", "p2", "k3"), _pinhole, _pinhole_slopes),
+    Lens("fisheye", ("k1", "k2", "k3", "k4"), _fisheye, _fisheye_slopes),
+)
+
+#: Lens models by name.
+LENSES: Mapping[str, Lens] = ReadOnlyMapping({lens.name: lens for lens in _ROWS})

@@ -1,0 +1,150 @@
+"""Optics of a row: all numbers of its camera and its board with which the image of one corner is predicted.
+
+A corner is designed to be at P = (X, Y, Z) on its board. The print has another scale and errors of its own, and the
+board is not flat:
+
+    P' = [(1 + s_x) X + e_x, (1 + s_y) Y + e_y, Z + w_x (1 - xi^2) + w_y (1 - eta^2)]
+
+with the relative errors s of the scale along x and y, for printers feed paper at another scale than they print across
+it, the corner's own errors e, the sag w of the board's middle along x and along y, and the corner's place xi and eta
+across the board, from -1 to 1. In the camera it is at R P' + p, and its image is where the lens
+(`calib.camera.lenses`) has it. These numbers are columns of an array (N, `COUNT`), one row a corner.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from calib.camera.lenses import LENSES, Lens
+from calib.units import Array, Integers
+
+#: The lens's numbers; a lens that has fewer leaves the last ones at zero.
+INTRINSICS = slice(0, 9)
+
+#: Number of the lens, in the order of `LENSES`.
+LENS = 9
+
+#: The corner on the board as designed [m].
+POINT = slice(10, 13)
+
+#: The corner across the board along x and y, from -1 to 1.
+ACROSS = slice(13, 15)
+
+#: Relative error of the board's scale along x and y.
+SCALE = slice(15, 17)
+
+#: Sag of the board's middle along x and along y, towards its z [m].
+WARP = slice(17, 19)
+
+#: The corner's own errors on the print, along x and y [m].
+OFFSET = slice(19, 21)
+
+#: Number of the corner's name, from 0.
+CORNER = 21
+
+#: Number of the camera, and of the printed board, from 0.
+CAMERA = 22
+BOARD = 23
+
+#: Columns of an array of optics.
+COUNT = 24
+
+
+def board_points(optics: Array) -> Array:
+    """Return where the corners are on their boards, with the errors of print and flatness.
+
+    Args:
+        optics: shape (n, `COUNT`).
+
+    Returns:
+        shape (n, 3), in the board's frame [m].
+    """
+    points: Array = optics[:, POINT].copy()
+    points[:, :2] += optics[:, SCALE] * optics[:, POINT][:, :2] + optics[:, OFFSET]
+    points[:, 2] += np.sum(optics[:, WARP] * _bulge(optics), axis=1)
+    return points
+
+
+def images(T_camera_board: Array, optics: Array) -> Array:
+    """Predict the images of corners.
+
+    Args:
+        T_camera_board: shape (n, 4, 4), pose of each row's board in its camera [m].
+        optics: shape (n, `COUNT`).
+
+    Returns:
+        shape (n, 2) [px].
+    """
+    points = _in_camera(T_camera_board, board_points(optics))
+    result = np.empty((len(optics), 2))
+    for lens, rows in _by_lens(optics):
+        result[rows] = lens.project(points[rows], _intrinsics(lens, optics[rows]))
+    return result
+
+
+def image_derivatives(T_camera_board: Array, twists: Array, optics: Array) -> tuple[Array, Array]:
+    """Return the derivatives of the images of corners by the boards' motions, and by the optics.
+
+    Args:
+        T_camera_board: shape (n, 4, 4), pose of each row's board in its camera [m].
+        twists: shape (n, 6, p), velocity of the board's origin and angular velocity, along the camera's axes, by each
+            of p parameters.
+        optics: shape (n, `COUNT`).
+
+    Returns:
+        shape (n, 2, p), [px] a unit of each parameter; and (n, 2, `COUNT`), [px] a unit of each of the optics.
+    """
+    points = _in_camera(T_camera_board, board_points(optics))
+    by_point = np.empty((len(optics), 2, 3))
+    by_optics = np.zeros((len(optics), 2, COUNT))
+    for lens, rows in _by_lens(optics):
+        values = _intrinsics(lens, optics[rows])
+        by_point[rows], by_values = lens.derivatives(points[rows], values)
+        by_optics[rows, :, : len(lens.names)] = by_values
+    by_board_point = by_point @ T_camera_board[:, :3, :3]
+    designed = optics[:, POINT]
+    by_optics[:, :, SCALE] = by_board_point[:, :, :2] * designed[:, None, :2]
+    by_optics[:, :, WARP] = by_board_point[:, :, 2:] * _bulge(optics)[:, None]
+    by_optics[:, :, OFFSET] = by_board_point[:, :, :2]
+    lever = points - T_camera_board[:, :3, 3]
+    # A turn w moves the point by w x lever, so that row d of by_point gives w . (lever x d).
+    by_turn = np.cross(lever[:, None], by_point)
+    return np.concatenate([by_point, by_turn], axis=2) @ twists, by_optics
+
+
+def across(points: Array, centre: Array, size: tuple[float, float]) -> Array:
+    """Return where points are across a board, from -1 to 1 along x and y, shape (n, 2).
+
+    Args:
+        points: shape (n, 3), in the board's frame [m].
+        centre: shape (3,), the board's middle [m].
+        size: Width and height of the board [m].
+    """
+    return np.asarray(2.0 * (points[:, :2] - centre[:2]) / np.array(size))
+
+
+def _bulge(optics: Array) -> Array:
+    """Return height of a board's corners by a unit of its two sags, shape (n, 2)."""
+    return np.asarray(1.0 - optics[:, ACROSS] ** 2)
+
+
+def _in_camera(T_camera_board: Array, points: Array) -> Array:
+    """Return points (n, 3) of boards in the cameras' frames, shape (n, 3) [m]."""
+    turned = (T_camera_board[:, :3, :3] @ points[:, :, None])[:, :, 0]
+    return np.asarray(turned + T_camera_board[:, :3, 3])
+
+
+def _by_lens(optics: Array) -> Iterator[tuple[Lens, Integers]]:
+    """Yield each lens that occurs, and the indices of its rows."""
+    number = optics[:, LENS]
+    for k, lens in enumerate(LENSES.values()):
+        rows = np.flatnonzero(number == k)
+        if len(rows):
+            yield lens, rows
+
+
+def _intrinsics(lens: Lens, optics: Array) -> Array:
+    """Return the numbers of a lens from optics (n, `COUNT`), shape (n, m)."""
+    return optics[:, : len(lens.names)]

@@ -1,0 +1,293 @@
+"""Pose of a flat board from one view: in closed form, then by least squares of the images.
+
+A flat board's points and their undistorted images are related by a homography, whose columns are those of the pose:
+H ~ [r1 r2 p]. A board that is small, or far, looks nearly the same turned to the other side of the line of sight; both
+poses are refined, and the one that fits is taken. Sources: Z. Zhang, A flexible new technique for camera calibration,
+2000; T. Collins, A. Bartoli, Infinitesimal plane-based pose estimation, 2014.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from calib.camera.lenses import Lens
+from calib.units import Array
+from calib.values.pickling import Value
+
+#: A view: points on the board, shape (k, 3) [m], and their images, shape (k, 2) [px].
+View = tuple[Array, Array]
+
+#: The fewest points that determine the pose.
+_FEWEST = 4
+
+#: Singular value of the board's points, over the largest, below which they lie on a line.
+_LINE = 1e-3
+
+#: Rounds of the refinement, and the relative fall of the sum of squares at which it ends.
+_ROUNDS = 20
+_SETTLED = 1e-8
+
+#: Damping at the first round, and its factor after a success and after a failure.
+_DAMPING = 1e-3
+_LESS = 0.1
+_MORE = 10.0
+
+#: Damping of what images do not tell at all, over the trace of the normal equations.
+_LEAST_DAMPING = 1e-14
+
+#: Damping beyond which no step helps.
+_STUCK = 1e10
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlanarPose(Value):
+    """The pose of a board in the camera, as one view tells it."""
+
+    #: shape (4, 4) [m]
+    T_camera_board: Array
+    #: Root of the mean square of the distances of the images from the predicted ones [px]
+    rms: float
+    #: shape (6, 6), covariance of the pose where images have a standard deviation of 1 px along u and v: motion of the
+    #: board's origin [m], then turn [rad], along the camera's axes
+    covariance: Array
+    #: shape (4, 4), the pose on the other side of the line of sight, refined too [m]
+    T_camera_board_other: Array
+    #: The same as ``rms``, of the other pose [px]
+    rms_other: float
+
+
+def planar_pose(points: Array, pixels: Array, lens: Lens, values: Array) -> PlanarPose | None:
+    """Estimate the pose of a flat board from one view.
+
+    Args:
+        points: shape (k, 3), in the board's frame, nearly in its x-y plane [m].
+        pixels: shape (k, 2), their images [px].
+        lens: The lens model.
+        values: shape (m,), its numbers.
+
+    Returns:
+        The pose; None where the points do not tell it: fewer than four, or on a line, or none in front of the camera.
+    """
+    return planar_poses([(points, pixels)], lens, values)[0]
+
+
+def planar_poses(views: Sequence[View], lens: Lens, values: Array) -> tuple[PlanarPose | None, ...]:
+    """Estimate the pose of a flat board from each of V views of one camera.
+
+    Args:
+        views: Points and images of each, as `planar_pose` takes them.
+        lens: The lens model.
+        values: shape (m,), its numbers.
+
+    Returns:
+        The poses; None where the points of a view do not tell it.
+    """
+    started = []
+    for k, (points, pixels) in enumerate(views):
+        T = _start(points, pixels, lens, values)
+        if T is not None:
+            started.append((k, T))
+    result: list[PlanarPose | None] = [None] * len(views)
+    if not started:
+        return tuple(result)
+    numbers = [k for k, _ in started]
+    chosen = [views[k] for k in numbers]
+    first = np.array([T for _, T in started])
+    centres = np.array([points.mean(axis=0) for points, _ in chosen])
+    near = _refined(first, chosen, lens, values)
+    other = _refined(_on_other_side(near[0], centres), chosen, lens, values)
+    for v, k in enumerate(numbers):
+        count = len(chosen[v][0])
+        solutions = [(float(cost[v]), T[v], N[v]) for T, cost, N in (near, other)]
+        (cost, T, N), (other_cost, other_T, _) = sorted(solutions, key=lambda s: s[0])
+        result[k] = PlanarPose(
+            T_camera_board=T,
+            rms=float(np.sqrt(cost / count)),
+            covariance=np.linalg.pinv(N),
+            T_camera_board_other=other_T,
+            rms_other=float(np.sqrt(other_cost / count)),
+        )
+    return tuple(result)
+
+
+def _start(points: Array, pixels: Array, lens: Lens, values: Array) -> Array | None:
+    """Return a pose in closed form, shape (4, 4) [m]; None where the points do not tell it. See `planar_pose`."""
+    if not _tells_pose(points):
+        return None
+    rays = lens.rays(pixels, values)
+    return _pose_of_homography(homography(points[:, :2], rays[:, :2]))
+
+
+def homography(points: Array, images: Array) -> Array:
+    """Return the homography that takes points of a plane to their images, by the normalised direct linear transform.
+
+    Args:
+        points: shape (k, 2), k >= 4, not on a line.
+        images: shape (k, 2).
+
+    Returns:
+        H, shape (3, 3), of any scale: (u, v, 1) ~ H (x, y, 1).
+    """
+    to_points = _normalisation(points)
+    to_images = _normalisation(images)
+    p = _homogeneous(points) @ to_points.T
+    q = _homogeneous(images) @ to_images.T
+    zeros = np.zeros_like(p)
+    along_u = np.hstack([p, zeros, -q[:, :1] * p])
+    along_v = np.hstack([zeros, p, -q[:, 1:2] * p])
+    _, _, V = np.linalg.svd(np.vstack([along_u, along_v]))
+    return np.asarray(np.linalg.inv(to_images) @ V[-1].reshape(3, 3) @ to_points)
+
+
+def _tells_pose(points: Array) -> bool:
+    """True if points (k, 3) of a plane are enough, and not on a line."""
+    if len(points) < _FEWEST:
+        return False
+    _, s, _ = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)
+    return bool(s[1] > _LINE * s[0])
+
+
+def _homogeneous(points: Array) -> Array:
+    """Return points (k, 2) with a third coordinate of 1."""
+    return np.column_stack([points, np.ones(len(points))])
+
+
+def _normalisation(points: Array) -> Array:
+    """Return the similarity, shape (3, 3), that moves the mean of points (k, 2) to zero and their spread to 1."""
+    centre = points.mean(axis=0)
+    scale = 1.0 / max(float(np.sqrt(np.mean((points - centre) ** 2))), np.finfo(float).tiny)
+    return np.array([[scale, 0.0, -scale * centre[0]], [0.0, scale, -scale * centre[1]], [0, 0, 1]])
+
+
+def _pose_of_homography(H: Array) -> Array | None:
+    """Return the pose, shape (4, 4) [m], of a plane with the homography H to images at a depth of 1.
+
+    None where H is not finite, or of no plane in front of the camera.
+    """
+    sizes = np.linalg.norm(H[:, :2], axis=0)
+    if not np.all(np.isfinite(H)) or min(sizes) <= 0.0 or H[2, 2] == 0.0:
+        return None
+    columns = H * 2.0 / np.sum(sizes) * np.sign(H[2, 2])
+    U, _, V = np.linalg.svd(
+        np.column_stack([columns[:, :2], np.cross(columns[:, 0], columns[:, 1])])
+    )
+    T = np.eye(4)
+    T[:3, :3] = U @ np.diag([1.0, 1.0, np.linalg.det(U @ V)]) @ V
+    T[:3, 3] = columns[:, 2]
+    return T
+
+
+def _on_other_side(T_camera_board: Array, centres: Array) -> Array:
+    """Return poses with the boards' tilts turned to the other side of the line of sight to their centres.
+
+    Args:
+        T_camera_board: shape (V, 4, 4) [m].
+        centres: shape (V, 3), of the points, in the boards' frames [m].
+
+    Returns:
+        shape (V, 4, 4) [m].
+    """
+    R = T_camera_board[:, :3, :3]
+    in_camera = (R @ centres[:, :, None])[:, :, 0] + T_camera_board[:, :3, 3]
+    sight = in_camera / np.linalg.norm(in_camera, axis=1, keepdims=True)
+    half_turn = 2.0 * sight[:, :, None] * sight[:, None] - np.eye(3)
+    T: Array = T_camera_board.copy()
+    T[:, :3, :3] = half_turn @ R @ np.diag([-1.0, -1.0, 1.0])
+    T[:, :3, 3] = in_camera - (T[:, :3, :3] @ centres[:, :, None])[:, :, 0]
+    return T
+
+
+def _refined(
+    T: Array, views: Sequence[View], lens: Lens, values: Array
+) -> tuple[Array, Array, Array]:
+    """Refine the poses of V views by Levenberg-Marquardt, each with a damping of its own.
+
+    Args:
+        T: shape (V, 4, 4), T_camera_board to start from [m].
+        views: Points and images of each.
+        lens: The lens model.
+        values: shape (m,), its numbers.
+
+    Returns:
+        The poses; the sums of squares, shape (V,) [px^2]; and the normal equations of each, shape (V, 6, 6).
+    """
+    damping = np.full(len(views), _DAMPING)
+    cost, N, g = _normal_equations(T, views, lens, values)
+    for _ in range(_ROUNDS):
+        diagonal = np.diagonal(N, axis1=1, axis2=2)
+        least = _LEAST_DAMPING * np.sum(diagonal, axis=1) + np.finfo(float).tiny
+        damped = N + (damping[:, None] * diagonal + least[:, None])[:, :, None] * np.eye(6)
+        step = np.linalg.solve(damped, g[:, :, None])[:, :, 0]
+        trial = moved(T, step)
+        new_cost, new_N, new_g = _normal_equations(trial, views, lens, values)
+        better = new_cost < cost
+        settled = np.where(better, cost - new_cost <= _SETTLED * cost, damping > _STUCK)
+        T = np.where(better[:, None, None], trial, T)
+        cost = np.where(better, new_cost, cost)
+        N = np.where(better[:, None, None], new_N, N)
+        g = np.where(better[:, None], new_g, g)
+        damping = damping * np.where(better, _LESS, _MORE)
+        if np.all(settled):
+            break
+    return T, cost, N
+
+
+def _normal_equations(
+    T: Array, views: Sequence[View], lens: Lens, values: Array
+) -> tuple[Array, Array, Array]:
+    """Return sum of squares, J^T J and J^T r of each of V views, by the twist of its pose.
+
+    Args:
+        T: shape (V, 4, 4), T_camera_board [m].
+        views: Points and images of each.
+        lens: The lens model.
+        values: shape (m,), its numbers.
+
+    Returns:
+        Shapes (V,), (V, 6, 6) and (V, 6).
+    """
+    residual, J, _ = view_system(T, views, lens, values)
+    first = np.cumsum([0, *(len(points) for points, _ in views[:-1])])
+    cost = np.add.reduceat(np.sum(residual**2, axis=1), first)
+    N = np.add.reduceat(np.einsum("nab,nac->nbc", J, J), first)
+    g = np.add.reduceat(np.einsum("nab,na->nb", J, residual), first)
+    return cost, N, g
+
+
+def view_system(
+    T: Array, views: Sequence[View], lens: Lens, values: Array
+) -> tuple[Array, Array, Array]:
+    """Return the residuals of V views with n points in all, and their derivatives.
+
+    Args:
+        T: shape (V, 4, 4), T_camera_board of each [m].
+        views: Points and images of each.
+        lens: The lens model.
+        values: shape (m,), its numbers.
+
+    Returns:
+        Measured minus predicted images, shape (n, 2) [px]; the derivative of the prediction by the motion of the
+        board's origin [m] and its turn [rad] along the camera's axes, shape (n, 2, 6), and by the lens's numbers, shape
+        (n, 2, m).
+    """
+    counts = [len(points) for points, _ in views]
+    points = np.concatenate([points for points, _ in views])
+    pixels = np.concatenate([pixels for _, pixels in views])
+    turned = (np.repeat(T[:, :3, :3], counts, axis=0) @ points[:, :, None])[:, :, 0]
+    in_camera = turned + np.repeat(T[:, :3, 3], counts, axis=0)
+    by_point, by_values = lens.derivatives(in_camera, values)
+    by_turn = np.cross(turned[:, None], by_point)
+    residual = pixels - lens.project(in_camera, values)
+    return residual, np.concatenate([by_point, by_turn], axis=2), by_values
+
+
+def moved(T: Array, twists: Array) -> Array:
+    """Return poses (V, 4, 4) with their origins moved by the first half of twists (V, 6) and turned by the second."""
+    result: Array = T.copy()
+    result[:, :3, :3] = Rotation.from_rotvec(twists[:, 3:]).as_matrix() @ T[:, :3, :3]
+    result[:, :3, 3] += twists[:, :3]
+    return result
