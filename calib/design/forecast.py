@@ -53,22 +53,26 @@ class Workspace(NamedTuple):
     rank: int
 
     @classmethod
-    def of(cls, sensitivity: Sensitivity, q: Array) -> Workspace:
+    def of(cls, sensitivity: Sensitivity, q: Array, measurable: Array | None = None) -> Workspace:
         """Differentiate what is measured, and the positions of the targets, at the poses over which accuracy counts.
 
         Args:
             sensitivity: The nominal robot in its cell, with k targets, under the error model of the fit with p
                 parameters.
             q: Joint values of n poses, shape (n, m), [rad] or for sliding joints [m], columns as ``robot.joint_names``.
+            measurable: Joint values of n poses at which something can be measured, shape (n, m), for what is measured
+                in a part of the workspace only, such as images; None: those of ``q``.
 
         Returns:
             Derivatives by the parameters: ``measured``, of the d scalars measured at a pose, shape (n, d, p), in
             standard deviations of the noise per unit; ``located``, of the positions of the targets, shape (n, 3 k, p),
             [m per unit]. And ``rank``, the number of parameters or combinations that all these poses determine.
         """
-        measured = sensitivity.measured(q)
+        if measurable is None:
+            measurable = q
+        measured = sensitivity.measured(measurable)
         located = sensitivity.located(q)
-        return cls(measured, located, sensitivity.analysed(q, measured).rank)
+        return cls(measured, located, sensitivity.analysed(measurable, measured).rank)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -78,7 +78,7 @@ def draw_images(
     pool = collect(
         batches, conditions, Draws(count, _NONE_YET, _MOST * max(count, _BATCH)), progress
     )
-    workspace = robot.readings(spread_between(ranges, count))
+    workspace = robot.readings(spread_between(ranges, len(pool.q)))
     return pool._replace(workspace=read_only(workspace))
 
 

@@ -69,8 +69,8 @@ def test_boxes_stand_with_the_board_where_the_camera_is_in_the_hand():
     aside[0, 3] += 0.5
     box = Box("block", (0.2, 0.2, 0.2), pose((0.0, 0.0, 0.5)))
     bodies = held_by_foot(aside, [box])
-    heights = np.array([[0.75], [0.91]])
-    # The ball is at 0.45 m, in the block, then above it.
+    heights = np.array([[0.75], [0.96]])
+    # The ball is at 0.45 m, in the block, whose top is at 0.6 m, then above it.
     assert bodies.model.free(heights).tolist() == [False, True]
     names = bodies.model.notes[0]
     assert names.code == "images_checked"
