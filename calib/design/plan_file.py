@@ -160,6 +160,11 @@ class _Columns:
         )
 
 
+def joint_cells(robot: Robot, q: Array) -> dict[str, str]:
+    """Return the texts of joint values (m,) [rad] or [m], by the headers of their columns, as ``robot.joint_names``."""
+    return _cells(_joint_columns(robot), q)
+
+
 def _joint_columns(robot: Robot) -> list[_Column]:
     """Return the columns of the m joint values, degrees or for sliding joints millimetres, as ``robot.joint_names``."""
     columns = []

@@ -45,6 +45,11 @@ _REASONS = {
 _NOTES: dict[Code, str] = {
     "generic_target": "No target was given: planned for one at {0} m in the tip (--target).",
     "orientation_noise": "Assumed noise of an orientation: {0} rad about each axis (sigma_angle_deg in the cell).",
+    "camera_assumed": "Nothing is known of the camera's intrinsics: planned for a focal length of {0} px and no "
+    "distortion.",
+    "image_noise": "Assumed noise of a corner: {0} px in u and v (sigma_image_px in the cell).",
+    "board_scale": "Most of the expected error comes from the scale of the print, which is known to {0} %: with an "
+    "exact one it would be {1}. Measure the print with a caliper, and state it in the board's description.",
     "reflector_not_checked": "The reflector's direction was not checked: the tracker's position is not known "
     "(--tracker).",
     "collisions_not_checked": "Collisions were not checked.",
@@ -74,6 +79,9 @@ def plan_text(plan: PlanValues) -> str:
 
 def note_text(note: Note) -> str:
     """Word a note of a plan."""
+    if note.code == "board_scale":
+        scale, rms = map(float, note.values)
+        return _NOTES[note.code].format(f"{100 * scale:.2g}", _mm(rms))
     if note.code == "images_checked":
         return _NOTES[note.code].format(_and_with(note.values))
     if note.code == "collisions_checked":
@@ -110,15 +118,26 @@ def _mm(value: float) -> str:
 
 def _head(plan: PlanValues) -> Iterator[str]:
     """Write the robot, the numbers of poses and candidates, and the model."""
+    if plan.sight is not None:
+        from calib.text.image_plan import image_head
+
+        yield from image_head(plan)
+        yield from _facts(plan)
+        return
     robot, count = plan.robot, len(plan.estimation)
     taken = f" beside {len(plan.taken)} measured already" if len(plan.taken) else ""
     yield (
         f"Plan for '{robot.name}' ({robot.urdf.source}), chain {robot.base} to {robot.tip}: {count} poses for "
         f"calibration{taken}, {len(plan.joints) - count} for validation; targets at each: {', '.join(plan.targets)}."
     )
+    yield from _facts(plan)
+
+
+def _facts(plan: PlanValues) -> Iterator[str]:
+    """Write how the poses were chosen."""
     for label, text in _labelled_facts(plan):
         yield labelled(label, text, _PLAN_LABEL, "  ")
-    coupling = coupling_sentence(robot)
+    coupling = coupling_sentence(plan.robot)
     if coupling:
         yield wrap(coupling, "  ")
 

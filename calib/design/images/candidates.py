@@ -25,6 +25,9 @@ from calib.units import Array, Integers, Mask
 #: start at, shape (n, m), [rad] or [m], that returns joint values as near to the wanted poses as it comes.
 Reach = Callable[[Array, Array], Array]
 
+#: The same of any robot: the robot and the ranges of its joints, shape (m, 2), [rad] or [m], come before these.
+Inverse = Callable[[Robot, Array, Array, Array], Array]
+
 #: Viewpoints of one batch; a power of two keeps the sequence even.
 _BATCH = 512
 

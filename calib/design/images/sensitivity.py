@@ -138,7 +138,7 @@ class ImageSensitivity(Sensitivity):
         """Differentiate n images; see `measured`."""
         T, twists = self.kinematics.twists(np.zeros(len(self.names)), self._samples(q))
         by_place = self._by_place(T)
-        R = np.linalg.qr(by_place, mode="r")
+        R = np.asarray(np.linalg.qr(by_place, mode="r"))
         shared = self._repeatability * R[:, :, :3]
         covariance = np.eye(R.shape[1]) + shared @ shared.swapaxes(1, 2)
         whitened = np.linalg.solve(np.linalg.cholesky(covariance), R)
@@ -168,7 +168,11 @@ class ImageSensitivity(Sensitivity):
     @property
     def _columns(self) -> list[int]:
         """Columns of `calib.camera.optics` that are unknown."""
-        return [parameter.optic for _, parameter in self.kinematics.model.optical if parameter.optic is not None]
+        return [
+            parameter.optic
+            for _, parameter in self.kinematics.model.optical
+            if parameter.optic is not None
+        ]
 
     def _of_optics(self, count: int) -> Array:
         """Return the derivative of the unknown numbers of lens and board by the parameters, shape (count, k - 6, p)."""

@@ -184,6 +184,14 @@ class CameraSight(Value):
         in_rows = (v >= margin - 0.5) & (v <= self.camera.height - 0.5 - margin)
         return np.asarray(in_lens & in_columns & in_rows)
 
+    def corner_pixels(self, T_camera_board: Array) -> tuple[Array, Array]:
+        """Return the images u and v of the board's corners at poses (N, 4, 4), (N, c) each [px]; NaN: not seen."""
+        corners = self.board.corners
+        seen = self.visible(T_camera_board, corners)
+        in_camera = transformed(T_camera_board, corners)
+        u, v = self.pixels(np.where(seen[..., None], in_camera, [0.0, 0.0, 1.0]))
+        return np.where(seen, u, np.nan), np.where(seen, v, np.nan)
+
     def pixels(self, in_camera: Array) -> tuple[Array, Array]:
         """Return the images u and v of points in the camera (..., 3) [m], shape (...) each [px]."""
         lens = LENSES[self.camera.lens]
