@@ -320,9 +320,15 @@ def _checked_kind(cell: Cell) -> str:
     """
     name = cell.kind or "point"
     kind = registry.get(name)
+    if kind.optical:
+        raise ModelError(
+            f"Rows of the kind '{name}' are planned as images: give the camera and the board (--camera, --board and "
+            "--board-at)."
+        )
     unplaced = kind.own_frame and cell.T_frame_base is None and not cell.frames
     if unplaced or len(cell.frames) > 1 or not kind.free:
-        free = [known for known in registry.names() if registry.get(known).free]
+        kinds = [registry.get(known) for known in registry.names()]
+        free = [known.name for known in kinds if known.free and not known.optical]
         raise ModelError(
             f"Poses are planned for the kinds {choices(free)}, at one station; of one with a "
             "frame of its own, such as distances, give the base in it (frame_xyz_mm in the cell "

@@ -14,22 +14,23 @@ if TYPE_CHECKING:
     from calib.design.plan import PlanValues
 
 
-def image_head(plan: PlanValues) -> Iterator[str]:
-    """Write the robot, camera and board, numbers of images, and what they cover."""
-    robot, sight, count = plan.robot, plan.sight, len(plan.estimation)
-    assert sight is not None
+def image_head(plan: PlanValues) -> str:
+    """Word the robot, the links of camera and board, and the numbers of images."""
+    robot, count = plan.robot, len(plan.estimation)
     taken = f" beside {len(plan.taken)} taken already" if len(plan.taken) else ""
-    yield (
+    return (
         f"Plan for '{robot.name}' ({robot.urdf.source}), camera on {robot.base}, board on {robot.tip}: {count} images "
         f"for calibration{taken}, {len(plan.joints) - count} for validation."
     )
+
+
+def image_facts(plan: PlanValues) -> Iterator[tuple[str, str]]:
+    """Word what the images cover, each fact with its label."""
     distances, tilts = distances_and_tilts(plan)
-    corners = 100.0 * coverage(plan)
-    yield (
-        f"  The board is {1e3 * distances.min():.0f} to {1e3 * distances.max():.0f} mm away, tilted "
-        f"{_deg(tilts.min())} to {_deg(tilts.max())} deg (half of the images more than {_deg(np.median(tilts))} deg); "
-    )
-    yield f"  its corners cover {corners:.0f} % of the image."
+    yield "distance", f"{1e3 * distances.min():.0f} to {1e3 * distances.max():.0f} mm"
+    span = f"{_deg(tilts.min())} to {_deg(tilts.max())} deg"
+    yield "tilt", f"{span}, half of the images above {_deg(np.median(tilts))} deg"
+    yield "image", f"corners in {100.0 * coverage(plan):.0f} % of its area"
 
 
 def _deg(angle: float) -> str:

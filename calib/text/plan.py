@@ -10,6 +10,7 @@ import numpy as np
 
 from calib.channels import RESIDUAL_UNITS
 from calib.robot.ranges import range_text
+from calib.text.image_plan import image_facts, image_head
 from calib.text.layout.lines import fill, row_ranges, wrap
 from calib.text.layout.tables import Column, labelled, name_column, table_lines
 from calib.text.readings import coupling_sentence
@@ -118,28 +119,25 @@ def _mm(value: float) -> str:
 
 def _head(plan: PlanValues) -> Iterator[str]:
     """Write the robot, the numbers of poses and candidates, and the model."""
-    if plan.sight is not None:
-        from calib.text.image_plan import image_head
-
-        yield from image_head(plan)
-        yield from _facts(plan)
-        return
-    robot, count = plan.robot, len(plan.estimation)
-    taken = f" beside {len(plan.taken)} measured already" if len(plan.taken) else ""
-    yield (
-        f"Plan for '{robot.name}' ({robot.urdf.source}), chain {robot.base} to {robot.tip}: {count} poses for "
-        f"calibration{taken}, {len(plan.joints) - count} for validation; targets at each: {', '.join(plan.targets)}."
-    )
-    yield from _facts(plan)
-
-
-def _facts(plan: PlanValues) -> Iterator[str]:
-    """Write how the poses were chosen."""
+    if plan.sight is None:
+        yield _instrument_head(plan)
+    else:
+        yield image_head(plan)
     for label, text in _labelled_facts(plan):
         yield labelled(label, text, _PLAN_LABEL, "  ")
     coupling = coupling_sentence(plan.robot)
     if coupling:
         yield wrap(coupling, "  ")
+
+
+def _instrument_head(plan: PlanValues) -> str:
+    """Word the robot, its chain, the numbers of poses and the targets."""
+    robot, count = plan.robot, len(plan.estimation)
+    taken = f" beside {len(plan.taken)} measured already" if len(plan.taken) else ""
+    return (
+        f"Plan for '{robot.name}' ({robot.urdf.source}), chain {robot.base} to {robot.tip}: {count} poses for "
+        f"calibration{taken}, {len(plan.joints) - count} for validation; targets at each: {', '.join(plan.targets)}."
+    )
 
 
 def _labelled_facts(plan: PlanValues) -> Iterator[tuple[str, str]]:
@@ -148,6 +146,8 @@ def _labelled_facts(plan: PlanValues) -> Iterator[tuple[str, str]]:
     auto = ", for 'auto'" if plan.cell.model != plan.model else ""
     indices = ", ".join(f"{name} {value:.3g}" for name, value in forecast.indices.items())
     rejected = ", ".join(f"{n} {_REASONS[why]}" for why, n in plan.refused.items() if n)
+    if plan.sight is not None:
+        yield from image_facts(plan)
     yield "criterion", _CRITERIA[plan.request.criterion]
     yield (
         "error model",

@@ -217,17 +217,26 @@ class ImageSensitivity(Sensitivity):
         return np.full(len(q), self._sigma)
 
 
+def sensitivity_of(robot: Robot, cell: Cell, sight: CameraSight | None) -> Sensitivity:
+    """Make the model of a plan: of images of a board where a camera is given, else of the cell's instrument.
+
+    Args:
+        robot: The nominal robot.
+        cell: The measurement setup that the fit will use.
+        sight: The camera and the board; None: there are none.
+    """
+    if sight is None:
+        return Sensitivity.of(robot, cell)
+    return ImageSensitivity.of_images(robot, cell, sight)
+
+
 def _as_known(cell: Cell, sight: CameraSight) -> Camera:
-    """Return the camera with intrinsics, as uncertain as the fit will take them."""
-    if _intrinsics_known(cell):
-        return sight.camera
+    """Return the only camera with intrinsics, as uncertain as the fit will take them."""
+    camera = next(iter(cell.cameras.values()))
+    if camera.values is not None:
+        return camera
     unknown = np.full(len(LENSES[sight.camera.lens].names), UNKNOWN)
     return replace(sight.camera, sigma=read_only(unknown))
-
-
-def _intrinsics_known(cell: Cell) -> bool:
-    """Test whether something is known of the only camera's intrinsics."""
-    return any(camera.values is not None for camera in cell.cameras.values())
 
 
 def _notes(cell: Cell) -> tuple[Note, ...]:
