@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import fdtrc, stdtr
 
+from calib.camera.optics import SCALE
 from calib.estimate.fitting import Fitted
 from calib.estimate.linear import LinearProblem
 from calib.estimate.prior_terms import PriorTerms
@@ -327,7 +328,7 @@ def instrument_scale(fitted: Fitted) -> Scale | None:
     problem = fitted.estimate.problem
     rows = problem.rows
     lengths = model.of_robot & (np.array(model.units) == "m")
-    if not np.any(lengths):
+    if not np.any(lengths) or _has_unknown_board(fitted):
         return None
     T_frame_target = fitted.kinematics.poses(fitted.estimate.x, rows.samples)
     T_frame_base = fitted.placed().T_frame_base[rows.samples.frame]
@@ -350,6 +351,12 @@ def instrument_scale(fitted: Fitted) -> Scale | None:
         reach=rms(np.linalg.norm(from_base, axis=1)),
         measured=measured,
     )
+
+
+def _has_unknown_board(fitted: Fitted) -> bool:
+    """Tell whether a fit estimates the scale of a board, which then is the arm's unit of length."""
+    scale = range(SCALE.start, SCALE.stop)
+    return any(parameter.optic in scale for _, parameter in fitted.kinematics.model.optical)
 
 
 @dataclass(frozen=True, slots=True)

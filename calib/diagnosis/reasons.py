@@ -48,6 +48,9 @@ class Why(Enum):
     # Gains, and information
     GAIN, LARGER_MODEL, VALIDATION_GAIN, OUTSIDE, LARGER_NO_CLOSER, ROWS_COPIED = range(60, 66)
     SCALE_HIDDEN = 66
+    # Images of a board
+    SENSE_REVERSED, SENSE_UNKNOWN, FOCAL_LENGTH_OFF, BOARD_SCALE_OFF = range(100, 104)
+    BOARD_HEAD_ON, FEW_CORNERS, ONE_AXIS, CAMERA_TOO_ROUGH = range(104, 108)
     # Explanations of the errors of newly measured rows
     FRAME_MOVED, TARGET_MOVED = range(70, 72)
 

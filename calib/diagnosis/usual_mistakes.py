@@ -15,6 +15,7 @@ import numpy as np
 import calib.data.kinds as registry
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
+from calib.diagnosis.images.poses import as_poses
 from calib.diagnosis.joint_mistakes import joint_trials
 from calib.diagnosis.misfit import TOLERANCE, misfit, with_joints
 from calib.diagnosis.orientation_mistakes import (
@@ -142,6 +143,8 @@ def find_usual_mistake(robot: Robot, cell: Cell, table: Measurements) -> Reason 
         The mistake, with the rms errors as given and with it undone [m] (of orientations [rad]), and others that
         explain the rows as well; None if the nominal error is plausible or no mistake explains it.
     """
+    if len(table) and np.all(table.where(lambda kind: kind.optical)):
+        table, cell = as_poses(robot, cell, table)
     if not np.all(table.of_kind("point", "pose")):
         return None
     table = _some_rows(table)

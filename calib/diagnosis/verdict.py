@@ -222,7 +222,13 @@ _REMAINING = (
 _INFORMATION = (Why.SCALE_HIDDEN,)
 
 #: Doubts about given values, which come before all others.
-_GIVEN = (Why.TARGET_FAR, Why.BASE_MOVED)
+_GIVEN = (Why.TARGET_FAR, Why.BASE_MOVED, Why.FOCAL_LENGTH_OFF, Why.BOARD_SCALE_OFF)
+
+#: Doubts that the input is wrong, however well it fits.
+_WRONG_INPUT = (Why.SENSE_REVERSED,)
+
+#: Reasons against a result that better measurements may lift.
+_NOT_SEEN = (Why.NOTHING_TO_GAIN, Why.NO_BETTER, Why.TOO_FEW)
 
 
 @dataclass(frozen=True, slots=True)
@@ -385,14 +391,19 @@ def _against(e: Evidence, f: _Figures) -> list[Reason]:
         (f.unproven and f.many and not f.accidents, _many_outliers(e, f)),
         (elsewhere, Reason.of(Why.UNKNOWN_ELSEWHERE, **_over_limits(e, f))),
     )[:1]
+    wrong = [doubt for doubt in e.doubts if doubt.why in _WRONG_INPUT]
     fails = f.validated and not f.validation_falls
     no_better = Reason.of(Why.VALIDATION_NO_BETTER, **_on_validation(e, f))
-    return first + _applicable((fails, no_better))
+    return [*wrong, *first, *_applicable((fails, no_better))]
 
 
 def _careful(e: Evidence, f: _Figures, against: list[Reason]) -> list[Reason]:
     """Reasons for care, doubts about given values first; ``against`` are those not to use it at all."""
-    doubts = [doubt for doubt in e.doubts if not _improvable(doubt, f) and _matters(doubt)]
+    doubts = [
+        doubt
+        for doubt in e.doubts
+        if not _improvable(doubt, f) and _matters(doubt) and doubt.why not in _WRONG_INPUT
+    ]
     given = [doubt for doubt in doubts if doubt.why in _GIVEN]
     others = [doubt for doubt in doubts if doubt.why not in _GIVEN]
     of_gain = _careful_of_gain(e, f, against)
@@ -435,7 +446,12 @@ def _remaining(e: Evidence, f: _Figures, against: list[Reason]) -> list[Reason]:
     """Reasons that say what to improve, and do not ask for care where held-out rows prove the gain."""
     fewer = Reason.of(Why.FEW_NUMBERS, **_size(e), parameters=e.parameters)
     few = (f.few or f.handful) and not against
-    first = _applicable((few, fewer), (f.accidents, _many_outliers(e, f)))
+    too_rough = f.before.leading.unit == "px" and any(r.why in _NOT_SEEN for r in against)
+    first = _applicable(
+        (few, fewer),
+        (f.accidents, _many_outliers(e, f)),
+        (too_rough, Reason.of(Why.CAMERA_TOO_ROUGH)),
+    )
     return first + [doubt for doubt in e.doubts if _improvable(doubt, f)]
 
 

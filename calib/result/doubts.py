@@ -15,6 +15,9 @@ from calib.diagnosis.further_unknowns import (
     motion_of_base,
     priors_from_data,
 )
+from calib.diagnosis.images.senses import doubtful_senses
+from calib.diagnosis.images.stated import contradicted_statements
+from calib.diagnosis.images.views import doubtful_views
 from calib.diagnosis.patterns import FALSE_ALARM
 from calib.diagnosis.reasons import Reason, Why
 from calib.diagnosis.residual_patterns import (
@@ -104,6 +107,10 @@ def _doubts(result: CalibrationValues, fitted: Fitted, rows: Rows) -> Iterator[R
     if priors_from_data(few):
         yield from _given_frame(few)
         yield from _scale(few, certified=result.cell.scale_certified)
+        yield from contradicted_statements(few)
+    yield from doubtful_views(few)
+    m = result.measurements
+    yield from doubtful_senses(result.nominal, result.cell, m.select(m.estimation))
     yield from _still(fitted.task.robot, rows)
     yield from _sole_postures(result, rows)
     if _named_model(result):

@@ -17,7 +17,7 @@ from calib.result.calibration import CalibrationValues
 from calib.result.doubts import noise_doubts
 from calib.result.prediction import FittedModel, NonGeometric
 from calib.robot.ranges import spread_poses
-from calib.units import Array, Mask
+from calib.units import Array, Integers, Mask
 
 #: A share of validation rows up to which those that do not fit are set aside as accidents.
 _FEW_SUSPECTS = 0.15
@@ -60,7 +60,7 @@ def evidence_of(
         scales=fitted.estimate.problem.scales,
         used=rows.used & rows.checked[:, None],
         floor=_noise_floor(result, fitted, doubts),
-        repeats=rows.poses,
+        repeats=_measurements_of(rows),
         pairs=rows.partner >= 0,
         outliers=result.fitted.estimate.outliers,
         validation=_validation_errors(result, part),
@@ -75,6 +75,13 @@ def evidence_of(
         expected_of_nominal=expected_of_nominal,
         non_geometric=None if of_non_geometric else _usable_non_geometric(result),
     )
+
+
+def _measurements_of(rows: Rows) -> Integers:
+    """Number rows so that repeats of one measurement, and the corners of one image, have one number; shape (N,)."""
+    is_image = rows.where(lambda kind: kind.optical)
+    labels = np.column_stack([is_image, np.where(is_image, rows.blocks, rows.poses)])
+    return np.unique(labels, axis=0, return_inverse=True)[1].reshape(-1)
 
 
 def _fit_of(result: CalibrationValues, part: FittedModel) -> Fitted:

@@ -9,7 +9,7 @@ import numpy as np
 from calib.camera import optics
 from calib.model.parameters import BOARD, CAMERA, Parameter
 from calib.result.calibration import CalibrationValues
-from calib.result.uncertainty import ParameterEstimate
+from calib.result.prediction import ParameterEstimate
 from calib.text.layout.lines import number
 from calib.units import Array
 

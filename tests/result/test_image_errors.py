@@ -1,0 +1,35 @@
+"""Errors of images in metres at the board."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from calib.channels import Channels
+from calib.estimate.fitting import fit
+from calib.estimate.task import Task
+from calib.registration.table_rows import rows_and_setup
+from calib.result.image_errors import errors_at_board, metres_per_pixel
+from tests.images import BOARD, arm, cell, mounts, poses, table
+
+
+def test_a_pixel_is_as_long_as_the_corner_is_far():
+    robot = arm()
+    q = poses(8)
+    rows, setup = rows_and_setup(robot, table(q, noise=0.1), cell())
+    fitted = fit(Task(robot, cell(), setup, "frames"), rows)
+    T_camera_base, T_tip_board = mounts()
+    T = T_camera_base @ robot.poses(q) @ T_tip_board
+    depth = BOARD.corners @ T[:, 2, :3].T + T[:, 2, 3]
+    expected = depth.T.ravel() / 702.5
+    np.testing.assert_allclose(metres_per_pixel(fitted, rows), expected, rtol=0.01)
+
+
+def test_lengths_are_pixels_times_their_length():
+    channels = Channels.of_unit(np.ones((3, 2), dtype=bool), "px")
+    residual = np.array([[3.0, 4.0], [0.0, 1.0], [9.0, 9.0]])
+    scale = np.array([1e-3, 2e-3, 1.0])
+    errors = errors_at_board(residual, channels, scale, np.array([True, True, False]))["m"]
+    assert errors.n == 2
+    assert errors.max == pytest.approx(5e-3)
+    assert errors.mean == pytest.approx(3.5e-3)
