@@ -7,8 +7,9 @@ together, the pointer's z axis along the board's:
     T_base_tip(q) T_tip_board c  =  p_pointer,    z_board  =  z_pointer
 
 How far the tip of the pointer is to be expected from the corner comes from the covariance of the board's pose in the
-base, with what the model lacks, carried to the corner, S. The length of a normal error with this covariance is taken
-for a multiple of chi with n = (tr S)^2 / tr S^2 degrees of freedom, as in `calib.compensation.expected`.
+base, with what the model lacks, carried to the corner, and from that of the print, S. The length of a normal error with
+this covariance is taken for a multiple of chi with n = (tr S)^2 / tr S^2 degrees of freedom, as in
+`calib.compensation.expected`.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ import pinocchio as pin
 from scipy.special import chdtri
 
 from calib.camera.board import Board
+from calib.compensation.board_print import PrintedCorners, printed_corners
 from calib.compensation.expected import arrival_covariance
 from calib.compensation.inverse import AXIS, Matching, solve
 from calib.compensation.nominal_actual import Pair, pair_of
@@ -156,9 +158,11 @@ def plan_touch(
     _check_board_stands(result.nominal)
     pair = pair_of(result, tool=target)
     chosen = _usual_corners(board) if corners is None else _checked_corners(board, corners)
-    points = board.corners[chosen]
+    assert pair.target is not None
+    part = result.part(non_geometric=pair.non_geometric)
+    corner = printed_corners(part, board, pair.target, board.corners[chosen])
     scene = _scene(pair, result, pointer, collisions)
-    postures = _all_postures(scene, points)
+    postures = _all_postures(scene, corner.points)
     nothing = np.full(len(result.nominal.joint_names), np.nan)
     touching = np.array([nothing if p is None else p.touching for p in postures])
     above = np.array([nothing if p is None else p.above for p in postures])
@@ -167,10 +171,10 @@ def plan_touch(
         robot=result.nominal,
         board=board,
         corners=chosen,
-        places=read_only(_points_at(scene.T_tip_board, points)),
+        places=read_only(_points_at(scene.T_tip_board, corner.points)),
         touching=read_only(touching),
         above=read_only(above),
-        expected=read_only(_expected(pair, touching, reached, points)),
+        expected=read_only(_expected(pair, touching, reached, corner)),
         reached=reached,
         free=np.array([p is not None and p.free for p in postures]),
     )
@@ -361,21 +365,23 @@ def _different(q: Array) -> Array:
     return np.array(kept).reshape(-1, q.shape[1])
 
 
-def _expected(pair: Pair, touching: Array, reached: Mask, points: Array) -> Array:
+def _expected(pair: Pair, touching: Array, reached: Mask, corners: PrintedCorners) -> Array:
     """Compute the error that 95 % of robots stay below at each corner, shape (k,) [m]; NaN where it is not reached.
 
     Args:
         pair: The calibrated robot with the board as its tool.
         touching: Joint values at the corners, shape (k, m), [rad] or [m].
         reached: Corners that are reached, shape (k,).
-        points: The corners on the board, shape (k, 3), [m].
+        corners: The k corners on the board.
     """
-    expected = np.full(len(points), np.nan)
+    expected = np.full(len(reached), np.nan)
     if reached.any():
         q = touching[reached]
-        R_base_board = pair.actual.poses(q)[:, :3, :3]
-        lever = (R_base_board @ points[reached][:, :, None])[:, :, 0]
-        expected[reached] = bounds(at_lever(arrival_covariance(pair, q), lever))
+        R = pair.actual.poses(q)[:, :3, :3]
+        lever = (R @ corners.points[reached][:, :, None])[:, :, 0]
+        of_pose = at_lever(arrival_covariance(pair, q), lever)
+        of_print = R @ corners.covariance[reached] @ R.swapaxes(1, 2)
+        expected[reached] = bounds(of_pose + of_print)
     return expected
 
 

@@ -29,7 +29,7 @@ def touch_text(plan: TouchPlan) -> str:
     return "\n\n".join(
         [
             fill(head),
-            "\n".join(table_lines(_columns(plan), _cells(plan))),
+            "\n".join(table_lines(_columns(plan), _rows(plan))),
             *map(fill, _advice(plan)),
         ]
     )
@@ -37,30 +37,26 @@ def touch_text(plan: TouchPlan) -> str:
 
 def _columns(plan: TouchPlan) -> list[Column]:
     """Return the columns of the table."""
-    joints = [Column("", 8) for _ in plan.robot.joint_names]
+    joints = [Column("", 7) for _ in plan.robot.joint_names]
     return [
         name_column("corner", 6),
-        Column("x", 8),
-        Column("y", 8),
-        Column("z [mm]", 8),
-        Column("error", 8),
+        Column("x, y, z [mm]; error", 22),
         Column("", 5, left=True, gap=2),
         *joints,
     ]
 
 
-def _cells(plan: TouchPlan) -> Iterator[list[str]]:
+def _rows(plan: TouchPlan) -> Iterator[list[str] | str]:
     """Yield two rows of each corner, above it and at it; one where it cannot be touched."""
-    joints = len(plan.robot.joint_names)
     for k, corner in enumerate(plan.corners):
-        place = [f"{1e3 * value:.1f}" for value in plan.places[k]]
+        place = " ".join(f"{1e3 * value:.1f}" for value in plan.places[k])
         if not plan.usable[k]:
             why = _COLLIDES if plan.reached[k] else _NOT_REACHED
-            yield [str(corner), *place, "", why, *[""] * joints]
+            yield f"{corner:<6} {place:>22}  {why}"
             continue
-        yield [str(corner), *place, "", "above", *_values(plan, plan.above[k])]
-        error = f"{1e3 * plan.expected[k]:.2f} mm"
-        yield ["", "", "", "", error, "touch", *_values(plan, plan.touching[k])]
+        yield [str(corner), place, "above", *_values(plan, plan.above[k])]
+        error = f"error {1e3 * plan.expected[k]:.2f} mm"
+        yield ["", error, "touch", *_values(plan, plan.touching[k])]
 
 
 def _values(plan: TouchPlan, q: Array) -> list[str]:

@@ -13,12 +13,20 @@ from calib.camera.board import Board
 from calib.compensation.touch import ABOVE, Pointer, TouchPlan, at_lever, bounds, plan_touch
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
+from calib.design.choice import PlanRequest
 from calib.design.collision import CollisionCheck, CollisionModel
 from calib.errors import ModelError
 from calib.example import paper_urdf
 from calib.robot.ranges import column_limits
 from calib.robot.robot import Robot
 from tests.compensation.arms import off
+from tests.design.images.test_plan import (
+    EXACT as IMAGE_BOARD,
+    cell as image_cell,
+    images_of,
+    planned,
+)
+from tests.design.images.views import in_hand
 
 BOARD = Board(pattern="chessboard", columns=8, rows=6, square=0.025)
 
@@ -191,3 +199,26 @@ def test_the_bound_holds_for_its_share_of_draws(sizes):
     draws = np.random.default_rng(5).normal(size=(200_000, 3)) * sizes
     limit = bounds(np.diag(np.square(sizes))[None])[0]
     assert np.mean(np.linalg.norm(draws, axis=1) < limit) == pytest.approx(0.95, abs=0.01)
+
+
+# Images
+
+
+@pytest.mark.slow
+def test_corners_are_touched_after_a_calibration_by_images():
+    plan = planned(in_hand, PlanRequest(30, 0, candidates=300, ladder=False))
+    below = []
+    for seed in range(3):
+        table, true, _, T_tip_board = images_of(plan, seed)
+        fit = image_cell(base=plan.robot.base, tip=plan.robot.tip)
+        calibrated = calibrate(plan.robot, table, cell=fit, validate=False)
+        touch = plan_touch(calibrated, IMAGE_BOARD, POINTER)
+        assert touch.reached.all()
+        in_pointer = (
+            np.linalg.inv(POINTER.T_link_pointer) @ true.poses(touch.touching) @ T_tip_board
+        )
+        corners = np.c_[IMAGE_BOARD.corners[touch.corners], np.ones(len(touch.corners))]
+        missed = np.linalg.norm(np.einsum("nij,nj->ni", in_pointer, corners)[:, :3], axis=1)
+        below += (missed < touch.expected).tolist()
+        assert touch.expected.max() < 5e-3
+    assert np.mean(below) > 0.8

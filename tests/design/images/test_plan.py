@@ -19,7 +19,8 @@ from calib.design.images.plan import ImageRequest, plan_images
 from calib.design.plan import PlanValues
 from calib.errors import ArgumentError, CalibError
 from calib.robot.ranges import random_joint_values
-from calib.robot.robot import rigid_inverse
+from calib.robot.robot import Robot, rigid_inverse
+from calib.units import Array
 from tests.compensation.arms import off
 from tests.design.images.views import BOARD, in_hand, pose, standing
 
@@ -122,8 +123,8 @@ def test_arguments_of_another_type():
 # The forecast
 
 
-def images_of(plan: PlanValues, seed: int):
-    """Images by a robot with errors, and the true places of the board's middle at other poses."""
+def images_of(plan: PlanValues, seed: int) -> tuple[Measurements, Robot, Array, Array]:
+    """Images by a robot with errors; that robot; and the true poses of its camera and of the board."""
     rng = np.random.default_rng(seed)
     true = off(plan.robot, seed, "hayati")
     T_frame_base = (
@@ -149,23 +150,20 @@ def images_of(plan: PlanValues, seed: int):
         corners=tuple(np.tile(np.arange(c).astype(str), n)),
         images=tuple(np.repeat([f"image_{k}.png" for k in range(n)], c)),
     )
-    q = random_joint_values(plan.robot, 500, 5)
-    return (
-        table,
-        q,
-        (T_frame_base @ true.poses(q) @ T_tip_board @ np.append(BOARD.centre, 1.0))[:, :3],
-    )
+    return table, true, T_frame_base, T_tip_board
 
 
 @pytest.mark.slow
 def test_a_fit_is_as_good_as_forecast():
     plan = planned(in_hand, PlanRequest(30, 0, candidates=300, ladder=False))
+    q = random_joint_values(plan.robot, 500, 5)
+    centre = np.append(BOARD.centre, 1.0)
     squares = []
     for seed in range(6):
-        table, q, true = images_of(plan, seed)
+        table, true, T_frame_base, T_tip_board = images_of(plan, seed)
         fit = cell(base=plan.robot.base, tip=plan.robot.tip)
         result = calibrate(plan.robot, table, cell=fit, validate=False)
-        T = result.T_frame_base @ result.predict_poses(q)
-        places = (T @ np.append(BOARD.centre, 1.0))[:, :3]
-        squares.append(np.mean(np.sum((places - true) ** 2, axis=1)))
+        predicted = result.T_frame_base @ result.predict_poses(q) @ centre
+        actual = T_frame_base @ true.poses(q) @ T_tip_board @ centre
+        squares.append(np.mean(np.sum((predicted - actual) ** 2, axis=1)))
     assert np.sqrt(np.mean(squares)) == pytest.approx(plan.forecast.rms, rel=0.4)
