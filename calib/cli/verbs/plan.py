@@ -120,7 +120,7 @@ def plan(
     cell = replace(cell, tracker=parse_tracker(scene.tracker, cell.tracker))
     collisions = _collision_check(scene)
     arm = _load_chain(robot, cell, poses.taken)
-    taken, first_row = _read_taken(arm, poses.taken)
+    taken, first_row = _read_taken(arm, poses.taken, of_images=bool(cell.cameras))
     request = _request(arm, poses, of_images=bool(cell.cameras))
     with stages_bar(quiet=quiet) as progress:
         shared = {"taken": taken, "collisions": collisions, "progress": progress}
@@ -186,18 +186,20 @@ def _read_region(arm: Robot, cell: Cell, path: Path | None) -> Region | None:
     return read_region(path, arm, target)
 
 
-def _read_taken(arm: Robot, path: Path | None) -> tuple[Array | None, int]:
+def _read_taken(arm: Robot, path: Path | None, *, of_images: bool) -> tuple[Array | None, int]:
     """Read the poses that are measured already.
 
     Returns:
-        Their joint values, None without a table; and the number of the plan's first row, behind theirs.
+        Their joint values, None without a table; and the number of the plan's first row, or image, behind theirs.
     """
+    from calib.design.images.plan_file import next_number
     from calib.design.plan_file import read_poses
 
     if path is None:
         return None, 1
     measured = read_poses(path, arm, taken=True)
-    return measured.joints, max(measured.last_row, 0) + 1
+    first_row = next_number(path) if of_images else max(measured.last_row, 0) + 1
+    return measured.joints, first_row
 
 
 def _plan(

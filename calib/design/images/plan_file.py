@@ -6,21 +6,26 @@ With the images beside it, `calib detect` finds in it which joint values belong 
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 
-from calib.data.columns import EXPECTED
+from calib.data.columns import EXPECTED, name_columns
 from calib.design.plan import PlanValues
 from calib.design.plan_file import joint_cells
 from calib.files import csv_bytes, write_atomically
+from calib.tables.table import Table
 from calib.units import Array
 
+#: A whole number in the name of an image.
+_NUMBER = re.compile(r"\d+")
 
-def image_name(row: int) -> str:
-    """Return the file name of the image of a row of the table."""
-    return f"image_{row:03d}.png"
+
+def image_name(number: int) -> str:
+    """Return the file name of an image by its number."""
+    return f"image_{number:03d}.png"
 
 
 def distances_and_tilts(plan: PlanValues) -> tuple[Array, Array]:
@@ -46,7 +51,7 @@ def write_image_plan(
         plan: The plan.
         path: The file.
         overwrite: Whether an existing file is replaced.
-        first_row: Number of the first row, and so of the first image.
+        first_row: Number of the first image.
 
     Returns:
         The path of the file.
@@ -59,14 +64,38 @@ def write_image_plan(
     return write_atomically(path, csv_bytes(table), overwrite=overwrite)
 
 
+def next_number(path: str | Path) -> int:
+    """Return the number of the next image behind those of a table: one more than the largest in their names.
+
+    Args:
+        path: A table with a column ``image``, such as a plan of images or a table of corners; without one, 1.
+
+    Raises:
+        FileError: It cannot be read.
+    """
+    table = Table.read(path)
+    named, _ = name_columns(table, (), {})
+    if "image" not in named:
+        return 1
+    numbers = [0]
+    for name in table.column(named["image"]):
+        digits = _NUMBER.findall(Path(name).stem)
+        if digits:
+            numbers.append(int(digits[-1]))
+    return max(numbers) + 1
+
+
 def _rows(plan: PlanValues, first_row: int) -> Iterator[dict[str, str]]:
-    """Yield the cells of each row by the headers of their columns, in the order to drive."""
+    """Yield the cells of each row by the headers of their columns, in the order to drive.
+
+    There is no column of row numbers: a table of corners has many rows of an image.
+    """
     distances, tilts = distances_and_tilts(plan)
     # A table is read from the foot of the robot to its hand, also where the chain leads the other way.
     backwards = plan.robot.base_moves
     for k, q in enumerate(plan.joints):
         number = first_row + k
-        row = {"row": str(number), "set": plan.sets[k], "image": image_name(number)}
+        row = {"set": plan.sets[k], "image": image_name(number)}
         joints = list(joint_cells(plan.robot, q).items())
         row |= dict(joints[::-1] if backwards else joints)
         row[f"{EXPECTED}distance [mm]"] = f"{1e3 * distances[k]:.1f}"

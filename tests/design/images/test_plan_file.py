@@ -8,10 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calib.data.measurements import Measurements
 from calib.design.images.plan_file import (
     coverage,
     distances_and_tilts,
     image_name,
+    next_number,
     write_image_plan,
 )
 from calib.design.plan_file import plan_table, read_poses
@@ -30,15 +32,16 @@ def rows(tmp_path):
 def test_a_row_is_an_image_with_its_name(rows):
     assert len(rows) == 14
     assert [row["image"] for row in rows[:2]] == ["image_004.png", "image_005.png"]
-    assert [row["row"] for row in rows] == [str(4 + k) for k in range(14)]
+    # A table of corners keeps the columns, and has many rows of an image: none of them is numbered.
+    assert "row" not in rows[0]
     assert tuple(row["set"] for row in rows) == planned().sets
     assert image_name(1234) == "image_1234.png"
 
 
 def test_joints_are_listed_from_the_foot_to_the_hand(rows):
     headers = list(rows[0])
-    assert headers[3] == "shoulder_pan_joint [deg]"
-    assert headers[8] == "wrist_3_joint [deg]"
+    assert headers[2] == "shoulder_pan_joint [deg]"
+    assert headers[7] == "wrist_3_joint [deg]"
     # The chain itself leads from the hand to the foot.
     assert planned().robot.joint_names[0] == "wrist_3_joint"
     for row, q in zip(rows, planned().joints, strict=True):
@@ -48,7 +51,7 @@ def test_joints_are_listed_from_the_foot_to_the_hand(rows):
 
 def test_a_chain_from_foot_to_hand_stays_as_it_is(tmp_path):
     path = write_image_plan(planned(standing), tmp_path / "plan.csv")
-    assert path.read_text(encoding="utf-8").startswith("row,set,image,shoulder_pan_joint [deg]")
+    assert path.read_text(encoding="utf-8").startswith("set,image,shoulder_pan_joint [deg]")
 
 
 def test_the_board_is_expected_where_the_nominal_robot_has_it(rows):
@@ -70,10 +73,42 @@ def test_the_poses_are_read_back(tmp_path):
 
 
 def test_the_detection_of_corners_finds_the_images(tmp_path):
-    matching = pytest.importorskip("calib.vision.matching")
+    matching = pytest.importorskip("calib.vision.detection.matching")
     path = write_image_plan(planned(), tmp_path / "plan.csv")
-    table = matching.read_joint_table(path, {}, None)
-    assert "image_003.png" in str(table)
+    table = matching.read_joint_table(path)
+    assert table.image is not None
+    assert "image_003.png" in table.table.column(table.image)
+    assert len(table.kept) == 1 + 6 + 2
+
+
+def test_a_table_of_corners_is_read_and_its_images_counted(tmp_path):
+    """As detection writes it: the plan's columns, and those of corners behind them."""
+    plan = planned()
+    path = write_image_plan(plan, tmp_path / "plan.csv", first_row=7)
+    with path.open(newline="", encoding="utf-8") as stream:
+        header, *rows = csv.reader(stream)
+    of_corner = ["corner", "board_x [m]", "board_y [m]", "board_z [m]", "u [px]", "v [px]", "kind"]
+    table = [[*header, *of_corner]]
+    for row in rows:
+        for k, point in enumerate(BOARD.corners[:10]):
+            table.append([*row, k, *point, 100 + k, 200, "pixel"])
+    corners = tmp_path / "corners.csv"
+    with corners.open("w", newline="", encoding="utf-8") as stream:
+        csv.writer(stream).writerows(table)
+    measured = Measurements.read(corners, plan.robot.joint_names)
+    assert len(measured) == 140
+    assert len(set(measured.images)) == 14
+    taken = read_poses(corners, plan.robot, taken=True).joints
+    assert len(np.unique(taken, axis=0)) == plan.sets.count("estimate")
+    assert next_number(corners) == next_number(path) == 21
+
+
+def test_images_without_numbers_begin_with_one(tmp_path):
+    table = tmp_path / "table.csv"
+    table.write_text("image,j [deg]\nleft.png,1\n", encoding="utf-8")
+    assert next_number(table) == 1
+    table.write_text("j [deg]\n1\n", encoding="utf-8")
+    assert next_number(table) == 1
 
 
 def test_coverage_counts_the_cells_of_the_image_with_corners():
