@@ -18,6 +18,8 @@ from calib.data.measurements import Measurements
 from calib.diagnosis.reasons import Why
 from calib.files import write_atomically
 from calib.numerics.intervals import interval_factor
+from calib.report.camera.of_calibration import seen_corners
+from calib.report.camera.tables import image_errors
 from calib.report.first_page import (
     FirstPage,
     Outcome,
@@ -106,6 +108,7 @@ def _content(c: CalibrationValues) -> dict[str, Any]:
         "factor": f"{interval_factor(c.fitted.estimate.freedom):.2f}",
         "places": [*target_sentences(c, MOST_LISTED), *frame_sentences(c, MOST_LISTED)],
         "combinations": _combinations(c),
+        "image_errors": image_errors(seen_corners(c)),
         "kinds": kinds_text(c.measurements),
         "outside": _outside(c),
         "versions": ", ".join(f"{name} {version}" for name, version in versions().items()),

@@ -55,8 +55,8 @@ def corner_errors(cameras: Sequence[SeenCorners], board: str) -> tuple[Array, Ar
         board: Name of the board.
 
     Returns:
-        The corners as designed, shape (n, 2); as printed less as designed, without a displacement and a turn of the
-        whole board, shape (n, 3); and the displacement along the board that explains the residuals of each corner best,
+        The corners as designed, shape (n, 2); as printed less as designed, without the mean along the board,
+        which moves it as a whole, shape (n, 3); and the displacement along the board that explains the residuals of each corner best,
         shape (n, 2); all along the board's axes [m]. Flagged corners do not count.
     """
     places: dict[str, Array] = {}
@@ -69,8 +69,10 @@ def corner_errors(cameras: Sequence[SeenCorners], board: str) -> tuple[Array, Ar
             kept: Integers = at[~seen.flagged[at]]
             if len(kept):
                 residuals.setdefault(name, []).append(seen.along_board(kept, seen.calibrated))
+    of_print = np.array([*printed.values()])
+    of_print[:, :2] -= of_print[:, :2].mean(axis=0)
     of_corners = [np.mean(residuals.get(name, [np.full(2, np.nan)]), axis=0) for name in places]
-    return np.array([*places.values()]), np.array([*printed.values()]), np.array(of_corners)
+    return np.array([*places.values()]), of_print, np.array(of_corners)
 
 
 def _draw_print(ax: Axes, board: str, places: Array, printed: Array) -> None:

@@ -20,13 +20,13 @@ WIDTH = 5.2
 _MOST_HEIGHT = 4.4
 
 #: Factors of arrows: these times powers of ten.
-_STEPS = (1.0, 2.0, 5.0)
+_STEPS = (1.0, 2.0, 3.0, 5.0)
 
 #: Colours of arrows from short to long; dark enough for lines on white.
 _SHORT_TO_LONG = ("#e0a030", *base.LITTLE_TO_MUCH[2:], "#3a0d33")
 
 #: Part of an image's width that a typical arrow takes at most.
-TYPICAL = 0.06
+TYPICAL = 0.045
 
 
 def stacked(heights: list[float], extra: float = 0.5) -> Figure:
@@ -65,7 +65,7 @@ def image_panel(ax: Axes, size: tuple[int, int], title: str) -> None:
 
 
 def round_factor(lengths: Array, longest: float) -> float:
-    """Return a factor of 1, 2 or 5 times a power of ten that makes arrows long enough to be seen.
+    """Return a factor of 1, 2, 3 or 5 times a power of ten that makes arrows long enough to be seen.
 
     Args:
         lengths: shape (n,), lengths of arrows, in the panel's unit.
