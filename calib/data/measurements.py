@@ -511,8 +511,9 @@ class Measurements(Value):
             if self.torques is not None:
                 yield name + TORQUE, "force" if slides else "torque", self.torques[:, i]
         for names, values in ((POINT, self.points), (BOARD_POINT, self.board_points)):
-            for i, name in enumerate(names if values is not None else ()):
-                yield name, "length", values[:, i]
+            if values is not None:
+                for i, name in enumerate(names):
+                    yield name, "length", values[:, i]
         if self.rotations is not None:
             quaternions = to_quaternions(self.rotations)
             for i, name in enumerate(QUATERNION.columns):

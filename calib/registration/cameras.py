@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -219,6 +219,7 @@ def _of_camera(
     unknowns = []
     for k in np.flatnonzero(sigma > 0.0).tolist():
         parameter = _parameter(lens.names[k], lens.units[k], owner, CAMERA, k)
+        parameter = replace(parameter, nominal=float(start[k]))
         unknowns.append(OpticalUnknown(parameter, 0.0, float(sigma[k])))
     return values, unknowns
 

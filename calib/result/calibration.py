@@ -27,6 +27,7 @@ from calib.numerics.errors import CrossValidation, Errors
 from calib.numerics.repeats import Repeats
 from calib.numerics.solvers import Solution
 from calib.registration.setup import Setup
+from calib.result.image_errors import errors_at_board
 from calib.result.joint_zeros import JointZeros
 from calib.result.prediction import (
     FittedModel,
@@ -176,6 +177,9 @@ class CalibrationValues(FittedModel):
     non_geometric: NonGeometric | None
     #: None without cross-validation, unless a usual mistake explains the rows far better, or a frame was not found
     verdict: Verdict | None
+    #: shape (N,), length at the board that a pixel is, of all rows [m/px]; NaN in rows that are no images, None without
+    #: images. See `calib.result.image_errors`
+    metres_per_pixel: Array | None = None
     #: The best joint zeros alone; None where they cannot be fitted, or where an earlier version wrote the file
     zeros: JointZeros | None = None
     #: Who measured what for whom, where, when and with what, as the cell says
@@ -238,6 +242,39 @@ class CalibrationValues(FittedModel):
     def nominal_is_judged(self) -> bool:
         """True unless a measurement frame was sought and not found: then the nominal robot has no known errors."""
         return not np.isnan(self.residual_nominal).any()
+
+    @property
+    def errors_at_board(self) -> dict[str, Errors]:
+        """Errors of images as lengths at the board [m], by what the error tables call the rows; empty without images.
+
+        Such as ``["estimation rows, calibrated"]["m"].rms``; those of held-out rows are ``["held-out rows*,
+        calibrated"]``.
+        """
+        if self.metres_per_pixel is None:
+            return {}
+        of_estimation = self.rows.estimation
+        scale = self.metres_per_pixel
+        every = np.ones(int(np.sum(of_estimation)), dtype=bool)
+        held_out_channels = self.channels.select(of_estimation)
+        result = {}
+        residuals = (("nominal", self.residual_nominal), ("calibrated", self.residual_calibrated))
+        sets = (("estimation", of_estimation), ("validation", self.rows.validation))
+        for set_name, rows in sets:
+            for who, residual in residuals:
+                if np.any(rows):
+                    errors = errors_at_board(residual, self.channels, scale, rows)
+                    result[f"{set_name} rows, {who}"] = errors
+        validations = (
+            ("nominal", self.nominal_cross_validation),
+            ("calibrated", self.cross_validation),
+        )
+        for who, validation in validations:
+            if validation is not None and len(validation.residual) == len(every):
+                errors = errors_at_board(
+                    validation.residual, held_out_channels, scale[of_estimation], every
+                )
+                result[f"held-out rows*, {who}"] = errors
+        return result
 
     @property
     def errors(self) -> dict[str, dict[str, Errors]]:

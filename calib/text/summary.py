@@ -21,6 +21,7 @@ from calib.text.layout.doubtful_rows import robustness_text
 from calib.text.layout.lines import listed, mm, number, wrap
 from calib.text.layout.sizes import shown, with_unit
 from calib.text.layout.tables import Column, name_column, table_lines
+from calib.text.optics import optics_sentences
 from calib.text.places import frame_sentences, target_sentences
 from calib.text.readings import coupling_sentence, rows_sentence
 from calib.text.verdict import reason_text
@@ -64,6 +65,7 @@ def summary(c: CalibrationValues) -> str:
         _flagged(c),
         "\n".join(map(wrap, target_sentences(c))),
         "\n".join(map(wrap, frame_sentences(c))),
+        "\n".join(map(wrap, optics_sentences(c))),
         _models(c),
         _facts(c),
         _parameters(c),
@@ -349,7 +351,7 @@ def shown_parameters(c: CalibrationValues) -> list[ParameterEstimate]:
     for estimate, parameter in zip(c.parameters, c.model.parameters, strict=True):
         of_frame = parameter.family == FRAME
         turns_target = parameter.family == TARGET and parameter.unit == "rad"
-        if not of_frame and not turns_target:
+        if not of_frame and not turns_target and parameter.optic is None:
             shown.append(estimate)
     return shown
 
@@ -382,6 +384,9 @@ def _errors(c: CalibrationValues) -> str:
         of_unit = [row for row in rows if row[1][unit].n]
         table = error_table(error_title(unit, c.channels), unit, of_unit)
         tables.append("\n".join(table))
+    at_board = list(c.errors_at_board.items())
+    if at_board:
+        tables.append("\n".join(error_table("Error at the board", "m", at_board)))
     note = held_out_text(c)
     text = "\n\n".join(tables)
     return f"{text}\n{note}" if note else text
@@ -459,7 +464,7 @@ def _parameters(c: CalibrationValues) -> str:
 
 def _parameter_row(p: ParameterEstimate, none: frozenset[str]) -> tuple[str, ...]:
     """Cells of a parameter; ``none`` are those of `errorless`."""
-    factor, unit = (1e3, "mm") if p.unit == "m" else (_DEG, "deg")
+    factor, unit = (_DEG, "deg") if p.unit == "rad" else unit_of(p.unit).shown
     nominal = change = "-"
     if p.nominal is not None:
         nominal = number(factor * p.nominal)
