@@ -56,8 +56,8 @@ def corner_errors(cameras: Sequence[SeenCorners], board: str) -> tuple[Array, Ar
 
     Returns:
         The corners as designed, shape (n, 2); as printed less as designed, without the mean along the board,
-        which moves it as a whole, shape (n, 3); and the displacement along the board that explains the residuals of each corner best,
-        shape (n, 2); all along the board's axes [m]. Flagged corners do not count.
+        which moves all of it, shape (n, 3); and the displacement along the board that explains the residuals of each
+        corner best, shape (n, 2); all along the board's axes [m]. Flagged corners do not count.
     """
     places: dict[str, Array] = {}
     printed: dict[str, Array] = {}

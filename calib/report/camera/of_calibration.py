@@ -33,6 +33,12 @@ def has_images(c: CalibrationValues) -> bool:
     return bool(np.any(_is_image(c)))
 
 
+def all_pixels_are_images(c: CalibrationValues) -> bool:
+    """Tell if no other rows than images of corners measure pixels."""
+    measures_pixels = np.any(c.channels.where("px"), axis=1)
+    return bool(np.all(_is_image(c)[measures_pixels]))
+
+
 def _is_image(c: CalibrationValues) -> Mask:
     """Return the rows that are images of corners, shape (N,)."""
     return c.measurements.where(lambda kind: kind.optical)

@@ -1,7 +1,6 @@
 """The corners that a camera saw: measured, predicted, and where their boards were. Values only.
 
-A residual is measured minus predicted, in pixels. At the board it is a length: the shortest displacement of the corner
-that explains it, which is across the line of sight.
+A residual is measured minus predicted, in pixels.
 """
 
 from __future__ import annotations
@@ -81,19 +80,6 @@ class SeenCorners(Value):
         found = _indices_by_name(names)
         found.pop("", None)
         return found
-
-    def at_board(self, residual: Array) -> Array:
-        """Return residuals as displacements of the corners, along the camera's axes.
-
-        Of all displacements with this image it is the shortest one, which is across the line of sight.
-
-        Args:
-            residual: shape (N, 2), [px].
-
-        Returns:
-            shape (N, 3), [m].
-        """
-        return np.asarray(np.einsum("nij,nj->ni", np.linalg.pinv(self.by_point), residual))
 
     def along_board(self, indices: Integers, residual: Array) -> Array:
         """Return the displacement along a board that explains residuals of one corner best, by least squares.
