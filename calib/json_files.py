@@ -159,7 +159,10 @@ class JsonLayout:
             KeyError: An attribute without a default is missing.
         """
         hints = get_type_hints(kind)
-        with_default = {f.name for f in fields(kind) if f.default is not MISSING}
+        with_default = set()
+        for field in fields(kind):
+            if field.default is not MISSING or field.default_factory is not MISSING:
+                with_default.add(field.name)
         result = {}
         for name, key in self._keys_of(kind):
             *folders, last = key.path.split(".")

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.errors import CalibError, choices
+from calib.camera.dictionaries import check_markers
+from calib.errors import CalibError, choices, did_you_mean
 from calib.mappings import ReadOnlyMapping
 from calib.units import Array, Integers
 from calib.values.pickling import Value
@@ -72,7 +73,8 @@ class Board(Value):
         """Check the pattern and its sizes."""
         if self.pattern not in PATTERNS:
             raise CalibError(
-                f"The board '{self.name}' has the pattern '{self.pattern}'; allowed are {choices(PATTERNS)}."
+                f"The board '{self.name}' has the pattern '{self.pattern}'; allowed are "
+                f"{choices(PATTERNS)}{did_you_mean(self.pattern, PATTERNS)}."
             )
         fewest = _FEWEST[self.pattern]
         if min(self.columns, self.rows) < fewest:
@@ -94,6 +96,19 @@ class Board(Value):
             raise CalibError(
                 f"The board '{self.name}' needs the dictionary of its markers, such as 'DICT_5X5_100'."
             )
+        if needs_marker:
+            where = f"The board '{self.name}' with {self.columns} columns and {self.rows} rows"
+            check_markers(self.dictionary, self.first_marker, self.markers, where)
+        if min(self.sigma_scale, self.sigma_corner, self.sigma_warp) < 0.0:
+            raise CalibError(
+                f"The board '{self.name}' has a standard deviation below 0; 0 stands for a perfect print."
+            )
+
+    @property
+    def markers(self) -> int:
+        """Number of markers or tags; 0 for a chessboard."""
+        squares = self.columns * self.rows
+        return {CHARUCO: squares // 2, CHESSBOARD: 0, APRILTAG: squares}[self.pattern]
 
     @property
     def size(self) -> tuple[float, float]:

@@ -6,11 +6,13 @@ import typer
 
 from calib.cli.verb import Verb
 from calib.cli.verbs.base_frame import base_frame
+from calib.cli.verbs.board import board
 from calib.cli.verbs.calibrate import calibrate
 from calib.cli.verbs.compare import compare
 from calib.cli.verbs.compensate import compensate
 from calib.cli.verbs.convert import convert
 from calib.cli.verbs.demo import demo
+from calib.cli.verbs.detect import detect
 from calib.cli.verbs.evaluate import evaluate
 from calib.cli.verbs.fleet import fleet
 from calib.cli.verbs.inspect import inspect
@@ -31,6 +33,7 @@ app = typer.Typer(
 #: The verbs, in the order of ``calib --help``.
 _VERBS = (
     demo,
+    detect,
     calibrate,
     fleet,
     evaluate,
@@ -38,6 +41,7 @@ _VERBS = (
     compensate,
     inspect,
     base_frame,
+    board,
     plan,
     simulate,
     convert,

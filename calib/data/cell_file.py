@@ -19,6 +19,7 @@ from scipy.spatial.transform import Rotation
 
 import calib.plugins as plugins
 from calib.channels import RESIDUAL_UNITS
+from calib.data.optics_tables import boards_of_tables, cameras_of_tables
 from calib.data.record import TEXTS
 from calib.errors import CalibError, FileError, choices, did_you_mean
 from calib.files import read_bytes
@@ -384,7 +385,8 @@ def _frame_pose(value: Any, where: str) -> Array:  # noqa: ANN401
 
 
 #: The keys of a cell file: the attribute of a cell that each gives, and how its value is read.
-#: `read_cell_file` joins ``frame``, ``xyz``, ``rotation`` and ``source`` into attributes.
+#: `read_cell_file` joins ``frame``, ``xyz``, ``rotation`` and ``source`` into attributes, and reads the tables of
+#: cameras and boards, which may name files beside the cell file.
 FIELDS: dict[str, Field] = {
     "plugins": Field("plugins", _NAMES),
     "base": Field("base", TEXT),
@@ -415,6 +417,10 @@ FIELDS: dict[str, Field] = {
     "reflector": Field("reflector", _table("reflector", _REFLECTOR)),
     "boxes": Field("boxes", _tables("boxes", _BOX)),
     "ranges": Field("ranges", _named("ranges", parse_joint_range)),
+    "camera": Field("camera", _TABLE),
+    "cameras": Field("cameras", _named("cameras", _TABLE)),
+    "board": Field("board", _TABLE),
+    "boards": Field("boards", _named("boards", _TABLE)),
     "record": Field("record", _table("record", _record_fields())),
 }
 
@@ -502,6 +508,12 @@ def read_cell_file(path: str | Path) -> dict[str, Any]:
     _load_plugins(table, Path(path).parent)
     values = read_table(table, fields())
     values.pop("plugins", None)
+    values["cameras"] = cameras_of_tables(
+        values.pop("camera", None), values.pop("cameras", {}), Path(path)
+    )
+    values["boards"] = boards_of_tables(
+        values.pop("board", None), values.pop("boards", {}), Path(path)
+    )
     values |= values.pop("frame", {})
     frame_pose = {name: values.pop(name) for name in ("xyz", "rotation") if name in values}
     if frame_pose:

@@ -35,10 +35,10 @@ from calib.registration.registration import nominal_setup, register_held_out
 from calib.registration.rows import Rows
 from calib.registration.setup import Setup
 from calib.result.calibration import CalibrationValues, FitInMemory, RowNames, Source
+from calib.result.cameras import image_values
 from calib.result.doubts import doubts_of
 from calib.result.evidence import evidence_of
 from calib.result.fits import TableFits, fit_table
-from calib.result.image_errors import metres_per_pixel
 from calib.result.joint_zeros import joint_zeros
 from calib.result.prediction import (
     NonGeometric,
@@ -358,7 +358,7 @@ def _assembled(
         residual_nominal=read_only(_nominal_residual(fits, nominal_places)),
         residual_calibrated=read_only(scored.residual),
         channels=all_rows.channels,
-        metres_per_pixel=metres_per_pixel(geometry, all_rows),
+        **image_values(geometry, all_rows),
         scores=read_only(scored.scores),
         weights=read_only(scored.weights),
         ranges=_fitted_ranges(all_rows.joints[scored.weights > 0.0]),

@@ -12,6 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from calib.camera.board import Board
+from calib.camera.camera import Camera
 from calib.channels import Channels
 from calib.data.cell import Cell
 from calib.data.columns import SETS
@@ -21,12 +23,14 @@ from calib.diagnosis.coverage import OutsideRow, outside
 from calib.diagnosis.reasons import Verdict
 from calib.errors import ArgumentError, ModelError, choices, did_you_mean
 from calib.estimate.fitting import Fitted
+from calib.mappings import ReadOnlyMapping
 from calib.model.kinematics import Samples
 from calib.model.observability import Observability
 from calib.numerics.errors import CrossValidation, Errors
 from calib.numerics.repeats import Repeats
 from calib.numerics.solvers import Solution
 from calib.registration.setup import Setup
+from calib.result.cameras import calibrated_boards, calibrated_cameras
 from calib.result.image_errors import errors_at_board
 from calib.result.joint_zeros import JointZeros
 from calib.result.prediction import (
@@ -180,6 +184,10 @@ class CalibrationValues(FittedModel):
     #: shape (N,), length at the board that a pixel is, of all rows [m/px]; NaN in rows that are no images, None without
     #: images. See `calib.result.image_errors`
     metres_per_pixel: Array | None = None
+    #: Cameras of the images by station, as in a cell, with the numbers that the fit began with
+    nominal_cameras: Mapping[str, Camera] = field(default_factory=ReadOnlyMapping)
+    #: Printed boards of the images by target, as in a cell, as given; those that were not given are missing
+    nominal_boards: Mapping[str, Board] = field(default_factory=ReadOnlyMapping)
     #: The best joint zeros alone; None where they cannot be fitted, or where an earlier version wrote the file
     zeros: JointZeros | None = None
     #: Who measured what for whom, where, when and with what, as the cell says
@@ -237,6 +245,19 @@ class CalibrationValues(FittedModel):
     def target(self) -> Array:
         """Position of the (first) target of ``setup`` in the tip, estimated or given, shape (3,), [m]."""
         return np.asarray(self.setup.T_tip_target[0, :3, 3])
+
+    @property
+    def cameras(self) -> Mapping[str, Camera]:
+        """Cameras with their numbers as estimated, and the standard deviations of these; by station, as in a cell.
+
+        Their names are those of ``nominal_cameras``; `calib.camera.camera_file` writes them for ROS and OpenCV.
+        """
+        return calibrated_cameras(self.nominal_cameras, self)
+
+    @property
+    def boards(self) -> Mapping[str, Board]:
+        """Printed boards with their squares as estimated: as given, times 1 plus the mean error of scale; by target."""
+        return calibrated_boards(self.nominal_boards, self)
 
     @property
     def nominal_is_judged(self) -> bool:

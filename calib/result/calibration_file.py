@@ -31,6 +31,7 @@ from calib.numerics.errors import CrossValidation, Errors, UnitErrors
 from calib.numerics.repeats import Repeats
 from calib.registration.setup import Setup
 from calib.result.calibration import CalibrationValues, Source
+from calib.result.cameras_file import boards_table, cameras_table, read_boards, read_cameras
 from calib.result.prediction import FittedModel, NonGeometric
 from calib.robot.payload import Payload
 from calib.robot.readings import coupling_of_table, coupling_table
@@ -281,6 +282,9 @@ _LAYOUT: JsonLayout = JsonLayout(
                 for name in ("residual_nominal", "residual_calibrated", "scores", "weights")
             },
             "channels": Key("rows.channels", _channels_table, _read_channels),
+            "metres_per_pixel": "rows.metres_per_pixel",
+            "nominal_cameras": Key("nominal_cameras", cameras_table, read_cameras),
+            "nominal_boards": Key("nominal_boards", boards_table, read_boards),
             "ranges": Key("robot.ranges", None, _read_ranges),
             **{
                 name: f"noise.{name}"
@@ -369,9 +373,9 @@ def _derived_values(c: CalibrationValues) -> dict[str, Any]:
         ``"robot.coupling"``, ``"robot.origins"`` and ``"robot.nominal_origins"``, names, held joint values, factors of
         coupled readings and joint origins; ``"frames"``
         with ``"frames.target_given_m"``, None if the first target was not given, and ``"frames.target_estimated"``;
-        ``"errors"`` by robot and set of rows; ``"model"``; ``"inputs.urdf"``, ``"inputs.urdf.text"``,
-        ``"inputs.measurements"`` and ``"inputs.measurements.rows"``, names, hashes and number of rows; and
-        ``"versions"``.
+        ``"errors"`` by robot and set of rows; ``"cameras"`` and ``"boards"`` as estimated; ``"model"``;
+        ``"inputs.urdf"``, ``"inputs.urdf.text"``, ``"inputs.measurements"`` and ``"inputs.measurements.rows"``, names,
+        hashes and number of rows; and ``"versions"``.
     """
     robot, urdf = c.nominal, c.nominal.urdf
     target_given = c.setup.target_given[0]
@@ -394,6 +398,8 @@ def _derived_values(c: CalibrationValues) -> dict[str, Any]:
         "frames.target_given_m": c.nominal_setup.T_tip_target[0, :3, 3] if target_given else None,
         "frames.target_estimated": c.setup.estimate_target,
         "errors": errors,
+        "cameras": cameras_table(c.cameras),
+        "boards": boards_table(c.boards),
         "model": _model_table(c.model),
         "inputs.urdf": {"name": urdf.source, "sha256": urdf.sha256},
         "inputs.urdf.text": urdf.data.decode("utf-8", "surrogateescape"),

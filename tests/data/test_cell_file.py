@@ -168,6 +168,8 @@ def test_values_are_those_of_a_cells_attributes(tmp_path: Path):
         "frame_directions": ("x", "rz"),
         "priors": {"source": "data", "angle": 0.003},
         "sigma": {},
+        "cameras": {},
+        "boards": {},
     }
     path.write_text("a = = 1", encoding="utf-8")
     with pytest.raises(FileError, match="this is not a TOML file"):
@@ -276,7 +278,7 @@ EXAMPLES = re.findall(r"```toml\n(.*?)```", DOC.read_text(encoding="utf-8"), re.
 
 
 def test_the_documents_examples(tmp_path: Path):
-    first, by_name, single, loads, coupled, sockets, record, _ = (
+    first, by_name, single, loads, coupled, sockets, *_, record, _ = (
         read(tmp_path, example) for example in EXAMPLES
     )
     assert (first.base, first.tip, first.model, first.frozen) == ("base", "tool0", "dh", ("d2",))
@@ -301,6 +303,107 @@ def test_the_documents_examples(tmp_path: Path):
     assert list(record.record.given) == [entry.name for entry in fields(Record)]
     assert sockets.kind == "fixed"
     assert sockets.distances[0].pairs(["3/right", "3/left"]) == (("3/left", "3/right"),)
+
+
+def test_the_documents_cameras_and_boards(tmp_path: Path):
+    single, several = (read(tmp_path, example) for example in EXAMPLES[6:8])
+    camera, board = single.cameras[""], single.boards[""]
+    assert (single.base, single.tip) == ("tool0", "base")
+    assert (camera.name, camera.width, camera.height, camera.lens) == (
+        "camera",
+        1280,
+        720,
+        "pinhole",
+    )
+    assert camera.values.tolist() == [912.4, 911.8, 640.2, 361.7, 0.11, -0.24, 0.0, 0.0, 0.0]
+    # The defaults that the table says.
+    assert camera.sigma.tolist() == [5.0, 5.0, 3.0, 3.0, 0.02, 0.02, 0.002, 0.002, 0.02]
+    assert (board.pattern, board.columns, board.rows, board.square) == ("charuco", 7, 5, 0.02987)
+    assert list(several.cameras) == ["left", "right"]
+    right, gripper = several.cameras["right"], several.boards["gripper"]
+    assert (right.name, right.width, right.lens, right.values) == ("right", 1920, "fisheye", None)
+    assert (gripper.name, gripper.sigma_scale, gripper.sigma_warp) == ("gripper", 0.001, 0.0003)
+
+
+CAMERA_INFO = """
+image_width: 640
+image_height: 480
+camera_name: wrist
+camera_matrix: {rows: 3, cols: 3, data: [580.5, 0, 315.25, 0, 576.75, 247.5, 0, 0, 1]}
+distortion_model: plumb_bob
+distortion_coefficients: {rows: 1, cols: 5, data: [0.1, -0.2, 0.003, 3e-05, 0.5]}
+"""
+
+BOARD = """
+name = "sheet"
+pattern = "chessboard"
+columns = 9
+rows = 7
+square_mm = 20.0
+"""
+
+
+def test_files_of_cameras_and_boards_are_beside_the_cell_file(tmp_path: Path, monkeypatch):
+    folder = tmp_path / "cell"
+    (folder / "cameras").mkdir(parents=True)
+    (folder / "cameras" / "wrist.yaml").write_text(CAMERA_INFO)
+    (folder / "board.toml").write_text(BOARD)
+    monkeypatch.chdir(tmp_path)
+    cell = read(
+        folder,
+        """
+        [camera]
+        file = "cameras/wrist.yaml"
+        intrinsics = "exact"
+        [cameras.left]
+        file = "cameras/wrist.yaml"
+        k3 = 0
+        [board]
+        file = "board.toml"
+        square_mm = 19.9
+        [boards.left]
+        file = "board.toml"
+        """,
+    )
+    assert {key: camera.name for key, camera in cell.cameras.items()} == {
+        "": "wrist",
+        "left": "left",
+    }
+    assert cell.cameras[""].values.tolist() == [
+        *(580.5, 576.75, 315.25, 247.5),
+        *(0.1, -0.2, 0.003, 3e-05, 0.5),
+    ]
+    assert cell.cameras[""].sigma.tolist() == [0.0] * 9
+    assert cell.cameras["left"].values[8] == 0.0
+    assert cell.cameras["left"].sigma is None
+    assert {key: board.name for key, board in cell.boards.items()} == {"": "sheet", "left": "left"}
+    assert (cell.boards[""].square, cell.boards["left"].square) == (0.0199, 0.02)
+
+
+@pytest.mark.parametrize(
+    ("text", "kind", "words"),
+    [
+        ("camera = 3", CalibError, ("'camera' is 3", "a table")),
+        ("cameras = 3", CalibError, ("'cameras' is 3", "a table")),
+        ("cameras.left = 3", CalibError, ("'left' in [cameras] is 3", "a table")),
+        ("[camera]\nwidth = 640", CalibError, ("[camera]", "'height'")),
+        ("[cameras.left]\nheight = 480", CalibError, ("[cameras.left]", "'width'")),
+        ("[cameras.'']\nwidth = 640", CalibError, ("[cameras]", "write [camera]")),
+        ("[boards.'']\nrows = 6", CalibError, ("[boards]", "write [board]")),
+        ("[board]\nrows = 7", CalibError, ("[board]", "'pattern'")),
+        ("[boards.left]\nrow = 7", CalibError, ("[boards.left]", "'row'", "'rows'")),
+        ("[camera]\nfile = 'left.yaml'", FileError, ("[camera]", "left.yaml", "does not exist")),
+        ("[board]\nfile = 'left.toml'", FileError, ("left.toml", "does not exist")),
+        ("[camer]\nwidth = 640", CalibError, ("'camer'", "did you mean 'camera'")),
+    ],
+)
+def test_mistakes_in_cameras_and_boards_are_named(tmp_path: Path, text, kind, words):
+    with pytest.raises(CalibError) as error:
+        read(tmp_path, text)
+    assert type(error.value) is kind
+    assert str(error.value).count("cell.toml") == 1
+    for word in words:
+        assert word in str(error.value)
 
 
 def test_a_record_takes_texts_whole_numbers_and_dates(tmp_path: Path):
@@ -362,7 +465,8 @@ def test_the_documents_surroundings(tmp_path: Path):
 
 
 def test_the_document_has_every_key_and_no_other():
-    documented = re.findall(r"^\| `(\w+)` \|", DOC.read_text(encoding="utf-8"), re.MULTILINE)
+    _, keys_section, *_ = re.split("^## ", DOC.read_text(encoding="utf-8"), flags=re.MULTILINE)
+    documented = re.findall(r"^\| `(\w+)` \|", keys_section, re.MULTILINE)
     assert sorted(documented) == sorted([*keys(), "simulation"])
 
 

@@ -1,0 +1,302 @@
+"""Files of cameras: the YAML of ROS and OpenCV, and calib's TOML, which says too how well the numbers are known.
+
+The keys of the TOML are ``width``, ``height``, ``name``, ``lens``, the lens's numbers, and either ``intrinsics`` or
+standard deviations; or ``file``, which names a file of a camera whose entries the other keys replace.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from calib.camera.camera import UNKNOWN, Camera
+from calib.camera.camera_yaml import camera_info_yaml, camera_of_yaml, opencv_yaml
+from calib.camera.lenses import LENSES, Lens
+from calib.errors import CalibError, FileError, choices, did_you_mean
+from calib.files import read_bytes
+from calib.mappings import ReadOnlyMapping
+from calib.units import Array, is_number
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+__all__ = [
+    "camera_info_yaml",
+    "camera_of_table",
+    "camera_toml",
+    "opencv_yaml",
+    "read_camera",
+]
+
+#: Names a file of a camera whose entries the other keys of a table replace.
+_FILE = "file"
+
+#: Says how well all numbers are known, and what it may be.
+_INTRINSICS = "intrinsics"
+_KNOWN: Mapping[str, float] = ReadOnlyMapping({"exact": 0.0, "unknown": UNKNOWN})
+
+#: Keys whose values are attributes of a camera.
+_PLAIN = ("name", "width", "height", "lens")
+
+#: Numbers that a lens has in any case; those of distortion are zero where they are not given.
+_LINEAR = ("fx", "fy", "cx", "cy")
+
+
+def read_camera(path: str | Path) -> Camera:
+    """Read a camera from a file.
+
+    Args:
+        path: A camera_info file of ROS, an echoed CameraInfo message, a YAML file of OpenCV's FileStorage, or calib's
+            TOML; in UTF-8. The content says which it is.
+
+    Returns:
+        The camera.
+
+    Raises:
+        FileError: The file cannot be read, or is neither YAML nor TOML.
+        CalibError: A key is unknown, missing or has a wrong value, or the lens is none that calib has.
+    """
+    data = read_bytes(path, "File of a camera")
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise FileError(f"{path}: this is no text in UTF-8, so no file of a camera.") from error
+    table = _toml(text, path)
+    if table is None:
+        return camera_of_yaml(text, str(path))
+    if _FILE in table:
+        raise CalibError(
+            f"{path}: '{_FILE}' names a camera in another file; this is one itself. Give that one."
+        )
+    return camera_of_table(table, str(path))
+
+
+def _toml(text: str, path: str | Path) -> dict[str, Any] | None:
+    """Return the table of a TOML text; None for a text that is none and whose file is not named so."""
+    try:
+        table: dict[str, Any] = tomllib.loads(text)
+    except (ValueError, RecursionError) as error:  # TOMLDecodeError is a ValueError
+        if Path(path).suffix.lower() != ".toml":
+            return None
+        raise FileError(f"{path}: this is not a TOML file: {error}") from error
+    return table
+
+
+def camera_of_table(table: Mapping[str, Any], where: str, folder: str | Path = ".") -> Camera:
+    """Read a camera from a table of a TOML file.
+
+    Args:
+        table: The keys of a camera; or ``file``, the name of a file of a camera, with keys that replace its entries.
+        where: Begins messages: the file and the table, ``"cell.toml, [camera]"``.
+        folder: Where a relative ``file`` begins: the folder of the file that holds the table.
+
+    Returns:
+        The camera.
+
+    Raises:
+        FileError: The file named cannot be read, or is neither YAML nor TOML.
+        CalibError: A key is unknown, missing or has a wrong value, or the lens is none that calib has.
+    """
+    try:
+        camera = _sized(table, where, folder)
+        lens = LENSES[camera.lens]
+        _check_keys(table, lens)
+        camera = replace(camera, values=_values(table, lens, camera))
+        return replace(camera, sigma=_sigma(table, lens, camera))
+    except FileError:
+        raise
+    except CalibError as error:
+        raise CalibError(f"{where}: {error}") from error
+
+
+def _sized(table: Mapping[str, Any], where: str, folder: str | Path) -> Camera:
+    """Return the camera of the file that a table names, or else one of which nothing is known, as the table has it.
+
+    Its name, size and lens are those that the table gives. See `camera_of_table`.
+    """
+    given = {key: table[key] for key in _PLAIN if key in table}
+    for key in ("name", "lens"):
+        if not isinstance(given.get(key, ""), str):
+            raise CalibError(f"'{key}' is {given[key]!r}; it must be a text in quotes.")
+    if _FILE in table:
+        named = _named(table[_FILE], where, folder)
+        if named.values is not None and given.get("lens", named.lens) != named.lens:
+            raise CalibError(
+                f"'lens' is '{given['lens']}', and that of the file '{table[_FILE]}' is '{named.lens}'; leave out one."
+            )
+        return replace(named, **given)
+    missing = [side for side in ("width", "height") if side not in given]
+    if missing:
+        raise CalibError(
+            f"the camera lacks {choices(missing)}, the size of its images [px]; write it, such as width = 1280 and "
+            'height = 720, or name a file of the camera, file = "camera_info.yaml".'
+        )
+    return Camera(**given)
+
+
+def _named(file: object, where: str, folder: str | Path) -> Camera:
+    """Read the camera of a file that a table names."""
+    if not isinstance(file, str):
+        raise CalibError(f"'{_FILE}' is {file!r}; it must be the name of a file in quotes.")
+    path = Path(folder) / file
+    try:
+        return read_camera(path)
+    except FileError as error:
+        raise FileError(f"{where}: {error}") from error
+
+
+def _check_keys(table: Mapping[str, Any], lens: Lens) -> None:
+    """Refuse keys that a camera with a lens does not have."""
+    known = (*_PLAIN, _FILE, *lens.names, _INTRINSICS, *_sigma_keys(lens))
+    for key in table:
+        if key not in known:
+            raise CalibError(
+                f"a camera with the lens '{lens.name}' has no key '{key}'{did_you_mean(key, known)}; its keys are "
+                f"{choices(known, len(known))}."
+            )
+
+
+def _values(table: Mapping[str, Any], lens: Lens, camera: Camera) -> Array | None:
+    """Return the numbers of a lens: the camera's, with those of a table in place of them; None without any.
+
+    Args:
+        table: The table.
+        lens: The lens.
+        camera: The camera so far.
+
+    Returns:
+        shape (m,), or None.
+    """
+    given = {name: table[name] for name in lens.names if name in table}
+    if not given:
+        return camera.values
+    if camera.values is None:
+        missing = [name for name in _LINEAR if name not in given]
+        if missing:
+            raise CalibError(
+                f"the camera has {choices(given)} but lacks {choices(missing)}. Give all of {choices(_LINEAR)} [px], "
+                "or none: then the images tell them."
+            )
+        values = np.zeros(len(lens.names))
+    else:
+        values = camera.values.copy()
+    for name, value in given.items():
+        if not is_number(value):
+            raise CalibError(f"'{name}' is {value!r}; it must be a number.")
+        values[lens.names.index(name)] = value
+    return values
+
+
+def _sigma_keys(lens: Lens) -> dict[str, tuple[str, ...]]:
+    """Return the numbers whose standard deviation each key gives; those of one number come last."""
+    keys = {
+        "sigma_focal_px": ("fx", "fy"),
+        "sigma_centre_px": ("cx", "cy"),
+        "sigma_distortion": lens.distortion,
+    }
+    for name, unit in zip(lens.names, lens.units, strict=True):
+        keys[_sigma_key(name, unit)] = (name,)
+    return keys
+
+
+def _sigma_key(name: str, unit: str) -> str:
+    """Return the key of the standard deviation of one number."""
+    return f"sigma_{name}_px" if unit == "px" else f"sigma_{name}"
+
+
+def _sigma(table: Mapping[str, Any], lens: Lens, camera: Camera) -> Array | None:
+    """Return the standard deviations of a lens's numbers.
+
+    Args:
+        table: The table.
+        lens: The lens.
+        camera: The camera so far, with its numbers.
+
+    Returns:
+        shape (m,): what the table says, for numbers of which it says nothing those of the camera, or else the default;
+        None for the default of all.
+    """
+    keys = _sigma_keys(lens)
+    given = [key for key in keys if key in table]
+    if _INTRINSICS in table:
+        if given:
+            raise CalibError(f"both '{_INTRINSICS}' and {choices(given)} are given; leave out one.")
+        return _shared_sigma(table[_INTRINSICS], camera)
+    if not given:
+        return camera.sigma
+    if camera.values is None:
+        raise CalibError(
+            f"{choices(given)} is of intrinsics that are not given; give {choices(_LINEAR)} too, or leave it out."
+        )
+    sigma: Array = lens.default_sigma(camera.values, camera.width)
+    if camera.sigma is not None:
+        sigma = camera.sigma.copy()
+    for key in given:
+        value = table[key]
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or not value >= 0.0:
+            raise CalibError(
+                f"'{key}' is {value!r}; it must be 0 (exact) or a number above 0, or inf (not known)."
+            )
+        sigma[[lens.names.index(name) for name in keys[key]]] = value
+    return sigma
+
+
+def _shared_sigma(word: object, camera: Camera) -> Array | None:
+    """Return the standard deviations of numbers that are all exact or all unknown, shape (m,); None without numbers."""
+    if not isinstance(word, str) or word not in _KNOWN:
+        raise CalibError(
+            f"'{_INTRINSICS}' is {word!r}{did_you_mean(str(word), _KNOWN)}; it must be one of {choices(_KNOWN)}, or "
+            "left out: then they are known as well as a maker gives them; or write sigma_focal_px, sigma_centre_px and "
+            "sigma_distortion."
+        )
+    if camera.values is not None:
+        return np.full(len(camera.values), _KNOWN[word])
+    if word != "unknown":
+        raise CalibError(
+            f"'{_INTRINSICS}' is '{word}', but there are none; give {choices(_LINEAR)}, or a file."
+        )
+    return None
+
+
+def camera_toml(camera: Camera) -> str:
+    """Write a camera as calib's TOML, with how well its numbers are known.
+
+    Args:
+        camera: The camera.
+
+    Returns:
+        The content of a TOML file, which is read back as the same numbers to the last bit.
+    """
+    lens = LENSES[camera.lens]
+    lines = [
+        f"name = {json.dumps(camera.name, ensure_ascii=False)}",
+        f"width = {camera.width}",
+        f"height = {camera.height}",
+        f"lens = {json.dumps(camera.lens)}",
+    ]
+    if camera.values is None:
+        return "\n".join([*lines, 'intrinsics = "unknown"', ""])
+    for name, value in zip(lens.names, camera.values.tolist(), strict=True):
+        lines.append(f"{name} = {value!r}")
+    return "\n".join([*lines, *_sigma_lines(camera, lens), ""])
+
+
+def _sigma_lines(camera: Camera, lens: Lens) -> list[str]:
+    """Return the lines that say how well a camera's numbers are known; none for the default."""
+    if camera.sigma is None:
+        return []
+    for word, sigma in _KNOWN.items():
+        if np.all(camera.sigma == sigma):
+            return [f"{_INTRINSICS} = {json.dumps(word)}"]
+    lines = ["# Standard deviations; 0: exact, inf: not known."]
+    for name, unit, sigma in zip(lens.names, lens.units, camera.sigma.tolist(), strict=True):
+        lines.append(f"{_sigma_key(name, unit)} = {sigma!r}")
+    return lines

@@ -1,0 +1,344 @@
+"""Cameras as YAML: the camera_info files of ROS, echoed CameraInfo messages, and OpenCV's FileStorage.
+
+All of them hold a camera matrix, K = [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], row by row, and coefficients of distortion
+in OpenCV's order. They differ in their names, and in OpenCV's ``%YAML:1.0`` and ``!!opencv-matrix``, which are no YAML
+that others read.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import yaml
+
+from calib.camera.camera import Camera
+from calib.camera.lenses import LENSES
+from calib.errors import CalibError, FileError, choices, did_you_mean
+from calib.mappings import ReadOnlyMapping
+from calib.units import Array
+
+#: Names of lens models in files, and calib's. ``""`` is that of drivers whose images have no distortion.
+MODELS: Mapping[str, str] = ReadOnlyMapping(
+    {
+        "plumb_bob": "pinhole",
+        "rational_polynomial": "pinhole",
+        "pinhole": "pinhole",
+        "": "pinhole",
+        "equidistant": "fisheye",
+        "fisheye": "fisheye",
+    }
+)
+
+#: The name that ROS has for a lens model of calib.
+_ROS_MODEL = {"pinhole": "plumb_bob", "fisheye": "equidistant"}
+
+#: Names of keys, without case and underscores, in the order in which they are looked for.
+_KEYS = {
+    "image_width": ("imagewidth", "width"),
+    "image_height": ("imageheight", "height"),
+    "camera_matrix": ("cameramatrix", "k"),
+    "distortion_coefficients": ("distortioncoefficients", "distcoeffs", "d"),
+    "distortion_model": ("distortionmodel", "cameramodel"),
+    "camera_name": ("cameraname", "name"),
+    "fisheye_model": ("fisheyemodel",),
+    "binning_x": ("binningx",),
+    "binning_y": ("binningy",),
+    "roi": ("roi",),
+}
+
+#: How many coefficients of distortion files have, by lens.
+_COUNTS = {"pinhole": (0, 4, 5, 8, 12, 14), "fisheye": (0, 4)}
+
+#: OpenCV's first line, which is not YAML's.
+_OPENCV_HEAD = re.compile(r"\A%YAML:1\.\d[^\n]*\n")
+
+_FORMS = (
+    "A file of a camera is a camera_info file of ROS, a YAML file of OpenCV with camera_matrix and "
+    "distortion_coefficients, or calib's TOML with width, height, fx, fy, cx, cy"
+)
+
+
+class _Loader(yaml.SafeLoader):
+    """Reads plain values, and OpenCV's matrices as mappings."""
+
+
+def _matrix(loader: yaml.SafeLoader, node: yaml.Node) -> Any:  # noqa: ANN401
+    """Read OpenCV's matrix as a mapping."""
+    assert isinstance(node, yaml.MappingNode)
+    return loader.construct_mapping(node, deep=True)
+
+
+_Loader.add_constructor("tag:yaml.org,2002:opencv-matrix", _matrix)
+
+
+def camera_of_yaml(text: str, where: str) -> Camera:
+    """Read a camera from a YAML text.
+
+    Args:
+        text: The content of a file.
+        where: The file's name, which begins messages.
+
+    Returns:
+        The camera. One whose camera matrix is zero is not calibrated, as ROS has it: nothing but its size is known.
+
+    Raises:
+        FileError: The text is no YAML.
+        CalibError: A key is missing or has a wrong value, or the lens is none that calib has.
+    """
+    table = _by_keys(_parsed(text, where), where)
+    _check_whole_image(table, where)
+    width = _pixels(table, "image_width", where)
+    height = _pixels(table, "image_height", where)
+    lens = _lens(table, where)
+    matrix = _numbers(table, "camera_matrix", where)
+    coefficients = _coefficients(table, lens, where)
+    name = str(table.get("camera_name") or "camera")
+    values = None
+    if np.any(matrix):
+        values = np.concatenate([_linear(matrix, where), coefficients])
+    try:
+        return Camera(name=name, width=width, height=height, lens=lens, values=values)
+    except CalibError as error:
+        raise CalibError(f"{where}: {error}") from error
+
+
+def _parsed(text: str, where: str) -> Mapping[Any, Any]:
+    """Return the first document of a YAML text, which is a mapping."""
+    if text.lstrip().startswith("<"):
+        raise FileError(f"{where}: this is XML. Write the camera as YAML (OpenCV: name it .yaml).")
+    try:
+        data = next(yaml.load_all(_OPENCV_HEAD.sub("", text), Loader=_Loader), None)
+    except (yaml.YAMLError, AssertionError, ValueError, RecursionError) as error:
+        reason = " ".join(str(error).split())
+        raise FileError(f"{where}: this is neither YAML nor TOML: {reason}. {_FORMS}.") from error
+    if not isinstance(data, Mapping):
+        raise FileError(f"{where}: this is no description of a camera. {_FORMS}.")
+    return data
+
+
+def _by_keys(data: Mapping[Any, Any], where: str) -> dict[str, Any]:
+    """Return the entries by the names of `_KEYS`; CalibError if one that is needed is missing."""
+    plain = {str(key).replace("_", "").casefold(): value for key, value in data.items()}
+    table = {}
+    for name, spellings in _KEYS.items():
+        for spelling in reversed(spellings):
+            if spelling in plain:
+                table[name] = plain[spelling]
+    needed = ("image_width", "image_height", "camera_matrix")
+    missing = [name for name in needed if name not in table]
+    if missing:
+        raise CalibError(f"{where}: the camera lacks {choices(missing)}; add it. {_FORMS}.")
+    return table
+
+
+def _check_whole_image(table: Mapping[str, Any], where: str) -> None:
+    """Refuse a message whose images are binned or a part of the sensor: camera matrix and pixels do not agree then."""
+    for key in ("binning_x", "binning_y"):
+        if table.get(key) not in (None, 0, 1):
+            raise CalibError(
+                f"{where}: '{key}' is {table[key]!r}: the images are smaller than those that the camera matrix is of. "
+                "Give the camera matrix of the images themselves, and no binning."
+            )
+    roi = table.get("roi")
+    if isinstance(roi, Mapping) and (roi.get("x_offset") or roi.get("y_offset")):
+        raise CalibError(
+            f"{where}: 'roi' begins at ({roi.get('x_offset')}, {roi.get('y_offset')}): the images are a part of those "
+            "that the camera matrix is of. Give the camera matrix of the images themselves, and no roi."
+        )
+
+
+def _pixels(table: Mapping[str, Any], key: str, where: str) -> int:
+    """Return the image's width or height; an OpenCV file may have it as 1280., which is whole."""
+    value = table[key]
+    number = _number(value)
+    if number is None or number != round(number) or number < 1:
+        raise CalibError(
+            f"{where}: '{key}' is {value!r}; it must be a whole number of pixels, such as 1280."
+        )
+    return round(number)
+
+
+def _number(value: object) -> float | None:
+    """Return a number; also of a text such as '1e-05', which YAML 1.1 takes for one; None for others."""
+    if isinstance(value, bool) or not isinstance(value, (int, float, str)):
+        return None
+    try:
+        number = float(value)
+    except (ValueError, OverflowError):
+        return None
+    return number if np.isfinite(number) else None
+
+
+def _numbers(table: Mapping[str, Any], key: str, where: str) -> Array:
+    """Return the numbers of a matrix, row by row, shape (n,).
+
+    It may be a mapping with its numbers under ``data``, a list, or a list of rows.
+    """
+    given = table[key]
+    data = given.get("data") if isinstance(given, Mapping) else given
+    flat: list[object] = []
+    for row in data if isinstance(data, list) else [data]:
+        flat += row if isinstance(row, list) else [row]
+    numbers = [_number(value) for value in flat]
+    if any(number is None for number in numbers):
+        raise CalibError(
+            f"{where}: '{key}' is {given!r}; it must be a list of numbers, or have one under 'data'."
+        )
+    return np.array(numbers, dtype=np.float64)
+
+
+def _linear(matrix: Array, where: str) -> Array:
+    """Return fx, fy, cx, cy of a camera matrix (9,), shape (4,) [px]."""
+    if matrix.shape != (9,):
+        raise CalibError(
+            f"{where}: 'camera_matrix' has {len(matrix)} numbers; it must have nine, row by row: fx, 0, cx, 0, fy, cy, "
+            "0, 0, 1."
+        )
+    K = matrix.reshape(3, 3)
+    fx, fy, cx, cy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
+    if not np.array_equal(K, [[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]):
+        raise CalibError(
+            f"{where}: 'camera_matrix' is {matrix.tolist()}; it must be fx, 0, cx, 0, fy, cy, 0, 0, 1, without skew."
+        )
+    return np.array([fx, fy, cx, cy])
+
+
+def _lens(table: Mapping[str, Any], where: str) -> str:
+    """Return the name of calib's lens model."""
+    fisheye = bool(_number(table.get("fisheye_model")) or table.get("fisheye_model") is True)
+    model = table.get("distortion_model")
+    if model is None:
+        return "fisheye" if fisheye else "pinhole"
+    name = str(model).casefold()
+    if name not in MODELS:
+        allowed = [known for known in MODELS if known]
+        raise CalibError(
+            f"{where}: 'distortion_model' is {model!r}{did_you_mean(name, allowed)}; allowed are {choices(allowed)}. "
+            "Without it a file of OpenCV is 'plumb_bob'."
+        )
+    return MODELS[name]
+
+
+def _coefficients(table: Mapping[str, Any], lens: str, where: str) -> Array:
+    """Return the coefficients of distortion that calib's lens has; CalibError if the file has others that matter."""
+    names = LENSES[lens].distortion
+    if table.get("distortion_coefficients") is None:
+        return np.zeros(len(names))
+    given = _numbers(table, "distortion_coefficients", where)
+    counts = _COUNTS[lens]
+    if len(given) not in counts:
+        raise CalibError(
+            f"{where}: 'distortion_coefficients' has {len(given)} numbers; of a lens '{lens}' there are "
+            f"{', '.join(map(str, counts[1:-1] or counts[1:]))}{f' or {counts[-1]}' if len(counts) > 2 else ''}: "
+            f"{', '.join(names)}, and then zeros."
+        )
+    higher = given[len(names) :]
+    if np.any(higher):
+        raise CalibError(
+            f"{where}: 'distortion_coefficients' has {len(given)} numbers, and those after the fifth are "
+            f"{higher.tolist()}: a rational or thin-prism model, which calib does not have; its '{lens}' has "
+            f"{', '.join(names)}. Calibrate with the plumb_bob model, or give the size of the images alone "
+            "(--camera 1280x720): then the images tell the intrinsics."
+        )
+    return np.pad(given[: len(names)], (0, max(len(names) - len(given), 0)))
+
+
+# Writing
+
+
+def camera_info_yaml(camera: Camera) -> str:
+    """Write a camera as a camera_info file of ROS.
+
+    Args:
+        camera: The camera; its numbers are known.
+
+    Returns:
+        The content of a YAML file, as camera_calibration_parsers reads it: no rectification, and a projection by the
+        camera matrix itself.
+
+    Raises:
+        CalibError: The camera's numbers are not known.
+    """
+    values = _known(camera)
+    fx, fy, cx, cy, *coefficients = values.tolist()
+    projection = [fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0]
+    lines = [
+        f"image_width: {camera.width}",
+        f"image_height: {camera.height}",
+        f"camera_name: {json.dumps(camera.name, ensure_ascii=False)}",
+        *_rows("camera_matrix", 3, 3, [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]),
+        f"distortion_model: {_ROS_MODEL[camera.lens]}",
+        *_rows("distortion_coefficients", 1, len(coefficients), coefficients),
+        *_rows("rectification_matrix", 3, 3, np.eye(3).ravel().tolist()),
+        *_rows("projection_matrix", 3, 4, projection),
+    ]
+    return "\n".join([*lines, ""])
+
+
+def opencv_yaml(camera: Camera) -> str:
+    """Write a camera as YAML of OpenCV's FileStorage.
+
+    Args:
+        camera: The camera; its numbers are known.
+
+    Returns:
+        The content of a file with image_width, image_height, camera_name, distortion_model, fisheye_model (1 for
+        cv2.fisheye), camera_matrix and distortion_coefficients.
+
+    Raises:
+        CalibError: The camera's numbers are not known.
+    """
+    values = _known(camera)
+    fx, fy, cx, cy, *coefficients = values.tolist()
+    lines = [
+        "%YAML:1.0",
+        "---",
+        f"image_width: {camera.width}",
+        f"image_height: {camera.height}",
+        f"camera_name: {json.dumps(camera.name, ensure_ascii=False)}",
+        f"distortion_model: {_ROS_MODEL[camera.lens]}",
+        f"fisheye_model: {int(camera.lens == 'fisheye')}",
+        *_rows("camera_matrix", 3, 3, [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0], opencv=True),
+        *_rows("distortion_coefficients", 1, len(coefficients), coefficients, opencv=True),
+    ]
+    return "\n".join([*lines, ""])
+
+
+def _known(camera: Camera) -> Array:
+    """Return the numbers of a camera's lens; CalibError if they are not known."""
+    if camera.values is None:
+        raise CalibError(
+            f"Of the camera '{camera.name}' nothing but the size of its images is known; there is no camera matrix to "
+            "write. Calibrate it first."
+        )
+    return camera.values
+
+
+def _rows(
+    key: str, rows: int, columns: int, numbers: list[float], *, opencv: bool = False
+) -> list[str]:
+    """Return the lines of a matrix.
+
+    Args:
+        key: Its key.
+        rows: Its rows.
+        columns: Its columns.
+        numbers: Its numbers, row by row.
+        opencv: Whether it is one of OpenCV's FileStorage.
+    """
+    lines = [f"{key}: !!opencv-matrix" if opencv else f"{key}:", f"   rows: {rows}"]
+    lines.append(f"   cols: {columns}")
+    if opencv:
+        lines.append("   dt: d")
+    lines.append(f"   data: [{', '.join(map(_written, numbers))}]")
+    return lines
+
+
+def _written(number: float) -> str:
+    """Write a number with a point in it, without which YAML 1.1 takes 1e-05 for a text."""
+    mantissa, e, exponent = repr(number).partition("e")
+    return f"{mantissa}.0e{exponent}" if e and "." not in mantissa else repr(number)

@@ -1,0 +1,101 @@
+"""Cameras and printed boards of a result as tables of its JSON file, and back; see docs/result-json.md."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import numpy as np
+
+from calib.camera.board import Board
+from calib.camera.camera import UNKNOWN, Camera
+from calib.camera.lenses import LENSES
+from calib.json_files import Json
+from calib.mappings import ReadOnlyMapping
+from calib.units import Array
+
+#: Attributes of a board, and their keys in the file.
+_BOARD_KEYS = {
+    "name": "name",
+    "pattern": "pattern",
+    "columns": "columns",
+    "rows": "rows",
+    "square": "square_m",
+    "marker": "marker_m",
+    "dictionary": "dictionary",
+    "first_marker": "first_marker",
+    "legacy": "legacy",
+    "sigma_scale": "sigma_scale",
+    "sigma_corner": "sigma_corner_m",
+    "sigma_warp": "sigma_warp_m",
+}
+
+
+def cameras_table(cameras: Mapping[str, Camera]) -> list[dict[str, Any]]:
+    """Return cameras as a list for the file.
+
+    Args:
+        cameras: By the names of their stations; ``""`` for the only one, or that of all others.
+
+    Returns:
+        A table for each; ``lens_names`` are the names of its numbers, ``values``. The standard deviation ``sigma`` of
+        one that is not known is infinite.
+    """
+    table = []
+    for station, camera in cameras.items():
+        row = {
+            "station": station,
+            "name": camera.name,
+            "width_px": camera.width,
+            "height_px": camera.height,
+            "lens": camera.lens,
+            "lens_names": LENSES[camera.lens].names,
+            "values": camera.values,
+            "sigma": camera.sigma,
+        }
+        table.append(row)
+    return table
+
+
+def read_cameras(table: Iterable[Json]) -> Mapping[str, Camera]:
+    """Return cameras from their tables in the file, by the names of their stations."""
+    cameras = {}
+    for row in table:
+        cameras[row["station"]] = Camera(
+            name=row["name"],
+            width=row["width_px"],
+            height=row["height_px"],
+            lens=row["lens"],
+            values=_numbers(row["values"]),
+            sigma=_numbers(row["sigma"]),
+        )
+    return ReadOnlyMapping(cameras)
+
+
+def _numbers(entries: Any) -> Array | None:  # noqa: ANN401  any JSON
+    """Return numbers from a list of the file, `UNKNOWN` where it has null; None for null."""
+    if entries is None:
+        return None
+    return np.array([UNKNOWN if entry is None else float(entry) for entry in entries])
+
+
+def boards_table(boards: Mapping[str, Board]) -> list[dict[str, Any]]:
+    """Return printed boards as a list for the file.
+
+    Args:
+        boards: By the names of their targets; ``""`` for the only one, or that of all others.
+    """
+    table = []
+    for target, board in boards.items():
+        entries = {key: getattr(board, attribute) for attribute, key in _BOARD_KEYS.items()}
+        table.append({"target": target, **entries})
+    return table
+
+
+def read_boards(table: Iterable[Json]) -> Mapping[str, Board]:
+    """Return printed boards from their tables in the file, by the names of their targets."""
+    boards = {}
+    for row in table:
+        arguments = {attribute: row[key] for attribute, key in _BOARD_KEYS.items()}
+        boards[row["target"]] = Board(**arguments)
+    return ReadOnlyMapping(boards)
