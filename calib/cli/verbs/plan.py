@@ -226,7 +226,8 @@ def _plan_images(
 
     if scene.region is not None:
         raise CalibError("--region is for targets; where the board is seen is said by --board-at.")
-    return plan_images(arm, cell, images.request(), reach, request, **shared)
+    wanted = replace(images.request(), poses=request)
+    return plan_images(arm, cell, wanted, reach, **shared)
 
 
 def _touch(
