@@ -10,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from calib.errors import CalibError, VerdictError, choices
+from calib.formats.camera.options import NOTHING_NAMED
 from calib.formats.convert import FORMATS, Conversion, Options, Source, read_source
 from calib.inputs import ROBOT, RobotInput
 from calib.result.calibration import CalibrationValues
@@ -72,6 +73,7 @@ def convert(
     path = Path(path)
     content, format_name = read_source(source, path, chosen)
     _check_update(chosen, format_name)
+    _check_camera(chosen, format_name)
     verdict_against = _verdict_against(content)
     if verdict_against and not chosen.accept:
         named = f"'{source}'" if isinstance(source, (str, Path)) else "the calibration"
@@ -91,6 +93,16 @@ def _check_update(options: Options, format_name: str) -> None:
     raise CalibError(
         f"--update {options.update}: a file of the format '{format_name}' is written anew; --update is for "
         f"{choices(able)}."
+    )
+
+
+def _check_camera(options: Options, format_name: str) -> None:
+    """Refuse names of a camera's frames where the format has none."""
+    if options.camera == NOTHING_NAMED or FORMATS[format_name].of_camera:
+        return
+    able = [name for name, row in FORMATS.items() if row.of_camera]
+    raise CalibError(
+        f"A camera or board was named, of which the format '{format_name}' has nothing; give --to with {choices(able)}."
     )
 
 

@@ -10,6 +10,7 @@ import pytest
 from calib.conversion import convert
 from calib.diagnosis.reasons import CARE, NO, Reason, Verdict, Why
 from calib.errors import CalibError, FileError, VerdictError
+from calib.formats.camera.options import NOTHING_NAMED, CameraOptions
 from calib.formats.convert import FORMATS, Options
 from calib.result.calibration_file import read_result, write_result
 from calib.robot.urdf import Urdf
@@ -27,7 +28,10 @@ ENDINGS = {
     "ros2-transmission": ".yaml",
     "lerobot": ".json",
     "lerobot-dynamixel": ".json",
+    "camera-mount": ".urdf",
+    "static-transform": ".sh",
 }
+TRACKER = CameraOptions(new_camera_frame="tracker")
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +49,8 @@ def shop(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize("name", FORMATS)
 def test_no_format_is_written_of_what_is_not_to_be_used(shop: Path, tmp_path: Path, name: str):
     path = tmp_path / f"made{ENDINGS.get(name, '.csv')}"
-    options = Options(to=name, hash_from=shop / "calibration.conf", ur_model="UR3")
+    camera = TRACKER if FORMATS[name].of_camera else NOTHING_NAMED
+    options = Options(to=name, hash_from=shop / "calibration.conf", ur_model="UR3", camera=camera)
     with pytest.raises(VerdictError, match="parameter_far"):
         convert(str(shop / "bad.json"), path, options=options)
     assert not path.exists()

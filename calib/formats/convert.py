@@ -13,6 +13,8 @@ from typing import NamedTuple
 
 import calib.plugins as plugins
 from calib.errors import CalibError, choices, did_you_mean
+from calib.formats.camera.static_transform import LAUNCH
+from calib.formats.camera.write import mounted, write_static_transform
 from calib.formats.dh_files import ENDINGS, DHTables, write_dh
 from calib.formats.notes import Note
 from calib.formats.origins import write_origins
@@ -193,6 +195,17 @@ def _write_ur_yaml(source: Source, path: Path, options: Options) -> Notes:
     return notes + written.notes
 
 
+def _write_camera_mount(source: Source, path: Path, options: Options) -> Notes:
+    """Write the URDF with the camera and the board at their estimated poses."""
+    return _write_urdf(mounted(source, options), path, options)
+
+
+def _write_static_transform(source: Source, path: Path, options: Options) -> Notes:
+    """Write the pose of the camera for ROS 2."""
+    write_static_transform(source, path, options)
+    return ()
+
+
 def _write_ur_conf(source: Source, path: Path, options: Options) -> Notes:
     """Write the deltas of a calibration.conf."""
     return write_ur_conf(source, path, options.update, overwrite=options.overwrite).notes
@@ -203,12 +216,14 @@ class Format(NamedTuple):
 
     #: What it is, for texts.
     what: str
-    #: Endings of its files.
+    #: Endings of its files; none where the name alone chooses it.
     endings: tuple[str, ...]
     #: Writes a source to a file that is read back and compared; returns what it has to say.
     write: Callable[[Source, Path, Options], Notes]
     #: Whether it may be a copy of a robot's own file, `Options.update`, with new numbers.
     updates: bool = False
+    #: Whether it is of a camera, and takes the names of `Options.camera`.
+    of_camera: bool = False
 
 
 FORMATS: dict[str, Format] = {
@@ -252,6 +267,15 @@ FORMATS: dict[str, Format] = {
         (".json",),
         partial(write_zeros, "lerobot-dynamixel"),
         updates=True,
+    ),
+    "camera-mount": Format(
+        "the URDF with the calibrated mount of the camera", (), _write_camera_mount, of_camera=True
+    ),
+    "static-transform": Format(
+        "the camera's pose for ROS 2's static_transform_publisher",
+        (".sh", LAUNCH),
+        _write_static_transform,
+        of_camera=True,
     ),
 }
 """The formats by name, as in ``--to``."""

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from calib.data.cell import Cell
 from calib.diagnosis.reasons import Verdict
+from calib.formats.camera.options import NOTHING_NAMED, CameraOptions
 from calib.formats.notes import Note
 from calib.formats.ur_conf import Conf
 from calib.inputs import RobotInput, chain_of, robot_of
@@ -45,6 +46,8 @@ class Options:
     held: Mapping[str, float] | None = None
     #: Factors of other joints' readings by name, of each joint whose readings are coupled; None: those of the source.
     coupling: Mapping[str, Mapping[str, float]] | None = None
+    #: Names that the hand-over of a camera needs.
+    camera: CameraOptions = NOTHING_NAMED
     #: Whether a file that exists is replaced.
     overwrite: bool = False
     #: Whether what should not be given to a robot is written all the same.

@@ -51,7 +51,7 @@ def _compare(reader: str, poses: Array, expected: Array) -> None:
 
 def _poses_by_yourdfpy(robot: Robot, q: Array) -> Array:
     """Return T_base_tip as yourdfpy computes it from the URDF's text, shape (N, 4, 4), [m]."""
-    model = _yourdfpy_model(robot)
+    model = yourdfpy_model(robot.urdf)
     values = robot.chain_values(q) / _axis_lengths(robot, model)
     poses = np.empty((len(values), 4, 4))
     for i, row in enumerate(values):
@@ -63,8 +63,8 @@ def _poses_by_yourdfpy(robot: Robot, q: Array) -> Array:
     return poses
 
 
-def _yourdfpy_model(robot: Robot) -> Any:  # noqa: ANN401  yourdfpy has no types
-    """Return yourdfpy's model of a robot's URDF, in which no joint mimics another.
+def yourdfpy_model(urdf: Urdf) -> Any:  # noqa: ANN401  yourdfpy has no types
+    """Return yourdfpy's model of a URDF, in which no joint mimics another.
 
     Raises:
         UrdfError: yourdfpy cannot read it.
@@ -75,7 +75,7 @@ def _yourdfpy_model(robot: Robot) -> Any:  # noqa: ANN401  yourdfpy has no types
     logger.disabled = True  # its warnings about other parts of the robot, mimic joints for one
     try:
         parsed = yourdfpy.URDF.load(
-            io.BytesIO(robot.urdf.data),
+            io.BytesIO(urdf.data),
             build_scene_graph=False,
             load_meshes=False,
             load_collision_meshes=False,
@@ -87,7 +87,7 @@ def _yourdfpy_model(robot: Robot) -> Any:  # noqa: ANN401  yourdfpy has no types
     # Whatever a foreign reader raises, the file is not fit to be given out.
     except Exception as error:
         raise UrdfError(
-            f"yourdfpy cannot read the corrected URDF of '{robot.name}', so it is not written: {error}"
+            f"yourdfpy cannot read the corrected URDF of '{urdf.name}', so it is not written: {error}"
         ) from error
     finally:
         logger.disabled = False

@@ -10,7 +10,9 @@ import pytest
 
 from calib.example import dh_rows
 from calib.formats.notes import Code
+from calib.robot.urdf import Urdf
 from calib.text.convert import _NOTES
+from tests.formats.camera.arms import calibration
 from tests.formats.forms import write_forms
 
 
@@ -89,6 +91,23 @@ def test_a_robot_of_rows_from_its_file_to_corrected_rows(call, tmp_path):
     done = call(tmp_path, "calibrate", "data.csv", "rows.csv")
     assert done.code == 1
     assert "ROBOT comes first" in said(done.err)
+
+
+def test_a_camera_is_handed_over(call, tmp_path):
+    calibration().write_json(tmp_path / "result.json")
+    words = ("--to", "camera-mount", "--camera-frame", "color_optical", "-o", "arm.urdf")
+    done = call(tmp_path, "convert", "result.json", *words)
+    assert (done.code, "'camera_mount_joint', 'camera_body_joint'" in said(done.err)) == (1, True)
+    move = ("--move", "camera_mount_joint", "--camera", "color", "--new-board-frame", "plate")
+    done = call(tmp_path, "convert", "result.json", *words, *move, "--board", "board")
+    assert done.code == 0
+    assert "the origin of 'camera_mount_joint' was changed" in said(done.out)
+    assert "the URDF with the calibrated mount of the camera." in said(done.out)
+    arm = Urdf.read(tmp_path / "arm.urdf")
+    assert arm.links[-1] == "plate"
+    words = ("--new-camera-frame", "cam", "-o", "camera.launch.py", "--quiet")
+    assert call(tmp_path, "convert", "result.json", *words).code == 0
+    assert "'--child-frame-id', 'cam'" in (tmp_path / "camera.launch.py").read_text()
 
 
 def test_every_note_has_words():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -13,6 +13,9 @@ from calib.cli.options import Accept, Base, Force, Hold, Quiet
 from calib.cli.outputs import check_outputs
 from calib.cli.verb import verb
 from calib.cli.words import parse_held
+
+if TYPE_CHECKING:
+    from calib.formats.camera.options import CameraOptions
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,6 +72,55 @@ class ControllerFiles:
     ] = 4096
 
 
+@dataclass(frozen=True, slots=True)
+class CameraNames:
+    """Links and joints that stand for a camera and a board in the URDF."""
+
+    camera: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="Which camera, where the table has several (group)."),
+    ] = None
+    camera_frame: Annotated[
+        str | None,
+        typer.Option(metavar="LINK", help="Link of the camera's optical frame in the URDF."),
+    ] = None
+    move: Annotated[
+        str | None,
+        typer.Option(
+            metavar="JOINT",
+            help="Fixed joint whose origin is changed, so that the optical frame comes out right. "
+            "Default: the only one between the link that carries the camera and --camera-frame.",
+        ),
+    ] = None
+    new_camera_frame: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="Link to add at the optical frame, where the URDF has no camera.",
+        ),
+    ] = None
+    board: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="Which board, where the table has several (target)."),
+    ] = None
+    new_board_frame: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Link to add at the board.")
+    ] = None
+
+    def options(self) -> CameraOptions:
+        """Return them as a conversion takes them."""
+        from calib.formats.camera.options import CameraOptions
+
+        return CameraOptions(
+            camera=self.camera,
+            camera_frame=self.camera_frame,
+            move=self.move,
+            new_camera_frame=self.new_camera_frame,
+            board=self.board,
+            new_board_frame=self.new_board_frame,
+        )
+
+
 @verb("""Write a calibrated robot in the formats that controllers and ROS take.
 
 \b
@@ -80,6 +132,8 @@ Examples:
   calib convert corrected.urdf --robot robot.urdf --to hayati -o rows.csv
   calib convert result.json --to zeros -o zeros.csv
   calib convert rows.csv --to urdf -o robot.urdf
+  calib convert result.json --to camera-mount --camera-frame color_optical --move camera_joint -o robot.urdf
+  calib convert result.json --camera-frame color_optical -o camera.launch.py
 
 What is written is read back and compared with the robot before it appears; what a format cannot hold is said. A result
 whose verdict is 'do not use', a URDF that states it, and joint zeros that are no better than none, are refused with
@@ -97,6 +151,7 @@ def convert(
     output: Annotated[Path, typer.Option("-o", "--output", metavar="FILE", help="File to write.")],
     arm: ArmOptions,
     files: ControllerFiles,
+    camera: CameraNames,
     to: Annotated[
         str | None,
         typer.Option(
@@ -126,6 +181,7 @@ def convert(
         base=arm.base,
         tip=arm.tip,
         held=parse_held(arm.hold or []),
+        camera=camera.options(),
         overwrite=force,
     )
     conversion = convert_robot(source, output, options=options, accept=accept)
