@@ -80,6 +80,7 @@ def _check_text(text: str, camera: Camera, path: Path) -> None:
     read = camera_of_yaml(text, str(path))
     is_same = (read.width, read.height, read.lens) == (camera.width, camera.height, camera.lens)
     assert camera.values is not None, "a calibration knows its camera's numbers"
+    assert read.values is not None, "a file of a camera states its numbers"
     if not is_same or not np.array_equal(read.values, camera.values):
         raise FileError(
             f"{path}: the camera '{camera.name}' does not read back. It is not written. Please report this."
