@@ -49,6 +49,7 @@ if TYPE_CHECKING:
     from calib.robot.robot import Robot as Robot
     from calib.simulation.scenario import Scenario as Scenario, simulate as simulate
     from calib.viewer.live import view as view
+    from calib.vision.detection.detect import detect as detect
 
     formats = _formats
     models = error_model
@@ -80,6 +81,7 @@ _NAMES = {
     "calib.robot.robot": "Robot",
     "calib.simulation.scenario": "Scenario simulate",
     "calib.viewer.live": "view",
+    "calib.vision.detection.detect": "detect",
 }
 #: Modules by which a user extends calib: a registry each, by its name in `calib.plugins.WORDS`, and plugins.
 _EXTENSIONS = {

@@ -46,6 +46,7 @@ NAMES = [
     "compare",
     "compensate",
     "convert",
+    "detect",
     "evaluate",
     "fleet",
     "inspect",

@@ -11,6 +11,7 @@ import pytest
 
 import calib
 import calib.example
+from calib.camera.board import Board
 from calib.errors import (
     ArgumentError,
     CalibError,
@@ -233,6 +234,15 @@ ROWS = [
     ('calib.fleet("ur3", 3, NEW)', ArgumentError, "'tables'"),
     ('calib.fleet("ur3", {}, NEW, executor=2)', ArgumentError, "'executor'"),
     ('calib.fleet("ur3", {}, NEW, progress=2)', ArgumentError, "'progress'"),
+    ('calib.detect("images", [board])', ArgumentError, "'images'"),
+    ("calib.detect([3], [board])", ArgumentError, "'images[0]'"),
+    ('calib.detect(["a.png"], board)', ArgumentError, "'boards'"),
+    ('calib.detect(["a.png"], [])', ArgumentError, "'boards'"),
+    ('calib.detect(["a.png"], ["board.toml"])', ArgumentError, "'boards[0]'"),
+    ('calib.detect(["a.png"], [board, board])', CalibError, "'board'"),
+    ('calib.detect(["a.png"], [board], fewest=3)', ModelError, "'fewest'"),
+    ('calib.detect(["a.png"], [board], executor=2)', ArgumentError, "'executor'"),
+    ('calib.detect(["a.png"], [board], progress=2)', ArgumentError, "'progress'"),
     ("calib.acceptance(evaluation, 3e-4)", ArgumentError, "'tolerance'"),
     ('calib.acceptance(evaluation, {"m": 3e-4}, uncertainty=1e-5)', ArgumentError, "'uncertainty'"),
     ('calib.acceptance(result, {"m": 3e-4})', ArgumentError, "'evaluation'"),
@@ -346,6 +356,7 @@ def given(ur3: calib.Robot, table: calib.Measurements) -> dict[str, Any]:
         "program": calib.Program.of_joints(q),
         "scenario": calib.Scenario(ur3),
         "region": calib.workspace(ur3, count=2**12),
+        "board": Board(pattern="chessboard", columns=8, rows=5, square=0.03),
         "q": q,
         "qn": qn,
         "T": T,

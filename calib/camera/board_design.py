@@ -42,7 +42,7 @@ _FINE = 10.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Wish:
-    """What is given of a board; None is to be chosen."""
+    """A specification of a board, some of it open: None is to be chosen."""
 
     #: Name of the board.
     name: str = "board"
@@ -99,6 +99,13 @@ def designed(wish: Wish, paper: str) -> Board:
 
 def fitting_sheet(board: Board, paper: str) -> Sheet:
     """Place a board on a paper, see `sheet_for`.
+
+    Args:
+        board: The board.
+        paper: Name of the paper, of `PAPERS` or `NO_PAPER`.
+
+    Returns:
+        The sheet, with the place of the pattern on it.
 
     Raises:
         CalibError: It does not fit; the message says what does.

@@ -87,8 +87,7 @@ def planar_poses(views: Sequence[View], lens: Lens, values: Array) -> tuple[Plan
         The poses; None where the points of a view do not tell it.
     """
     started = []
-    for k, (points, pixels) in enumerate(views):
-        T = _start(points, pixels, lens, values)
+    for k, T in enumerate(closed_form_poses(views, lens, values)):
         if T is not None:
             started.append((k, T))
     result: list[PlanarPose | None] = [None] * len(views)
@@ -114,12 +113,23 @@ def planar_poses(views: Sequence[View], lens: Lens, values: Array) -> tuple[Plan
     return tuple(result)
 
 
-def _start(points: Array, pixels: Array, lens: Lens, values: Array) -> Array | None:
-    """Return a pose in closed form, shape (4, 4) [m]; None where the points do not tell it. See `planar_pose`."""
-    if not _tells_pose(points):
-        return None
-    rays = lens.rays(pixels, values)
-    return _pose_of_homography(homography(points[:, :2], rays[:, :2]))
+def closed_form_poses(views: Sequence[View], lens: Lens, values: Array) -> tuple[Array | None, ...]:
+    """Return the pose of a flat board in each of V views in closed form; see `planar_poses`.
+
+    Returns:
+        T_camera_board of each, shape (4, 4) [m]; None where points or images are too few, or on a line.
+    """
+    if not views:
+        return ()
+    rays = lens.rays(np.concatenate([pixels for _, pixels in views]), values)[:, :2]
+    ends = np.cumsum([len(pixels) for _, pixels in views])
+    poses: list[Array | None] = []
+    for (points, pixels), images in zip(views, np.split(rays, ends[:-1]), strict=True):
+        if tells_pose(points) and tells_pose(pixels) and tells_pose(images):
+            poses.append(_pose_of_homography(homography(points[:, :2], images)))
+        else:
+            poses.append(None)
+    return tuple(poses)
 
 
 def homography(points: Array, images: Array) -> Array:
@@ -143,9 +153,9 @@ def homography(points: Array, images: Array) -> Array:
     return np.asarray(np.linalg.inv(to_images) @ V[-1].reshape(3, 3) @ to_points)
 
 
-def _tells_pose(points: Array) -> bool:
-    """True if points (k, 3) of a plane are enough, and not on a line."""
-    if len(points) < _FEWEST:
+def tells_pose(points: Array) -> bool:
+    """True if points of a plane (k, 3), or images (k, 2), are enough, finite, and not on a line."""
+    if len(points) < _FEWEST or not np.all(np.isfinite(points)):
         return False
     _, s, _ = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)
     return bool(s[1] > _LINE * s[0])

@@ -99,7 +99,15 @@ def _candidates(board: Board, length: float) -> list[PrintScale]:
 
 
 def rescaled(board: Board, scale: PrintScale) -> Board:
-    """Return the board as measured; lengths are rounded to a micrometre."""
+    """Return a board with the lengths of its print, rounded to a micrometre.
+
+    Args:
+        board: The board as drawn.
+        scale: What was measured on the print.
+
+    Returns:
+        The board, ``sigma_scale`` that of the measurement.
+    """
     return replace(
         board,
         square=_rounded(board.square * scale.scale),

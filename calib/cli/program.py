@@ -12,6 +12,7 @@ from calib.cli.verbs.compare import compare
 from calib.cli.verbs.compensate import compensate
 from calib.cli.verbs.convert import convert
 from calib.cli.verbs.demo import demo
+from calib.cli.verbs.detect import detect
 from calib.cli.verbs.evaluate import evaluate
 from calib.cli.verbs.fleet import fleet
 from calib.cli.verbs.inspect import inspect
@@ -32,6 +33,7 @@ app = typer.Typer(
 #: The verbs, in the order of ``calib --help``.
 _VERBS = (
     demo,
+    detect,
     calibrate,
     fleet,
     evaluate,

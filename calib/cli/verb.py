@@ -7,7 +7,7 @@ import sys
 import traceback
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import fields, is_dataclass
+from dataclasses import MISSING, fields, is_dataclass
 from typing import Any, get_type_hints
 
 import typer
@@ -185,7 +185,9 @@ def _options(function: Callable[..., None], types: dict[str, Any]) -> Iterator[i
             continue
         member_types = get_type_hints(kind, include_extras=True)
         for field in fields(kind):
-            yield _option(field.name, member_types[field.name], field.default)
+            is_required = field.default is MISSING
+            default = inspect.Parameter.empty if is_required else field.default
+            yield _option(field.name, member_types[field.name], default)
 
 
 def _option(name: str, kind: Any, default: Any) -> inspect.Parameter:  # noqa: ANN401  any type

@@ -139,6 +139,27 @@ def expected_errors(pair: Pair, q: Array) -> ExpectedErrors:
     )
 
 
+def arrival_covariance(pair: Pair, q: Array) -> Array:
+    """Compute the covariance of the tool's pose where a result's robot is sent to joint values, in the program's frame.
+
+    It has what the model lacks, in all directions alike, besides the covariance of the predicted pose.
+
+    Args:
+        pair: The nominal robot and that of a result, with the tool and the frame of the program.
+        q: shape (N, m), joint values to command [rad] or [m].
+
+    Returns:
+        Shape (N, 6, 6), along the axes of the frame, linear part first [m, rad].
+    """
+    result = pair.result
+    if result is None:
+        raise ValueError("the errors of a robot without a result are not known")
+    part = result.part(non_geometric=pair.non_geometric)
+    target, _, arrived = (pose_covariance(part, view) for view in _views(pair, result, part, q))
+    lacking = _lacking(result, part, float(target.mean_square[1]))
+    return np.asarray(arrived.covariance + np.diag(np.repeat(lacking / 3.0, 3)))
+
+
 def _views(
     pair: Pair,
     result: CalibrationValues,

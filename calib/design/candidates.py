@@ -19,7 +19,17 @@ from calib.robot.ranges import column_limits, joint_ranges
 from calib.robot.robot import Robot, read_only
 from calib.units import UNITS, Array
 
-Reason = Literal["region", "tracker_range", "reflector_cone", "beam", "collision"]
+Reason = Literal[
+    "region",
+    "tracker_range",
+    "reflector_cone",
+    "beam",
+    "limits",
+    "focus",
+    "tilt",
+    "image",
+    "collision",
+]
 
 #: Poses of one batch; a power of two keeps the sequence even.
 _BATCH = 4096
@@ -62,6 +72,21 @@ class Pool(NamedTuple):
     drawn: int
     #: Number that each condition refused, of those that had passed the ones before it.
     refused: dict[str, int]
+
+
+class Draws(NamedTuple):
+    """Numbers of poses at which drawing ends."""
+
+    #: Candidates that are enough, 1 or more.
+    enough: int
+    #: Poses drawn of which none can be measured.
+    none_yet: int
+    #: Poses drawn, however few can be measured.
+    most: int
+
+    def most_after(self, measurable: Array) -> int:
+        """Return the number of poses at which drawing ends, where those (n, m) can be measured so far."""
+        return self.most if len(measurable) else self.none_yet
 
 
 class _Sifted(NamedTuple):
@@ -130,13 +155,40 @@ def draw(
     Raises:
         ModelError: No pose passed.
     """
-    batches = _batches(robot, ranges, seed)
-    sifted = _sift(np.empty((0, len(ranges))), conditions)
-    while len(sifted.measurable) < count and sifted.drawn < _most_draws(sifted, count):
-        batch = next(batches)[: _MOST * count]
-        sifted = sifted.joined(_sift(batch, conditions))
+    draws = Draws(count, _NONE_YET, _MOST * max(count, _BATCH))
+    batches = (batch[: _MOST * count] for batch in _batches(robot, ranges, seed))
+    return collect(batches, conditions, draws, progress)
+
+
+def collect(
+    batches: Iterator[Array],
+    conditions: Sequence[Condition],
+    draws: Draws,
+    progress: Progress | None = None,
+) -> Pool:
+    """Sift batches of poses until enough have passed all conditions, or too many are drawn.
+
+    Args:
+        batches: Joint values of poses without end, shape (any number, m) each, [rad] or for sliding joints [m].
+        conditions: Tests that a pose must pass, see `draw`.
+        draws: How many are enough, and how many too many.
+        progress: Called after each batch with the number of candidates so far and the number wanted; None: nothing is
+            called.
+
+    Returns:
+        The pool, see `draw`.
+
+    Raises:
+        ModelError: No pose passed.
+    """
+    count = draws.enough
+    sifted = _sift(next(batches), conditions)
+    while len(sifted.measurable) < count and sifted.drawn < draws.most_after(sifted.measurable):
         if progress is not None:
-            progress(min(len(sifted.measurable), count), count)
+            progress(len(sifted.measurable), count)
+        sifted = sifted.joined(_sift(next(batches), conditions))
+    if progress is not None:
+        progress(min(len(sifted.measurable), count), count)
     if not len(sifted.measurable):
         _refuse_all(sifted.drawn, sifted.refused)
     q = _without_repeats(sifted.measurable)
@@ -184,21 +236,6 @@ def _ranges_less_rounding(robot: Robot, ranges: Array) -> Array:
     return np.column_stack([ranges[:, 0] + moved, ranges[:, 1] - moved])
 
 
-def _most_draws(sifted: _Sifted, count: int) -> int:
-    """Return the number of poses at which drawing ends, however few of them can be measured.
-
-    Args:
-        sifted: The poses drawn so far; ``sifted.measurable``, shape (n, m), are those that can be measured.
-        count: Number of candidates that are wanted.
-
-    Returns:
-        40,960 as long as no pose can be measured, else 40 times ``count``, but no less than 163,840.
-    """
-    if not len(sifted.measurable):
-        return _NONE_YET
-    return _MOST * max(count, _BATCH)
-
-
 def _sift(q: Array, conditions: Sequence[Condition]) -> _Sifted:
     """Test poses by each condition in turn; what one refuses, the later ones do not see.
 
@@ -235,10 +272,12 @@ def _refuse_all(drawn: int, refused: Mapping[str, int]) -> None:
     Raises:
         ModelError: Always.
     """
+    views = {"focus", "tilt", "image"}
+    instrument = "board or the camera" if views & refused.keys() else "tracker"
     parts = ", ".join(f"{number} by {reason}" for reason, number in refused.items() if number)
     raise ModelError(
         f"None of {drawn} poses drawn can be measured; refused: {parts}. Widen the region or the "
-        "joint ranges, move the tracker, or drop a condition."
+        f"joint ranges, move the {instrument}, or drop a condition."
     )
 
 

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+import calib.data.kinds as registry
 from calib.design.candidates import Pool
 from calib.design.forecast import Forecast, Workspace, information
 from calib.design.optimal import RESTARTS, Basis, Indices, choose, exchange, ranking, short_list
@@ -262,7 +263,9 @@ class _Search:
             and their `ranking`. The information of the priors and of the poses taken is that known before.
         """
         measured = sensitivity.measured(q)
-        workspace = Workspace.of(sensitivity, pool.workspace)
+        # Images are measured only where the camera sees the board.
+        optical = registry.get(sensitivity.kind).optical
+        workspace = Workspace.of(sensitivity, pool.workspace, pool.q if optical else None)
         known = np.diag(sensitivity.precision)
         if len(taken):
             known += information(sensitivity.measured(taken))

@@ -212,6 +212,7 @@ class CollisionModel:
         boxes: Iterable[Box] = (),
         targets: Mapping[str, ArrayLike] | None = None,
         check: CollisionCheck | None = None,
+        attached: Iterable[Solid] = (),
     ) -> CollisionModel:
         """Read the geometry of a robot and find the pairs of shapes that have to be checked.
 
@@ -227,6 +228,7 @@ class CollisionModel:
             check: ``clearance``, the least distance of all pairs [m]; ``floor``, whether nothing may come below the
                 mounting plane; ``holder_radius``, the radius of the rods [m]; ``package_dirs``, folders of
                 ``package://`` meshes. None: the defaults of `CollisionCheck`.
+            attached: Further shapes, fixed to any link, of the kind ``"target"``; those of the kind ``"box"`` last.
 
         Returns:
             The model, with the names of the pairs that are checked, those that touch most often first, and notes on
@@ -240,6 +242,7 @@ class CollisionModel:
         solids = [
             *links,
             *target_solids(robot, targets or {}, check.holder_radius),
+            *attached,
             *box_solids(robot, boxes),
         ]
         values = robot.urdf_values(spread_poses(robot, SAMPLES))
@@ -302,7 +305,7 @@ class CollisionModel:
         way = self._configurations((1.0 - share) * ends[0] + share * ends[1])
         return not any(self._scene.touches(way))
 
-    def beam_free(self, T_tip_target: Array, tracker: Array, q: Array) -> Mask:
+    def beam_free(self, T_tip_target: Array, tracker: Array, q: Array, ahead: float = 0.0) -> Mask:
         """Test at which poses no link and no box is in the beam from a tracker to the target.
 
         The beam is a rod from the tracker, 10 mm thick, that ends 30 mm in front of the target. Targets and the
@@ -313,6 +316,7 @@ class CollisionModel:
             T_tip_target: Pose of the target in the tip, shape (4, 4), [m]; its orientation does not matter.
             tracker: Position of the tracker in the robot's base, shape (3,), [m].
             q: Joint values of N poses, shape (N, m), [rad] or for sliding joints [m], columns as ``robot.joint_names``.
+            ahead: The beam begins so far in front of the tracker [m].
 
         Returns:
             True where the line of sight is free, shape (N,); also where the tracker is 40 mm or less from the target,
@@ -323,8 +327,8 @@ class CollisionModel:
         # The rod's round ends lie between the same two planes as the beam's flat ones.
         away = (tracker - points) / np.maximum(distance, BEAM)[:, None]
         ends = points + (NEST + 0.5 * BEAM) * away
-        T_base_beam, half_length = rods(tracker - 0.5 * BEAM * away, ends)
-        has_beam = distance > NEST + BEAM
+        T_base_beam, half_length = rods(tracker - (ahead + 0.5 * BEAM) * away, ends)
+        has_beam = distance > NEST + BEAM + ahead
         return self._beams_free(q, T_base_beam, half_length, has_beam)
 
     def _beams_free(self, q: Array, T_base_beam: Array, half_length: Array, has_beam: Mask) -> Mask:

@@ -53,22 +53,26 @@ class Workspace(NamedTuple):
     rank: int
 
     @classmethod
-    def of(cls, sensitivity: Sensitivity, q: Array) -> Workspace:
+    def of(cls, sensitivity: Sensitivity, q: Array, measurable: Array | None = None) -> Workspace:
         """Differentiate what is measured, and the positions of the targets, at the poses over which accuracy counts.
 
         Args:
             sensitivity: The nominal robot in its cell, with k targets, under the error model of the fit with p
                 parameters.
             q: Joint values of n poses, shape (n, m), [rad] or for sliding joints [m], columns as ``robot.joint_names``.
+            measurable: Joint values of n poses at which something can be measured, shape (n, m), for what is measured
+                in a part of the workspace only, such as images; None: those of ``q``.
 
         Returns:
             Derivatives by the parameters: ``measured``, of the d scalars measured at a pose, shape (n, d, p), in
             standard deviations of the noise per unit; ``located``, of the positions of the targets, shape (n, 3 k, p),
             [m per unit]. And ``rank``, the number of parameters or combinations that all these poses determine.
         """
-        measured = sensitivity.measured(q)
+        if measurable is None:
+            measurable = q
+        measured = sensitivity.measured(measurable)
         located = sensitivity.located(q)
-        return cls(measured, located, sensitivity.analysed(q, measured).rank)
+        return cls(measured, located, sensitivity.analysed(measurable, measured).rank)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -205,21 +209,19 @@ def forecast(robot: Robot, cell: Cell, joints: ArrayLike) -> Forecast:
     return Forecast.of(sensitivity, workspace, np.asarray(joints))
 
 
-def position_std(robot: Robot, cell: Cell, measured: Array, joints: Array) -> Array:
+def position_std(sensitivity: Sensitivity, measured: Array, joints: Array) -> Array:
     """Forecast how far a calibrated robot's targets are from where it predicts them, at single poses.
 
     The root of the variances of x, y, z added up, sqrt(tr(J C J^T)); its rms over the workspace is `Forecast.rms`.
 
     Args:
-        robot: The nominal robot.
-        cell: The measurement setup of the fit: frames, its k targets, noise, priors and model.
+        sensitivity: The nominal robot in its cell, with k targets, under the error model of the fit.
         measured: Joint values of the poses to measure and to fit, shape (N, m), [rad] or for sliding joints [m].
         joints: Joint values of the poses in question, shape (n, m), likewise.
 
     Returns:
         Shape (n, k), [m].
     """
-    sensitivity = Sensitivity.of(robot, cell)
     root = covariance_root(sensitivity.measured(measured), sensitivity.precision)
     moves = sensitivity.located(joints) @ root
     return np.asarray(np.linalg.norm(moves.reshape(len(joints), -1, 3 * len(root)), axis=2))
@@ -238,7 +240,7 @@ def forecast_of_table(robot: Robot, cell: Cell, measurements: Measurements) -> F
 
     Returns:
         The forecast, over 4096 poses that are spread over the joint ranges; None where rows are of several kinds,
-        targets or stations, or of a kind whose poses cannot be chosen freely, such as a ball in a socket.
+        targets or stations, or of a kind whose poses cannot be chosen freely, such as a ball in a socket, or images.
 
     Raises:
         ModelError: A parameter that cannot be planned for.
@@ -247,7 +249,7 @@ def forecast_of_table(robot: Robot, cell: Cell, measurements: Measurements) -> F
     fitted = measurements.select(measurements.estimation)
     sorts = set(zip(fitted.kinds, fitted.targets, fitted.groups, strict=True))
     kind = fitted.kinds[0]
-    if len(sorts) > 1 or not registry.get(kind).free:
+    if len(sorts) > 1 or not registry.get(kind).free or registry.get(kind).optical:
         return None
     rows, setup = rows_and_setup(robot, measurements, cell)
     rows = rows.select(measurements.estimation)

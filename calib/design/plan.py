@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,6 +19,7 @@ from calib.design.candidates import Condition, Pool, draw, planning_ranges
 from calib.design.choice import Choice, PlanRequest, choose_poses
 from calib.design.collision import CollisionCheck, CollisionModel
 from calib.design.forecast import Forecast
+from calib.design.images.sight import CameraSight
 from calib.design.notes import Note
 from calib.design.ordering import Blocked, Route
 from calib.design.route import route
@@ -89,6 +91,8 @@ class PlanValues(Value):
     blocked: tuple[Blocked, ...]
     #: Remarks for the person who measures.
     notes: tuple[Note, ...]
+    #: The camera and the board, and where the board may be in the camera; None where no images are planned.
+    sight: CameraSight | None = None
 
     def __post_init__(self) -> None:
         """Keep a read-only copy of the mapping."""
@@ -165,16 +169,49 @@ def plan(
     )
     sensitivity = Sensitivity.of(arm, known)
     body = _collision_model(sensitivity, collisions)
-    pool = _draw(sensitivity, request, region, body, _stage(progress, "candidates"))
-    choice = choose_poses(sensitivity, pool, request, measured, progress=_stage(progress, "choice"))
+    pool = _draw(sensitivity, request, region, body, stage(progress, "candidates"))
+    return planned_of(
+        Planned(sensitivity, request, pool, measured, body), stage(progress, "choice")
+    )
+
+
+class Planned(NamedTuple):
+    """What poses are chosen from, and for what."""
+
+    #: The nominal robot in its cell, under the error model of the fit.
+    sensitivity: Sensitivity
+    #: The request.
+    request: PlanRequest
+    #: The candidates.
+    pool: Pool
+    #: Shape (T, m), poses measured already [rad] or [m].
+    taken: Array
+    #: Tests poses and moves for collisions; None: they are not tested.
+    body: CollisionModel | None
+    #: The camera and the board, where images are planned.
+    sight: CameraSight | None = None
+
+
+def planned_of(planned: Planned, progress: Callable[[int, int], None] | None) -> PlanValues:
+    """Choose the poses, put them in the order to drive, and return the plan.
+
+    Args:
+        planned: What they are chosen from, and for what.
+        progress: Called with the number of forecasts done and of all; None: nothing is called.
+
+    Raises:
+        ModelError: Too few poses for the model, or a request that cannot be met.
+    """
+    sensitivity, request, pool, taken, body, sight = planned
+    choice = choose_poses(sensitivity, pool, request, taken, progress=progress)
     way = _route(sensitivity, request, pool, choice, body)
     return PlanValues(
-        robot=arm,
-        cell=known,
+        robot=sensitivity.kinematics.robot,
+        cell=sensitivity.cell,
         request=request,
         joints=way.joints,
         sets=_sets(way, len(choice.planned)),
-        taken=measured,
+        taken=taken,
         targets=sensitivity.setup.targets,
         T_tip_target=sensitivity.setup.T_tip_target,
         expected=read_only(sensitivity.expected(way.joints)),
@@ -189,7 +226,8 @@ def plan(
         refused=pool.refused,
         travel=way.length,
         blocked=way.blocked,
-        notes=(*sensitivity.notes, *_notes(known, body)),
+        notes=(*sensitivity.notes, *_notes(sensitivity.cell, body)),
+        sight=sight,
     )
 
 
@@ -198,7 +236,7 @@ def _sets(way: Route, count: int) -> tuple[str, ...]:
     return tuple(np.where(way.indices < count, "estimate", "validate").tolist())
 
 
-def _stage(progress: Progress | None, stage: str) -> Callable[[int, int], None] | None:
+def stage(progress: Progress | None, stage: str) -> Callable[[int, int], None] | None:
     """Return the function that one stage of the work reports its progress to.
 
     Args:

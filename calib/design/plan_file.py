@@ -160,6 +160,11 @@ class _Columns:
         )
 
 
+def joint_cells(robot: Robot, q: Array) -> dict[str, str]:
+    """Return the texts of joint values (m,) [rad] or [m], by the headers of their columns, as ``robot.joint_names``."""
+    return _cells(_joint_columns(robot), q)
+
+
 def _joint_columns(robot: Robot) -> list[_Column]:
     """Return the columns of the m joint values, degrees or for sliding joints millimetres, as ``robot.joint_names``."""
     columns = []
@@ -345,6 +350,10 @@ def plan_table(plan: PlanValues) -> dict[str, Any]:
     poses = []
     for set_name, q, places in zip(plan.sets, plan.joints, plan.expected, strict=True):
         poses.append({"set": set_name, "joints": q, "expected_xyz_m": places})
+    if plan.sight is not None:
+        T_camera_board = plan.sight.board_poses(plan.robot, plan.joints)
+        tilts = plan.sight.tilts(T_camera_board).tolist()
+        poses = [{**pose, "tilt_rad": tilt} for pose, tilt in zip(poses, tilts, strict=True)]
     blocked = [{"from": move.start, "to": move.end, "by": move.by} for move in plan.blocked]
     return {
         "schema": SCHEMA,

@@ -5,6 +5,7 @@ They are the fit's own: its rows, error model, noise and priors, at the nominal 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -91,8 +92,8 @@ class Sensitivity:
             notes.append(Note("generic_target", tuple(GENERIC_TARGET)))
         if "rad" in registry.get(kind).units and "rad" not in cell.sigma:
             notes.append(Note("orientation_noise", (RESIDUAL_UNITS["rad"].assumed_sigma,)))
-        model = _error_model(robot, cell, setup)
-        precision = _prior_precision(cell, model)
+        model = planned_model(robot, cell, setup)
+        precision = prior_precision(cell, model)
         kinematics = Kinematics(robot, model, setup.T_frame_base, setup.T_tip_target)
         return cls(cell, kind, setup, kinematics, read_only(precision), tuple(notes))
 
@@ -319,9 +320,15 @@ def _checked_kind(cell: Cell) -> str:
     """
     name = cell.kind or "point"
     kind = registry.get(name)
+    if kind.optical:
+        raise ModelError(
+            f"Rows of the kind '{name}' are planned as images: give the camera and the board (--camera, --board and "
+            "--board-at)."
+        )
     unplaced = kind.own_frame and cell.T_frame_base is None and not cell.frames
     if unplaced or len(cell.frames) > 1 or not kind.free:
-        free = [known for known in registry.names() if registry.get(known).free]
+        kinds = [registry.get(known) for known in registry.names()]
+        free = [known.name for known in kinds if known.free and not known.optical]
         raise ModelError(
             f"Poses are planned for the kinds {choices(free)}, at one station; of one with a "
             "frame of its own, such as distances, give the base in it (frame_xyz_mm in the cell "
@@ -359,7 +366,7 @@ def _with_generic_targets(setup: Setup) -> Setup:
     return setup.placed(setup.T_frame_base, T_tip_target)
 
 
-def _error_model(robot: Robot, cell: Cell, setup: Setup) -> ErrorModel:
+def planned_model(robot: Robot, cell: Cell, setup: Setup) -> ErrorModel:
     """Return the error model of the fit, with parameters for the frames and targets that are estimated.
 
     Args:
@@ -384,7 +391,9 @@ def _error_model(robot: Robot, cell: Cell, setup: Setup) -> ErrorModel:
     return model
 
 
-def _prior_precision(cell: Cell, model: ErrorModel) -> Array:
+def prior_precision(
+    cell: Cell, model: ErrorModel, optical: Mapping[str, float] | None = None
+) -> Array:
     """Return the precision 1 / tau^2 of each parameter's prior.
 
     The standard deviation tau is the parameter's own, or else its family's, or else 1 in the parameter's unit, which
@@ -395,13 +404,14 @@ def _prior_precision(cell: Cell, model: ErrorModel) -> Array:
             which do not count where its ``source`` is ``"off"``. Both in the parameters' units.
         model: The error model with p parameters, each with a ``name`` and the name of its ``family``; those of frames
             and targets have no family of errors.
+        optical: tau of numbers of cameras and boards, by the names of their parameters; None: there are none.
 
     Returns:
         Shape (p,), in the inverse squares of the parameters' units.
     """
     precision = np.zeros(len(model))
     for k, parameter in enumerate(model.parameters):
-        prior_std = LEASH
+        prior_std = (optical or {}).get(parameter.name, LEASH)
         if cell.priors.source != "off" and parameter.family in FAMILIES:
             prior_std = cell.priors.of(parameter.family)
         prior_std = cell.parameter_priors.get(parameter.name, prior_std)

@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 
 import calib.report.figure_base as base
 import calib.text.summary as texts
+from calib.camera.optics import CORNER
 from calib.channels import RESIDUAL_UNITS
 from calib.model.families import unit_of
 from calib.report.figure_base import CALIBRATED, INK, NOMINAL, OUTLIER, SOFT
@@ -164,8 +165,18 @@ def _parameter_look(p: ParameterEstimate) -> dict[str, Any]:
 
 
 def correlation_indices(c: CalibrationValues) -> list[int]:
-    """Return the indices of the parameters whose correlations are drawn: identifiable ones, not at a bound."""
-    return [k for k, p in enumerate(c.parameters) if p.identifiable and not p.at_bound]
+    """Return the indices of the parameters whose correlations are drawn: identifiable ones, not at a bound.
+
+    The places of single corners on a board are left away: there are many, and the figure of the board has them.
+    """
+    of_corners = [
+        any(column == CORNER for column, _ in parameter.samples) for parameter in c.model.parameters
+    ]
+    return [
+        k
+        for k, (p, of_corner) in enumerate(zip(c.parameters, of_corners, strict=True))
+        if p.identifiable and not p.at_bound and not of_corner
+    ]
 
 
 def correlations(c: CalibrationValues) -> Figure:

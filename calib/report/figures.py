@@ -15,12 +15,17 @@ import numpy as np
 import yaml
 from matplotlib.figure import Figure
 
+import calib.report.camera.board as board
+import calib.report.camera.coverage as coverage
+import calib.report.camera.residuals as images
 import calib.report.figure_errors as errors
 import calib.report.figure_joints as joints
 import calib.report.figure_model as model
 import calib.report.figure_space as space
 from calib.errors import FileError
 from calib.files import make_folder, write_atomically
+from calib.report.camera.of_calibration import has_images, joint_spans, seen_corners
+from calib.report.camera.seen_corners import SeenCorners
 from calib.report.figure_base import check_kind, rows_text, saved, styled
 from calib.result.calibration import CalibrationValues
 from calib.robot.ranges import SPREAD
@@ -116,6 +121,16 @@ def _has_candidates(c: CalibrationValues) -> bool:
     return bool(c.candidates)
 
 
+def _of_cameras(draw: Callable[[Sequence[SeenCorners]], Figure]) -> FigureKind:
+    """Make a figure of the corners that the cameras saw, for calibrations with images."""
+    return FigureKind(lambda c: draw(seen_corners(c)), has_images)
+
+
+def _joints_of_images(c: CalibrationValues) -> Figure:
+    """Draw the joints' ranges in the images."""
+    return coverage.of_joints(joint_spans(c))
+
+
 _angles_by_row = partial(errors.by_row, unit="rad")
 _pixels_by_row = partial(errors.by_row, unit="px")
 _orientations_by_axis = partial(errors.by_axis, unit="rad")
@@ -127,10 +142,15 @@ FIGURES: dict[str, FigureKind] = {
     "errors-by-pose": FigureKind(errors.by_row, _has_lengths),
     "orientation-errors-by-pose": FigureKind(_angles_by_row, _has_angles),
     "image-errors-by-pose": FigureKind(_pixels_by_row, _has_pixels),
+    "image-residuals": _of_cameras(images.over_image),
+    "images": _of_cameras(images.by_image),
+    "board-corners": _of_cameras(board.corners),
     "errors-by-axis": FigureKind(errors.by_axis, errors.has_axes),
     "orientation-errors-by-axis": FigureKind(_orientations_by_axis, _has_orientations),
     "histograms": FigureKind(errors.histograms, _always),
     "residual-by-joint": FigureKind(joints.residuals_by_joint, _has_joint_parts),
+    "image-coverage": _of_cameras(coverage.of_images),
+    "joint-coverage": FigureKind(_joints_of_images, has_images),
     "convergence": FigureKind(model.convergence, _has_iterations),
     "parameter-changes": FigureKind(model.changes, _has_changes),
     "correlations": FigureKind(model.correlations, _has_correlations),

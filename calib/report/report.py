@@ -18,6 +18,7 @@ from calib.data.measurements import Measurements
 from calib.diagnosis.reasons import Why
 from calib.files import write_atomically
 from calib.numerics.intervals import interval_factor
+from calib.report.camera.tables import image_errors, units_of_tables, with_errors_at_board
 from calib.report.first_page import (
     FirstPage,
     Outcome,
@@ -32,6 +33,7 @@ from calib.result.calibration import CalibrationValues
 from calib.result.calibration_file import versions
 from calib.text.layout.doubtful_rows import outside_text, robustness_text
 from calib.text.layout.lines import deg, mm, plural, times
+from calib.text.optics import optics_sentences
 from calib.text.places import frame_sentences, target_sentences
 from calib.text.readings import coupling_sentence
 from calib.text.verdict import reason_text
@@ -104,8 +106,14 @@ def _content(c: CalibrationValues) -> dict[str, Any]:
         "robustness": robustness_text(c.robustness) if c.robustness else "",
         "unweighted": int(np.sum(c.weights[c.measurements.estimation] <= 0.0)),
         "factor": f"{interval_factor(c.fitted.estimate.freedom):.2f}",
-        "places": [*target_sentences(c, MOST_LISTED), *frame_sentences(c, MOST_LISTED)],
+        "places": [
+            *target_sentences(c, MOST_LISTED),
+            *frame_sentences(c, MOST_LISTED),
+            *optics_sentences(c),
+        ],
         "combinations": _combinations(c),
+        "image_errors": image_errors(c),
+        "units": units_of_tables(c),
         "kinds": kinds_text(c.measurements),
         "outside": _outside(c),
         "versions": ", ".join(f"{name} {version}" for name, version in versions().items()),
@@ -133,7 +141,7 @@ def _first_page(c: CalibrationValues, reasons: list[str]) -> FirstPage:
         left=left_lines(c.record, c.nominal),
         right=right_lines(c.record, ("Noise (1 sigma)", noise.partition(" (")[0]), c.source.name),
         note=c.record.note,
-        table=tables.before_and_after(c),
+        table=with_errors_at_board(tables.before_and_after(c), c),
         rule=[
             f"Rows: {_rows_text(c.measurements)}; the estimate is from {plural(len(repeats), 'pose')}, each measured "
             f"{times(int(repeats.min()), int(repeats.max()))}.",

@@ -59,10 +59,10 @@ def errors(c: CalibrationValues, unit: str) -> Table:
         Number of rows, largest, mean and rms error of each set. Position errors also have their span (largest minus
         smallest signed error) along each axis of the measurement frame. The calibrated robot's rows are strong.
     """
-    figures = _figures_by_label(c, unit)
+    figures = figures_by_label(c, unit)
     with_span = RESIDUAL_UNITS[unit].shows_span and any(map(_has_span, figures.values()))
     rows = [
-        (label, f"{e.n:,}", *_error_cells(e, with_span=with_span)) for label, e in figures.items()
+        (label, f"{e.n:,}", *error_cells(e, with_span=with_span)) for label, e in figures.items()
     ]
     strong = [i for i, label in enumerate(figures) if ", calibrated" in label]
     notes = []
@@ -92,7 +92,7 @@ def before_and_after(c: CalibrationValues) -> Table:
         for label, nominal, calibrated in sets:
             count = calibrated[unit].n
             if count:
-                cells = (*_error_cells(nominal[unit]), *_error_cells(calibrated[unit]))
+                cells = (*error_cells(nominal[unit]), *error_cells(calibrated[unit]))
                 rows.append((name, label, f"{count:,}", *cells))
                 name = ""
     return Table(
@@ -122,7 +122,7 @@ def _sets_before_and_after(c: CalibrationValues) -> list[tuple[str, Errors, Erro
     return [("estimation rows", before["estimation"], after["estimation"])]
 
 
-def _figures_by_label(c: CalibrationValues, unit: str) -> dict[str, UnitErrors]:
+def figures_by_label(c: CalibrationValues, unit: str) -> dict[str, UnitErrors]:
     """Return the errors in one unit of each set of rows that has any, by the set's label."""
     labelled = texts.error_rows(c)
     figures = {}
@@ -148,7 +148,7 @@ def _has_span(e: UnitErrors) -> bool:
     return e.n > 0 and bool(np.any(np.isfinite(e.span_axis)))
 
 
-def _error_cells(e: UnitErrors, *, with_span: bool = False) -> list[str]:
+def error_cells(e: UnitErrors, *, with_span: bool = False) -> list[str]:
     """Write largest, mean and rms error of a set, and the spans by axis, in the unit that is shown."""
     values = [e.max, e.mean, e.rms]
     if with_span:

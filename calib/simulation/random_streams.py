@@ -26,6 +26,13 @@ STREAMS = (
     "validation poses",
     # The noise of units of residuals that came later, each behind those before it.
     *(f"{unit.quantity} noise" for unit in tuple(RESIDUAL_UNITS.values())[2:]),
+    # Of cells with a camera.
+    "camera",
+    "board",
+    "mounts",
+    "views",
+    "validation views",
+    "pictures",
 )
 
 

@@ -127,7 +127,12 @@ class Scenario(Value):
         return None if has_frames else DEFAULT_TRACKER
 
     def draw(self, seed: int) -> VirtualCell:
-        """Draw a virtual cell with the errors of a seed."""
+        """Draw a virtual cell with the errors of a seed; `CalibError` where a camera measures it."""
+        if self.kind.optical:
+            raise CalibError(
+                f"Rows of the kind '{self.kind.name}' are corners in pictures, which are simulated by "
+                "calib.simulation.camera.simulate.simulate_pictures."
+            )
         truth = draw_truth(
             self.robot,
             self.model,

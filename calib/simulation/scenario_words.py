@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+import calib.data.kinds as registry
 from calib.channels import RESIDUAL_UNITS
 from calib.data.cell import Cell, TrackerNoise
 from calib.data.cell_file import DEGREES, MM, POINT, TEXT, Field, numbers, read_table, read_toml
@@ -21,7 +22,7 @@ from calib.simulation.cell_noise import cell_noise, further_noise
 from calib.simulation.disturbances import Encoder, MovedTarget, Outliers
 from calib.simulation.scenario import DEFAULT_MODEL, Scenario
 from calib.simulation.truth import NONE, TARGET_ERROR, parse_error_sizes
-from calib.units import LENGTH, parse_amount, parse_noise
+from calib.units import LENGTH, parse_amount, parse_noise, quantity_name
 
 #: Keys of ``[simulation]`` in a cell file.
 FIELDS: Mapping[str, Field] = {
@@ -82,7 +83,7 @@ def read_scenario(
     model = DEFAULT_MODEL if cell.model == "auto" else cell.model
     all_errors = error_model(robot, model, target=False, gravity=cell.gravity)
     errors = tuple(_named_errors(words.error or (), all_errors))
-    noise = parse_tracker_noise(cell, words.noise)
+    noise, sigma = _noise(cell, words.noise)
     return Scenario(
         robot=robot,
         cell=cell,
@@ -92,7 +93,7 @@ def read_scenario(
         true_robot=_true_robot(robot, words.truth_robot),
         target_error=_target_error(words.target_error),
         noise=noise,
-        sigma=_further_noise(cell, noise),
+        sigma=sigma,
         encoder=Encoder(events.get("angle", 0.0), events.get("length", 0.0)),
         outliers=_outliers(words.outliers, events),
         moved=_moved_target(events),
@@ -121,6 +122,25 @@ def _target_error(text: str | None) -> float:
     if text is None:
         return TARGET_ERROR
     return parse_amount(text, "--target-error", LENGTH, "1 mm")
+
+
+def _noise(cell: Cell, text: str | None) -> tuple[TrackerNoise | None, dict[str, float]]:
+    """Parse ``--noise``: of the images of corners [px], of anything else that of lengths.
+
+    Args:
+        cell: Has the kind, and the noise where nothing is typed.
+        text: As typed; None: not given.
+
+    Returns:
+        The noise of lengths, and that of one scalar in the other units by their symbols.
+    """
+    is_optical = cell.kind is not None and registry.get(cell.kind).optical
+    if not is_optical or text is None or text == NONE:
+        noise = parse_tracker_noise(cell, text)
+        return noise, _further_noise(cell, noise)
+    pixels = parse_amount(text, "--noise", quantity_name("pixel"), "0.3 px")
+    noise = cell_noise(cell)
+    return noise, {**_further_noise(cell, noise), "px": pixels}
 
 
 def _further_noise(cell: Cell, noise: TrackerNoise | None) -> dict[str, float]:

@@ -7,11 +7,13 @@ are asked for the target's position at poses that were not measured: the error t
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import fdtri
 
 from calib.data.cell import Cell, Tracker
+from calib.data.measurements import Measurements
 from calib.design.candidates import draw, planning_ranges
 from calib.design.choice import PlanRequest, choose_poses
 from calib.design.forecast import Forecast, Workspace
@@ -26,7 +28,8 @@ from calib.result.calibrate import calibrate
 from calib.result.fits import fit_table
 from calib.robot.gravity import gravity_loads
 from calib.robot.robot import rigid_inverse
-from calib.simulation.scenario import DEFAULT_TRACKER, Scenario, Simulated
+from calib.simulation.camera.simulate import simulate_pictures
+from calib.simulation.scenario import DEFAULT_TRACKER, Scenario
 from calib.simulation.truth import Truth
 from calib.units import Array, Mask
 
@@ -134,9 +137,7 @@ def one_trial(trials: Trials, seed: int) -> Trial:
         trials: The task.
         seed: Of the random numbers.
     """
-    virtual_cell = trials.scenario.draw(seed)
-    q, sets = trials.poses_of(seed)
-    simulated = virtual_cell.measure(q, seed, sets)
+    simulated = _simulate(trials, seed)
     calibrated = _calibrate(trials, simulated)
     problem = calibrated.fitted.estimate.problem
     of_lengths = problem.scales[problem.rows.channels.where("m")]
@@ -158,6 +159,37 @@ def one_trial(trials: Trials, seed: int) -> Trial:
     )
 
 
+class _Measured(NamedTuple):
+    """What was simulated in one trial."""
+
+    #: The table
+    measurements: Measurements
+    #: The robot, the targets and the frames
+    truth: Truth
+    #: Row numbers of the outliers
+    outlier_rows: tuple[int, ...]
+    #: The cell that the fit is given
+    cell: Cell
+
+
+def _simulate(trials: Trials, seed: int) -> _Measured:
+    """Draw and measure one virtual cell."""
+    scenario = trials.scenario
+    if scenario.kind.optical:
+        pictures = simulate_pictures(
+            scenario, trials.count, trials.validation, seed, trials.poses, trials.sets
+        )
+        cell = replace(
+            trials.cell,
+            cameras={"": pictures.cell.stated},
+            boards={"": pictures.cell.printed.board},
+        )
+        return _Measured(pictures.measurements, pictures.cell.truth, pictures.outlier_rows, cell)
+    q, sets = trials.poses_of(seed)
+    simulated = scenario.draw(seed).measure(q, seed, sets)
+    return _Measured(simulated.measurements, simulated.truth, simulated.outlier_rows, trials.cell)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class _Calibrated:
     """Last fit of a calibration."""
@@ -170,17 +202,17 @@ class _Calibrated:
     flagged: frozenset[int]
 
 
-def _calibrate(trials: Trials, simulated: Simulated) -> _Calibrated:
+def _calibrate(trials: Trials, simulated: _Measured) -> _Calibrated:
     """Calibrate with a simulated table; without validation only the fits are made."""
     robot, table = trials.scenario.robot, simulated.measurements
     if trials.validate:
-        result = calibrate(robot, table, cell=trials.cell, solver=trials.solver)
+        result = calibrate(robot, table, cell=simulated.cell, solver=trials.solver)
         assert result.verdict is not None
         assert result.fit is not None
         fitted = result.fit.non_geometric or result.fit.geometry
         flagged = frozenset(outlier.row for outlier in result.outliers)
         return _Calibrated(fitted, result.verdict.use, flagged)
-    fits = fit_table(robot, table, trials.cell, solver=trials.solver)
+    fits = fit_table(robot, table, simulated.cell, solver=trials.solver)
     rows = np.array(table.rows)[table.estimation]
     flagged = frozenset(rows[fits.geometry.estimate.outliers].tolist())
     fitted = fits.non_geometric or fits.geometry
@@ -253,7 +285,7 @@ def _prediction_errors(trials: Trials, truth: Truth, fitted: Fitted) -> tuple[Ar
     samples = Samples.at(q, load)
     poses, J = fitted.kinematics.twists(fitted.estimate.x, samples, rotation=False)
     T_base_target = truth.tip_poses(q) @ truth.T_tip_target[0]
-    if scenario.kind.position:
+    if scenario.kind.position or scenario.kind.optical:
         T_frame_target = truth.T_frame_base[0] @ T_base_target
         return poses[:, :3, 3] - T_frame_target[:, :3, 3], J
     # Lengths do not tell where the base is: only the shape of all positions counts.
@@ -274,10 +306,10 @@ def forecast_of_trial(trials: Trials, seed: int) -> Forecast | None:
         seed: Of the trial.
 
     Returns:
-        The forecast; None without noise, or for a cell that has none.
+        The forecast; None without noise, for pictures, or for a cell that has none.
     """
     scenario = trials.scenario
-    if scenario.noise is None:
+    if scenario.noise is None or scenario.kind.optical:
         return None
     cell = replace(
         trials.cell,

@@ -52,23 +52,31 @@ def write_truth(
     Raises:
         FileError: It cannot be written.
     """
-    truth, model = simulated.truth, simulated.truth.model
-    parameters = zip(model.parameters, truth.x, strict=True)
     content = {
         "schema": SCHEMA,
         "seed": simulated.seed,
-        "robot": _robot_table(truth.nominal),
-        "model": {"set": model.name, "ties": list(_ties(model))},
-        "parameters": [{"name": p.name, "unit": p.unit, "value": value} for p, value in parameters],
-        "displacements": list(_displacements(truth)),
-        **_places(truth),
-        "payload": truth.payload and {"mass_kg": truth.payload.mass, "com_m": truth.payload.com},
-        "gravity_m_s2": truth.gravity,
+        **truth_table(simulated.truth),
         "instrument": _instrument_table(scenario),
         "events": _event_table(scenario, simulated),
         "rows": list(_rows(simulated)),
     }
     return write_atomically(path, json_bytes(content), overwrite=overwrite)
+
+
+def truth_table(truth: Truth) -> dict[str, Any]:
+    """Return the part of the file that describes a robot with its errors, its targets and its frames."""
+    model = truth.model
+    parameters = zip(model.parameters, truth.x, strict=True)
+    payload = truth.payload
+    return {
+        "robot": _robot_table(truth.nominal),
+        "model": {"set": model.name, "ties": list(_ties(model))},
+        "parameters": [{"name": p.name, "unit": p.unit, "value": value} for p, value in parameters],
+        "displacements": list(_displacements(truth)),
+        **_places(truth),
+        "payload": payload and {"mass_kg": payload.mass, "com_m": payload.com},
+        "gravity_m_s2": truth.gravity,
+    }
 
 
 def _robot_table(robot: Robot) -> dict[str, Any]:
@@ -109,16 +117,16 @@ def _displacements(truth: Truth) -> Iterator[dict[str, Any]]:
 def _places(truth: Truth) -> dict[str, Any]:
     """Return true joint origins, targets and frames."""
     origins = [
-        {"joint": name, **_pose_table(T)} for name, T in sorted(truth.robot.origins().items())
+        {"joint": name, **pose_table(T)} for name, T in sorted(truth.robot.origins().items())
     ]
     targets = [
-        {"target": name, **_pose_table(true), **_pose_table(stated, "said_")}
+        {"target": name, **pose_table(true), **pose_table(stated, "said_")}
         for name, true, stated in zip(
             truth.targets, truth.T_tip_target, truth.stated_T_tip_target, strict=True
         )
     ]
     frames = [
-        {"group": name, **_pose_table(T, "frame_base_")}
+        {"group": name, **pose_table(T, "frame_base_")}
         for name, T in zip(truth.groups, truth.T_frame_base, strict=True)
     ]
     return {"origins": origins, "targets": targets, "set_ups": frames}
@@ -169,7 +177,7 @@ def _rows(simulated: Simulated) -> Iterator[dict[str, Any]]:
         yield dict(zip(_ROW, row, strict=True))
 
 
-def _pose_table(T: Array, prefix: str = "") -> dict[str, Any]:
+def pose_table(T: Array, prefix: str = "") -> dict[str, Any]:
     """Return a pose, position [m] and roll, pitch, yaw about fixed axes x, y, z [rad], by keys with a prefix."""
     rpy = pin.rpy.matrixToRpy(np.ascontiguousarray(T[:3, :3]))
     return {f"{prefix}xyz_m": T[:3, 3], f"{prefix}rpy_rad": rpy}

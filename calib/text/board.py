@@ -30,6 +30,16 @@ _FAR_PERCENT = 1.0
 #: A length that is further off was not drawn by calib, but assumed [%].
 _RESIZED_PERCENT = 10.0
 
+_NEW_LAYOUT = (
+    "Note: OpenCV before 4.6 lays an even number of rows out in another way; programs that use it see the markers but "
+    "no corners. An odd number of rows is the same for all."
+)
+
+_LEGACY_LAYOUT = (
+    "Note: with an even number of rows in the legacy layout, programs with OpenCV 4.6 or newer see the markers but no "
+    "corners, unless they are set to it. calib reads the layout from the description."
+)
+
 _FITTED_TO_PAGE = (
     "Note: the print is more than 1 % off; was it printed to fit the page? It can be used as it is if width and height "
     "are off alike: measure both."
@@ -47,7 +57,9 @@ def _squares(board: Board) -> str:
         return (
             f"{board.columns} x {board.rows} tags of {_mm(board.marker)} every {_mm(board.square)}"
         )
-    return f"{board.columns} x {board.rows} squares of {_mm(board.square)}"
+    text = f"{board.columns} x {board.rows} squares of {_mm(board.square)}"
+    is_legacy = board.pattern == CHARUCO and board.legacy and board.rows % 2 == 0
+    return f"{text}, legacy layout" if is_legacy else text
 
 
 def _markers(board: Board) -> str:
@@ -101,7 +113,7 @@ def drawn_text(board: Board, sheet: Sheet, paper: str, files: Iterable[Path]) ->
     for path in files:
         lines.append(f"Written: {str(path).ljust(longest)}  {_OUTPUTS[path.suffix[1:]]}")
     toml = next((path for path in files if path.suffix == ".toml"), files[0].with_suffix(".toml"))
-    return [*lines, "", *_next_steps(board, sheet, files[0], toml)]
+    return [*lines, "", *_next_steps(board, files[0], toml)]
 
 
 def _on(sheet: Sheet, paper: str) -> str:
@@ -109,8 +121,8 @@ def _on(sheet: Sheet, paper: str) -> str:
     if paper == NO_PAPER:
         return f"on a sheet of {_mm(sheet.width)} x {_mm(sheet.height)}"
     name = paper.upper() if len(paper) == len("a4") else paper
-    is_upright = sheet.width <= PAPERS[paper][0]
-    return f"on {name} paper, {'upright' if is_upright else 'lying'}"
+    is_portrait = sheet.width <= PAPERS[paper][0]
+    return f"on {name} paper, {'portrait' if is_portrait else 'landscape'}"
 
 
 def _notes(board: Board) -> list[str]:
@@ -123,24 +135,18 @@ def _notes(board: Board) -> list[str]:
             )
         ]
     if board.pattern == CHARUCO and board.rows % 2 == 0:
-        return [
-            fill(
-                "Note: OpenCV before 4.6 lays an even number of rows out in another way; programs that use it see the "
-                "markers but no corners. An odd number of rows is the same for all."
-            )
-        ]
+        return [fill(_LEGACY_LAYOUT if board.legacy else _NEW_LAYOUT)]
     return []
 
 
-def _next_steps(board: Board, sheet: Sheet, pdf: Path, toml: Path) -> list[str]:
+def _next_steps(board: Board, pdf: Path, toml: Path) -> list[str]:
     """Say what to do with the print."""
     width = board.size[0]
-    rulers = "100 mm and 4 inches" if sheet.inches else "100 mm"
     over = f"{board.columns} squares"
     if board.pattern == APRILTAG:
         over = f"{board.columns} tags, from edge to edge"
     steps = [
-        f"Print {pdf} at 100 % ('actual size', not 'fit to page'). The rulers on the page must be {rulers} long.",
+        f"Print {pdf} at 100 % ('actual size', not 'fit to page'). Check the rulers on it: they must be as long as they say.",
         "Glue the print onto something flat and stiff, such as glass or an aluminium panel; cardboard bends.",
         f"Measure the pattern across with a ruler or a caliper: {over}, drawn {_mm(width)}. Give calib what you read, "
         "for every length that the camera finds depends on it:",

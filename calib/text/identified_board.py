@@ -23,7 +23,8 @@ _FINDINGS = {
     BOTTOM_UP: "The ids of the tags begin in the lowest row, as in Kalibr's grids. calib counts from the top: print a "
     "board of calib's, for this one cannot be described.",
     CUT_OFF: "The picture ends less than a row below the last row seen; if the board has more rows, correct them.",
-    MISSING: "Some markers are not found: hidden, cut off, blurred or in glare. A picture of the whole board is safer.",
+    MISSING: "Some markers are not found: hidden, cut off, blurred or in glare. Check the rows against the board, or "
+    "take a picture of all of it.",
     HALF_TURN: "With these columns and rows the chessboard looks the same after half a turn.",
 }
 
@@ -79,7 +80,12 @@ def _size_text(board: Board) -> str:
 
 
 def next_lines(board: Board, path: str) -> list[str]:
-    """Say how to give the size of a board whose description was written."""
+    """Say how to give the size of a board whose description was written.
+
+    Args:
+        board: The board, of the size that was assumed.
+        path: The file of its description.
+    """
     return [
         fill(f"Next: measure over {board.columns} squares, and give calib what you read, such as"),
         f'  calib board {path} --measured "{30 * board.columns:g} mm / {board.columns}"',
@@ -92,7 +98,12 @@ def described(board: Board) -> list[str]:
 
 
 def nothing_text(identified: Identified, picture: str) -> str:
-    """Return the message for a picture without a board."""
+    """Return the message for a picture without a board.
+
+    Args:
+        identified: What was found instead.
+        picture: The file of the picture.
+    """
     if not identified.markers:
         return (
             f"{picture}: no board is found, neither markers nor a chessboard. The board should fill a third of the "

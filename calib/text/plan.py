@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from calib.channels import RESIDUAL_UNITS
 from calib.robot.ranges import range_text
+from calib.text.image_plan import image_facts, image_head
 from calib.text.layout.lines import fill, row_ranges, wrap
 from calib.text.layout.tables import Column, labelled, name_column, table_lines
 from calib.text.readings import coupling_sentence
@@ -33,7 +34,11 @@ _REASONS = {
     "region": "outside the region",
     "tracker_range": "out of the tracker's range",
     "reflector_cone": "with the reflector turned away",
-    "beam": "with the beam obstructed",
+    "beam": "with the line of sight obstructed",
+    "limits": "not within the joint ranges",
+    "focus": "too near or too far",
+    "tilt": "too slanted",
+    "image": "not in the image",
     "collision": "in collision",
 }
 
@@ -41,9 +46,17 @@ _REASONS = {
 _NOTES: dict[Code, str] = {
     "generic_target": "No target was given: planned for one at {0} m in the tip (--target).",
     "orientation_noise": "Assumed noise of an orientation: {0} rad about each axis (sigma_angle_deg in the cell).",
+    "camera_assumed": "Nothing is known of the camera's intrinsics: planned for a focal length of {0} px and no "
+    "distortion.",
+    "image_noise": "Assumed noise of a corner: {0} px in u and v (sigma_image_px in the cell).",
+    "board_scale": "Most of the expected error comes from the scale of the print, which is known to {0} %: with an "
+    "exact one it would be {1}. Measure the print with a caliper, and state it in the board's description.",
     "reflector_not_checked": "The reflector's direction was not checked: the tracker's position is not known "
     "(--tracker).",
     "collisions_not_checked": "Collisions were not checked.",
+    "images_checked": "Checked for collisions: links, the board as a plate of 10 mm, and the camera as a ball, in the "
+    "hand as a rod, with each other{0}; and that no link is between the camera and the board. Not checked: obstacles "
+    "that the cell file does not name, cables, hoses, brackets, people. Run the first round slowly.",
     "collisions_checked": "Checked for collisions: links, and each target with a rod of {0} as its holder, with each "
     "other{1}. Not checked: obstacles that the cell file does not name, cables, hoses, other holders, the "
     "instrument, people. Run the first round slowly.",
@@ -67,11 +80,21 @@ def plan_text(plan: PlanValues) -> str:
 
 def note_text(note: Note) -> str:
     """Word a note of a plan."""
+    if note.code == "board_scale":
+        scale, rms = map(float, note.values)
+        return _NOTES[note.code].format(f"{100 * scale:.2g}", _mm(rms))
+    if note.code == "images_checked":
+        return _NOTES[note.code].format(_and_with(note.values))
     if note.code == "collisions_checked":
         radius, *obstacles = note.values
-        others = f" and with {', '.join(map(str, obstacles))}" if obstacles else ""
+        others = _and_with(obstacles)
         return _NOTES[note.code].format(f"{1e3 * float(radius):g} mm radius", others)
     return _NOTES[note.code].format(", ".join(map(str, note.values)))
+
+
+def _and_with(obstacles: Sequence[str | float]) -> str:
+    """Word further bodies that are compared; empty where there are none."""
+    return f" and with {', '.join(map(str, obstacles))}" if obstacles else ""
 
 
 def _paragraphs(*paragraphs: Iterable[str]) -> str:
@@ -96,17 +119,25 @@ def _mm(value: float) -> str:
 
 def _head(plan: PlanValues) -> Iterator[str]:
     """Write the robot, the numbers of poses and candidates, and the model."""
+    if plan.sight is None:
+        yield _instrument_head(plan)
+    else:
+        yield image_head(plan)
+    for label, text in _labelled_facts(plan):
+        yield labelled(label, text, _PLAN_LABEL, "  ")
+    coupling = coupling_sentence(plan.robot)
+    if coupling:
+        yield wrap(coupling, "  ")
+
+
+def _instrument_head(plan: PlanValues) -> str:
+    """Word the robot, its chain, the numbers of poses and the targets."""
     robot, count = plan.robot, len(plan.estimation)
     taken = f" beside {len(plan.taken)} measured already" if len(plan.taken) else ""
-    yield (
+    return (
         f"Plan for '{robot.name}' ({robot.urdf.source}), chain {robot.base} to {robot.tip}: {count} poses for "
         f"calibration{taken}, {len(plan.joints) - count} for validation; targets at each: {', '.join(plan.targets)}."
     )
-    for label, text in _labelled_facts(plan):
-        yield labelled(label, text, _PLAN_LABEL, "  ")
-    coupling = coupling_sentence(robot)
-    if coupling:
-        yield wrap(coupling, "  ")
 
 
 def _labelled_facts(plan: PlanValues) -> Iterator[tuple[str, str]]:
@@ -115,6 +146,8 @@ def _labelled_facts(plan: PlanValues) -> Iterator[tuple[str, str]]:
     auto = ", for 'auto'" if plan.cell.model != plan.model else ""
     indices = ", ".join(f"{name} {value:.3g}" for name, value in forecast.indices.items())
     rejected = ", ".join(f"{n} {_REASONS[why]}" for why, n in plan.refused.items() if n)
+    if plan.sight is not None:
+        yield from image_facts(plan)
     yield "criterion", _CRITERIA[plan.request.criterion]
     yield (
         "error model",

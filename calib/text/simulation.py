@@ -44,7 +44,7 @@ def simulated_text(scenario: Scenario, simulated: Simulated) -> str:
         ("Targets at each pose", ", ".join(truth.targets)),
         ("Stations in turn", ", ".join(truth.groups)),
         ("Visits of each pose", str(scenario.visits)),
-        *_errors(simulated),
+        *error_lines(simulated.truth, simulated.q),
         *_places(scenario, simulated),
         *_disturbances(scenario, simulated),
     ]
@@ -55,9 +55,13 @@ def simulated_text(scenario: Scenario, simulated: Simulated) -> str:
     return "\n".join(lines)
 
 
-def _errors(simulated: Simulated) -> Iterator[tuple[str, str]]:
-    """Label and text of the true errors of each family, and of the nominal robot's position error."""
-    truth = simulated.truth
+def error_lines(truth: Truth, q: Array) -> Iterator[tuple[str, str]]:
+    """Yield label and text of the true errors of each family, and of the nominal robot's position error.
+
+    Args:
+        truth: The robot with its errors, and its target.
+        q: True joint values that were measured at, shape (N, m), [rad] or [m].
+    """
     families = _errors_by_family(truth)
     model = f"model {truth.model.name}"
     if not families:
@@ -65,7 +69,7 @@ def _errors(simulated: Simulated) -> Iterator[tuple[str, str]]:
     yield "True errors", model
     for (family, unit), errors in families.items():
         yield f"  {family}", _family_text(errors, unit)
-    distances = truth.nominal_errors(simulated.q)
+    distances = truth.nominal_errors(q)
     text = f"{_mm(rms(distances))} mm rms, {_mm(distances.max())} mm at most"
     yield "  of the nominal robot", text
 
@@ -103,12 +107,12 @@ def _places(scenario: Scenario, simulated: Simulated) -> Iterator[tuple[str, str
     truth = simulated.truth
     targets = zip(truth.targets, truth.T_tip_target, truth.stated_T_tip_target, strict=True)
     for name, T, given in targets:
-        place = f"{_point(T[:3, 3])} mm in the tip, given as {_point(given[:3, 3])} mm"
+        place = f"{point_mm(T[:3, 3])} mm in the tip, given as {point_mm(given[:3, 3])} mm"
         yield f"Target '{name}'", place
     if not scenario.kind.directions:
         return  # No row depends on a frame.
     for name, T in zip(truth.groups, truth.T_frame_base, strict=True):
-        place = f"the base is at {_point(T[:3, 3])} mm in it"
+        place = f"the base is at {point_mm(T[:3, 3])} mm in it"
         if np.abs(T - np.eye(4)).max() < _ROUNDING:
             place = "the base frame"
         label = f"Frame of '{name}'" if name else "Measurement frame"
@@ -126,20 +130,25 @@ def _disturbances(scenario: Scenario, simulated: Simulated) -> Iterator[tuple[st
         yield "Noise of an orientation", f"{angle:g} deg about each axis"
     if "px" in kind.units:
         yield "Noise of an image coordinate", f"{scenario.sigma.get('px', 0.0):g} px"
-    encoder = scenario.encoder
-    steps = (f"{np.degrees(encoder.angle):g} deg", f"{1e3 * encoder.length:g} mm")
-    nonzero_steps = [step for step in steps if not step.startswith("0 ")]
-    yield "Encoder steps", ", ".join(nonzero_steps)
+    yield "Encoder steps", encoder_steps(scenario)
     if simulated.outlier_rows and scenario.outliers is not None:
         size = _mm(scenario.outliers.size)
         yield f"Outliers of {size} mm", f"rows {row_ranges(simulated.outlier_rows)}"
     moved = scenario.moved
     if moved is not None:
         targets = "all targets" if moved.target is None else f"'{moved.target}'"
-        by = f"{_point(moved.by)} mm in the tip before row {moved.row}"
+        by = f"{point_mm(moved.by)} mm in the tip before row {moved.row}"
         yield "Moved target", f"{targets} by {by}: {int(simulated.moved.sum())} rows"
     if scenario.drift.any():
-        yield "Drift, first to last row", f"{_point(scenario.drift)} mm in the measurement frame"
+        yield "Drift, first to last row", f"{point_mm(scenario.drift)} mm in the measurement frame"
+
+
+def encoder_steps(scenario: Scenario) -> str:
+    """Word the steps of the encoders; empty: they have none."""
+    encoder = scenario.encoder
+    steps = (f"{np.degrees(encoder.angle):g} deg", f"{1e3 * encoder.length:g} mm")
+    nonzero_steps = [step for step in steps if not step.startswith("0 ")]
+    return ", ".join(nonzero_steps)
 
 
 def _noise(scenario: Scenario, simulated: Simulated) -> str:
@@ -236,7 +245,7 @@ def _mm(value: float) -> str:
     return f"{1e3 * float(value):.3g}"
 
 
-def _point(values: Array) -> str:
+def point_mm(values: Array) -> str:
     """Format three lengths [m] in mm."""
     coordinates = [f"{1e3 * v + 0.0:.3f}".rstrip("0").rstrip(".") for v in values]
     return f"({', '.join(coordinates)})"

@@ -16,12 +16,15 @@ import numpy as np
 from meshcat import geometry as mc
 
 from calib.design.forecast import position_std
+from calib.design.images.plan_file import distances_and_tilts, image_name
+from calib.design.images.sensitivity import sensitivity_of
 from calib.design.plan import PlanValues
 from calib.regions.region_rows import RegionView
 from calib.report.figure_base import BEAM, ESTIMATION, LITTLE_TO_MUCH, NOMINAL, VALIDATION
 from calib.report.figure_region import headings
 from calib.units import Array
 from calib.viewer.html_page import Key, Page
+from calib.viewer.image_view import shown
 from calib.viewer.page import WAY_COLOUR, About, view_page
 from calib.viewer.puppet import translation
 from calib.viewer.scene import (
@@ -82,6 +85,8 @@ def plan_page(plan: PlanValues, *, first_row: int = 1) -> Page:
         plan: The plan.
         first_row: Number of the first row of its table, see `calib.design.plan_file.write_plan`.
     """
+    view = _plan_view(plan, first_row)
+    plan = shown(plan)
     places = plan.places(plan.joints)
     taken = plan.places(plan.taken).reshape(-1, 3)
 
@@ -102,7 +107,7 @@ def plan_page(plan: PlanValues, *, first_row: int = 1) -> Page:
         tracker=None if tracker is None else tracker.position,
         targets=places,
     )
-    return view_page(_plan_view(plan, first_row), about=about)
+    return view_page(view, about=about)
 
 
 def _plan_view(plan: PlanValues, first_row: int) -> View:
@@ -110,14 +115,15 @@ def _plan_view(plan: PlanValues, first_row: int) -> View:
     count = len(plan.joints)
     forecast = plan.forecast
     name = plan.robot.name or "Robot"
+    moving = shown(plan)
     kinds = ["estimation" if word == "estimate" else "validation" for word in plan.sets]
     return View(
-        plan.robot,
+        moving.robot,
         None,
-        plan.joints,
+        moving.joints,
         labels=tuple(f"pose {k + 1} of {count}" for k in range(count)),
         kinds=tuple(kinds),
-        nominal_target=plan.T_tip_target[0],
+        nominal_target=moving.T_tip_target[0],
         title=f"{name}: {count} poses to measure",
         note=f"Expected error of a predicted position after the calibration: {1e3 * forecast.rms:.3f} mm rms over the "
         f"workspace, {1e3 * forecast.rms_low:.3f} to {1e3 * forecast.rms_high:.3f} mm in 90 % of calibrations.",
@@ -136,7 +142,34 @@ def _plan_numbers(plan: PlanValues, first_row: int) -> dict[str, tuple[str, ...]
     Returns:
         K texts by what they are about: millimetres and degrees.
     """
-    numbers = joint_texts(plan.robot, plan.joints)
+    moving = shown(plan)
+    numbers = joint_texts(moving.robot, moving.joints)
+    if plan.sight is None:
+        numbers |= _target_numbers(plan, first_row)
+    else:
+        numbers |= _image_numbers(plan, first_row)
+    measured = np.concatenate([plan.taken, plan.estimation])
+    sensitivity = sensitivity_of(plan.robot, plan.cell, plan.sight)
+    error = position_std(sensitivity, measured, plan.joints).max(axis=1)
+    numbers["expected error once calibrated"] = tuple(
+        f"{1e3 * value:.3f} mm rms" for value in error
+    )
+    return numbers
+
+
+def _image_numbers(plan: PlanValues, first_row: int) -> dict[str, tuple[str, ...]]:
+    """Return the name of each image, and where the board is in it, in words; see `_plan_numbers`."""
+    distances, tilts = distances_and_tilts(plan)
+    return {
+        "image": tuple(image_name(first_row + k) for k in range(len(plan.joints))),
+        "distance of the board": tuple(f"{1e3 * value:.0f} mm" for value in distances),
+        "tilt of the board": tuple(f"{value:.1f} deg" for value in np.degrees(tilts)),
+    }
+
+
+def _target_numbers(plan: PlanValues, first_row: int) -> dict[str, tuple[str, ...]]:
+    """Return the points of each pose and where its targets are expected, in words; see `_plan_numbers`."""
+    numbers: dict[str, tuple[str, ...]] = {}
     count = len(plan.targets)
     points = first_row + np.arange(len(plan.joints) * count).reshape(-1, count)
     for k, target in enumerate(plan.targets):
@@ -144,11 +177,6 @@ def _plan_numbers(plan: PlanValues, first_row: int) -> dict[str, tuple[str, ...]
         numbers[f"point{suffix}"] = tuple(f"P{number}" for number in points[:, k])
         for axis, values in zip("xyz", 1e3 * plan.expected[:, k].T + 0.0, strict=True):
             numbers[f"expected {axis}{suffix}"] = tuple(f"{value:.3f} mm" for value in values)
-    measured = np.concatenate([plan.taken, plan.estimation])
-    error = position_std(plan.robot, plan.cell, measured, plan.joints).max(axis=1)
-    numbers["expected error once calibrated"] = tuple(
-        f"{1e3 * value:.3f} mm rms" for value in error
-    )
     return numbers
 
 

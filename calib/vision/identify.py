@@ -6,6 +6,7 @@ then found in the flipped picture only.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,7 @@ from calib.errors import FileError
 from calib.files import read_bytes
 from calib.units import Array
 from calib.vision.marker_grids import Grid, grid_of
-from calib.vision.markers import Markers, find_markers, smallest_dictionary
+from calib.vision.markers import Markers, find_high_ids, find_markers, smallest_dictionary
 from calib.vision.opencv import opencv
 
 #: Side of the squares in a board that was identified: a picture does not show it [m].
@@ -59,7 +60,7 @@ _FEWEST_CORNERS = 3
 
 @dataclass(frozen=True, slots=True)
 class Identified:
-    """What a picture shows."""
+    """The board in a picture, if there is one."""
 
     #: The board, with squares of `ASSUMED_SQUARE`; None if there is none.
     board: Board | None
@@ -120,14 +121,18 @@ def identify(image: NDArray[np.uint8]) -> Identified:
         CalibError: OpenCV is not installed.
     """
     grey = _prepared(image)
-    as_it_is = _marker_board(grey, mirrored=False)
-    if as_it_is.board is not None:
-        return as_it_is
-    flipped = _marker_board(np.ascontiguousarray(grey[:, ::-1]), mirrored=True)
-    if flipped.board is not None:
-        return flipped
+    upright = _marker_board(find_markers(grey), grey)
+    if upright.board is not None:
+        return upright
     chessboard = _chessboard(grey)
-    return as_it_is if chessboard is None else chessboard
+    if chessboard is not None:
+        return chessboard
+    flipped_picture = np.ascontiguousarray(grey[:, ::-1])
+    flipped = _marker_board(find_markers(flipped_picture), grey)
+    if flipped.board is not None:
+        return replace(flipped, findings=(MIRRORED, *flipped.findings))
+    high = _marker_board(find_high_ids(grey), grey)
+    return upright if high.board is None else high
 
 
 def _prepared(image: NDArray[np.uint8]) -> Any:  # noqa: ANN401  an image of OpenCV
@@ -140,11 +145,16 @@ def _prepared(image: NDArray[np.uint8]) -> Any:  # noqa: ANN401  an image of Ope
     return cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
 
 
-def _marker_board(grey: Any, *, mirrored: bool) -> Identified:  # noqa: ANN401
-    """Identify a board with markers: of all kinds of markers the one with the most on a grid."""
+def _marker_board(kinds: Iterable[Markers], grey: Any) -> Identified:  # noqa: ANN401
+    """Identify a board with markers: of all kinds of markers the one with the most on a grid.
+
+    Args:
+        kinds: The markers of each kind.
+        grey: The picture.
+    """
     best: tuple[Grid, Markers] | None = None
     most: Markers | None = None
-    for markers in find_markers(grey):
+    for markers in kinds:
         if most is None or len(markers.ids) > len(most.ids):
             most = markers
         grid = grid_of(markers)
@@ -153,21 +163,17 @@ def _marker_board(grey: Any, *, mirrored: bool) -> Identified:  # noqa: ANN401
         if best is not None and len(best[0].ids) >= _CERTAIN:
             break
     if best is not None:
-        return _identified(*best, grey.shape, mirrored=mirrored)
+        return _identified(*best, grey.shape)
     if most is None:
         return Identified(None)
     dictionary = smallest_dictionary(most.kind, int(most.ids.max()))
     return Identified(None, (), dictionary, tuple(sorted(map(int, most.ids))))
 
 
-def _identified(
-    grid: Grid, markers: Markers, shape: tuple[int, ...], *, mirrored: bool
-) -> Identified:
+def _identified(grid: Grid, markers: Markers, shape: tuple[int, ...]) -> Identified:
     """Describe the board of a grid of markers."""
     board = _board(grid, markers.kind)
     findings = []
-    if mirrored:
-        findings.append(MIRRORED)
     if grid.layout.bottom_up:
         findings.append(BOTTOM_UP)
     if _is_cut_off(grid, board.rows, shape):

@@ -2,7 +2,8 @@
 
 The ids of a board's markers run along its rows, so a number of columns and a layout say in which cell of the board each
 marker lies. They are right if one homography takes the cells to the picture, and if the markers, taken back by it, are
-upright squares of one size. All numbers of columns are tried.
+upright squares of one size. All numbers of columns are tried, but first without a fit: each marker alone says where its
+neighbours lie, in sides of its own.
 """
 
 from __future__ import annotations
@@ -33,6 +34,12 @@ _SHAPE_TOLERANCE = 0.12
 #: The same in the picture for the centres, in sides of a marker.
 _INLIER = 0.4
 
+#: Neighbours of a marker that are looked at before the fit.
+_NEIGHBOURS = 4
+
+#: Median distance of neighbours from where a layout has them, in cells; a wrong layout has them a whole one off.
+_NEIGHBOUR_TOLERANCE = 0.35
+
 #: Corners of an upright marker of side 1 about its centre, clockwise from top left.
 _UPRIGHT = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
 
@@ -45,7 +52,7 @@ _ALIKE = 0.95
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """Where the markers of a board lie, by their ids."""
+    """The arrangement of a board's markers: which cell each id lies in."""
 
     #: `CHARUCO` or `APRILTAG`.
     pattern: str
@@ -99,7 +106,7 @@ class Grid(Value):
 
     @property
     def plausibility(self) -> float:
-        """How well the grid explains which markers are seen: completeness, less for rare kinds of boards."""
+        """Completeness, reduced for rare kinds of boards: how well the grid explains which markers are seen."""
         value = self.completeness
         if self.layout.first != 0:
             value *= _RARE
@@ -150,12 +157,63 @@ def _layouts_below(lowest: int) -> Iterator[Layout]:
 
 def _best(markers: Markers, layouts: Iterable[Layout]) -> Grid | None:
     """Return the most plausible of the grids with the most markers."""
-    grids = [grid for layout in layouts if (grid := _fitted(markers, layout)) is not None]
+    neighbours = _Neighbours.of(markers)
+    grids = []
+    for layout in layouts:
+        grid = _fitted(markers, layout) if neighbours.agree_with(layout) else None
+        if grid is not None:
+            grids.append(grid)
     if not grids:
         return None
     most = max(len(grid.ids) for grid in grids)
     alike = [grid for grid in grids if len(grid.ids) >= _ALIKE * most]
     return max(alike, key=lambda grid: grid.plausibility)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Neighbours(Value):
+    """Positions of neighbouring markers, in the frame of each marker."""
+
+    #: Ids of the markers, shape (pairs,).
+    ids: Integers
+    #: Ids of their neighbours, shape (pairs,).
+    others: Integers
+    #: From the centre of a marker to that of its neighbour, in sides of the marker, shape (pairs, 2).
+    offsets: Array
+
+    @classmethod
+    def of(cls, markers: Markers) -> _Neighbours:
+        """Look at the nearest neighbours of each marker."""
+        cv2 = opencv()
+        centres = markers.centres
+        ids, others, offsets = [], [], []
+        for k, corners in enumerate(markers.corners):
+            distances = np.linalg.norm(centres - centres[k], axis=1)
+            # An id that is seen twice says nothing of where the board has it.
+            distances[markers.ids == markers.ids[k]] = np.inf
+            nearest = np.argsort(distances)[:_NEIGHBOURS]
+            nearest = nearest[np.isfinite(distances[nearest])]
+            if len(nearest) == 0:
+                continue
+            H = cv2.getPerspectiveTransform(np.float32(corners), np.float32(_UPRIGHT))
+            offsets.append(cv2.perspectiveTransform(centres[None, nearest], H)[0])
+            ids += [markers.ids[k]] * len(nearest)
+            others += list(markers.ids[nearest])
+        pairs = np.concatenate(offsets) if offsets else np.empty((0, 2))
+        return cls(np.array(ids, dtype=int), np.array(others, dtype=int), pairs)
+
+    def agree_with(self, layout: Layout) -> bool:
+        """Return whether most neighbours lie where a layout has them."""
+        if len(self.ids) == 0:
+            return False
+        cells = (layout.cells(self.others) - layout.cells(self.ids)).astype(float)
+        # Sides of a marker in a cell: more than 1, as a marker is smaller than its cell.
+        along = np.sum(self.offsets * cells, axis=1)
+        scale = float(np.median(along / np.sum(cells**2, axis=1)))
+        if scale < 1.0 - _NEIGHBOUR_TOLERANCE:
+            return False
+        distances = np.abs(self.offsets / scale - cells).max(axis=1)
+        return bool(np.median(distances) < _NEIGHBOUR_TOLERANCE)
 
 
 def _fitted(markers: Markers, layout: Layout) -> Grid | None:
@@ -169,15 +227,19 @@ def _fitted(markers: Markers, layout: Layout) -> Grid | None:
     H, near = cv2.findHomography(cells, markers.centres, cv2.RANSAC, threshold, maxIters=200)
     if H is None or near.sum() < FEWEST or abs(np.linalg.det(H)) < 1e-12:
         return None
-    corners = cv2.perspectiveTransform(markers.corners.reshape(1, -1, 2), np.linalg.inv(H))
-    about_cell = corners.reshape(-1, 4, 2) - cells[:, None]
+    about_cell = _in_cells(markers.corners, H) - cells[:, None]
     middle = about_cell.mean(axis=1)
     shape = about_cell - middle[:, None]
     ratio = float(np.median(np.sum(shape * _UPRIGHT, axis=(1, 2)))) / 2.0
-    if not 0.0 < ratio < 1.0:
-        return None
     is_square = np.abs(shape - ratio * _UPRIGHT).max(axis=(1, 2)) < _SHAPE_TOLERANCE
     is_on = is_square & (np.abs(middle).max(axis=1) < _CENTRE_TOLERANCE)
-    if is_on.sum() < FEWEST:
+    if not 0.0 < ratio < 1.0 or is_on.sum() < FEWEST:
         return None
     return Grid(layout, is_on, markers.ids[is_on], H, ratio)
+
+
+def _in_cells(corners: Array, H_image_cells: Array) -> Array:
+    """Take corners of markers from the picture to the cells, shape (n, 4, 2)."""
+    H = np.linalg.inv(H_image_cells)
+    places = opencv().perspectiveTransform(corners.reshape(1, -1, 2), H)
+    return np.asarray(places).reshape(corners.shape)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -29,6 +30,15 @@ KINDS: tuple[tuple[str, ...], ...] = (
     ("DICT_APRILTAG_16h5",),
     ("DICT_ARUCO_MIP_36h12",),
 )
+
+#: Longest side of the picture of a quick look [px].
+_QUICK = 2000
+
+#: Half of the window in which a corner is refined: a larger one reaches the next square's corner [px].
+_REFINED = 2
+
+#: Markers of each kind that a quick look knows.
+_LOW_IDS = 100
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,28 +71,86 @@ class Markers(Value):
 
 
 def smallest_dictionary(kind: tuple[str, ...], largest_id: int) -> str:
-    """Return the smallest dictionary of a kind that has a marker with this id."""
+    """Return the smallest dictionary of a kind that has a marker with this id.
+
+    Args:
+        kind: The dictionaries, the smallest first.
+        largest_id: The id; if none has it, the largest dictionary is returned.
+    """
     for name in kind:
         if largest_id < DICTIONARIES[name].markers:
             return name
     return kind[-1]
 
 
-def find_markers(image: Array) -> Iterator[Markers]:
-    """Find the markers of each kind.
+def find_markers(image: Any) -> Iterator[Markers]:  # noqa: ANN401  an image of OpenCV
+    """Find the markers of the kinds that a quick look sees some of, those with the most first.
+
+    The quick look knows the first hundred markers of each kind, for the time of a search grows with their number.
 
     Args:
         image: Grey picture, shape (height, width), of bytes.
 
     Yields:
-        The markers of each kind of which there are any.
+        The markers of each kind.
+    """
+    counts = _quick_counts(image)
+    for kind in sorted(counts, key=lambda kind: -counts[kind]):
+        markers = _find(image, kind, None)
+        if markers is not None:
+            yield markers
+
+
+def find_high_ids(image: Any) -> Iterator[Markers]:  # noqa: ANN401
+    """Find the markers of the kinds that `find_markers` leaves out; this takes seconds.
+
+    Args:
+        image: Grey picture, shape (height, width), of bytes.
+
+    Yields:
+        The markers of each kind.
+    """
+    counts = _quick_counts(image)
+    for kind in KINDS:
+        markers = None if kind in counts else _find(image, kind, None)
+        if markers is not None:
+            yield markers
+
+
+def _quick_counts(image: Any) -> dict[tuple[str, ...], int]:  # noqa: ANN401
+    """Count the markers with low ids of each kind, in a copy of the picture that is not too large."""
+    scale = _QUICK / max(image.shape)
+    if scale < 1.0:
+        cv2 = opencv()
+        image = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    counts = {}
+    for kind in KINDS:
+        markers = _find(image, kind, _LOW_IDS)
+        if markers is not None:
+            counts[kind] = len(markers.ids)
+    return counts
+
+
+def _find(image: Any, kind: tuple[str, ...], count: int | None) -> Markers | None:  # noqa: ANN401
+    """Find the markers of a kind.
+
+    Args:
+        image: Grey picture.
+        kind: The dictionaries of the kind.
+        count: So many markers of it are known, from id 0; None: all.
+
+    Returns:
+        The markers; None if there are none.
     """
     aruco = opencv().aruco
     parameters = aruco.DetectorParameters()
     parameters.cornerRefinementMethod = aruco.CORNER_REFINE_SUBPIX
-    for kind in KINDS:
-        dictionary = aruco.getPredefinedDictionary(getattr(aruco, kind[-1]))
-        corners, ids, _ = aruco.ArucoDetector(dictionary, parameters).detectMarkers(image)
-        if ids is not None and len(ids):
-            places = np.reshape(np.asarray(corners, dtype=float), (-1, 4, 2))
-            yield Markers(kind, np.asarray(ids, dtype=int).ravel(), places)
+    parameters.cornerRefinementWinSize = _REFINED
+    full = aruco.getPredefinedDictionary(getattr(aruco, kind[-1]))
+    codes = full.bytesList[:count]
+    dictionary = aruco.Dictionary(codes, full.markerSize, full.maxCorrectionBits)
+    corners, ids, _ = aruco.ArucoDetector(dictionary, parameters).detectMarkers(image)
+    if ids is None or len(ids) == 0:
+        return None
+    places = np.reshape(np.asarray(corners, dtype=float), (-1, 4, 2))
+    return Markers(kind, np.asarray(ids, dtype=int).ravel(), places)

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.camera.board import Board
-from calib.camera.paper import BOTTOM_BAND, EDGE, SIDE_BAND, Sheet
+from calib.camera.paper import EDGE, SIDE_BAND, Sheet
 from calib.units import Array
 from calib.values.pickling import Value
 from calib.vision.drawing import black_rectangles
 
-#: Length of the rulers [m]; a pattern that is smaller than the first gets the second.
-_RULERS = (0.1, 0.05)
+#: Lengths of the rulers [m]; the longest that has room is taken.
+_RULERS = (0.1, 0.05, 0.02)
 
 #: Width of the rulers' lines [m].
 _LINE = 0.0002
@@ -86,9 +86,8 @@ def page_of(board: Board, sheet: Sheet, lines: Sequence[str]) -> Page:
     below = y + board.size[1] + sheet.quiet
     leftmost = max(EDGE + SIDE_BAND, min(x, sheet.width - EDGE - _RULER_AND_TEXT))
     across, labels_across = _ruler_across(sheet, leftmost, below)
-    down, labels_down = _ruler_down(sheet, x - sheet.quiet - SIDE_BAND, y)
-    end = labels_across[0].at[0] + _GAP
-    texts = [Text((end, below + TEXT_SIZE + k * _LEADING), line) for k, line in enumerate(lines)]
+    down, labels_down = _ruler_down(sheet, below - y)
+    texts = _paragraph(lines, labels_across[0].at[0] + _GAP, below + TEXT_SIZE)
     return Page(
         sheet.width,
         sheet.height,
@@ -97,6 +96,11 @@ def page_of(board: Board, sheet: Sheet, lines: Sequence[str]) -> Page:
         (*labels_across, *labels_down, *texts),
         board.name,
     )
+
+
+def _paragraph(lines: Sequence[str], x: float, y: float) -> list[Text]:
+    """Return lines of text below each other, the first with its baseline at y [m]."""
+    return [Text((x, y + k * _LEADING), line) for k, line in enumerate(lines)]
 
 
 def _ruler_across(sheet: Sheet, x: float, y: float) -> tuple[Array, list[Text]]:
@@ -117,15 +121,16 @@ def _ruler_across(sheet: Sheet, x: float, y: float) -> tuple[Array, list[Text]]:
     return lines, labels
 
 
-def _ruler_down(sheet: Sheet, x: float, y: float) -> tuple[Array, list[Text]]:
+def _ruler_down(sheet: Sheet, room: float) -> tuple[Array, list[Text]]:
     """Draw the ruler beside the pattern, its ticks away from it; the texts stay as narrow as it is.
 
     Args:
         sheet: The sheet.
-        x: Left edge of the ruler [m].
-        y: Its upper end [m].
+        room: Length that has room above the ruler below the pattern [m].
     """
-    length = _ruler_length(sheet.height - y - EDGE - BOTTOM_BAND)
+    x = sheet.origin[0] - sheet.quiet - SIDE_BAND
+    y = sheet.origin[1]
+    length = _ruler_length(room)
     lines = _ruler(length, inches=sheet.inches)[:, [1, 0, 3, 2]]
     lines[:, 0] = SIDE_BAND - lines[:, 0] - lines[:, 2]
     lines[:, :2] += (x, y)

@@ -58,6 +58,41 @@ def test_random_cameras_are_found(lens):
     assert np.max(errors) < 0.03
 
 
+def test_strong_distortion_is_found_where_the_closed_form_is_far_off():
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        camera = Camera(width=1280, height=720)
+        truth = np.array([660.0, 662.0, 640.0, 355.0, -0.34, 0.084, 1e-3, 0.0, 0.0])
+        seen = views(camera, truth, rng, count=20, noise=0.3)
+        np.testing.assert_allclose(start_of_intrinsics(camera, seen)[:2], truth[:2], rtol=0.02)
+
+
+@pytest.mark.parametrize("lens", LENSES)
+def test_views_that_tell_little_give_something_finite(lens):
+    rng = np.random.default_rng(1)
+    camera, truth = camera_and_truth(lens, rng)
+    (points, pixels), *_ = seen = views(camera, truth, rng, count=3)
+    row = points[:, 1] == points[0, 1]
+    on_line = (points[row], pixels[row])
+    one_place = (points, np.ones_like(pixels))
+    undefined = (points, np.full_like(pixels, np.nan))
+    scattered = (points, rng.uniform(0, 700, pixels.shape))
+    mirrored = (points, camera.width - pixels[:, ::-1])
+    for several in (
+        [seen[0]],
+        [seen[0]] * 5,
+        [on_line, one_place, undefined, *seen],
+        [scattered, *seen],
+        [scattered],
+        [mirrored, scattered],
+    ):
+        start = start_of_intrinsics(camera, several)
+        assert np.all(np.isfinite(start))
+        assert np.all(start[:2] > 0.0)
+    with pytest.raises(MeasurementError, match="not on a line"):
+        start_of_intrinsics(camera, [on_line, one_place, undefined])
+
+
 def test_views_head_on_give_something_finite():
     rng = np.random.default_rng(0)
     camera, truth = camera_and_truth("pinhole", rng)

@@ -121,3 +121,63 @@ def test_without_noise_a_fit_finds_the_truth(simulate, call, shop: Path):
     errors = json.loads((shop / "r.json").read_text())["errors"]["calibrated"]
     assert errors["estimation"]["m"]["max"] < 1e-9
     assert errors["validation"]["m"]["max"] < 1e-9
+
+
+IMAGES = ("--kind", "pixel", "--camera-on", "tool0", "--board-on", "base")
+
+
+@pytest.fixture
+def photograph(call, shop: Path):
+    """A function that simulates pictures of the paper's UR3 in the shop with further words."""
+
+    def run(*words: str):
+        return call(shop, "simulate", "robot.urdf", *words)
+
+    return run
+
+
+def test_pictures_with_their_files_and_the_table_of_corners(photograph, shop: Path):
+    words = (*IMAGES, "--count", "2", "--validation", "1", "--seed", "3")
+    done = photograph(*words, "--images", "pictures", "-o", "t.csv", "--noise", "0.2 px")
+    assert (done.code, done.err) == (0, "")
+    assert max(map(len, done.lines)) <= 100
+    names = sorted(path.name for path in (shop / "pictures").iterdir())
+    pictures = ["picture_01.png", "picture_02.png", "picture_03.png"]
+    assert names == ["board.toml", "camera.yaml", "joints.csv", *pictures]
+    made = table(shop)
+    assert set(made.images) == set(pictures)
+    assert {made.images[i] for i in np.flatnonzero(made.validation)} == {pictures[2]}
+    said = truth(shop)
+    pixels = np.concatenate([picture["pixels"] for picture in said["pictures"]])
+    off = np.column_stack([made.reading("u"), made.reading("v")]) - pixels
+    assert off.std() == pytest.approx(0.2, rel=0.25)
+    for word in ("72 corners in 3 pictures", "Written: pictures/joints.csv", "Written: t.csv"):
+        assert word in done.out
+    again = photograph(*words, "--images", "pictures")
+    assert again.code != 0
+    forced = photograph(*words, "--images", "pictures", "--force")
+    assert forced.code == 0
+    assert (shop / "pictures" / "truth.json").exists()
+
+
+def test_the_same_seed_gives_the_same_corners(photograph, shop: Path):
+    for name in ("one.csv", "two.csv"):
+        assert photograph(*IMAGES, "--count", "2", "-o", name).code == 0
+    assert (shop / "one.csv").read_bytes() == (shop / "two.csv").read_bytes()
+    assert (shop / "one_truth.json").read_bytes() == (shop / "two_truth.json").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--images", "pictures"), "--kind pixel"),
+        ((*IMAGES, "--study", "3", "--planned"), "--planned"),
+        ((*IMAGES, "--noise", "0.1 mm", "-o", "t.csv"), "px"),
+        ((*IMAGES,), "-o table.csv"),
+    ],
+)
+def test_pictures_that_cannot_be_simulated(photograph, shop: Path, words, said):
+    done = photograph(*words)
+    assert done.code != 0
+    assert said in done.err
+    assert not (shop / "pictures").exists()

@@ -118,7 +118,7 @@ def test_the_rms_over_the_workspace_and_its_range_are_those_of_calibrations(coun
 def test_at_single_poses_the_standard_deviations_are_those_whose_rms_the_workspace_has(ur3):
     cell = Cell(model="zeros", target=[0.0, 0.05, 0.1])
     measured, where = spread_poses(ur3, 8), spread_poses(ur3, 30)
-    single = position_std(ur3, cell, measured, where)
+    single = position_std(Sensitivity.of(ur3, cell), measured, where)
     assert single.shape == (30, 1)
     of_ur3 = Sensitivity.of(ur3, cell)
     f = Forecast.of(of_ur3, Workspace.of(of_ur3, where), measured)

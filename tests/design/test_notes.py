@@ -12,6 +12,9 @@ from calib.text.plan import note_text
 VALUES = {
     "generic_target": (0.05, 0.07, 0.03),
     "orientation_noise": (1e-3,),
+    "camera_assumed": (1024.0,),
+    "image_noise": (0.3,),
+    "board_scale": (0.003, 4e-4),
     "collisions_checked": (0.02, "table"),
     "no_geometry": ("a", "b"),
     "always_close": ("a and b",),

@@ -40,3 +40,16 @@ def test_a_trial_is_what_a_person_would_do(ur3):
     )
     assert trial.sigma == result.sigma["m"]
     assert (trial.model, trial.verdict, trial.seed) == ("hayati", "", 11)
+
+
+def test_a_trial_with_a_camera_is_what_a_person_would_do(ur3):
+    """The errors of the joints' zeros alone, and pictures of a board on the table."""
+    robot = ur3.rebuilt(base="tool0", tip="base")
+    cell = Cell(kind="pixel", model="zeros")
+    scenario = Scenario(robot, cell, model="zeros", sigma={"px": 0.1})
+    trial = one_trial(Trials(scenario, cell, count=10, validate=False), 3)
+    assert trial.model == "zeros"
+    assert trial.nominal_rms > 3e-3
+    assert trial.rms < 0.2 * trial.nominal_rms
+    assert 0.2 < trial.rms / trial.stated_rms < 4.0
+    assert (trial.outliers, trial.false_alarms) == (0, 0)

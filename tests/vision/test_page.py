@@ -74,7 +74,7 @@ def test_nothing_is_in_the_quiet_zone_or_at_the_edge(pattern, paper):
 
 def test_a_small_board_has_room_for_ruler_and_text():
     _, sheet, drawn = page(paper="none", columns=3, rows=3, square=0.01)
-    assert [text.text for text in drawn.texts[:3]] == ["100 mm", "50", "mm"]
+    assert [text.text for text in drawn.texts[:3]] == ["100 mm", "20", "mm"]
     assert drawn.texts[3].at[0] < sheet.width - 0.07
     _, sheet, drawn = page(columns=3, rows=3, square=0.01)
     assert drawn.texts[3].at[0] < sheet.width - 0.07

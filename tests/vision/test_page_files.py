@@ -110,7 +110,9 @@ def test_all_charuco_corners_of_the_printed_page(paper, legacy, rows, tmp_path):
     corners, ids, _, markers = cv2.aruco.CharucoDetector(theirs).detectBoard(image)
     assert sorted(markers.ravel()) == list(range(board.markers))
     assert list(ids.ravel()) == list(board.corner_ids())
-    difference = corners.reshape(-1, 2) - expected_pixels(board, sheet)
+    # Before version 5 OpenCV gives the corners of ChArUco boards half a pixel further right and down.
+    shift = 0.5 if int(cv2.__version__.split(".")[0]) < 5 else 0.0
+    difference = corners.reshape(-1, 2) - shift - expected_pixels(board, sheet)
     assert np.abs(difference).max() < 0.05 * PER_MM
     if not legacy:
         assert_squares_are_true(image, board, sheet)

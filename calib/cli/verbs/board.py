@@ -23,7 +23,7 @@ _OUTPUT = "board"
 
 @dataclass(frozen=True, slots=True)
 class DesignOptions:
-    """What is wanted of a new board."""
+    """Specification of a new board."""
 
     pattern: Annotated[
         Literal["charuco", "chessboard", "apriltag"] | None,

@@ -1,27 +1,33 @@
-"""``calib plan``: a robot in, the poses to measure out, and the accuracy to expect."""
+"""``calib plan``: a robot in, the poses to measure out, and the accuracy to expect; images and touches of a board."""
 
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from calib.cli.options import Force, ModelOptions, Quiet, RobotFile, Seed
+from calib.cli.image_plan import ImageOptions, board_of
+from calib.cli.notices import say_accepted
+from calib.cli.options import Accept, Force, ModelOptions, Quiet, RobotFile, Seed
 from calib.cli.outputs import check_outputs, written_lines
 from calib.cli.setup import load, read_cell
 from calib.cli.terminal import stages_bar
 from calib.cli.verb import verb
 from calib.cli.words import parse_held, parse_tracker
+from calib.errors import CalibError, VerdictError
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from calib.data.cell import Cell
     from calib.design.choice import PlanRequest
     from calib.design.collision import CollisionCheck
     from calib.design.plan import PlanValues
     from calib.regions.region import Region
     from calib.robot.robot import Robot
+    from calib.units import Array
 
 _File = Path | None
 
@@ -33,7 +39,10 @@ class PoseOptions:
     count: Annotated[int, typer.Option(metavar="N", help="Poses to calibrate with.")] = 30
     validation: Annotated[int, typer.Option(metavar="N", help="Random validation poses.")] = 5
     criterion: Annotated[str, typer.Option(metavar="V|D|A", help="Optimality criterion.")] = "V"
-    candidates: Annotated[int, typer.Option(metavar="N", help="Poses to choose from.")] = 20_000
+    candidates: Annotated[
+        int | None,
+        typer.Option(metavar="N", help="Poses to choose from. Default: 20000, of images 600."),
+    ] = None
     seed: Seed = 0
     margin: Annotated[str, typer.Option(metavar="ANGLE", help="Margin to joint limits.")] = "5 deg"
     taken: Annotated[_File, typer.Option(help="Table of poses measured already, to add to.")] = None
@@ -71,6 +80,7 @@ class PlanOutputs:
     json: Annotated[_File, typer.Option(help="Plan and forecast as JSON.")] = None
     view: Annotated[_File, typer.Option(help="3D page of the plan.")] = None
     force: Force = False
+    accept: Accept = False
 
 
 @verb("""Plan the poses of a calibration: which to measure, in which order, and how accurate the robot will be.
@@ -81,27 +91,43 @@ Examples:
   calib plan robot.urdf --cell cell.toml --tracker "2500 0 500 mm" -o plan.csv --json plan.json
   calib plan robot.urdf --region region.json --model dh --count 40 -o plan.csv
   calib plan robot.urdf --taken measured.csv --count 5 --validation 0 -o next.csv
+  calib plan robot.urdf --camera-on tool0 --camera 1280x720 --camera-at "0 60 30 mm"
+    --board-on base_link --board board.toml --board-at "500 0 0 mm 180 0 0 deg" -o images.csv
+  calib plan robot.urdf --touch result.json --board board.toml --pointer "0 0 120 mm" -o touch.csv
 
 Put boxes, reflector, noise and joint ranges into the cell file. Drive the poses from top to bottom, write what was
-measured into the empty columns, and give the table to calib calibrate, which leaves out rows that stay empty.
+measured into the empty columns, and give the table to calib calibrate, which leaves out rows that stay empty. With
+--camera images of a printed board are planned: save each under the name in the table, for calib detect. With --touch
+a calibration is checked: drive a pointer to corners of the board.
 """)
 def plan(
     robot: RobotFile,
     setup: ModelOptions,
     poses: PoseOptions,
+    images: ImageOptions,
     scene: SceneOptions,
     outputs: PlanOutputs,
     quiet: Quiet = False,
 ) -> None:
     """Run the verb; its help is the text of `verb`."""
     files = (outputs.output, outputs.json, outputs.view)
-    check_outputs(files, [robot, setup.cell, scene.region, poses.taken], force=outputs.force)
+    inputs = [robot, setup.cell, scene.region, poses.taken, images.touch]
+    check_outputs(files, inputs, force=outputs.force)
     cell = read_cell(**asdict(setup))
+    if images.touch is not None:
+        _touch(robot, cell, images, scene, outputs, quiet=quiet)
+        return
     cell = replace(cell, tracker=parse_tracker(scene.tracker, cell.tracker))
     collisions = _collision_check(scene)
     arm = _load_chain(robot, cell, poses.taken)
-    request = _request(arm, poses)
-    planned, first_row = _plan(arm, cell, request, poses, scene, collisions, quiet=quiet)
+    taken, first_row = _read_taken(arm, poses.taken, of_images=bool(cell.cameras))
+    request = _request(arm, poses, of_images=bool(cell.cameras))
+    with stages_bar(quiet=quiet) as progress:
+        shared = {"taken": taken, "collisions": collisions, "progress": progress}
+        if cell.cameras:
+            planned = _plan_images(arm, cell, images, request, scene, shared)
+        else:
+            planned = _plan(arm, cell, request, scene, shared)
     _write(planned, outputs, first_row)
     if not quiet:
         from calib.text.plan import plan_text
@@ -118,17 +144,19 @@ def _load_chain(robot: str, cell: Cell, taken: Path | None) -> Robot:
     return load(robot, cell, joints)
 
 
-def _request(arm: Robot, options: PoseOptions) -> PlanRequest:
+def _request(arm: Robot, options: PoseOptions, *, of_images: bool) -> PlanRequest:
     """Return the request for the poses that are wanted."""
     from calib.compensation.inverse import start_values
     from calib.design.choice import PlanRequest
+    from calib.design.images.plan import CANDIDATES
     from calib.units import ANGLE, parse_amount
 
+    usual = CANDIDATES if of_images else PlanRequest().candidates
     request = PlanRequest(
         options.count,
         options.validation,
         options.criterion,
-        options.candidates,
+        usual if options.candidates is None else options.candidates,
         parse_amount(options.margin, "--margin", ANGLE, "5 deg"),
         seed=options.seed,
     )
@@ -158,50 +186,92 @@ def _read_region(arm: Robot, cell: Cell, path: Path | None) -> Region | None:
     return read_region(path, arm, target)
 
 
-def _plan(
-    arm: Robot,
-    cell: Cell,
-    request: PlanRequest,
-    poses: PoseOptions,
-    scene: SceneOptions,
-    collisions: CollisionCheck | None,
-    *,
-    quiet: bool,
-) -> tuple[PlanValues, int]:
-    """Plan the poses.
+def _read_taken(arm: Robot, path: Path | None, *, of_images: bool) -> tuple[Array | None, int]:
+    """Read the poses that are measured already.
 
     Returns:
-        The plan, and the number of its first row: rows go on behind those already measured.
+        Their joint values, None without a table; and the number of the plan's first row, or image, behind theirs.
     """
-    from calib.design.plan import plan as plan_poses
+    from calib.design.images.plan_file import next_number
     from calib.design.plan_file import read_poses
 
+    if path is None:
+        return None, 1
+    measured = read_poses(path, arm, taken=True)
+    first_row = next_number(path) if of_images else max(measured.last_row, 0) + 1
+    return measured.joints, first_row
+
+
+def _plan(
+    arm: Robot, cell: Cell, request: PlanRequest, scene: SceneOptions, shared: Mapping[str, Any]
+) -> PlanValues:
+    """Plan the poses of an instrument, with the arguments that images are planned with, too."""
+    from calib.design.plan import plan as plan_poses
+
     region = _read_region(arm, cell, scene.region)
-    taken, first_row = None, 1
-    if poses.taken is not None:
-        measured = read_poses(poses.taken, arm, taken=True)
-        taken = measured.joints
-        first_row = max(measured.last_row, 0) + 1
-    with stages_bar(quiet=quiet) as progress:
-        planned = plan_poses(
-            arm,
-            cell,
-            request,
-            region=region,
-            taken=taken,
-            collisions=collisions,
-            progress=progress,
-        )
-    return planned, first_row
+    return plan_poses(arm, cell, request, region=region, **shared)
+
+
+def _plan_images(
+    arm: Robot,
+    cell: Cell,
+    images: ImageOptions,
+    request: PlanRequest,
+    scene: SceneOptions,
+    shared: Mapping[str, Any],
+) -> PlanValues:
+    """Plan images of a board."""
+    from calib.compensation.reaching import reach
+    from calib.design.images.plan import plan_images
+
+    if scene.region is not None:
+        raise CalibError("--region is for targets; where the board is seen is said by --board-at.")
+    return plan_images(arm, cell, images.request(), reach, request, **shared)
+
+
+def _touch(
+    robot: str,
+    cell: Cell,
+    images: ImageOptions,
+    scene: SceneOptions,
+    outputs: PlanOutputs,
+    *,
+    quiet: bool,
+) -> None:
+    """Plan to touch corners of a calibrated board."""
+    from calib.compensation.touch import plan_touch
+    from calib.compensation.touch_file import write_touch
+    from calib.result.calibration_file import read_result
+    from calib.text.touch import touch_text
+    from calib.text.verdict import against, refusal
+
+    assert images.touch is not None
+    if outputs.json is not None or outputs.view is not None:
+        raise CalibError("--touch writes a table (-o), no --json and no --view.")
+    result = read_result(images.touch)
+    stated = against(result.verdict)
+    if stated and not outputs.accept:
+        raise VerdictError(refusal(f"'{images.touch}'", stated))
+    load(robot, replace(cell, base=result.nominal.base, tip=result.nominal.tip))
+    touches = plan_touch(
+        result, board_of(cell), images.tool(), images.ids(), collisions=_collision_check(scene)
+    )
+    if outputs.output is not None:
+        write_touch(touches, outputs.output, overwrite=outputs.force)
+    if not quiet:
+        typer.echo("\n".join([touch_text(touches), "", *written_lines(outputs.output)]))
+    say_accepted(f"'{images.touch}'", stated)
 
 
 def _write(planned: PlanValues, outputs: PlanOutputs, first_row: int) -> None:
     """Write the files that were asked for."""
+    from calib.design.images.plan_file import write_image_plan
     from calib.design.plan_file import plan_table, write_plan
     from calib.result.calibration_file import write_table
 
     if outputs.output is not None:
-        write_plan(planned, outputs.output, overwrite=outputs.force, first_row=first_row)
+        write = write_plan if planned.sight is None else write_image_plan
+        write(planned, outputs.output, overwrite=outputs.force, first_row=first_row)
     if outputs.json is not None:
         write_table(plan_table(planned), outputs.json, overwrite=outputs.force)
     if outputs.view is not None:

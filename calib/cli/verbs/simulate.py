@@ -54,8 +54,8 @@ class ScenarioOptions:
     noise: Annotated[
         _Text,
         typer.Option(
-            help='Of a coordinate: "0.05 mm", "15 um + 6 um/m", or none. Default: the cell\'s, or a '
-            "tracker's."
+            help='Of a coordinate: "0.05 mm", "15 um + 6 um/m", or none; of a corner in a picture "0.3 px". '
+            "Default: the cell's, or a tracker's."
         ),
     ] = None
     outliers: Annotated[_Text, typer.Option(metavar='N|"P %"', help="Outliers.")] = None
@@ -81,15 +81,32 @@ class SimulateOutputs:
     output: Annotated[_File, typer.Option("-o", "--output", help="Write the table.")] = None
     truth: Annotated[_File, typer.Option(help="Default: TABLE_truth.json.")] = None
     truth_urdf: Annotated[_File, typer.Option(help="Write the URDF of the true robot.")] = None
+    images: Annotated[
+        _File,
+        typer.Option(
+            metavar="FOLDER",
+            help="Of the kind pixel: draw the pictures into this folder, with joints.csv, board.toml and camera.yaml.",
+        ),
+    ] = None
     json: Annotated[_File, typer.Option(help="Of a study: write every trial as JSON.")] = None
     force: Force = False
 
     @property
     def truth_path(self) -> Path | None:
-        """The file of the truth: as given, or beside the table; None without a table."""
-        if self.truth is not None or self.output is None:
+        """The file of the truth: as given, or beside the table or among the pictures; None without both."""
+        if self.truth is not None:
             return self.truth
+        if self.output is None:
+            return None if self.images is None else self.images / "truth.json"
         return self.output.with_name(f"{self.output.stem}_truth.json")
+
+    @property
+    def files(self) -> list[Path | None]:
+        """The files but the pictures, without what goes into a folder that is yet to be made."""
+        files = [self.output, self.truth_path, self.truth_urdf, self.json]
+        if self.images is None or self.images.is_dir():
+            return files
+        return [path for path in files if path is None or path.parent != self.images]
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,12 +145,16 @@ Examples:
   calib simulate robot.urdf --poses plan.csv --seed 2 -o table.csv --truth truth.json
   calib simulate robot.urdf --count 50 --validation 20 --frame estimate -o table.csv
   calib simulate robot.urdf --error "elbow_joint.rx=2 mrad" --noise none -o table.csv
+  calib simulate ur5 --kind pixel --camera-on tool0 --board-on base_link --images pictures -o corners.csv
   calib simulate robot.urdf --count 30 --planned --study 200
 
 It writes a table for calib calibrate and the truth beside it: the robot's errors, targets, frames and what happened in
 which row. The same seed gives the same files. --model is the error model of the simulated robot, placement by default;
 --target is the nominal place of the target, 50 50 50 mm by default. The cell file's table [simulation] has encoder
 resolution, drift, a moved target and more. A study repeats simulation, calibration and verification with other robots.
+
+Of the kind pixel it places a camera and a printed board, usual ones or those of --camera and --board, and takes
+pictures at poses from which the whole board is seen; --images draws them, for calib detect.
 """)
 def simulate(
     robot: RobotFile,
@@ -148,17 +169,20 @@ def simulate(
     """Run the verb; its help is the text of `verb`."""
     _check_options(outputs, study)
     check_outputs(
-        [outputs.output, outputs.truth_path, outputs.truth_urdf, outputs.json],
+        outputs.files,
         [robot, poses.poses, setup.cell, errors.truth_robot],
         force=outputs.force,
     )
     # Workers begin first: they import what they need while robot and scenario are prepared here.
     with executor_of(jobs.workers, jobs.dask, study.study) as executor:
         simulation = _prepare(robot, setup, errors, poses)
-        if study.study is None:
-            text, written = _simulate_table(simulation, outputs)
-        else:
+        _check_kind(simulation.scenario, outputs, study)
+        if study.study is not None:
             text, written = _run_study(simulation, study, outputs, executor, quiet=quiet)
+        elif simulation.scenario.kind.optical:
+            text, written = _simulate_pictures(simulation, outputs, quiet=quiet)
+        else:
+            text, written = _simulate_table(simulation, outputs)
     if not quiet:
         typer.echo("\n".join([f"{text}\n", *written_lines(*written)]))
 
@@ -169,6 +193,7 @@ def _check_options(outputs: SimulateOutputs, study: StudyOptions) -> None:
         "-o": outputs.output,
         "--truth": outputs.truth,
         "--truth-urdf": outputs.truth_urdf,
+        "--images": outputs.images,
     }
     of_study: dict[str, Any] = {
         "--fit-model": study.fit_model,
@@ -179,8 +204,21 @@ def _check_options(outputs: SimulateOutputs, study: StudyOptions) -> None:
         _refuse_given(of_study, "does not go without --study")
     else:
         _refuse_given(of_table, "does not go with --study")
-    if study.study is None and outputs.output is None:
+    if study.study is None and outputs.output is None and outputs.images is None:
         raise CalibError("Name the table to write: -o table.csv.")
+
+
+def _check_kind(scenario: Scenario, outputs: SimulateOutputs, study: StudyOptions) -> None:
+    """Refuse pictures of other kinds, and plans of pictures in a study; raises `CalibError`."""
+    if outputs.images is not None and not scenario.kind.optical:
+        raise CalibError(
+            "--images draws what a camera sees of a printed board: add --kind pixel, with --camera-on and --board-on."
+        )
+    if study.planned and scenario.kind.optical:
+        raise CalibError(
+            f"--planned does not go with the kind '{scenario.kind.name}', whose poses are those from which the board "
+            "is seen; give those of a plan with --poses."
+        )
 
 
 def _refuse_given(options: Mapping[str, Any], reason: str) -> None:
@@ -239,6 +277,41 @@ def _simulate_table(simulation: _Simulation, outputs: SimulateOutputs) -> tuple[
         urdf = simulated.truth.write_urdf(outputs.truth_urdf, overwrite=outputs.force)
         written.append(urdf)
     return simulated_text(scenario, simulated), written
+
+
+def _simulate_pictures(
+    simulation: _Simulation, outputs: SimulateOutputs, *, quiet: bool
+) -> tuple[str, list[Path]]:
+    """Simulate pictures, write their corners and draw them, as is wanted; returns the text, and the files."""
+    from calib.simulation.camera.picture_files import write_pictures
+    from calib.simulation.camera.simulate import simulate_pictures
+    from calib.simulation.camera.truth_file import write_camera_truth
+    from calib.text.camera_simulation import simulated_pictures_text
+
+    assert outputs.truth_path is not None
+    pictures = simulate_pictures(
+        simulation.scenario,
+        simulation.count,
+        simulation.validation,
+        simulation.seed,
+        simulation.poses,
+        simulation.sets,
+    )
+    written = []
+    if outputs.images is not None:
+        with progress_bar("pictures", quiet=quiet) as progress:
+            drawn = write_pictures(
+                pictures, outputs.images, overwrite=outputs.force, progress=progress
+            )
+        written += [path for path in drawn if path.suffix != ".png"]
+    if outputs.output is not None:
+        pictures.measurements.write(outputs.output, overwrite=outputs.force)
+        written.append(outputs.output)
+    written.append(write_camera_truth(pictures, outputs.truth_path, overwrite=outputs.force))
+    if outputs.truth_urdf is not None:
+        truth = pictures.cell.truth
+        written.append(truth.write_urdf(outputs.truth_urdf, overwrite=outputs.force))
+    return simulated_pictures_text(pictures), written
 
 
 def _run_study(

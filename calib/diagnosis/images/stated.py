@@ -7,7 +7,7 @@ for it.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,13 +16,17 @@ from calib.camera import optics
 from calib.diagnosis.further_unknowns import UNLIKELY, estimate_jointly
 from calib.diagnosis.reasons import Reason, Why
 from calib.estimate.fitting import Fitted
+from calib.model.parameters import Parameter
 from calib.units import Array, Mask
 
 #: Relative errors of focal lengths and boards below this are of no consequence.
 _LEAST_SHARE = 1e-3
 
-#: An estimate this many prior standard deviations from what was stated contradicts it.
-_CONTRADICTS = 3.0
+#: An estimate that differs by so many standard deviations from what was stated contradicts it.
+_CONTRADICTS = 2.6
+
+#: Prior variance of a relative change above which nothing was stated.
+_NOT_STATED = 1.0
 
 #: Focal lengths along u and v.
 _FOCAL = (0, 1)
@@ -112,25 +116,51 @@ def _column(fitted: Fitted, question: _Question) -> Array:
 
 
 def _beyond_priors(fitted: Fitted) -> Iterator[Reason]:
-    """Find focal lengths and scales that were free, and ended far from what was stated."""
-    x = fitted.estimate.x
-    stated = {unknown.parameter.name: unknown for unknown in fitted.setup.optics}
-    worst: dict[tuple[Why, tuple[int, int]], Reason] = {}
+    """Find focal lengths and scales that were free, and that the images have elsewhere than was stated."""
+    groups: dict[tuple[Why, tuple[int, int]], list[int]] = {}
     for k, parameter in fitted.kinematics.model.optical:
         why = _why(parameter.optic)
-        unknown = stated.get(parameter.name)
-        if why is None or unknown is None:
-            continue
-        away = float(x[k]) - unknown.mean
-        if abs(away) < _CONTRADICTS * unknown.sigma:
-            continue
-        nominal = parameter.nominal if why is Why.FOCAL_LENGTH_OFF else 1.0
-        share = away / nominal
-        reason = Reason.of(why, share=share, std=unknown.sigma / nominal, exact=False)
-        key = (why, parameter.samples[0])
-        if key not in worst or abs(share) > abs(worst[key].values["share"]):
-            worst[key] = reason
-    yield from worst.values()
+        if why is not None:
+            groups.setdefault((why, parameter.samples[0]), []).append(k)
+    for (why, _), numbers in groups.items():
+        share, std, z = _mean_share(fitted, numbers)
+        if abs(share) > _LEAST_SHARE and z > _CONTRADICTS:
+            yield Reason.of(why, share=share, std=std, exact=False)
+
+
+def _mean_share(fitted: Fitted, numbers: Sequence[int]) -> tuple[float, float, float]:
+    """Compare the mean of two numbers, along x and y or u and v, with what was stated of it.
+
+    With the prior variance s^2 of the mean, and its variance v after the fit, the images alone have the variance
+    1 / (1 / v - 1 / s^2), and their estimate differs from what was stated by z standard deviations of both together.
+
+    Args:
+        fitted: A fit.
+        numbers: Indices of the parameters, from 0.
+
+    Returns:
+        The mean relative change, the standard deviation that was stated of it, and z; z is 0 where nothing was stated.
+    """
+    model = fitted.kinematics.model
+    stated = {unknown.parameter.name: unknown for unknown in fitted.setup.optics}
+    unknowns = [stated[model.names[k]] for k in numbers]
+    sizes = np.array([_size(model.parameters[k]) for k in numbers])
+    weights = 1.0 / (len(numbers) * sizes)
+    changes = fitted.estimate.x[list(numbers)] - [unknown.mean for unknown in unknowns]
+    prior = float(np.sum((weights * [unknown.sigma for unknown in unknowns]) ** 2))
+    covariance = fitted.estimate.covariance[np.ix_(numbers, numbers)]
+    after = float(weights @ covariance @ weights)
+    share = float(weights @ changes)
+    if prior > _NOT_STATED or not after < prior:
+        return share, float(np.sqrt(prior)), 0.0
+    of_images = 1.0 / (1.0 / after - 1.0 / prior)
+    z = abs(share) * np.sqrt(prior + of_images) / prior
+    return share, float(np.sqrt(prior)), float(z)
+
+
+def _size(parameter: Parameter) -> float:
+    """Return what a change of a parameter is a share of: a focal length, or 1 for a scale."""
+    return parameter.nominal if _why(parameter.optic) is Why.FOCAL_LENGTH_OFF else 1.0
 
 
 def _why(optic: int | None) -> Why | None:

@@ -1,0 +1,1 @@
+"""Corners of boards in one image: markers, prediction, search, refinement."""

@@ -1,0 +1,109 @@
+"""The place of a board in an image by its markers: a map that most of them agree on, and those that do not."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.units import Array, Mask
+from calib.values.pickling import Value
+from calib.vision.corners.markers import Markers
+from calib.vision.corners.planar_map import PlanarMap, fit_planar_map
+from calib.vision.opencv import opencv
+
+#: Fewest markers that place a board.
+FEWEST_MARKERS = 2
+
+#: A marker agrees with a homography whose corners are nearer than this, in sides of a marker: lenses bend.
+_COARSE = 0.4
+
+#: A marker agrees with a map that knows the lens where its corners are nearer than this, in sides of a marker.
+_FINE = 0.15
+
+#: Fewest pixels that either tolerance means.
+_TOLERANCE_PX = 1.5
+
+#: Share of the markers that may disagree on where the board is, and one in any case: an id that was misread. Of a wrong
+#: layout every second row may agree, or all markers but the last of every second row.
+_MISREAD_SHARE = 0.06
+
+#: Fits of the map, each to the markers that agreed with the last.
+_ROUNDS = 3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Placement(Value):
+    """The place of a board by its markers."""
+
+    #: From the board to pixels.
+    map: PlanarMap
+    #: The markers that agree, shape (m,).
+    agrees: Mask
+
+    @property
+    def is_sound(self) -> bool:
+        """True if enough markers agree."""
+        allowed = max(1.0, _MISREAD_SHARE * len(self.agrees))
+        return int(self.agrees.sum()) >= FEWEST_MARKERS and self.misread <= allowed
+
+    @property
+    def misread(self) -> int:
+        """Number of the markers that do not agree."""
+        return int((~self.agrees).sum())
+
+
+def place(markers: Markers, layout: Array, image_size: tuple[int, int]) -> Placement | None:
+    """Place a board by its markers.
+
+    Args:
+        markers: The markers, with ids counted from 0; of those that are not on the board nothing comes.
+        layout: Corners of all markers of the board, shape (markers, 4, 2) [m].
+        image_size: Width and height [px].
+
+    Returns:
+        The placement of most agreement, sound or not; None for fewer than two markers, or no agreement.
+    """
+    if len(markers.ids) < FEWEST_MARKERS:
+        return None
+    points = layout[markers.ids]
+    agrees = _agreeing_on_homography(points, markers.corners)
+    if agrees.sum() < FEWEST_MARKERS:
+        return None
+    for _ in range(_ROUNDS):
+        planar_map = fit_planar_map(
+            points[agrees].reshape(-1, 2), markers.corners[agrees].reshape(-1, 2), image_size
+        )
+        before = agrees
+        agrees = _agreeing(planar_map, points, markers.corners)
+        if agrees.sum() < FEWEST_MARKERS:
+            return None
+        if (agrees == before).all():
+            break
+    return Placement(planar_map, agrees)
+
+
+def _sides(corners: Array) -> Array:
+    """Return the mean side of each marker, shape (m,) [px]."""
+    edges = corners - np.roll(corners, 1, axis=1)
+    return np.asarray(np.linalg.norm(edges, axis=2).mean(axis=1))
+
+
+def _agreeing_on_homography(points: Array, corners: Array) -> Mask:
+    """Return the largest set of markers that one homography explains roughly, shape (m,)."""
+    cv2 = opencv()
+    tolerance = max(_TOLERANCE_PX, _COARSE * float(np.median(_sides(corners))))
+    source = points.reshape(-1, 1, 2)
+    image = corners.reshape(-1, 1, 2)
+    _, used = cv2.findHomography(source, image, cv2.RANSAC, tolerance)
+    if used is None:
+        return np.zeros(len(points), dtype=bool)
+    return np.asarray(used.reshape(-1, 4).astype(bool).all(axis=1))
+
+
+def _agreeing(planar_map: PlanarMap, points: Array, corners: Array) -> Mask:
+    """Return the markers whose corners are where a map has them, shape (m,)."""
+    predicted = planar_map.project(points.reshape(-1, 2)).reshape(-1, 4, 2)
+    distance = np.linalg.norm(corners - predicted, axis=2).max(axis=1)
+    tolerance = np.maximum(_TOLERANCE_PX, _FINE * _sides(corners))
+    return np.asarray(distance <= tolerance)

@@ -1,0 +1,34 @@
+"""Corners to touch in words: joint values from the foot, errors, and what cannot be touched."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from calib.text.touch import touch_text
+from tests.compensation.test_touch import touched
+
+
+def test_each_corner_has_its_place_its_error_and_two_lines_of_joint_values():
+    plan = touched()
+    lines = touch_text(plan).splitlines()
+    assert max(map(len, lines)) <= 100
+    first = next(i for i, line in enumerate(lines) if line.startswith("corner"))
+    above, touch = lines[first + 1 : first + 3]
+    assert above.split()[:4] == ["0", *(f"{1e3 * value:.1f}" for value in plan.places[0])]
+    for line, q in ((above, plan.above[0]), (touch, plan.touching[0])):
+        values = [float(word) for word in line.split()[-6:]]
+        np.testing.assert_allclose(values, np.degrees(q[::-1]), atol=0.0051)
+    error = f"{1e3 * plan.expected[0]:.2f}"
+    assert touch.split()[:4] == ["error", error, "mm", "touch"]
+
+
+def test_what_cannot_be_touched_says_why():
+    plan = touched()
+    reached = np.array([True, False, True, True, True])
+    free = np.array([False, False, True, True, True])
+    text = touch_text(replace(plan, reached=reached, free=free))
+    assert text.count("out of reach") == 1
+    assert text.count("the robot collides") == 1
+    assert text.count(" mm  touch ") == 3
