@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import compress
 
 import numpy as np
 
@@ -49,6 +50,9 @@ _FEWEST = 6
 _CENTRE = 0.1
 _DISTORTION = 0.5
 _FOCAL = 1.0
+
+#: A view whose rms error is so many times that of most is left out.
+_FAR_OFF = 10.0
 
 #: Views that are refined together: enough for a start.
 _REFINED_VIEWS = 40
@@ -208,6 +212,7 @@ def _refined(
     """
     lens = LENSES[camera.lens]
     pairs = [(T, view) for T, view in zip(poses, views, strict=True) if T is not None]
+    pairs = _without_far_off(lens, start, pairs)
     if not pairs:
         return start, np.inf
     T = np.array([pose for pose, _ in pairs])
@@ -236,6 +241,27 @@ def _refined(
         if fall <= _SETTLED * normal.cost:
             break
     return values, normal.cost / sum(len(points) for points, _ in kept)
+
+
+def _without_far_off(
+    lens: Lens, values: Array, pairs: Sequence[tuple[Array, View]]
+) -> list[tuple[Array, View]]:
+    """Return poses and views without those that fit far worse than most, such as of corners that were mixed up.
+
+    Args:
+        lens: The lens model.
+        values: shape (m,), its numbers.
+        pairs: Pose of the board, shape (4, 4) [m], and view of each.
+    """
+    if not pairs:
+        return []
+    counts = np.array([len(points) for _, (points, _) in pairs])
+    poses = np.array([T for T, _ in pairs])
+    residual, _, _ = view_system(poses, [view for _, view in pairs], lens, values)
+    first = np.cumsum([0, *counts[:-1]])
+    mean_squares = np.add.reduceat(np.sum(residual**2, axis=1), first) / counts
+    kept = mean_squares <= _FAR_OFF**2 * np.median(mean_squares)
+    return list(compress(pairs, kept))
 
 
 def _normal(

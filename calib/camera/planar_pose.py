@@ -126,7 +126,8 @@ def closed_form_poses(views: Sequence[View], lens: Lens, values: Array) -> tuple
     poses: list[Array | None] = []
     for (points, pixels), images in zip(views, np.split(rays, ends[:-1]), strict=True):
         if tells_pose(points) and tells_pose(pixels) and tells_pose(images):
-            poses.append(_pose_of_homography(homography(points[:, :2], images)))
+            H = homography(points[:, :2], images)
+            poses.append(_pose_of_homography(H, points[:, :2].mean(axis=0)))
         else:
             poses.append(None)
     return tuple(poses)
@@ -173,15 +174,21 @@ def _normalisation(points: Array) -> Array:
     return np.array([[scale, 0.0, -scale * centre[0]], [0.0, scale, -scale * centre[1]], [0, 0, 1]])
 
 
-def _pose_of_homography(H: Array) -> Array | None:
+def _pose_of_homography(H: Array, centre: Array) -> Array | None:
     """Return the pose, shape (4, 4) [m], of a plane with the homography H to images at a depth of 1.
 
-    None where H is not finite, or of no plane in front of the camera.
+    Args:
+        H: shape (3, 3), of any scale.
+        centre: shape (2,), a point of the plane that is in front of the camera, as its origin need not be.
+
+    Returns:
+        The pose; None where H is not finite, or of no plane in front of the camera.
     """
     sizes = np.linalg.norm(H[:, :2], axis=0)
-    if not np.all(np.isfinite(H)) or min(sizes) <= 0.0 or H[2, 2] == 0.0:
+    depth = H[2] @ [*centre, 1.0]
+    if not np.all(np.isfinite(H)) or min(sizes) <= 0.0 or depth == 0.0:
         return None
-    columns = H * 2.0 / np.sum(sizes) * np.sign(H[2, 2])
+    columns = H * 2.0 / np.sum(sizes) * np.sign(depth)
     U, _, V = np.linalg.svd(
         np.column_stack([columns[:, :2], np.cross(columns[:, 0], columns[:, 1])])
     )

@@ -68,6 +68,17 @@ def test_strong_distortion_is_found_where_the_closed_form_is_far_off():
 
 
 @pytest.mark.parametrize("lens", LENSES)
+def test_views_with_corners_mixed_up_do_no_harm(lens):
+    rng = np.random.default_rng(4)
+    camera, truth = camera_and_truth(lens, rng)
+    seen = views(camera, truth, rng, count=20)
+    for k in (0, 7):
+        points, pixels = seen[k]
+        seen[k] = (points, rng.permutation(pixels))
+    np.testing.assert_allclose(start_of_intrinsics(camera, seen)[:2], truth[:2], rtol=0.02)
+
+
+@pytest.mark.parametrize("lens", LENSES)
 def test_views_that_tell_little_give_something_finite(lens):
     rng = np.random.default_rng(1)
     camera, truth = camera_and_truth(lens, rng)

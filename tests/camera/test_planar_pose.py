@@ -58,6 +58,26 @@ def test_pose_is_that_of_opencv_with_noise():
         np.testing.assert_allclose(found[:3, :3], cv2.Rodrigues(r)[0], atol=1e-4)
 
 
+@pytest.mark.parametrize("name", LENSES)
+def test_a_board_whose_origin_is_behind_the_camera_is_in_front_of_it(name):
+    T = np.eye(4)
+    T[:3, :3] = Rotation.from_rotvec([0.0, -1.0, 0.0]).as_matrix()
+    T[:3, 3] = [-0.05, -0.05, -0.01]
+    points = POINTS[POINTS[:, 0] > 0.08]
+    P = points @ T[:3, :3].T + T[:3, 3]
+    assert P[:, 2].min() > 0.05
+    pixels = LENSES[name].project(P, VALUES[name])
+    found = planar_pose(points, pixels, LENSES[name], VALUES[name])
+    np.testing.assert_allclose(found.T_camera_board, T, atol=1e-8)
+
+
+@pytest.mark.parametrize(
+    "pixels", [np.ones((24, 2)), np.full((24, 2), np.nan), np.arange(48.0).reshape(24, 2)]
+)
+def test_images_at_one_place_or_on_a_line_tell_no_pose(pixels):
+    assert planar_pose(POINTS, pixels, LENSES["pinhole"], VALUES["pinhole"]) is None
+
+
 def test_the_other_pose_is_tilted_the_other_way():
     T = pose(0.3)
     T[2, 3] += 2.0  # so far away that both tilts fit
