@@ -243,7 +243,7 @@ def _touch(
     from calib.compensation.touch import plan_touch
     from calib.compensation.touch_file import write_touch
     from calib.result.calibration_file import read_result
-    from calib.text.touch import touch_text
+    from calib.text.touch import no_touch_text, touch_text
     from calib.text.verdict import against, refusal
 
     assert images.touch is not None
@@ -257,6 +257,8 @@ def _touch(
     touches = plan_touch(
         result, board_of(cell), images.tool(), images.ids(), collisions=_collision_check(scene)
     )
+    if not touches.usable.any():
+        raise CalibError(no_touch_text(touches))
     if outputs.output is not None:
         write_touch(touches, outputs.output, overwrite=outputs.force)
     if not quiet:
