@@ -167,7 +167,11 @@ def corners_of(measurements: Measurements) -> tuple[tuple[str, ...], Integers]:
         for i, point in enumerate(1e3 * measurements.board_points):
             if not names[i] and np.isfinite(point[0]):
                 names[i] = "/".join(f"{coordinate:.3g}" for coordinate in point[:2])
-    present = tuple(dict.fromkeys(names))
+    if all(name.isdecimal() for name in names):
+        # Corners of all tables of a board have the same numbers, in whatever order they are.
+        last = max(map(int, names), default=-1)
+        return tuple(str(k) for k in range(last + 1)), np.array([int(name) for name in names])
+    present = tuple(sorted(set(names)))
     return present, numbered(names, present)
 
 

@@ -25,7 +25,7 @@ def sum_of_squares(setup: Setup, T_base_tip: Array, rows: Rows) -> float:
         rows: N rows.
     """
     T_frame_target = setup.target_poses(T_base_tip, rows.samples)
-    residual = rows.residual(T_frame_target) / rows.scales
+    residual = rows.residual(T_frame_target, setup.optics_at(rows.samples)) / rows.scales
     return float(np.sum(residual[rows.used] ** 2))
 
 
@@ -76,8 +76,9 @@ def _system(
     T_frame_target = displaced.target_poses(T_base_tip, rows.samples)
     twists = _twists(model, directions, displaced, T_frame_target, rows)
     scales = rows.scales
-    residual = rows.residual(T_frame_target) / scales
-    derivative = rows.derivative(T_frame_target, twists.transpose(2, 1, 0))
+    optics = setup.optics_at(rows.samples)
+    residual = rows.residual(T_frame_target, optics) / scales
+    derivative = rows.derivative(T_frame_target, twists.transpose(2, 1, 0), optics)
     jacobian = derivative / -scales[:, :, None]
     return residual[rows.used], jacobian[rows.used]
 

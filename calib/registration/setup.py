@@ -12,7 +12,7 @@ from itertools import compress
 
 import numpy as np
 
-from calib.model.kinematics import Optics, Samples, changed_optics
+from calib.model.kinematics import FIXED, Optics, Samples, changed_optics
 from calib.model.parameters import FRAME, TARGET, ErrorModel, Parameter
 from calib.robot.robot import read_only
 from calib.units import Array, Mask
@@ -137,10 +137,13 @@ class Setup(Value):
         return np.asarray(T_frame_tip @ self.T_tip_target[samples.target])
 
     def optics_at(self, samples: Samples) -> Optics | None:
-        """Return the numbers of camera and board by which images in samples are predicted; None without cameras."""
+        """Return the numbers of camera and board by which images in samples are predicted; None without cameras.
+
+        They count as fixed: no parameter of a derivative changes them.
+        """
         parameters = [unknown.parameter for unknown in self.optics]
         changes = np.array([unknown.change for unknown in self.optics])
-        return changed_optics(samples, parameters, changes, range(len(parameters)))
+        return changed_optics(samples, parameters, changes, [FIXED] * len(parameters))
 
     def seen_by(self, samples: Samples) -> tuple[Mask, Mask]:
         """Return the frames, shape (F,), and the targets, shape (T,), that occur in samples."""

@@ -208,7 +208,8 @@ def accuracy(evaluation: EvaluationValues, *, seen: bool | Mask = False) -> Accu
     if not np.any(measured):
         raise MeasurementError(f"{m.source or 'Measurements'}: no row measures anything.")
     # Repeats have the same joint values: frames, targets and loads of a cell have no part in it.
-    rows, _ = rows_and_setup(evaluation.robot, m, Cell())
+    optical = Cell(cameras=evaluation.cameras, boards=evaluation.boards)
+    rows, _ = rows_and_setup(evaluation.robot, m, optical)
     registration = _registered_to(m, setup, rows)
     of_calibration = seen if isinstance(seen, np.ndarray) else registration & seen
     fitted = measured & of_calibration

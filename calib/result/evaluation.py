@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from calib.blas import one_blas_thread
+from calib.camera.board import Board
+from calib.camera.camera import Camera
 from calib.channels import Channels
 from calib.data.cell import Cell
 from calib.data.columns import DEFAULT_TARGET
@@ -16,6 +18,7 @@ from calib.data.record import BLANK, Record
 from calib.diagnosis.reasons import Reason, Why
 from calib.errors import CalibError, ModelError, choices
 from calib.inputs import CellInput, RobotInput, TableInput, inputs_of
+from calib.mappings import ReadOnlyMapping
 from calib.model.error_model import DIRECTIONS
 from calib.model.kinematics import Samples
 from calib.numerics.errors import Errors
@@ -23,6 +26,7 @@ from calib.registration.registration import nominal_setup, register_held_out
 from calib.registration.rows import Rows
 from calib.registration.setup import Setup
 from calib.registration.table_rows import rows_and_setup
+from calib.result.image_errors import ImageFigures, length_of_pixels
 from calib.result.prediction import NonGeometric
 from calib.robot.robot import Robot, read_only
 from calib.units import Array, Mask
@@ -63,6 +67,11 @@ class EvaluationValues(Value):
     channels: Channels
     #: Who measured what for whom, where, when and with what, as the cell says
     record: Record = BLANK
+    #: Cameras and boards by which images were predicted, as `Cell.cameras` and `Cell.boards`
+    cameras: Mapping[str, Camera] = field(default_factory=ReadOnlyMapping)
+    boards: Mapping[str, Board] = field(default_factory=ReadOnlyMapping)
+    #: Errors of images in pixels and at the board; None without images
+    images: ImageFigures | None = None
 
     @property
     def used(self) -> Mask:
@@ -140,18 +149,24 @@ def evaluate(
         known = non_geometric.setup
     rows, setup = rows_and_setup(arm, table, known_cell)
     if known is not None:
-        setup = _with_known(setup, known, which)
+        setup = replace(_with_known(setup, known, which), optics=known.optics)
     T_base_tip = _tip_poses(arm, rows, non_geometric)
     placed = _registered(T_base_tip, rows, setup, registration_rows(table))
     T_frame_target = placed.target_poses(T_base_tip, rows.samples)
+    optics = placed.optics_at(rows.samples)
+    residual = rows.residual(T_frame_target, optics)
+    scale = length_of_pixels(T_frame_target, optics, rows)
     return EvaluationValues(
         robot=arm,
         measurements=table,
         setup=placed,
         registered=_not_given(setup),
-        residual=read_only(rows.residual(T_frame_target)),
+        residual=read_only(residual),
         channels=rows.channels,
         record=known_cell.record,
+        cameras=known_cell.cameras,
+        boards=known_cell.boards,
+        images=None if scale is None else ImageFigures.of(residual, scale, rows),
     )
 
 

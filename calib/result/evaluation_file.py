@@ -11,6 +11,7 @@ from calib.result.accuracy import Accuracy
 from calib.result.calibration_file import error_table, pose_table, versions
 from calib.result.characteristics import Characteristic
 from calib.result.evaluation import EvaluationValues
+from calib.result.image_errors import ImageFigures
 
 
 def assessment_table(e: Assessment) -> dict[str, Any]:
@@ -50,7 +51,28 @@ def assessment_table(e: Assessment) -> dict[str, Any]:
 
 def _errors_table(evaluation: EvaluationValues) -> dict[str, Any]:
     """Return errors of one robot as nested tables by the set of rows: ``estimation``, ``validation``, ``all``."""
-    return {name: error_table(errors) for name, errors in evaluation.errors.items()}
+    table: dict[str, Any] = {
+        name: error_table(errors) for name, errors in evaluation.errors.items()
+    }
+    if evaluation.images is not None:
+        table["images"] = _images_table(evaluation.images)
+    return table
+
+
+def _images_table(figures: ImageFigures) -> dict[str, Any]:
+    """Return the errors of images, in pixels and as lengths at the board."""
+    return {
+        "images": figures.images,
+        "corners": figures.corners,
+        "mean_px": figures.mean,
+        "p95_px": figures.p95,
+        "max_px": figures.largest,
+        "bias_u_px": figures.bias[0],
+        "bias_v_px": figures.bias[1],
+        "mean_at_board_m": figures.mean_at_board,
+        "p95_at_board_m": figures.p95_at_board,
+        "max_at_board_m": figures.largest_at_board,
+    }
 
 
 def accuracy_table(

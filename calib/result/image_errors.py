@@ -5,18 +5,74 @@ An error of e pixels of a corner at the depth Z is e Z / f at the board, with th
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from calib.camera.optics import INTRINSICS
 from calib.channels import Channels
 from calib.estimate.fitting import Fitted
+from calib.model.kinematics import Optics
 from calib.numerics.errors import Errors
 from calib.registration.rows import Rows
 from calib.units import Array, Mask
 
+#: Percentile that is reported besides mean and largest error.
+_MOST = 95.0
+
+
+@dataclass(frozen=True, slots=True)
+class ImageFigures:
+    """Errors of images in pixels and at the board; the error of a corner is the distance of its image."""
+
+    #: Number of images, and of corners in them
+    images: int
+    corners: int
+    #: Mean of the errors, the 95th percentile, and the largest [px]
+    mean: float
+    p95: float
+    largest: float
+    #: Mean residual, measured minus predicted, along u and along v [px]
+    bias: tuple[float, float]
+    #: Mean, 95th percentile and largest error as a length at the board [m]
+    mean_at_board: float
+    p95_at_board: float
+    largest_at_board: float
+
+    @classmethod
+    def of(cls, residual: Array, scale: Array, rows: Rows) -> ImageFigures | None:
+        """Summarise the residuals of images.
+
+        Args:
+            residual: shape (N, D), measured minus predicted.
+            scale: shape (N,), length that a pixel is at each corner [m/px]; NaN in rows that are no images.
+            rows: The N rows.
+
+        Returns:
+            The figures; None where no row is an image.
+        """
+        images = np.isfinite(scale)
+        if not np.any(images):
+            return None
+        uv = residual[images][:, :2]
+        errors = np.linalg.norm(uv, axis=1)
+        lengths = errors * scale[images]
+        bias = uv.mean(axis=0)
+        return cls(
+            images=len(np.unique(rows.blocks[images])),
+            corners=int(np.sum(images)),
+            mean=float(errors.mean()),
+            p95=float(np.percentile(errors, _MOST)),
+            largest=float(errors.max()),
+            bias=(float(bias[0]), float(bias[1])),
+            mean_at_board=float(lengths.mean()),
+            p95_at_board=float(np.percentile(lengths, _MOST)),
+            largest_at_board=float(lengths.max()),
+        )
+
 
 def metres_per_pixel(fitted: Fitted, rows: Rows) -> Array | None:
-    """Return the length at the board that a pixel is, at each corner.
+    """Return the length at the board that a pixel is, at each corner, as a fit predicts it.
 
     Args:
         fitted: A fit.
@@ -25,13 +81,26 @@ def metres_per_pixel(fitted: Fitted, rows: Rows) -> Array | None:
     Returns:
         shape (N,) [m/px], NaN in rows of other kinds; None where no row is an image.
     """
-    is_image = rows.where(lambda kind: kind.optical)
-    if not np.any(is_image):
-        return None
     x = fitted.estimate.x
-    optics = fitted.kinematics.optics(x, rows.samples)
-    assert optics is not None
-    depth = rows.points(fitted.kinematics.poses(x, rows.samples))[:, 2]
+    T_frame_target = fitted.kinematics.poses(x, rows.samples)
+    return length_of_pixels(T_frame_target, fitted.kinematics.optics(x, rows.samples), rows)
+
+
+def length_of_pixels(T_frame_target: Array, optics: Optics | None, rows: Rows) -> Array | None:
+    """Return the length at the board that a pixel is, at each corner.
+
+    Args:
+        T_frame_target: shape (N, 4, 4), predicted pose of each row's board in its camera [m].
+        optics: Numbers of camera and board; None without images.
+        rows: N rows.
+
+    Returns:
+        shape (N,) [m/px], NaN in rows of other kinds; None where no row is an image.
+    """
+    is_image = rows.where(lambda kind: kind.optical)
+    if optics is None or not np.any(is_image):
+        return None
+    depth = rows.points(T_frame_target)[:, 2]
     focal = np.mean(optics.values[:, INTRINSICS][:, :2], axis=1)
     return np.where(is_image, depth / np.where(is_image, focal, 1.0), np.nan)
 

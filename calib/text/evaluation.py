@@ -23,8 +23,9 @@ from calib.text.accuracy import (
     rows_label,
 )
 from calib.text.layout.doubtful_rows import outside_text
-from calib.text.layout.lines import WIDTH, mm, plural, times, wrap
+from calib.text.layout.lines import WIDTH, mm, number, plural, times, wrap
 from calib.text.layout.sizes import shown, with_unit
+from calib.text.layout.tables import Column, name_column, table_lines
 from calib.text.summary import error_table, error_title
 from calib.text.verdict import reason_text
 
@@ -65,7 +66,7 @@ def assessment_text(e: Assessment, result: str, source: str) -> str:
         The text, in lines of 100 columns.
     """
     places = [textwrap.fill(place, WIDTH) for place in places_of(e, source)]
-    parts = ["\n".join(places), _errors_text(e, result)]
+    parts = ["\n".join(places), _errors_text(e, result), *_images_text(e, result)]
     repeated = any(accuracy.repeats[1] > 1 for accuracy in e.accuracies.values())
     if e.accepted is not None or repeated:
         parts.append(accuracy_text(figures_of(e)))
@@ -273,6 +274,30 @@ def _errors_text(e: Assessment, result: str) -> str:
         lines = error_table(error_title(unit, channels), unit, error_blocks(e, unit, result))
         tables.append("\n".join(lines))
     return "\n\n".join(tables)
+
+
+def _images_text(e: Assessment, result: str) -> Iterator[str]:
+    """Write a table of the errors of images, a row for each robot; nothing without images."""
+    columns = [
+        name_column("Corners of images", 26),
+        *(Column(head, 8) for head in ("mean px", "95 %", "max", "bias u", "bias v")),
+        *(Column(head, 8) for head in ("mean mm", "95 %", "max")),
+    ]
+    rows = []
+    for who, evaluation in e.evaluations.items():
+        i = evaluation.images
+        if i is None:
+            continue
+        pixels = (i.mean, i.p95, i.largest, *i.bias)
+        lengths = (i.mean_at_board, i.p95_at_board, i.largest_at_board)
+        cells = [*(number(value) for value in pixels), *(mm(value) for value in lengths)]
+        rows.append((f"  {NAMES[who].format(result)}", *cells))
+        counted = (
+            f"{i.corners:,} corners in {i.images} images; bias is the mean of measured minus predicted, mm are at the "
+            "board."
+        )
+    if rows:
+        yield "\n".join([*table_lines(columns, rows), textwrap.fill(counted, WIDTH)])
 
 
 def error_blocks(e: Assessment, unit: str, result: str) -> Iterator[tuple[str, Errors] | str]:
