@@ -52,7 +52,15 @@ def write_intrinsics(name: str, source: Source, path: Path, options: Options) ->
 
 
 def calibrated_camera(calibration: CalibrationValues, name: str | None) -> Camera:
-    """Return a camera of a calibration with its numbers as estimated; see `camera_of_station`."""
+    """Return a camera of a calibration with its numbers as estimated.
+
+    Args:
+        calibration: The calibration.
+        name: Name of the camera's station; None: the only camera.
+
+    Raises:
+        ModelError: See `camera_of_station`.
+    """
     return camera_of_station(calibration.cameras, calibration.setup.groups, name)
 
 
