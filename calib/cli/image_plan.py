@@ -11,6 +11,8 @@ import typer
 from calib.errors import CalibError
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from calib.camera.board import Board
     from calib.compensation.touch import Pointer
     from calib.data.cell import Cell
@@ -169,8 +171,17 @@ def pose_of(text: str, option: str) -> Array:
     return T
 
 
-def board_of(cell: Cell) -> Board:
-    """Return the only board of a cell; raises `CalibError` where it has none, or several."""
-    if len(cell.boards) != 1:
+def board_of(cell: Cell, calibrated: Mapping[str, Board]) -> Board:
+    """Return the board whose corners are touched.
+
+    Args:
+        cell: Boards that were given.
+        calibrated: Boards of the result, as it was given them; they count where none was given.
+
+    Raises:
+        CalibError: There is none, or there are several.
+    """
+    boards = cell.boards or calibrated
+    if len(boards) != 1:
         raise CalibError("--touch needs the board whose corners are touched: --board board.toml.")
-    return next(iter(cell.boards.values()))
+    return next(iter(boards.values()))

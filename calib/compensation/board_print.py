@@ -51,7 +51,7 @@ def printed_corners(part: FittedModel, board: Board, target: str, points: Array)
     if not numbers:
         return PrintedCorners(points, np.zeros((len(points), 3, 3)))
     by_print = np.stack(slopes, axis=2)
-    values = np.array([part.parameters[k].value for k in numbers])
+    values = part.x[numbers]
     covariance = part.covariance[np.ix_(numbers, numbers)]
     return PrintedCorners(
         points=points + by_print @ values,

@@ -54,6 +54,9 @@ _CHANCE = 0.05
 #: Degrees of freedom from which on the scatter of repeats tells the noise.
 _TELLING_REPEATS = 6.0
 
+#: Coordinates of a corner in the image.
+_AXES_OF_IMAGE = 2
+
 #: The largest value of h (1 - h), for a leverage h.
 _LARGEST_RATIO = 0.25
 
@@ -157,6 +160,7 @@ def arrival_covariance(pair: Pair, q: Array) -> Array:
     part = result.part(non_geometric=pair.non_geometric)
     target, _, arrived = (pose_covariance(part, view) for view in _views(pair, result, part, q))
     lacking = _lacking(result, part, float(target.mean_square[1]))
+    lacking[0] += _lacking_in_images(result, part)
     return np.asarray(arrived.covariance + np.diag(np.repeat(lacking / 3.0, 3)))
 
 
@@ -299,6 +303,29 @@ def _lacking(result: CalibrationValues, part: FittedModel, predicted_angle: floa
         residuals = _Residuals(errors[unit].n, errors[unit].rms, scalars[unit], predicted[unit])
         excess.append(residuals.beyond(sigma[unit], freedom[unit]))
     return np.array(excess)
+
+
+def _lacking_in_images(result: CalibrationValues, part: FittedModel) -> float:
+    """Estimate the mean square of what a model of images lacks, three axes together [m^2]; 0 if chance explains it.
+
+    Held-out errors beyond the stated noise of a corner, as lengths at the board, are taken to be alike along the line
+    of sight. The corners of an image err together: an image counts as one of them.
+
+    Args:
+        result: The calibration.
+        part: Its geometry or its non-geometric model.
+    """
+    held_out = part.cross_validation
+    sigma = result.sigma_given.get("px")
+    if held_out is None or result.metres_per_pixel is None or sigma is None:
+        return 0.0
+    variance = held_out.errors_without_outliers["px"].rms ** 2 / _AXES_OF_IMAGE
+    scalars = _AXES_OF_IMAGE * held_out.folds
+    chance = float(chdtri(scalars, _CHANCE)) / scalars
+    if variance <= chance * sigma**2:
+        return 0.0
+    pixel = float(np.nanmean(np.square(result.metres_per_pixel)))
+    return 3.0 * (variance - sigma**2) * pixel
 
 
 #: Units of a pose: of its position and of its orientation.

@@ -69,7 +69,7 @@ def test_options_of_a_touch():
         (lambda: ImageOptions().tool(), "--pointer"),
         (lambda: ImageOptions(corners="a b").ids(), "--corners"),
         (lambda: ImageOptions(corners=" ").ids(), "--corners"),
-        (lambda: board_of(Cell()), "--board board.toml"),
+        (lambda: board_of(Cell(), {}), "--board board.toml"),
     ],
 )
 def test_options_that_are_missing_or_wrong(make, words):
@@ -79,7 +79,9 @@ def test_options_that_are_missing_or_wrong(make, words):
 
 def test_the_board_of_a_cell():
     board = Board(pattern="chessboard", columns=8, rows=6, square=0.03)
-    assert board_of(Cell(boards={"left": board})) is board
+    other = Board(pattern="chessboard", columns=5, rows=4, square=0.03)
+    assert board_of(Cell(boards={"left": board}), {"": other}) is board
+    assert board_of(Cell(), {"": other}) is other
 
 
 # Calls

@@ -19,8 +19,9 @@ def part(suffix: str = "") -> SimpleNamespace:
     """A fit with a parameter of the robot before those of the print."""
     values = {"joint.z": 0.1} | {f"{name}{suffix}": value for name, value in PRINT.items()}
     root = np.random.default_rng(1).normal(size=(5, 5)) * [1e-3, 1e-3, 2e-4, 1e-3, 2e-4]
-    parameters = [SimpleNamespace(name=name, value=value) for name, value in values.items()]
-    return SimpleNamespace(parameters=parameters, covariance=root @ root.T)
+    parameters = [SimpleNamespace(name=name) for name in values]
+    x = np.array(list(values.values()))
+    return SimpleNamespace(parameters=parameters, x=x, covariance=root @ root.T)
 
 
 def as_in_images(values: list[float]) -> np.ndarray:

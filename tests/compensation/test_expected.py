@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import get_args
 
 import numpy as np
@@ -15,6 +16,7 @@ from calib.compensation.expected import (
     Source,
     _contributions,
     _freedom,
+    _lacking_in_images,
     _mean_errors,
     _Residuals,
     expected_errors,
@@ -275,3 +277,35 @@ def test_true_errors_are_those_expected_over_many_robots(ur3: Robot, known: bool
             expected[k] += expected_errors(pair_of(result, tool=tool, frame=frame), where).mean
     assert expected == pytest.approx(true, rel=0.2)
     assert known or expected[0] > 1.5 * expected[1]
+
+
+# Images
+
+
+def of_images(rms: float, sigma: dict[str, float], pixels=(5e-4, 5e-4, np.nan)) -> SimpleNamespace:
+    """A result of images, and its part, with held-out errors of 30 images."""
+    errors = {"px": SimpleNamespace(rms=rms)}
+    held_out = SimpleNamespace(errors_without_outliers=errors, folds=30)
+    return SimpleNamespace(
+        cross_validation=held_out, sigma_given=sigma, metres_per_pixel=np.array(pixels)
+    )
+
+
+def test_what_a_model_of_images_lacks_is_what_is_beyond_their_noise():
+    # 0.3 px of noise and 0.4 px of lack a coordinate; a pixel is half a millimetre at the board.
+    rms = np.sqrt(2.0 * (0.3**2 + 0.4**2))
+    result = of_images(rms, {"px": 0.3})
+    assert _lacking_in_images(result, result) == pytest.approx(3.0 * (0.4 * 5e-4) ** 2)
+    # A tenth more than the noise is by chance.
+    by_chance = of_images(1.1 * np.sqrt(2.0) * 0.3, {"px": 0.3})
+    assert _lacking_in_images(by_chance, by_chance) == 0.0
+    unstated = of_images(rms, {})
+    assert _lacking_in_images(unstated, unstated) == 0.0
+    unheld = replace_namespace(result, cross_validation=None)
+    assert _lacking_in_images(unheld, unheld) == 0.0
+    points = replace_namespace(result, metres_per_pixel=None)
+    assert _lacking_in_images(points, points) == 0.0
+
+
+def replace_namespace(namespace: SimpleNamespace, **changes) -> SimpleNamespace:
+    return SimpleNamespace(**(vars(namespace) | changes))

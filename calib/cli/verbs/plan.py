@@ -93,7 +93,7 @@ Examples:
   calib plan robot.urdf --taken measured.csv --count 5 --validation 0 -o next.csv
   calib plan robot.urdf --camera-on tool0 --camera 1280x720 --camera-at "0 60 30 mm"
     --board-on base_link --board board.toml --board-at "500 0 0 mm 180 0 0 deg" -o images.csv
-  calib plan robot.urdf --touch result.json --board board.toml --pointer "0 0 120 mm" -o touch.csv
+  calib plan robot.urdf --touch result.json --pointer "0 0 120 mm" -o touch.csv
 
 Put boxes, reflector, noise and joint ranges into the cell file. Drive the poses from top to bottom, write what was
 measured into the empty columns, and give the table to calib calibrate, which leaves out rows that stay empty. With
@@ -255,7 +255,11 @@ def _touch(
         raise VerdictError(refusal(f"'{images.touch}'", stated))
     load(robot, replace(cell, base=result.nominal.base, tip=result.nominal.tip))
     touches = plan_touch(
-        result, board_of(cell), images.tool(), images.ids(), collisions=_collision_check(scene)
+        result,
+        board_of(cell, result.nominal_boards),
+        images.tool(),
+        images.ids(),
+        collisions=_collision_check(scene),
     )
     if not touches.usable.any():
         raise CalibError(no_touch_text(touches))
