@@ -176,7 +176,7 @@ def plan(
 
 
 class Planned(NamedTuple):
-    """What poses are chosen from, and for what."""
+    """Candidates that poses are chosen from, and for what."""
 
     #: The nominal robot in its cell, under the error model of the fit.
     sensitivity: Sensitivity

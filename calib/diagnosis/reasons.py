@@ -55,6 +55,31 @@ class Why(Enum):
     FRAME_MOVED, TARGET_MOVED = range(70, 72)
 
 
+#: Doubts whether the residuals are the measurements' noise.
+NOT_NOISE = (Why.MODEL_LACKS, Why.NOISE_LARGE, Why.NOISE_ABOVE_SIGMA, Why.JOINTS_LAG)
+
+#: What can be improved where the gain is proven, and is then no reason for care.
+REMAINING = (
+    Why.MODEL_LACKS,
+    Why.CORNER,
+    Why.JOINT_PATTERN,
+    Why.REPEATS_AGREE,
+    Why.NO_LENGTH,
+)
+
+#: Reasons that are stated and decide nothing.
+INFORMATION = (Why.SCALE_HIDDEN,)
+
+#: Doubts about given values, which come before all others.
+GIVEN = (Why.TARGET_FAR, Why.BASE_MOVED, Why.FOCAL_LENGTH_OFF, Why.BOARD_SCALE_OFF)
+
+#: Doubts that the input is wrong, however well it fits.
+WRONG_INPUT = (Why.SENSE_REVERSED,)
+
+#: Reasons against a result that better measurements may lift.
+NOT_SEEN = (Why.NOTHING_TO_GAIN, Why.NO_BETTER, Why.TOO_FEW)
+
+
 @dataclass(frozen=True, slots=True)
 class Reason:
     """One reason of a verdict."""

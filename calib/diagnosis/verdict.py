@@ -11,7 +11,20 @@ from scipy.special import stdtr
 
 from calib.channels import RESIDUAL_UNITS
 from calib.diagnosis.further_unknowns import PREDICTS
-from calib.diagnosis.reasons import CARE, NO, USE, Reason, Verdict, Why
+from calib.diagnosis.reasons import (
+    CARE,
+    GIVEN,
+    INFORMATION,
+    NO,
+    NOT_NOISE,
+    NOT_SEEN,
+    REMAINING,
+    USE,
+    WRONG_INPUT,
+    Reason,
+    Verdict,
+    Why,
+)
 from calib.numerics.errors import CrossValidation, Errors
 from calib.units import Array, Integers, Mask
 
@@ -206,31 +219,6 @@ class Evidence:
         return float(np.sqrt(max(remaining, 0.0) / max(before - noise, _TINY)))
 
 
-#: Doubts whether the residuals are the measurements' noise.
-_NOT_NOISE = (Why.MODEL_LACKS, Why.NOISE_LARGE, Why.NOISE_ABOVE_SIGMA, Why.JOINTS_LAG)
-
-#: What can be improved where the gain is proven, and is then no reason for care.
-_REMAINING = (
-    Why.MODEL_LACKS,
-    Why.CORNER,
-    Why.JOINT_PATTERN,
-    Why.REPEATS_AGREE,
-    Why.NO_LENGTH,
-)
-
-#: Reasons that are stated and decide nothing.
-_INFORMATION = (Why.SCALE_HIDDEN,)
-
-#: Doubts about given values, which come before all others.
-_GIVEN = (Why.TARGET_FAR, Why.BASE_MOVED, Why.FOCAL_LENGTH_OFF, Why.BOARD_SCALE_OFF)
-
-#: Doubts that the input is wrong, however well it fits.
-_WRONG_INPUT = (Why.SENSE_REVERSED,)
-
-#: Reasons against a result that better measurements may lift.
-_NOT_SEEN = (Why.NOTHING_TO_GAIN, Why.NO_BETTER, Why.TOO_FEW)
-
-
 @dataclass(frozen=True, slots=True)
 class _Figures:
     """Figures that the rules compare."""
@@ -284,7 +272,7 @@ class _Figures:
         before = e.nominal.errors_without_outliers
         many = flagged > _MANY_OUTLIERS * len(e.outliers)
         # Residuals are noise only if a non-geometric model does not leave far less.
-        not_noise = any(doubt.why in _NOT_NOISE for doubt in e.doubts)
+        not_noise = any(doubt.why in NOT_NOISE for doubt in e.doubts)
         full = max(e.parameters, e.full_model_parameters)
         return cls(
             before=before,
@@ -391,7 +379,7 @@ def _against(e: Evidence, f: _Figures) -> list[Reason]:
         (f.unproven and f.many and not f.accidents, _many_outliers(e, f)),
         (elsewhere, Reason.of(Why.UNKNOWN_ELSEWHERE, **_over_limits(e, f))),
     )[:1]
-    wrong = [doubt for doubt in e.doubts if doubt.why in _WRONG_INPUT]
+    wrong = [doubt for doubt in e.doubts if doubt.why in WRONG_INPUT]
     fails = f.validated and not f.validation_falls
     no_better = Reason.of(Why.VALIDATION_NO_BETTER, **_on_validation(e, f))
     return [*wrong, *first, *_applicable((fails, no_better))]
@@ -402,10 +390,10 @@ def _careful(e: Evidence, f: _Figures, against: list[Reason]) -> list[Reason]:
     doubts = [
         doubt
         for doubt in e.doubts
-        if not _improvable(doubt, f) and _matters(doubt) and doubt.why not in _WRONG_INPUT
+        if not _improvable(doubt, f) and _matters(doubt) and doubt.why not in WRONG_INPUT
     ]
-    given = [doubt for doubt in doubts if doubt.why in _GIVEN]
-    others = [doubt for doubt in doubts if doubt.why not in _GIVEN]
+    given = [doubt for doubt in doubts if doubt.why in GIVEN]
+    others = [doubt for doubt in doubts if doubt.why not in GIVEN]
     of_gain = _careful_of_gain(e, f, against)
     of_rows = _careful_of_rows(e, f, against)
     return [*given, *of_gain, *others, *of_rows]
@@ -446,7 +434,7 @@ def _remaining(e: Evidence, f: _Figures, against: list[Reason]) -> list[Reason]:
     """Reasons that say what to improve, and do not ask for care where held-out rows prove the gain."""
     fewer = Reason.of(Why.FEW_NUMBERS, **_size(e), parameters=e.parameters)
     few = (f.few or f.handful) and not against
-    too_rough = f.before.leading.unit == "px" and any(r.why in _NOT_SEEN for r in against)
+    too_rough = f.before.leading.unit == "px" and any(r.why in NOT_SEEN for r in against)
     first = _applicable(
         (few, fewer),
         (f.accidents, _many_outliers(e, f)),
@@ -462,7 +450,7 @@ def _improvable(doubt: Reason, f: _Figures) -> bool:
     """
     if doubt.why == Why.MODEL_LACKS and "+" not in doubt.values["non_geometric"]:
         return f.held_out <= _LACKING
-    return doubt.why in _REMAINING
+    return doubt.why in REMAINING
 
 
 def _gains(e: Evidence, f: _Figures) -> list[Reason]:
@@ -518,7 +506,7 @@ def _better(why: Why, e: Evidence, f: _Figures) -> Reason:
 
 def _matters(doubt: Reason) -> bool:
     """Tell whether a doubt counts: a drift or a step that does not predict held-out rows is information."""
-    if doubt.why in _INFORMATION:
+    if doubt.why in INFORMATION:
         return False
     falls = doubt.values.get("falls", 1.0)
     return bool(falls >= PREDICTS)

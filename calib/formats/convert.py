@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import calib.plugins as plugins
 from calib.errors import CalibError, choices, did_you_mean
+from calib.formats.camera.intrinsics import write_intrinsics
 from calib.formats.camera.static_transform import LAUNCH
 from calib.formats.camera.write import mounted, write_static_transform
 from calib.formats.dh_files import ENDINGS, DHTables, write_dh
@@ -206,6 +207,12 @@ def _write_static_transform(source: Source, path: Path, options: Options) -> Not
     return ()
 
 
+def _write_intrinsics(name: str, source: Source, path: Path, options: Options) -> Notes:
+    """Write the intrinsics of the camera for ROS or OpenCV."""
+    write_intrinsics(name, source, path, options)
+    return ()
+
+
 def _write_ur_conf(source: Source, path: Path, options: Options) -> Notes:
     """Write the deltas of a calibration.conf."""
     return write_ur_conf(source, path, options.update, overwrite=options.overwrite).notes
@@ -275,6 +282,18 @@ FORMATS: dict[str, Format] = {
         "the camera's pose for ROS 2's static_transform_publisher",
         (".sh", LAUNCH),
         _write_static_transform,
+        of_camera=True,
+    ),
+    "camera-info": Format(
+        "the camera's intrinsics for ROS (camera_info)",
+        YAML,
+        partial(_write_intrinsics, "camera-info"),
+        of_camera=True,
+    ),
+    "opencv-camera": Format(
+        "the camera's intrinsics for OpenCV (FileStorage)",
+        YAML,
+        partial(_write_intrinsics, "opencv-camera"),
         of_camera=True,
     ),
 }

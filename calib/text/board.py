@@ -146,7 +146,7 @@ def _next_steps(board: Board, pdf: Path, toml: Path) -> list[str]:
     if board.pattern == APRILTAG:
         over = f"{board.columns} tags, from edge to edge"
     steps = [
-        f"Print {pdf} at 100 % ('actual size', not 'fit to page'). Check the rulers on it: they must be as long as they say.",
+        f"Print {pdf} at 100 % ('actual size', not 'fit to page'). Check its rulers: they must be as long as they say.",
         "Glue the print onto something flat and stiff, such as glass or an aluminium panel; cardboard bends.",
         f"Measure the pattern across with a ruler or a caliper: {over}, drawn {_mm(width)}. Give calib what you read, "
         "for every length that the camera finds depends on it:",

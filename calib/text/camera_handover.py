@@ -9,12 +9,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pinocchio as pin
 
+from calib.camera.lenses import LENSES
 from calib.errors import choices
-from calib.formats.camera.handover import Handover, PlacedFrame
+from calib.formats.camera.handover import Handover, PlacedFrame, calibration_of
+from calib.formats.camera.intrinsics import calibrated_camera, numbers_of
 from calib.formats.camera.mount import moved_along
 from calib.formats.camera.static_transform import LAUNCH
 from calib.formats.camera.write import transform_of
-from calib.text.layout.lines import deg, fill, mm
+from calib.text.layout.lines import deg, fill, mm, number
 from calib.units import Array
 
 if TYPE_CHECKING:
@@ -26,6 +28,15 @@ _TURNED = np.radians(45.0)
 #: The formats that place a camera.
 _MOUNT = "camera-mount"
 _TRANSFORM = "static-transform"
+
+#: Formats of its intrinsics, and what reads them.
+_INTRINSICS = {
+    "camera-info": "In ROS name it to the driver, as camera_info_url: file://{}.",
+    "opencv-camera": "cv2.FileStorage reads it, from Python and C++.",
+}
+
+#: Decimals of a number of a lens, by its unit.
+_DECIMALS = {"px": 2, "1": 5}
 
 
 def handover_text(conversion: Conversion) -> list[str]:
@@ -41,7 +52,14 @@ def handover_text(conversion: Conversion) -> list[str]:
         return [fill(sentence) for sentence in _mount(conversion)]
     if conversion.format == _TRANSFORM:
         return list(_transform(conversion))
+    if conversion.format in _INTRINSICS:
+        return [fill(sentence) for sentence in _intrinsics(conversion)]
     return []
+
+
+def concerns_robot(conversion: Conversion) -> bool:
+    """Tell if a conversion wrote something of the robot: intrinsics are of the camera alone."""
+    return conversion.format not in _INTRINSICS
 
 
 def _mount(conversion: Conversion) -> Iterator[str]:
@@ -97,6 +115,24 @@ def _transform(conversion: Conversion) -> Iterator[str]:
     path = shlex.quote(str(conversion.path))
     start = "ros2 launch" if conversion.path.suffix.lower() == LAUNCH else "sh"
     yield f"  {start} {path}"
+
+
+def _intrinsics(conversion: Conversion) -> Iterator[str]:
+    """Word the numbers of a camera with their standard deviations, and what reads the file."""
+    calibration = calibration_of(conversion.source)
+    camera = calibrated_camera(calibration, conversion.options.camera.camera)
+    lens = LENSES[camera.lens]
+    sigma = np.zeros(len(lens.names)) if camera.sigma is None else camera.sigma
+    parts = []
+    for k, (name, unit) in enumerate(zip(lens.names, lens.units, strict=True)):
+        decimals = _DECIMALS[unit]
+        value = number(float(numbers_of(camera)[k]), decimals)
+        parts.append(f"{name} {value} ± {number(float(sigma[k]), decimals)}")
+    yield (
+        f"Camera '{camera.name}', {camera.width} x {camera.height} px, {camera.lens}, with standard deviations: "
+        f"{', '.join(parts)}; fx, fy, cx, cy in px."
+    )
+    yield _INTRINSICS[conversion.format].format(conversion.path.resolve())
 
 
 def _pose(T: Array) -> str:

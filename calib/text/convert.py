@@ -69,7 +69,7 @@ def text(conversion: Conversion, name: str) -> str:
         What was read, its verdict, the displacement of the tip, notes, and the file written, in lines of 100 columns.
     """
     from calib.formats.convert import FORMATS
-    from calib.text.camera_handover import handover_text
+    from calib.text.camera_handover import concerns_robot, handover_text
     from calib.text.zeros import has_zeros, zeros_text
 
     notes = [note_text(note) for note in (*conversion.source.notes, *conversion.notes)]
@@ -85,7 +85,7 @@ def text(conversion: Conversion, name: str) -> str:
     paragraphs = [fill(sentence) for sentence in sentences]
     if has_zeros(conversion):
         paragraphs += zeros_text(conversion)
-    elif _displacement(conversion):
+    elif concerns_robot(conversion) and _displacement(conversion):
         paragraphs.append(fill(_displacement(conversion)))
     paragraphs += handover_text(conversion)
     paragraphs += [fill(sentence) for sentence in last]

@@ -35,6 +35,21 @@ def touch_text(plan: TouchPlan) -> str:
     )
 
 
+def no_touch_text(plan: TouchPlan) -> str:
+    """Word that no corner can be touched, why, and what to do."""
+    counts = []
+    out_of_reach = int((~plan.reached).sum())
+    colliding = int((plan.reached & ~plan.free).sum())
+    if out_of_reach:
+        counts.append(f"{out_of_reach} {_NOT_REACHED}")
+    if colliding:
+        counts.append(f"{colliding} where {_COLLIDES}")
+    return (
+        f"None of {len(plan.corners)} corners of '{plan.board.name}' can be touched: {', '.join(counts)}. Take a "
+        "longer --pointer or other --corners; where the board is below the robot's mounting plane, --no-floor."
+    )
+
+
 def _columns(plan: TouchPlan) -> list[Column]:
     """Return the columns of the table."""
     joints = [Column("", 7) for _ in plan.robot.joint_names]

@@ -8,11 +8,12 @@ from typing import get_args
 
 import pytest
 
+from calib.camera.camera_file import read_camera
 from calib.example import dh_rows
 from calib.formats.notes import Code
 from calib.robot.urdf import Urdf
 from calib.text.convert import _NOTES
-from tests.formats.camera.arms import calibration
+from tests.formats.camera.arms import calibration, image_calibration
 from tests.formats.forms import write_forms
 
 
@@ -108,6 +109,20 @@ def test_a_camera_is_handed_over(call, tmp_path):
     words = ("--new-camera-frame", "cam", "-o", "camera.launch.py", "--quiet")
     assert call(tmp_path, "convert", "result.json", *words).code == 0
     assert "'--child-frame-id', 'cam'" in (tmp_path / "camera.launch.py").read_text()
+
+
+def test_intrinsics_are_handed_over(call, tmp_path):
+    image_calibration().write_json(tmp_path / "result.json")
+    done = call(tmp_path, "convert", "result.json", "--to", "camera-info", "-o", "info.yaml")
+    assert (done.code, "1280 x 720 px, pinhole" in said(done.out)) == (0, True)
+    read = read_camera(tmp_path / "info.yaml")
+    written = image_calibration().cameras["color"]
+    assert read.values is not None
+    assert written.values is not None
+    assert read.values.tolist() == written.values.tolist()
+    words = ("--to", "dh", "--camera", "color", "-o", "rows.csv")
+    done = call(tmp_path, "convert", "result.json", *words)
+    assert (done.code, "'dh' has nothing" in said(done.err)) == (1, True)
 
 
 def test_every_note_has_words():

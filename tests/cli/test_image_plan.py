@@ -161,6 +161,11 @@ def test_corners_to_touch(call, images: Path):
         ("7", "above"),
         ("7", "touch"),
     ]
+    far = ("--pointer", "0 0 3000 mm", "--no-collisions", "-o", "far.csv")
+    done = call(images, *given, *far)
+    assert done.code == 1
+    assert "5 out of reach" in " ".join(done.err.split())
+    assert not (images / "far.csv").exists()
     done = call(images, *given, "--json", "touch.json")
     assert done.code == 1
     assert "--touch writes a table" in done.err

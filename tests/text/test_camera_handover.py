@@ -8,17 +8,19 @@ import numpy as np
 import pytest
 
 from calib.formats.camera.options import CameraOptions
-from calib.formats.convert import Conversion, Options
+from calib.formats.convert import Conversion, Options, Source
 from calib.formats.source_kinds import result_source
 from calib.text.camera_handover import handover_text
-from tests.formats.camera.arms import calibration
+from calib.text.convert import text as text_of
+from tests.formats.camera.arms import calibration, image_calibration
 
+IMAGES = result_source(image_calibration(), Options(), "result")
 SOURCE = result_source(calibration(), Options(), "result")
 
 
-def words(to: str, path: str, **names: str) -> list[str]:
+def words(to: str, path: str, source: Source = SOURCE, **names: str) -> list[str]:
     options = Options(camera=CameraOptions(**names))
-    conversion = Conversion(SOURCE, to, Path(path), (), options=options)
+    conversion = Conversion(source, to, Path(path), (), options=options)
     return [" ".join(paragraph.split()) for paragraph in handover_text(conversion)]
 
 
@@ -58,3 +60,23 @@ def test_a_published_pose():
     shown = text[0].split("x y z = ")[1].split(" mm")[0].split()
     np.testing.assert_allclose([float(n) for n in shown], 1e3 * place, rtol=0, atol=6e-4)
     assert words("urdf", "a.urdf") == []
+
+
+def test_intrinsics_with_their_standard_deviations():
+    camera = image_calibration().cameras["color"]
+    assert camera.values is not None
+    assert camera.sigma is not None
+    text = words("camera-info", "camera.yaml", IMAGES)
+    assert "1280 x 720 px, pinhole" in text[0]
+    assert f"fx {camera.values[0]:.2f} ± {camera.sigma[0]:.2f}, fy" in text[0]
+    assert f"k1 {camera.values[4]:.5f} ± {camera.sigma[4]:.5f}, k2" in text[0]
+    assert text[1].endswith(f"file://{Path('camera.yaml').resolve()}.")
+    assert "cv2.FileStorage" in words("opencv-camera", "camera.yaml", IMAGES)[1]
+
+
+def test_the_tip_is_not_spoken_of_where_the_camera_alone_is_written():
+    written = Conversion(IMAGES, "camera-info", Path("c.yaml"), ())
+    assert "'base' lies" not in " ".join(text_of(written, "result.json").split())
+    mount = Options(camera=CameraOptions(new_camera_frame="cam"))
+    moved = Conversion(IMAGES, "camera-mount", Path("a.urdf"), (), options=mount)
+    assert "'base' lies" in " ".join(text_of(moved, "result.json").split())

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.text.touch import touch_text
+from calib.text.touch import no_touch_text, touch_text
 from tests.compensation.test_touch import touched
 
 
@@ -32,3 +32,11 @@ def test_what_cannot_be_touched_says_why():
     assert text.count("out of reach") == 1
     assert text.count("the robot collides") == 1
     assert text.count(" mm  touch ") == 3
+
+
+def test_no_corner_at_all_says_how_many_for_which_reason():
+    plan = touched()
+    reached = np.array([True, False, True, False, False])
+    text = no_touch_text(replace(plan, reached=reached, free=np.zeros(5, dtype=bool)))
+    assert "None of 5 corners" in text
+    assert "3 out of reach, 2 where the robot collides" in text

@@ -226,7 +226,8 @@ def _plan_images(
 
     if scene.region is not None:
         raise CalibError("--region is for targets; where the board is seen is said by --board-at.")
-    return plan_images(arm, cell, images.request(), reach, request, **shared)
+    wanted = replace(images.request(), poses=request)
+    return plan_images(arm, cell, wanted, reach, **shared)
 
 
 def _touch(
@@ -242,7 +243,7 @@ def _touch(
     from calib.compensation.touch import plan_touch
     from calib.compensation.touch_file import write_touch
     from calib.result.calibration_file import read_result
-    from calib.text.touch import touch_text
+    from calib.text.touch import no_touch_text, touch_text
     from calib.text.verdict import against, refusal
 
     assert images.touch is not None
@@ -256,6 +257,8 @@ def _touch(
     touches = plan_touch(
         result, board_of(cell), images.tool(), images.ids(), collisions=_collision_check(scene)
     )
+    if not touches.usable.any():
+        raise CalibError(no_touch_text(touches))
     if outputs.output is not None:
         write_touch(touches, outputs.output, overwrite=outputs.force)
     if not quiet:

@@ -8,17 +8,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
 from calib.design.candidates import Condition, Draws, Pool, collect, rounded
+from calib.design.choice import PlanRequest
 from calib.design.images.bodies import ImageBodies
 from calib.design.images.sight import CameraSight
 from calib.design.images.viewpoints import NUMBERS, viewpoints
 from calib.errors import ModelError
 from calib.jobs import Progress
 from calib.robot.ranges import spread_between
-from calib.robot.robot import Robot, read_only, rigid_inverse
+from calib.robot.robot import Robot, read_only
 from calib.units import Array, Integers, Mask
 
 #: Inverse kinematics: function of wanted poses of the tip in the base, shape (n, 4, 4), [m], and of joint values to
@@ -31,8 +33,11 @@ Inverse = Callable[[Robot, Array, Array, Array], Array]
 #: Viewpoints of one batch; a power of two keeps the sequence even.
 _BATCH = 512
 
-#: At most this many times the wanted number are drawn, and this many until the first that can be measured.
-_MOST, _NONE_YET = 10, 8 * _BATCH
+#: At most this many times the wanted number are drawn.
+_MOST = 10
+
+#: At most this many are drawn until the first that can be measured.
+_NONE_YET = 8 * _BATCH
 
 #: Viewpoints drawn for each that is tried: of those with the board in the image the robot tries the nearest.
 _CHOICE = 8
@@ -46,12 +51,26 @@ _RADIAN = 0.3
 _TURN = 2.0 * np.pi
 
 
+class Wanted(NamedTuple):
+    """Candidates that are wanted."""
+
+    #: How many are enough, 1 or more.
+    number: int
+    #: Seed: the same one draws the same poses.
+    seed: int
+
+    @classmethod
+    def of(cls, request: PlanRequest) -> Wanted:
+        """Return the candidates that a plan is made of."""
+        return cls(request.candidates, request.seed)
+
+
 def draw_images(
     robot: Robot,
     sight: CameraSight,
     ranges: Array,
     bodies: ImageBodies | None,
-    draws: tuple[int, int],
+    wanted: Wanted,
     reach: Reach,
     progress: Progress | None = None,
 ) -> Pool:
@@ -62,7 +81,7 @@ def draw_images(
         sight: The camera, the board, and where it may be in the camera.
         ranges: Lowest and highest value of each joint, shape (m, 2), [rad] or for sliding joints [m].
         bodies: Tests poses for collisions, and the view of the board for what is in it; None: neither is tested.
-        draws: Number of candidates that is enough, 1 or more, and the seed: the same one draws the same poses.
+        wanted: The number of candidates, and the seed.
         reach: Inverse kinematics of the robot.
         progress: Called after each batch with the number of candidates so far and that wanted; None: nothing is called.
 
@@ -75,12 +94,10 @@ def draw_images(
     Raises:
         ModelError: The camera sees the board at no pose that was drawn.
     """
-    count, seed = draws
     conditions = list(_conditions(robot, sight, ranges, bodies))
-    batches = _batches(robot, sight, ranges, seed, reach)
-    pool = collect(
-        batches, conditions, Draws(count, _NONE_YET, _MOST * max(count, _BATCH)), progress
-    )
+    draws = Draws(wanted.number, _NONE_YET, _MOST * max(wanted.number, _BATCH))
+    batches = _batches(robot, sight, ranges, wanted.seed, reach)
+    pool = collect(batches, conditions, draws, progress)
     workspace = robot.readings(spread_between(ranges, len(pool.q)))
     return pool._replace(workspace=read_only(workspace))
 
@@ -95,18 +112,24 @@ def _batches(
     sequence = qmc.Sobol(NUMBERS, scramble=True, seed=seed)
     starts = robot.readings(spread_between(ranges, _STARTS))
     views = _coordinates(sight.board_poses(robot, starts))
-    T_base_frame = rigid_inverse(sight.T_frame_base)
-    T_board_tip = rigid_inverse(sight.T_tip_board)
     while True:
-        T_camera_board = viewpoints(sight, sequence.random(_CHOICE * _BATCH))
-        T_camera_board = T_camera_board[sight.in_image(T_camera_board)]
-        if not len(T_camera_board):
-            _refuse_none_in_image(sight)
-        nearest, distance = _nearest(views, _coordinates(T_camera_board))
+        T_camera_board = _in_image(sight, viewpoints(sight, sequence.random(_CHOICE * _BATCH)))
+        start, distance = _nearest(views, _coordinates(T_camera_board))
         near = np.argsort(distance)[:_BATCH]
-        wanted = T_base_frame @ T_camera_board[near] @ T_board_tip
-        q = reach(wanted, starts[nearest[near]])
+        q = reach(sight.tip_poses(T_camera_board[near]), starts[start[near]])
         yield rounded(robot, _turned_into(robot, q, ranges))
+
+
+def _in_image(sight: CameraSight, T_camera_board: Array) -> Array:
+    """Return the poses of a board in the camera (n, 4, 4), [m], of which it is in the image.
+
+    Raises:
+        ModelError: There are none.
+    """
+    inside = T_camera_board[sight.in_image(T_camera_board)]
+    if not len(inside):
+        _refuse_none_in_image(sight)
+    return inside
 
 
 def _refuse_none_in_image(sight: CameraSight) -> None:

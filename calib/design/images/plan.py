@@ -12,12 +12,12 @@ from numpy.typing import ArrayLike
 
 from calib.camera.board import Board
 from calib.camera.camera import Camera
-from calib.design.candidates import Pool, planning_ranges
+from calib.design.candidates import planning_ranges
 from calib.design.choice import PlanRequest
 from calib.design.collision import CollisionCheck
 from calib.design.forecast import Forecast, Workspace
 from calib.design.images.bodies import ImageBodies
-from calib.design.images.candidates import Inverse, draw_images
+from calib.design.images.candidates import Inverse, Wanted, draw_images
 from calib.design.images.sensitivity import ImageSensitivity
 from calib.design.images.sight import LARGEST_TILT, CameraSight, SightLimits, with_intrinsics
 from calib.design.notes import Note
@@ -35,7 +35,7 @@ CANDIDATES = 600
 #: The print's scale is worth a remark where the error without its uncertainty is a smaller share of that with it.
 _MATTERS = 0.7
 
-_USUAL_REQUEST = PlanRequest(candidates=CANDIDATES)
+_USUAL_POSES = PlanRequest(candidates=CANDIDATES)
 _USUAL_CHECK = CollisionCheck()
 
 Entry = TypeVar("Entry")
@@ -43,7 +43,7 @@ Entry = TypeVar("Entry")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImageRequest(Value):
-    """Where camera and board are, to a few centimetres and degrees, and which images are wanted."""
+    """Images that are wanted, and where camera and board are, to a few centimetres and degrees."""
 
     #: Shape (4, 4), pose of the camera in the link that carries it [m]: z along the line of sight, y down in the image.
     T_link_camera: ArrayLike
@@ -55,6 +55,12 @@ class ImageRequest(Value):
     tilt: float = LARGEST_TILT
     #: Share of the board's corners that must be in the image; 1: the whole pattern.
     share: float = 1.0
+    #: Numbers of images to fit and to validate with, criterion, number of candidates, margin, start and seed.
+    poses: PlanRequest = _USUAL_POSES
+
+    def __post_init__(self) -> None:
+        """Refuse a request for poses of another type."""
+        check_type("poses", self.poses, PlanRequest, "a PlanRequest")
 
     def sight(self, camera: Camera, board: Board) -> CameraSight:
         """Return camera and board as placed, with the limits of the images.
@@ -80,7 +86,6 @@ def plan_images(
     cell: CellInput,
     images: ImageRequest,
     inverse: Inverse,
-    request: PlanRequest = _USUAL_REQUEST,
     *,
     taken: ArrayLike | None = None,
     collisions: CollisionCheck | None = _USUAL_CHECK,
@@ -95,7 +100,6 @@ def plan_images(
             file.
         images: Where camera and board are, and which images are wanted.
         inverse: Inverse kinematics, `calib.compensation.reaching.reach`.
-        request: Numbers of poses to fit and to validate with, criterion, number of candidates, seed and so on.
         taken: Joint values of images taken already, shape (T, m), [rad] or [m]: the plan adds to them; None: none.
         collisions: How poses and moves are checked for collisions, and that nothing hides the board; None: neither is.
         progress: Called with the stage of the work, ``"candidates"`` or ``"choice"``, how much of it is done, and all
@@ -108,38 +112,36 @@ def plan_images(
         ArgumentError: An argument of another type.
         CalibError: No camera or board, or several; too few poses for the model; the camera sees the board nowhere.
     """
-    known = cell_of(cell)
-    arm = robot_of(robot, known)
     check_type("images", images, ImageRequest, "an ImageRequest")
-    check_type("request", request, PlanRequest, "a PlanRequest")
     check_type("collisions", collisions, (CollisionCheck, type(None)), "a CollisionCheck, or None")
     check_callable("progress", progress)
-    request.check(request.candidates)
+    images.poses.check(images.poses.candidates)
+    known = cell_of(cell)
+    arm = robot_of(robot, known)
     sight = images.sight(_only(known.cameras, "camera"), _only(known.boards, "board"))
-    sensitivity = ImageSensitivity.of_images(arm, known, sight)
     bodies = None
     if collisions is not None:
         bodies = ImageBodies.of(arm, sight, known.boxes, collisions)
-    ranges = planning_ranges(arm, known.ranges, request.margin)
-    pool = draw_images(
-        arm,
-        sight,
-        ranges,
-        bodies,
-        (request.candidates, request.seed),
-        partial(inverse, arm, ranges),
-        stage(progress, "candidates"),
-    )
+    ranges = planning_ranges(arm, known.ranges, images.poses.margin)
+    reach = partial(inverse, arm, ranges)
     planned = Planned(
-        sensitivity=sensitivity,
-        request=request,
-        pool=pool,
+        sensitivity=ImageSensitivity.of_images(arm, known, sight),
+        request=images.poses,
+        pool=draw_images(
+            arm,
+            sight,
+            ranges,
+            bodies,
+            Wanted.of(images.poses),
+            reach,
+            stage(progress, "candidates"),
+        ),
         taken=_different(arm, taken),
         body=None if bodies is None else bodies.model,
         sight=sight,
     )
     result = planned_of(planned, stage(progress, "choice"))
-    return replace(result, notes=(*_scale_notes(sensitivity, pool, result), *result.notes))
+    return replace(result, notes=(*_scale_notes(planned, result), *result.notes))
 
 
 def _pose(name: str, value: ArrayLike) -> Array:
@@ -170,10 +172,12 @@ def _different(robot: Robot, taken: ArrayLike | None) -> Array:
     return read_only(q[np.sort(first)])
 
 
-def _scale_notes(sensitivity: ImageSensitivity, pool: Pool, plan: PlanValues) -> tuple[Note, ...]:
+def _scale_notes(planned: Planned, plan: PlanValues) -> tuple[Note, ...]:
     """Return the remark that the scale of the print makes most of the error, if it does."""
+    sensitivity, pool = planned.sensitivity, planned.pool
+    assert planned.sight is not None
     is_scale = np.array([name.startswith("board_scale") for name in sensitivity.names])
-    sigma = sensitivity.sight.board.sigma_scale
+    sigma = planned.sight.board.sigma_scale
     if not is_scale.any() or not sigma:
         return ()
     precision = np.where(is_scale, 1e6 * sensitivity.precision, sensitivity.precision)

@@ -15,7 +15,7 @@ from calib.camera.board import CHESSBOARD, Board
 from calib.camera.camera import Camera
 from calib.camera.lenses import LENSES
 from calib.errors import CalibError
-from calib.robot.robot import Robot, read_only
+from calib.robot.robot import Robot, read_only, rigid_inverse
 from calib.units import Array, Mask
 from calib.values.pickling import Value
 
@@ -118,6 +118,11 @@ class CameraSight(Value):
             T_camera_board, shape (N, 4, 4), [m].
         """
         return np.asarray(self.T_frame_base @ robot.poses(q) @ self.T_tip_board)
+
+    def tip_poses(self, T_camera_board: Array) -> Array:
+        """Return the poses of the tip in the base with the board at poses (N, 4, 4) in the camera, the same [m]."""
+        T_base_frame = rigid_inverse(self.T_frame_base)
+        return np.asarray(T_base_frame @ T_camera_board @ rigid_inverse(self.T_tip_board))
 
     def centres(self, T_camera_board: Array) -> Array:
         """Return the centre of the board in the camera at poses (N, 4, 4), shape (N, 3) [m]."""

@@ -43,7 +43,7 @@ def estimated_camera(calibration: CalibrationValues, name: str | None = None) ->
         ModelError: There is no such camera, there are several and none is named, or no measurement tells its pose.
     """
     setup = calibration.setup
-    index = _index("camera", "--camera", name, setup.groups)
+    index = index_of("camera", "--camera", name, setup.groups)
     is_estimated = len(setup.unknown[index]) == len(DIRECTIONS)
     if not (is_estimated or setup.frame_given[index] or calibration.tells_place):
         raise ModelError(
@@ -65,7 +65,7 @@ def estimated_board(calibration: CalibrationValues, name: str | None = None) -> 
         ModelError: There is no such board, there are several and none is named, or its orientation is not known.
     """
     setup = calibration.setup
-    index = _index("board", "--board", name, setup.targets)
+    index = index_of("board", "--board", name, setup.targets)
     if not setup.oriented:
         raise ModelError(
             f"The target '{setup.targets[index]}' of this result is a point: its orientation was not measured, so that "
@@ -75,7 +75,7 @@ def estimated_board(calibration: CalibrationValues, name: str | None = None) -> 
     return EstimatedFrame(setup.targets[index], calibration.robot.tip, read_only(T_link_board))
 
 
-def _index(what: str, option: str, name: str | None, names: tuple[str, ...]) -> int:
+def index_of(what: str, option: str, name: str | None, names: tuple[str, ...]) -> int:
     """Return the place of a name among all; of None that of the only one.
 
     Args:

@@ -10,12 +10,15 @@ import numpy as np
 from calib.camera.camera import Camera
 from calib.camera.camera_file import camera_info_yaml, opencv_yaml
 from calib.camera.camera_yaml import camera_of_yaml
-from calib.errors import CalibError, FileError, ModelError, choices, did_you_mean
+from calib.errors import CalibError, FileError, ModelError, choices
 from calib.files import write_atomically
+from calib.formats.camera.estimated_frames import index_of
 from calib.formats.camera.handover import calibration_of
 from calib.formats.camera.options import CameraOptions
 from calib.formats.source import Options, Source
 from calib.mappings import ReadOnlyMapping
+from calib.result.calibration import CalibrationValues
+from calib.units import Array
 
 #: The text of a camera, by the name of the format.
 _TEXTS: Mapping[str, Callable[[Camera], str]] = ReadOnlyMapping(
@@ -42,18 +45,34 @@ def write_intrinsics(name: str, source: Source, path: Path, options: Options) ->
         raise CalibError(
             f"{path}: a file of intrinsics has no links; of the camera's options it takes --camera alone."
         )
-    camera = one_camera(calibration_of(source).cameras, chosen.camera)
+    camera = calibrated_camera(calibration_of(source), chosen.camera)
     text = _TEXTS[name](camera)
     _check_text(text, camera, path)
     write_atomically(path, text.encode(), overwrite=options.overwrite)
 
 
-def one_camera(cameras: Mapping[str, Camera], name: str | None) -> Camera:
-    """Return a camera by its name, or of None the only one.
+def calibrated_camera(calibration: CalibrationValues, name: str | None) -> Camera:
+    """Return a camera of a calibration with its numbers as estimated.
 
     Args:
-        cameras: Calibrated cameras by the names of their stations.
-        name: The name.
+        calibration: The calibration.
+        name: Name of the camera's station; None: the only camera.
+
+    Raises:
+        ModelError: See `camera_of_station`.
+    """
+    return camera_of_station(calibration.cameras, calibration.setup.groups, name)
+
+
+def camera_of_station(
+    cameras: Mapping[str, Camera], stations: tuple[str, ...], name: str | None
+) -> Camera:
+    """Return the camera of a station.
+
+    Args:
+        cameras: Cameras by their stations; ``""`` is that of all stations that have none of their own.
+        stations: Names of all stations.
+        name: Name of a station; None: the only camera, at however many stations.
 
     Raises:
         ModelError: There is no such camera, or several and none is named.
@@ -62,25 +81,26 @@ def one_camera(cameras: Mapping[str, Camera], name: str | None) -> Camera:
         raise ModelError(
             "This result has no camera: it was not calibrated with images of a board (kind 'pixel')."
         )
-    if name is None:
-        if len(cameras) > 1:
-            raise ModelError(
-                f"There are {len(cameras)} cameras: {choices(cameras)}; name one with --camera."
-            )
+    if name is None and len(cameras) == 1:
         return next(iter(cameras.values()))
-    if name not in cameras:
-        raise ModelError(
-            f"There is no camera '{name}'{did_you_mean(name, cameras)}; there is {choices(cameras)}."
-        )
-    return cameras[name]
+    station = stations[index_of("camera", "--camera", name, stations)]
+    camera = cameras.get(station, cameras.get(""))
+    if camera is None:
+        raise ModelError(f"The station '{station}' has no camera; one has {choices(cameras)}.")
+    return camera
+
+
+def numbers_of(camera: Camera) -> Array:
+    """Return the numbers of a calibrated camera's lens, shape (m,); they are known."""
+    assert camera.values is not None, "a calibration knows its camera's numbers"
+    return camera.values
 
 
 def _check_text(text: str, camera: Camera, path: Path) -> None:
     """Refuse a text that, read back, is another camera."""
     read = camera_of_yaml(text, str(path))
     is_same = (read.width, read.height, read.lens) == (camera.width, camera.height, camera.lens)
-    assert camera.values is not None, "a calibration knows its camera's numbers"
-    if not is_same or not np.array_equal(read.values, camera.values):
+    if not is_same or read.values is None or not np.array_equal(read.values, numbers_of(camera)):
         raise FileError(
             f"{path}: the camera '{camera.name}' does not read back. It is not written. Please report this."
         )

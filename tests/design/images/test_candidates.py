@@ -12,7 +12,7 @@ from calib.compensation.reaching import reach
 from calib.design.candidates import planning_ranges, rounded
 from calib.design.collision import CollisionCheck
 from calib.design.images.bodies import ImageBodies
-from calib.design.images.candidates import draw_images
+from calib.design.images.candidates import Wanted, draw_images
 from calib.errors import ModelError
 from tests.design.images.views import BOARD, in_hand, sight, standing
 
@@ -21,7 +21,9 @@ MARGIN = np.radians(5.0)
 
 def drawn(robot, seen, count=40, seed=0, bodies=None):
     ranges = planning_ranges(robot, {}, MARGIN)
-    return draw_images(robot, seen, ranges, bodies, (count, seed), partial(reach, robot, ranges))
+    return draw_images(
+        robot, seen, ranges, bodies, Wanted(count, seed), partial(reach, robot, ranges)
+    )
 
 
 @pytest.mark.parametrize("where", [in_hand, standing])

@@ -39,14 +39,15 @@ def cell(**changes) -> Cell:
     return Cell(**(given | changes))
 
 
-def wanted(seen, **changes) -> ImageRequest:
-    return ImageRequest(rigid_inverse(seen.T_frame_base), seen.T_tip_board, **changes)
+def wanted(seen, poses: PlanRequest = SMALL, **changes) -> ImageRequest:
+    places = rigid_inverse(seen.T_frame_base), seen.T_tip_board
+    return ImageRequest(*places, poses=poses, **changes)
 
 
 @cache
 def planned(where=in_hand, request: PlanRequest = SMALL) -> PlanValues:
     robot, seen = where("ur5")
-    return plan_images(robot, cell(), wanted(seen), reach, request, collisions=None)
+    return plan_images(robot, cell(), wanted(seen, request), reach, collisions=None)
 
 
 @pytest.mark.parametrize("where", [in_hand, standing])
@@ -67,7 +68,7 @@ def test_every_image_of_a_plan_shows_the_board(where):
 def test_the_limits_asked_for_are_kept():
     robot, seen = in_hand("ur5")
     images = wanted(seen, distances=(0.5, 0.8), tilt=0.4, share=0.8)
-    plan = plan_images(robot, cell(), images, reach, SMALL, collisions=None)
+    plan = plan_images(robot, cell(), images, reach, collisions=None)
     T = plan.sight.board_poses(robot, plan.joints)
     assert plan.sight.distances(T).min() >= 0.5
     assert plan.sight.distances(T).max() <= 0.8
@@ -79,7 +80,7 @@ def test_images_taken_already_count_each_once():
     first = planned()
     rows = np.repeat(first.estimation, 3, axis=0)
     few = PlanRequest(4, 0, candidates=120, ladder=False, seed=1)
-    more = plan_images(robot, cell(), wanted(seen), reach, few, taken=rows, collisions=None)
+    more = plan_images(robot, cell(), wanted(seen, few), reach, taken=rows, collisions=None)
     assert len(more.taken) == 12
     assert more.before.rms == pytest.approx(first.forecast.rms)
     assert more.forecast.rms < first.forecast.rms
@@ -88,7 +89,7 @@ def test_images_taken_already_count_each_once():
 def test_a_print_that_is_not_measured_makes_most_of_the_error():
     robot, seen = in_hand("ur5")
     rough = cell(boards={"": replace(BOARD, sigma_scale=0.003)})
-    plan = plan_images(robot, rough, wanted(seen), reach, SMALL, collisions=None)
+    plan = plan_images(robot, rough, wanted(seen), reach, collisions=None)
     note = plan.notes[0]
     assert note.code == "board_scale"
     assert note.values[0] == 0.003
@@ -108,16 +109,16 @@ def test_a_print_that_is_not_measured_makes_most_of_the_error():
 def test_one_camera_and_one_board(changes, words):
     robot, seen = in_hand("ur5")
     with pytest.raises(CalibError, match=words):
-        plan_images(robot, cell(**changes), wanted(seen), reach, SMALL)
+        plan_images(robot, cell(**changes), wanted(seen), reach)
 
 
 def test_arguments_of_another_type():
     robot, _ = in_hand("ur5")
     with pytest.raises(ArgumentError, match="images"):
-        plan_images(robot, cell(), 3, reach, SMALL)
+        plan_images(robot, cell(), 3, reach)
     short = ImageRequest(np.zeros(3), np.eye(4))
     with pytest.raises(CalibError, match="T_link_camera"):
-        plan_images(robot, cell(), short, reach, SMALL)
+        plan_images(robot, cell(), short, reach)
 
 
 # The forecast
