@@ -103,7 +103,16 @@ class Bundle:
         )
 
     def is_near(self, values: Array, T: Array, views: Sequence[View]) -> Mask:
-        """Return which views do not fit far worse than most, as those whose corners were mixed up do, shape (V,)."""
+        """Find the views that do not fit far worse than most, as those whose corners were mixed up do.
+
+        Args:
+            values: shape (m,), the lens's numbers.
+            T: shape (V, 4, 4), T_camera_board of each view [m].
+            views: The views.
+
+        Returns:
+            shape (V,).
+        """
         residual, _, _ = view_system(T, views, self.lens, values)
         squares = np.add.reduceat(np.sum(residual**2, axis=1), _first_rows(views))
         mean_squares = squares / [len(points) for points, _ in views]
@@ -112,7 +121,7 @@ class Bundle:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Refined:
-    """What a refinement ended with."""
+    """Numbers of a lens and poses of views at the end of a refinement."""
 
     #: shape (m,), the lens's numbers
     values: Array
