@@ -66,7 +66,7 @@ class Camera(Value):
 
     @property
     def _title(self) -> str:
-        """How messages begin."""
+        """The camera as messages name it."""
         return f"The camera '{self.name}'"
 
     def _side(self, side: str) -> int:

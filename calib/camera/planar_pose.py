@@ -114,7 +114,12 @@ def planar_poses(views: Sequence[View], lens: Lens, values: Array) -> tuple[Plan
 
 
 def closed_form_poses(views: Sequence[View], lens: Lens, values: Array) -> tuple[Array | None, ...]:
-    """Return the pose of a flat board in each of V views in closed form; see `planar_poses`.
+    """Return the pose of a flat board in each of V views in closed form.
+
+    Args:
+        views: Points and images of each, as `planar_pose` takes them.
+        lens: The lens model.
+        values: shape (m,), its numbers.
 
     Returns:
         T_camera_board of each, shape (4, 4) [m]; None where points or images are too few, or on a line.

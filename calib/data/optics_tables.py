@@ -42,7 +42,20 @@ def cameras_of_tables(
 def boards_of_tables(
     single: Mapping[str, Any] | None, several: Mapping[str, Any], path: Path
 ) -> dict[str, Board]:
-    """Read the printed boards of a cell file, as `cameras_of_tables` reads cameras."""
+    """Read the printed boards of a cell file.
+
+    Args:
+        single: The table ``[board]``; None without one.
+        several: The tables ``[boards.NAME]`` by their names.
+        path: The cell file; names of files in the tables begin at its folder.
+
+    Returns:
+        The boards by name; ``""`` for ``[board]``.
+
+    Raises:
+        FileError: A file that a table names cannot be read.
+        CalibError: A table is no description of a board.
+    """
     return _described(board_of_table, _by_heading("board", single, several), path)
 
 
