@@ -100,11 +100,12 @@ class Task(Value):
         ties = self.cell.ties
         leaders = [leader for leader, _ in ties.values()]
         named = {*self.cell.frozen, *ties, *leaders}
-        of_setup = [
-            parameter.name for parameter in model.parameters if parameter.family in (FRAME, TARGET)
-        ]
+        of_setup = [p.name for p in model.parameters if p.family in (FRAME, TARGET)]
+        of_optics = [parameter.name for _, parameter in model.optical]
         refused = [name for name in of_setup if name in named]
+        refused += [name for name in of_optics if name in {*ties, *leaders}]
         if refused:
             raise ModelError(
-                f"{choices(refused)} cannot be frozen or tied: a frame or target is whole."
+                f"{choices(refused)} cannot be frozen or tied: a frame or target is whole, and numbers of a camera or "
+                "board are not tied."
             )

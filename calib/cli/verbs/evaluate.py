@@ -22,6 +22,7 @@ from calib.cli.options import (
     TableOptions,
 )
 from calib.cli.outputs import check_outputs, written_lines
+from calib.cli.picture_folder import table_of
 from calib.cli.setup import load_with_data, read_cell, with_chain_of_result, with_target_link
 from calib.cli.terminal import command_line, say
 from calib.cli.verb import verb
@@ -141,7 +142,9 @@ Examples:
   calib evaluate corrected.urdf data.csv --calibration result.json
   calib evaluate robot.urdf fresh.csv --base base --tip tool0 --target "70 -70 22.5 mm"
   calib evaluate corrected.urdf fresh.csv --calibration result.json --tolerance "0.5 mm" --report test.html
+  calib evaluate corrected.urdf fresh_images --calibration result.json
 
+A folder of pictures of the calibration's board, with their joint values in its joints.csv, may stand for DATA.
 With --calibration, targets, measurement frames and held joints are those of that result, and the robot is evaluated
 as its URDF is, with nominal and with calibrated joint origins, and with the non-geometric model. Without it, what is
 not given is registered to the rows. With --tolerance the exit code is 0 if the pose accuracy of ISO 9283 is shown to
@@ -171,7 +174,9 @@ def evaluate(
     if calibration is not None:
         result = read_result(calibration)
         cell = with_chain_of_result(cell, result, str(calibration))
-    arm, measurements = load_with_data(robot, cell, data, table)
+    boards = cell.boards or ({} if result is None else result.nominal_boards)
+    with table_of(data, list(boards.values()), quiet=quiet) as path:
+        arm, measurements = load_with_data(robot, cell, path, table)
     cell, target_source = _with_target(arm, cell, setup, result)
     assessment = assess(
         arm, measurements, cell, result, which=_not_given(setup), judge=test.judge, limits=limits

@@ -1,0 +1,78 @@
+"""A folder of pictures in place of a table: its corners are found, and joined with the joint values beside them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING
+
+from calib.errors import CalibError
+
+if TYPE_CHECKING:
+    from calib.camera.board import Board
+
+#: The table of joint values that a folder of pictures holds.
+JOINTS = "joints.csv"
+
+
+@contextmanager
+def table_of(data: Path, boards: Sequence[Board], *, quiet: bool) -> Iterator[Path]:
+    """Yield a table: as given, or of the corners in the pictures of a folder.
+
+    Args:
+        data: A table, or a folder with pictures and a table of joint values, `JOINTS`.
+        boards: The boards that the pictures may show.
+        quiet: True to print nothing.
+
+    Yields:
+        Path of a table; one of corners is there only until the context ends.
+
+    Raises:
+        CalibError: The folder has no joint values, no board is described, or no corner was found.
+    """
+    if not data.is_dir():
+        yield data
+        return
+    table = _corners(data, boards, quiet=quiet)
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / f"{data.name}.csv"
+        path.write_bytes(table)
+        yield path
+
+
+def _corners(folder: Path, boards: Sequence[Board], *, quiet: bool) -> bytes:
+    """Find the corners in the pictures of a folder, and return their table; see `table_of`."""
+    from calib.cli.executor import executor_of
+    from calib.cli.terminal import progress_bar, say
+    from calib.text.detect import detection_text
+    from calib.vision.detection.corner_table import corner_table, with_cameras, with_rows_only
+    from calib.vision.detection.detect import detect
+    from calib.vision.detection.image_files import find_images
+    from calib.vision.detection.matching import match, read_joint_table
+
+    if not (folder / JOINTS).exists():
+        raise CalibError(
+            f"'{folder}' is a folder of pictures, and has no table of joint values '{JOINTS}' with a column 'image'. "
+            "Put it there, or give the table that calib detect wrote."
+        )
+    if not boards:
+        raise CalibError(
+            f"'{folder}' is a folder of pictures, and nothing says which board they show: give --board board.toml."
+        )
+    joints = read_joint_table(folder / JOINTS, {}, None)
+    files = find_images([str(folder)], {})
+    matches = match(joints, files)
+    with (
+        executor_of(None, None, len(files)) as executor,
+        progress_bar("pictures", quiet=quiet) as progress,
+    ):
+        found = detect(with_cameras(files, matches), boards, executor=executor, progress=progress)
+    detection = with_rows_only(found, matches)
+    lines = detection_text(detection, joints, matches)
+    if not detection.corner_count:
+        raise CalibError("\n".join([f"No corner can be used in '{folder}'.", *lines]))
+    if not quiet:
+        say("\n".join([*lines, ""]))
+    return corner_table(detection, joints, matches)
