@@ -15,6 +15,7 @@ from calib.estimate.fitting import Fitted, fit
 from calib.estimate.task import Task
 from calib.registration.rows import Rows
 from calib.selection.candidates import Candidate, mark_chosen, without_vanished_families
+from calib.selection.known_corners import with_known_corners
 from calib.selection.ladder import (
     check_parameter_names,
     determinable_families,
@@ -78,12 +79,14 @@ def select(task: Task, rows: Rows) -> Selection:
     start = without_vanished_families(largest, reference.estimate.prior_std)
     # With the rows of sole postures marked.
     marked_rows = reference.estimate.problem.rows
-    search = Search(task, marked_rows, reference, tuple(geometries), families)
+    search_task, search_rows = with_known_corners(task, reference, marked_rows)
+    search = Search(search_task, search_rows, reference, tuple(geometries), families)
     selection = _searched(search, start)
-    if len(some_rows) == len(rows):
+    if len(some_rows) == len(rows) and search_task is task:
         return selection
     chosen = selection.chosen
-    of_all_rows = fit(chosen.task, rows, registered=chosen.setup)
+    whole_task = replace(chosen.task, setup=task.setup)
+    of_all_rows = fit(whole_task, rows, registered=reference.setup)
     return replace(selection, chosen=of_all_rows)
 
 
