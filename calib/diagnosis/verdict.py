@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.special import stdtr
 
 from calib.channels import RESIDUAL_UNITS
+from calib.diagnosis.evidence import ALIKE, CHANCE, ROUNDING, Evidence
 from calib.diagnosis.further_unknowns import PREDICTS
 from calib.diagnosis.reasons import (
     CARE,
@@ -25,8 +24,7 @@ from calib.diagnosis.reasons import (
     Verdict,
     Why,
 )
-from calib.numerics.errors import CrossValidation, Errors
-from calib.units import Array, Integers, Mask
+from calib.numerics.errors import Errors
 
 #: Units with rules of their own.
 _LENGTH, _ANGLE = RESIDUAL_UNITS["m"], RESIDUAL_UNITS["rad"]
@@ -46,24 +44,12 @@ _ANOTHER_MEASUREMENT = 10.0
 #: A change of a parameter above this is no error of an arm [m or rad].
 _TOO_FAR = 0.1
 
-#: A nominal robot is at its noise where its error is below so many standard deviations, rms over all scalars.
-_AT_THE_NOISE = 1.45
-
-#: A gain whose p-value is above this may be chance.
-_CHANCE = 0.03
-
-#: Relative differences below this are rounding.
-_ROUNDING = 1e-6
-
 #: A gain is worth having where errors of held-out rows, and of validation rows, fall below this share.
 _FALLS = 0.9
 
 #: A gain is proven where no more than this share of the nominal error remains, on held-out rows, noise subtracted, and
 #: in what is expected over the joint limits.
 _REMAINS = 0.4
-
-#: Errors of flagged rows are alike for the nominal and the calibrated robot within this factor.
-_ALIKE = 1.1
 
 #: Where another geometry would leave far less, a named one needs care if more than this share of the error remains.
 _LACKING = 0.2
@@ -73,150 +59,6 @@ _FAR_MORE = 3.0
 
 #: Another model whose error is less than this share represents errors that this one lacks.
 _FAR_LESS = 0.6
-
-#: A standard error or an error below this is taken as this, so that ratios stay finite.
-_TINY = 1e-30
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Evidence:
-    """Figures that a verdict is based on; N rows of up to D scalars.
-
-    The nominal robot is cross-validated with frame and target fitted as for the calibrated one.
-    """
-
-    #: Of the nominal robot
-    nominal: CrossValidation
-    #: Of the calibrated one
-    calibrated: CrossValidation
-    #: (N, D), the noise of each scalar, in its unit
-    scales: Array
-    #: (N, D), which scalars were measured
-    used: Mask
-    #: (N, D), the least noise of each scalar by any model tried, over ``scales``; what exceeds it is lack of model
-    floor: Array
-    #: (N,), rows of one number are repeats of one measurement
-    repeats: Integers
-    #: (N,), which rows hold the distance between two poses
-    pairs: Mask
-    #: (N,), flagged by the fit to all of them
-    outliers: Mask
-    #: Errors of nominal and calibrated robot on validation rows, and how many further rows were set aside as outliers
-    validation: tuple[Errors, Errors, int]
-    #: Number of parameters of the model
-    parameters: int
-    #: Whether any parameter of the robot has changed
-    changes: bool
-    #: Largest change of a parameter of the robot [m or rad]
-    largest: float
-    #: Standard deviation of the noise of one scalar, by the units that were measured
-    noise: Mapping[str, float]
-    #: Expected error of predictions over the joint limits, rms [m]
-    expected: float
-    #: That of the nominal robot's predictions [m]
-    expected_of_nominal: float
-    #: Number of parameters of a full geometry, where `auto` may have chosen a smaller one; else 0
-    full_model_parameters: int = 0
-    #: Findings besides errors
-    doubts: tuple[Reason, ...] = ()
-    #: Stated last, and decide nothing
-    notes: tuple[Reason, ...] = ()
-    #: Of the URDF: name and held-out errors of the non-geometric model, if there is one
-    non_geometric: tuple[str, Errors] | None = None
-
-    def whitened(self, v: CrossValidation) -> Array:
-        """Squared error of each row in units of the noise (``scales``), summed over its measured scalars, shape (N,).
-
-        Args:
-            v: Held-out residuals of the N rows, by either robot.
-        """
-        scalars = np.where(self.used, v.residual / self.scales, 0.0)
-        return np.asarray(np.sum(scalars**2, axis=1))
-
-    def gain(self, *, of_all: bool = False) -> tuple[float, float]:
-        """Test the fall of the error on held-out rows from the nominal to the calibrated robot.
-
-        Errors are paired by poses, of which repeats are averaged. Of all rows the error is tested, not its square: an
-        accident then changes the fall by no more than the correction there.
-
-        Args:
-            of_all: Whether flagged rows count too.
-
-        Returns:
-            The mean fall of the squared error in standard errors, 0 where nothing changes; and the p-value of no fall,
-            by Student's t.
-        """
-        before = self._by_pose(self.nominal, of_all=of_all)
-        fall = before - self._by_pose(self.calibrated, of_all=of_all)
-        mean = float(np.mean(fall)) if len(fall) else 0.0
-        if not self.changes or abs(mean) < _ROUNDING * float(np.mean(before)):
-            return 0.0, 1.0
-        if len(fall) < 2:
-            return float(np.sign(mean)), 1.0
-        standard_error = float(np.std(fall, ddof=1)) / float(np.sqrt(len(fall)))
-        gain = mean / max(standard_error, _TINY)
-        return gain, float(stdtr(len(fall) - 1, -gain))
-
-    def _by_pose(self, v: CrossValidation, *, of_all: bool) -> Array:
-        """Average the whitened errors over the repeats of each pose.
-
-        Args:
-            v: Held-out residuals of the N rows, by either robot.
-            of_all: False: squared errors of the rows that are not flagged are averaged; True: errors of all rows.
-
-        Returns:
-            The mean of each of K poses, in units of the noise or its square, shape (K,).
-        """
-        rows = (of_all | ~self.outliers) & np.any(self.used, axis=1)
-        _, poses = np.unique(v.poses[rows], return_inverse=True)
-        counts = np.maximum(np.bincount(poses), 1)
-        errors = self.whitened(v)[rows]
-        if of_all:
-            errors = np.sqrt(errors)
-        return np.asarray(np.bincount(poses, errors) / counts)
-
-    @property
-    def at_noise_level(self) -> bool:
-        """True if the nominal robot's error is about the noise that the best model leaves, outliers aside."""
-        square, noise = self._squares(self.nominal)
-        return bool(square < _AT_THE_NOISE**2 * noise)
-
-    def _squares(self, v: CrossValidation) -> tuple[float, float]:
-        """Mean whitened squared error of a scalar, outliers aside, and the part of it that is noise (``floor``).
-
-        Args:
-            v: Held-out residuals of the N rows, by either robot.
-        """
-        good = ~self.outliers
-        count = max(int(np.sum(self.used[good])), 1)
-        floor = np.where(self.used, self.floor, 0.0)
-        noise = np.sum(floor[good] ** 2)
-        return float(np.sum(self.whitened(v)[good]) / count), float(noise / count)
-
-    @property
-    def accidental(self) -> bool:
-        """True if flagged rows are no further off than with the nominal robot, and the error of all rows falls."""
-        before = np.sum(self.whitened(self.nominal)[self.outliers])
-        after = np.sum(self.whitened(self.calibrated)[self.outliers])
-        if not after < _ALIKE**2 * before:
-            return False
-        _, chance = self.gain(of_all=True)
-        return chance < _CHANCE
-
-    def remains_everywhere(self) -> float:
-        """Share of the nominal robot's error over the joint limits that is expected to remain, 0 to 1."""
-        return self.expected / max(self.expected_of_nominal, self.expected, _TINY)
-
-    def remains_held_out(self) -> float:
-        """Share of the nominal robot's error on held-out rows that remains, noise subtracted from both.
-
-        The mean of M squared scalars of noise is uncertain by sqrt(2 / M), which is subtracted too.
-        """
-        before, noise = self._squares(self.nominal)
-        after, _ = self._squares(self.calibrated)
-        count = max(int(np.sum(self.used[~self.outliers])), 1)
-        remaining = after - noise * (1.0 + np.sqrt(2.0 / count))
-        return float(np.sqrt(max(remaining, 0.0) / max(before - noise, _TINY)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -282,7 +124,7 @@ class _Figures:
             validation_before=e.validation[0],
             validation_after=e.validation[1],
             gain=gain,
-            unproven=gain <= 0.0 or chance > _CHANCE,
+            unproven=gain <= 0.0 or chance > CHANCE,
             handful=size["poses"] + size["pairs"] < _HANDFUL,
             few=size["numbers"] < _FEW * e.parameters,
             few_for_full_model=size["numbers"] < _FEW * full,
@@ -303,9 +145,7 @@ class _Figures:
     @property
     def validation_falls(self) -> bool:
         """True if the error on validation rows falls at all."""
-        return _typical(self.validation_after) < (1.0 - _ROUNDING) * _typical(
-            self.validation_before
-        )
+        return _typical(self.validation_after) < (1.0 - ROUNDING) * _typical(self.validation_before)
 
     @property
     def validation_falls_little(self) -> bool:
@@ -364,7 +204,7 @@ def _against(e: Evidence, f: _Figures) -> list[Reason]:
     sufficient = f.plausible and not f.few_for_full_model
     nothing = f.unproven and e.at_noise_level and sufficient
     too_few = f.handful or f.few or (e.at_noise_level and f.few_for_full_model)
-    worse = bool(f.flagged) and _typical(f.after_all) > _ALIKE * _typical(f.before_all)
+    worse = bool(f.flagged) and _typical(f.after_all) > ALIKE * _typical(f.before_all)
     parameters = max(e.parameters, e.full_model_parameters)
     size = {**_size(e), "parameters": parameters, "gain": f.gain}
     good_where_measured = f.proven_where_measured and e.expected < _LENGTH.absurd

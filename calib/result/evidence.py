@@ -7,8 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from calib.channels import Channels
+from calib.diagnosis.evidence import Evidence
 from calib.diagnosis.reasons import NO, Reason, Why
-from calib.diagnosis.verdict import Evidence
 from calib.estimate.fitting import Fitted
 from calib.numerics.errors import Errors
 from calib.numerics.rigid_motion import without_rigid_motion

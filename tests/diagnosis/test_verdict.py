@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calib.diagnosis.evidence import Evidence
 from calib.diagnosis.reasons import Reason, Verdict, Why
-from calib.diagnosis.verdict import Evidence, verdict
+from calib.diagnosis.verdict import verdict
 from calib.numerics.errors import CrossValidation, Errors
 from tests.residuals import lengths_and_angles
 
