@@ -30,6 +30,16 @@ def paper_urdf() -> Path:
     return Path(__file__).resolve().parents[2] / "urdf" / "ur3.urdf"
 
 
+def franka_file(name: str) -> Path:
+    """Return the path of a file of the Franka arm with a camera: 24 pictures of a printed board, of others.
+
+    Args:
+        name: ``"corners.csv"``, a table of corners, board ``a`` and the same board at another place, ``b``;
+            ``"camera.toml"``; or ``"board.toml"``. ``"LICENSE.txt"`` has source and licence (MIT).
+    """
+    return Path(__file__).with_name("franka") / name
+
+
 def dh_rows(robot: str) -> Path:
     """Return the path of an example of DH rows, from the maker's public data: ``"kuka_kr6_r900"``.
 
