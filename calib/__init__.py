@@ -25,6 +25,8 @@ if TYPE_CHECKING:
         compare as compare,
         evaluate as evaluate,
     )
+    from calib.camera.board import Board as Board
+    from calib.camera.camera import Camera as Camera
     from calib.circle_points.survey import base_frame as base_frame
     from calib.compensation.commands import Commands as Commands, compensate as compensate
     from calib.compensation.program import Program as Program
@@ -60,6 +62,8 @@ from calib.version import __version__ as __version__
 #: Where each public name is defined; the functions have the names of the command line's verbs.
 _NAMES = {
     "calib.calibration": "Calibration Comparison Evaluation calibrate compare evaluate",
+    "calib.camera.board": "Board",
+    "calib.camera.camera": "Camera",
     "calib.circle_points.survey": "base_frame",
     "calib.compensation.commands": "Commands compensate",
     "calib.compensation.program": "Program",

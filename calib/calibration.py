@@ -82,6 +82,9 @@ class Calibration(CalibrationValues):
         channels             unit of each entry of the residuals: "m", "rad" or "px"
         used                 (N, D), True for the scalars that were measured
         scores, weights      (N,), deleted residual and weight in the fit of each row
+        metres_per_pixel     (N,) [m/px], length at the board that a pixel is; None without images
+        errors_at_board      errors of images as lengths at the board [m], by set and robot
+        cameras, boards      Cameras and Boards of images, as estimated; nominal_cameras, nominal_boards as given
         flag_limit           score above which a row is flagged
         ranges               (m, 2) [rad] or [m], least and greatest joint values of fitted rows
         sigma                noise of one scalar by its unit, such as sigma["m"] [m]; sigma_given as the cell or the

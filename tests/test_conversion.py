@@ -32,7 +32,7 @@ ENDINGS = {
     "static-transform": ".sh",
 }
 #: Written of results of images alone, which this is not.
-OF_IMAGES = {"camera-info", "opencv-camera"}
+OF_IMAGES = {"camera-info", "opencv"}
 TRACKER = CameraOptions(new_camera_frame="tracker")
 
 

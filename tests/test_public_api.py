@@ -23,8 +23,10 @@ CALIB = Path(calib.__file__).parent
 #: A name that leaves this list breaks programs that use it.
 NAMES = [
     "Acceptance",
+    "Board",
     "CalibError",
     "Calibration",
+    "Camera",
     "Cell",
     "ColumnOptions",
     "Commands",
@@ -101,7 +103,7 @@ def test_types_checkers_see_the_same_names():
 def test_the_functions_are_the_verbs_of_the_command_line():
     verbs = {name.replace("-", "_") for name in get_command(app).commands}
     functions = {name for name in NAMES if name.islower()}
-    assert verbs - {"demo", "fit"} == functions - {"acceptance", "bootstrap"}
+    assert verbs - {"demo", "fit", "board"} == functions - {"acceptance", "bootstrap"}
 
 
 def test_every_registry_has_a_module_with_register():

@@ -290,10 +290,10 @@ FORMATS: dict[str, Format] = {
         partial(_write_intrinsics, "camera-info"),
         of_camera=True,
     ),
-    "opencv-camera": Format(
+    "opencv": Format(
         "the camera's intrinsics for OpenCV (FileStorage)",
         YAML,
-        partial(_write_intrinsics, "opencv-camera"),
+        partial(_write_intrinsics, "opencv"),
         of_camera=True,
     ),
 }

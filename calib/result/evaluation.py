@@ -67,8 +67,9 @@ class EvaluationValues(Value):
     channels: Channels
     #: Who measured what for whom, where, when and with what, as the cell says
     record: Record = BLANK
-    #: Cameras and boards by which images were predicted, as `Cell.cameras` and `Cell.boards`
+    #: Cameras by which images were predicted, as `Cell.cameras`
     cameras: Mapping[str, Camera] = field(default_factory=ReadOnlyMapping)
+    #: Printed boards that they showed, as `Cell.boards`
     boards: Mapping[str, Board] = field(default_factory=ReadOnlyMapping)
     #: Errors of images in pixels and at the board; None without images
     images: ImageFigures | None = None

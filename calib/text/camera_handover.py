@@ -32,7 +32,7 @@ _TRANSFORM = "static-transform"
 #: Formats of its intrinsics, and what reads them.
 _INTRINSICS = {
     "camera-info": "In ROS name it to the driver, as camera_info_url: file://{}.",
-    "opencv-camera": "cv2.FileStorage reads it, from Python and C++.",
+    "opencv": "cv2.FileStorage reads it, from Python and C++.",
 }
 
 #: Decimals of a number of a lens, by its unit.

@@ -71,7 +71,7 @@ def test_intrinsics_with_their_standard_deviations():
     assert f"fx {camera.values[0]:.2f} ± {camera.sigma[0]:.2f}, fy" in text[0]
     assert f"k1 {camera.values[4]:.5f} ± {camera.sigma[4]:.5f}, k2" in text[0]
     assert text[1].endswith(f"file://{Path('camera.yaml').resolve()}.")
-    assert "cv2.FileStorage" in words("opencv-camera", "camera.yaml", IMAGES)[1]
+    assert "cv2.FileStorage" in words("opencv", "camera.yaml", IMAGES)[1]
 
 
 def test_the_tip_is_not_spoken_of_where_the_camera_alone_is_written():

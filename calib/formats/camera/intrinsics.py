@@ -22,7 +22,7 @@ from calib.units import Array
 
 #: The text of a camera, by the name of the format.
 _TEXTS: Mapping[str, Callable[[Camera], str]] = ReadOnlyMapping(
-    {"camera-info": camera_info_yaml, "opencv-camera": opencv_yaml}
+    {"camera-info": camera_info_yaml, "opencv": opencv_yaml}
 )
 
 
@@ -30,7 +30,7 @@ def write_intrinsics(name: str, source: Source, path: Path, options: Options) ->
     """Write the intrinsics of a camera of a calibration.
 
     Args:
-        name: The format: ``"camera-info"`` of ROS, or ``"opencv-camera"``.
+        name: The format: ``"camera-info"`` of ROS, or ``"opencv"``.
         source: The calibration.
         path: The file.
         options: ``camera``, which camera it is, and ``overwrite``.

@@ -36,7 +36,7 @@ def test_ros_has_the_camera_that_was_estimated(tmp_path):
 def test_opencv_reads_its_file(tmp_path):
     cv2 = pytest.importorskip("cv2")
     path = tmp_path / "camera.yaml"
-    convert(image_calibration(), path, to="opencv-camera", options=named("color"))
+    convert(image_calibration(), path, to="opencv", options=named("color"))
     storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
     K = storage.getNode("camera_matrix").mat()
     D = storage.getNode("distortion_coefficients").mat()
