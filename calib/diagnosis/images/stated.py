@@ -132,14 +132,16 @@ def _mean_share(fitted: Fitted, numbers: Sequence[int]) -> tuple[float, float, f
     """Compare the mean of two numbers, along x and y or u and v, with what was stated of it.
 
     With the prior variance s^2 of the mean, and its variance v after the fit, the images alone have the variance
-    1 / (1 / v - 1 / s^2), and their estimate differs from what was stated by z standard deviations of both together.
+    w = 1 / (1 / v - 1 / s^2). Their estimate, without the prior, is (s^2 + w) / s^2 times that of the fit, and differs
+    from what was stated by z standard deviations of both together.
 
     Args:
         fitted: A fit.
         numbers: Indices of the parameters, from 0.
 
     Returns:
-        The mean relative change, the standard deviation that was stated of it, and z; z is 0 where nothing was stated.
+        The mean relative change as the images alone have it, its standard deviation, and z; z is 0 where nothing was
+        stated.
     """
     model = fitted.kinematics.model
     stated = {unknown.parameter.name: unknown for unknown in fitted.setup.optics}
@@ -154,8 +156,9 @@ def _mean_share(fitted: Fitted, numbers: Sequence[int]) -> tuple[float, float, f
     if prior > _NOT_STATED or not after < prior:
         return share, float(np.sqrt(prior)), 0.0
     of_images = 1.0 / (1.0 / after - 1.0 / prior)
-    z = abs(share) * np.sqrt(prior + of_images) / prior
-    return share, float(np.sqrt(prior)), float(z)
+    both = prior + of_images
+    by_images = share * both / prior
+    return by_images, float(np.sqrt(of_images)), float(abs(by_images) / np.sqrt(both))
 
 
 def _size(parameter: Parameter) -> float:
