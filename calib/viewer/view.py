@@ -29,6 +29,7 @@ from calib.text.comparison import sentence
 from calib.text.verdict import against, reason_text
 from calib.units import Array, Integers, Mask
 from calib.viewer.puppet import translation
+from calib.viewer.standing import standing
 
 #: Name of each of two robots, and a description that stands below it.
 Names = Sequence[tuple[str, str]]
@@ -328,6 +329,8 @@ def _at_rows(first: EvaluationValues, second: EvaluationValues | None, flagged: 
     Returns:
         The view of all rows, or of an even choice of many, with flagged ones; a typical row is shown first.
     """
+    first = standing(first)
+    second = standing(second) if second is not None else None
     m = first.measurements
     last = second or first
     errors = _errors_by_unit(first, last)

@@ -87,3 +87,39 @@ def test_corners_of_one_image_share_the_errors_of_the_robot():
     _, shared, _ = linear.fit(weights, stage.problem.rho[None], noise, priors)
     _, independent, _ = linear.fit(weights, none, noise, priors)
     assert shared[0, 0, 0] > 4.0 * independent[0, 0, 0]
+
+
+def test_the_order_of_images_and_corners_does_not_matter():
+    robot = arm()
+    m = table(poses(8), noise=0.3)
+    c = cell(boards={"": replace(BOARD, sigma_corner=0.0)})
+    order = np.random.default_rng(5).permutation(len(m))
+    words = {
+        name: tuple(np.array(getattr(m, name))[order].tolist())
+        for name in ("kinds", "images", "corners")
+    }
+    shuffled = replace(
+        m,
+        joints=m.joints[order],
+        points=m.points[order],
+        board_points=m.board_points[order],
+        readings={name: values[order] for name, values in m.readings.items()},
+        sets=(),
+        targets=(),
+        groups=(),
+        pairs=(),
+        approaches=(),
+        rows=(),
+        **words,
+    )
+    results = []
+    for measurements in (m, shuffled):
+        rows, setup = rows_and_setup(robot, measurements, c)
+        results.append(fit(Task(robot, c, setup, "zeros"), rows))
+    first, second = results
+    assert first.kinematics.model.names == second.kinematics.model.names
+    scale = np.where(np.array(first.kinematics.model.units) == "px", 700.0, 1.0)
+    np.testing.assert_allclose(second.estimate.x / scale, first.estimate.x / scale, atol=1e-10)
+    placed, again = first.placed(), second.placed()
+    np.testing.assert_allclose(again.T_frame_base, placed.T_frame_base, atol=1e-11)
+    np.testing.assert_allclose(again.T_tip_target, placed.T_tip_target, atol=1e-11)
