@@ -1,0 +1,40 @@
+"""The study of camera fits: a few cells of each sort."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+SCRIPT = Path(__file__).parents[1] / "scripts" / "camera_study.py"
+
+
+def study():
+    spec = importlib.util.spec_from_file_location("camera_study", SCRIPT)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["camera_study"] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.slow
+def test_predictions_are_as_good_as_they_can_be_and_as_stated():
+    module = study()
+    figures = [module.against_the_bound(*arm, seed) for seed in range(2) for arm in module.ARMS]
+    error, bound, stated = (
+        sum(getattr(f, name) for f in figures) for name in ("error", "bound", "stated")
+    )
+    # 8 cells: a mean square is uncertain by some 10 %.
+    assert 0.8 < error / bound < 1.2
+    assert 0.8 < stated / error < 1.25
+    assert 0.92 < np.mean([f.covered for f in figures]) < 0.98
+
+
+@pytest.mark.slow
+def test_cells_without_a_guess_reach_the_minimum_of_the_truth():
+    module = study()
+    ratios = [module.start_ratio(arm, 7 + k, known=k % 2 == 0) for k, arm in enumerate(module.ARMS)]
+    assert max(ratios) < module.SAME
