@@ -91,6 +91,7 @@ def test_the_other_pose_is_tilted_the_other_way():
     assert result.rms < 1e-6
 
 
+@pytest.mark.slow
 def test_covariance_is_that_of_monte_carlo():
     rng = np.random.default_rng(5)
     T = pose(0.5, 3)

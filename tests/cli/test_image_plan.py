@@ -145,6 +145,7 @@ def test_a_plan_of_images_that_cannot_be_made(call, images: Path, changed, words
     assert words in " ".join(done.err.split())
 
 
+@pytest.mark.slow
 def test_corners_to_touch(call, images: Path):
     from calib.result.calibration_file import write_result
     from tests.compensation.test_touch import result

@@ -89,6 +89,7 @@ def misses(plan: TouchPlan, seed: int, q: np.ndarray) -> np.ndarray:
     return np.einsum("nij,nj->ni", in_board[:, :3, :3], corners) + in_board[:, :3, 3]
 
 
+@pytest.mark.slow
 def test_the_true_robot_comes_near_the_corners():
     plan = touched()
     assert plan.corners.tolist() == [0, 6, 34, 28, 17]
@@ -161,6 +162,7 @@ def test_a_pointer_on_another_link_of_the_hand():
     np.testing.assert_allclose(same.touching[0], touched().touching[0], atol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("pointer", "corners", "words"),
     [

@@ -27,6 +27,7 @@ def rows_of(path) -> list[dict[str, str]]:
         return list(csv.DictReader(stream))
 
 
+@pytest.mark.slow
 def test_each_corner_is_stood_above_then_touched(tmp_path):
     plan = touched()
     rows = rows_of(write_touch(plan, tmp_path / "touch.csv"))

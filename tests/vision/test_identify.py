@@ -64,6 +64,7 @@ def test_other_dictionaries_and_the_legacy_layout(dictionary, smallest):
     assert_is(identify(photo(board, size=SIZE)[0]), board, smallest)
 
 
+@pytest.mark.slow
 def test_grids_of_tags():
     board = drawn(pattern="apriltag")
     assert_is(identify(photo(board, size=SIZE)[0]), board)
@@ -107,6 +108,7 @@ def test_hidden_markers():
     assert 20 not in identified.markers
 
 
+@pytest.mark.slow
 def test_rows_beyond_the_picture():
     board = drawn()
     whole = identify(photo(board, FRONTAL, SIZE)[0])

@@ -118,6 +118,7 @@ def test_all_charuco_corners_of_the_printed_page(paper, legacy, rows, tmp_path):
         assert_squares_are_true(image, board, sheet)
 
 
+@pytest.mark.slow
 @needs_pdftoppm
 def test_all_chessboard_corners_of_the_printed_page(tmp_path):
     board, sheet, drawn = page("chessboard")

@@ -85,6 +85,7 @@ def test_a_board_that_never_fits_the_image():
         drawn(robot, sight(nearest=0.05, farthest=0.06))
 
 
+@pytest.mark.slow
 def test_a_board_out_of_reach():
     robot, seen = in_hand("ur5")
     far = sight(seen.T_frame_base, seen.T_tip_board, nearest=9.0, farthest=9.5)

@@ -25,6 +25,7 @@ def test_right_senses_are_not_doubted():
     assert found(poses(12)) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("joint", range(7))
 def test_a_reversed_joint_is_named(joint):
     q = poses(12)

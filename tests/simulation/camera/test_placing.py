@@ -25,6 +25,7 @@ def test_a_moved_camera_and_a_moved_board_are_to_be_stated():
         draw_scene(both, CAMERA, Print(BOARD), seed=0)
 
 
+@pytest.mark.slow
 def test_mounts_that_are_given_are_kept():
     robot = Robot.load("ur5", base="tool0", tip="base_link")
     drawn = draw_scene(robot, CAMERA, Print(BOARD), seed=0)

@@ -35,6 +35,7 @@ def test_arms_find_forty_views(name, on_flange):
     assert np.median(np.rad2deg(q.std(axis=0))) > 20.0
 
 
+@pytest.mark.slow
 def test_the_same_seed_draws_the_same_views():
     robot = Robot.load("ur5", base="tool0", tip="base_link")
     first, again = (draw_scene(robot, CAMERA, Print(BOARD), seed=1) for _ in range(2))

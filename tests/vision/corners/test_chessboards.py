@@ -34,6 +34,7 @@ def test_black_at_the_origin_says_which_corner_is_first(roll: float):
     assert np.abs(planar_map.project(CHESS_BOARD.corners[:, :2]) - pixels).max() < 1.0
 
 
+@pytest.mark.slow
 def test_an_even_board_has_its_x_axis_to_the_right():
     assert is_ambiguous(EVEN)
     assert not is_ambiguous(CHESS_BOARD)

@@ -52,6 +52,7 @@ def test_steep_views():
     assert rms < 0.1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tilt", [(20, 10, 30), (60, 0, 30)], ids=["frontal", "steep"])
 def test_a_lens_that_bends(tilt: tuple[float, float, float]):
     view = View(tilt=tilt, distortion=(-0.35, 0.12), focal=400, middle=(0, 0, 0.2))

@@ -17,6 +17,7 @@ from tests.vision.corners.test_saddles import windows
 PICTURES = 12
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("board", "view"),
     [

@@ -78,6 +78,7 @@ def test_every_picture_has_corners_or_a_reason(detected: Detect):
     }
 
 
+@pytest.mark.slow
 def test_a_chessboard_of_another_size(detected: Detect):
     detection = detected(replace(CHESS_BOARD, columns=6), CHESS_BOARD)
     better = findings(detection)["size"].better
@@ -101,6 +102,7 @@ def test_progress_is_told(tmp_path: Path):
     assert steps == [(1, 1)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("code", "described"),
     [
@@ -122,6 +124,7 @@ def test_a_wrong_description_leaves_no_corner(detected: Detect, code: str, descr
         assert (finding.better.columns, finding.better.rows) == (7, 5)
 
 
+@pytest.mark.slow
 def test_the_other_layout(detected: Detect):
     printed = replace(CHARUCO_BOARD, columns=9, rows=6, legacy=True)
     detection = detected(replace(printed, legacy=False), printed)
@@ -138,6 +141,7 @@ def test_markers_of_another_size_are_said_and_corners_kept(detected: Detect):
     assert detection.corner_count == 3 * 24
 
 
+@pytest.mark.slow
 def test_more_rows_and_fewer(detected: Detect):
     fewer = replace(CHARUCO_BOARD, rows=4)
     assert set(findings(detected(fewer, CHARUCO_BOARD))) == {"more_markers"}
@@ -153,6 +157,7 @@ def test_a_mirrored_print(detected: Detect):
     assert findings(detection)["mirrored"].pictures == ("m.png",)
 
 
+@pytest.mark.slow
 def test_a_chessboard_that_looks_the_same_after_half_a_turn(detected: Detect):
     even = replace(CHESS_BOARD, rows=6)
     assert set(findings(detected(even, even))) == {"ambiguous"}

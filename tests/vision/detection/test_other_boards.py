@@ -58,6 +58,7 @@ def test_a_mistake_by_name(code: str, described: Board, printed: Board):
     assert (right.legacy, right.first_marker) == (printed.legacy, printed.first_marker)
 
 
+@pytest.mark.slow
 def test_no_mistake_explains_markers_in_disorder():
     mixed = []
     for found, size in seen(CHARUCO_BOARD):

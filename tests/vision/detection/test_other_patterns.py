@@ -31,6 +31,7 @@ def test_dictionaries_with_the_same_first_markers():
     assert kind_of("DICT_APRILTAG_36h11") != kind_of("DICT_APRILTAG_36h10")
 
 
+@pytest.mark.slow
 def test_the_smallest_dictionary_that_has_the_markers(tmp_path: Path):
     described = replace(CHARUCO_BOARD, dictionary="DICT_APRILTAG_36h11")
     (finding,) = other_pattern(described, [nothing(tmp_path, CHARUCO_BOARD)])
