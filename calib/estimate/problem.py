@@ -249,7 +249,7 @@ class Problem(Value):
         return analyse(known, model.names, model.units)
 
     def _known_optics(self) -> Array:
-        """What is known beforehand of cameras and boards, as rows of the Jacobian of `observability`.
+        """Return what is known beforehand of cameras and boards, as rows of the Jacobian of `observability`.
 
         Their priors, 1 / tau_k^2 of `precision`, are what was stated or measured, as the print of a board was; those
         of the robot are not.
