@@ -6,7 +6,7 @@
 UR5s of `dh` errors carry four markers on the hand, measured by cameras that stand anywhere. The robot misses each stop
 by a multiple of the cameras' noise. Printed is the true error at other poses of a fit to the markers over that of a fit
 to poses of the hand, the standard deviation that the first states over its error, and the shares of the variance that
-the markers of a stop have in common, by a translation and by a rotation of the hand.
+the markers of a stop have in common, by a translation and a rotation of the hand and by errors of the joints.
 """
 
 from __future__ import annotations
@@ -174,9 +174,8 @@ class Figures:
     by_points: float  # Error of the fit to markers, rms [m]
     by_poses: float  # Error of the fit to poses of the hand, rms [m]
     stated: float  # Standard deviation that the fit to markers states, rms [m]
-    shares: tuple[
-        float, float
-    ]  # Of the variance of positions and of angles, common to the markers of a stop
+    #: Of the variance, common to the markers of a stop: translations, rotations, errors of the joints
+    shares: tuple[float, ...]
 
 
 def compare_fits(robot: Robot, stops: int, missed: float, seed: int) -> Figures:
@@ -186,12 +185,11 @@ def compare_fits(robot: Robot, stops: int, missed: float, seed: int) -> Figures:
     of_points = fit_table(robot, hand.point_table(), cell, model="dh").geometry
     table, body = hand.pose_table()
     of_poses = fit_table(robot, table, cell, model="dh").geometry
-    by_translation, by_rotation = of_points.estimate.problem.rho[0]
     return Figures(
         by_points=rms(np.linalg.norm(point_fit_errors(hand, of_points), axis=2)),
         by_poses=rms(np.linalg.norm(pose_fit_errors(hand, of_poses, body), axis=2)),
         stated=stated_std(of_points),
-        shares=(float(by_translation), float(by_rotation)),
+        shares=tuple(of_points.estimate.problem.rho[0].tolist()),
     )
 
 
@@ -220,7 +218,7 @@ def case_row(case: Case, runs: Sequence[Figures]) -> list[str]:
         f"{rms(by_points) / rms(by_poses):.3f}",
         f"{np.mean(ratios):.3f} +- {np.std(ratios) / np.sqrt(len(runs)):.3f}",
         f"{rms(stated) / rms(by_points):.3f}",
-        f"{shares[0]:.3f}, {shares[1]:.3f}",
+        ", ".join(f"{share:.3f}" for share in shares),
     ]
 
 

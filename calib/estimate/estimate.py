@@ -83,7 +83,7 @@ def problem_at_stage(problem: Problem, stage: Stage) -> Problem:
             scalar's instrument.
         stage: State of one fit to these rows: ``stage.effective``, shape (1, N), row weights with the factors for
             repeats; ``stage.noise``, shape (1, C), of each of C instruments, as a multiple of the given sigma;
-            ``stage.priors``, 1 / variance, (1, p), and mean, (p,), of each parameter; ``stage.rho``, shape (1, C, 2),
+            ``stage.priors``, 1 / variance, (1, p), and mean, (p,), of each parameter; ``stage.rho``, shape (1, C, 3),
             shares of each instrument's variance that the targets of a stop (standstill of the robot) have in common.
 
     Returns:
@@ -167,7 +167,7 @@ def _covariance(
         problem: The least-squares problem. Where nothing measures a length its ``gauge`` holds the arm's size, with
             ``growth``, shape (p,), the change of the parameters when all lengths double; else it is None.
         stage: State of the fit: ``stage.effective``, shape (1, N), row weights; ``stage.noise``, shape (1, C), of each
-            of C instruments, as a multiple of the given sigma; ``stage.rho``, shape (1, C, 2), what the targets of a
+            of C instruments, as a multiple of the given sigma; ``stage.rho``, shape (1, C, 3), what the targets of a
             stop share; ``stage.priors``, with the 1 / variance of each parameter, shape (1, p).
         linear: The problem linearised at the solution: N rows of D scalars by p parameters, in units of the given
             sigma.
@@ -193,12 +193,12 @@ def _log_likelihood(stage: Stage, linear: LinearProblem) -> float:
 
     Args:
         stage: State of the fit: ``stage.effective``, shape (1, N), row weights, robust ones times factors for repeats;
-            ``stage.rho``, shape (1, C, 2), shares of the variance of each of C instruments that translations and
-            rotations common to the targets of a stop have; ``stage.noise``, shape (1, C), standard deviation of each
-            instrument, as a multiple of the given sigma; ``stage.priors``, the normal priors of all p parameters at
-            this stage, 1 / variance, shape (1, p), in the inverse squares of their units, and means;
-            ``stage.prior.flat``, shape (p,), True for parameters of frames and targets, of which only a weak prior is
-            assumed.
+            ``stage.rho``, shape (1, C, 3), shares of the variance of each of C instruments that translations,
+            rotations and errors of joints, common to the targets of a stop, have; ``stage.noise``, shape (1, C),
+            standard deviation of each instrument, as a multiple of the given sigma; ``stage.priors``, the normal priors
+            of all p parameters at this stage, 1 / variance, shape (1, p), in the inverse squares of their units, and
+            means; ``stage.prior.flat``, shape (p,), True for parameters of frames and targets, of which only a weak
+            prior is assumed.
         linear: The least-squares problem linearised at the solution: N rows of D scalars by p parameters, in units of
             the given sigma.
 

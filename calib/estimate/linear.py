@@ -32,7 +32,7 @@ class _Kept(NamedTuple):
 
     #: (B, N), of the rows in B fits
     weights: Array
-    #: (C, 2) or (B, C, 2), shares of each instrument's variance that the targets of a stop have in common
+    #: (C, 3) or (B, C, 3), shares of each instrument's variance that the targets of a stop have in common
     rho: Array
     #: What follows from them
     equations: NormalEquations
@@ -42,7 +42,7 @@ class _Kept(NamedTuple):
 
         Args:
             weights: shape (B, N), of N rows in B fits.
-            rho: shape (C, 2) or (B, C, 2), shares of each instrument's variance that the targets of a stop have in
+            rho: shape (C, 3) or (B, C, 3), shares of each instrument's variance that the targets of a stop have in
                 common.
 
         Returns:
@@ -149,8 +149,8 @@ class LinearProblem(Value):
 
         Args:
             weights: shape (B, N), of the N rows in each fit; the variance of a row is divided by its weight.
-            rho: shape (C, 2) or (B, C, 2), shares of each instrument's variance that the targets of a stop have in
-                common, by translation and by rotation; see `calib.estimate.stop_errors`.
+            rho: shape (C, 3) or (B, C, 3), shares of each instrument's variance that the targets of a stop have in
+                common, by translation, rotation and joints; see `calib.estimate.stop_errors`.
 
         Returns:
             A^T W A, shape (B, C, p, p), A^T W y, (B, C, p), and y^T W y, (B, C), of each fit and instrument, with the
@@ -173,8 +173,8 @@ class LinearProblem(Value):
 
         Args:
             weights: shape (B, N), of the N rows in each fit; the variance of a row is divided by its weight.
-            rho: shape (C, 2) or (B, C, 2), shares of each of C instruments' variance that the targets of a stop have in
-                common, by translation and by rotation.
+            rho: shape (C, 3) or (B, C, 3), shares of each of C instruments' variance that the targets of a stop have in
+                common, by translation, rotation and joints.
 
         Returns:
             A^T W A, shape (B, C, p, p), A^T W y, (B, C, p), and y^T W y, (B, C), of each fit and instrument, with y = r
@@ -184,7 +184,7 @@ class LinearProblem(Value):
         products, count = self._sums_of_independent_rows(weights)
         log_det: Array | float = 0.0
         if self.stops is not None and np.any(rho):
-            shares = np.broadcast_to(rho, (*count.shape, 2))
+            shares = np.broadcast_to(rho, (*count.shape, rho.shape[-1]))
             changes, log_det = self.stops.corrections(self.columns, weights, shares)
             products = products + changes
         return self._equations_of(products, count, log_det)
@@ -290,8 +290,8 @@ class LinearProblem(Value):
 
         Args:
             weights: shape (B, N), of the N rows in each fit.
-            rho: shape (C, 2) or (B, C, 2), shares of each instrument's variance that the targets of a stop have in
-                common, by translation and by rotation.
+            rho: shape (C, 3) or (B, C, 3), shares of each instrument's variance that the targets of a stop have in
+                common, by translation, rotation and joints.
             noise: shape (B, C), standard deviation of each of C instruments, as a multiple of the given sigma.
             priors: Independent normal priors of all p parameters: precision, shape (B, p) or (p,), and mean, (p,).
 
@@ -350,11 +350,11 @@ class LinearProblem(Value):
             x: shape (B, p), parameters of each fit [m, rad, ...], not their change.
             covariance: shape (B, p, p), of x, in the products of the parameters' units.
             weights: shape (B, N), of the N rows in each fit.
-            rho: shape (B, C, 2), shares of each of C instruments to begin with, those of the fits.
+            rho: shape (B, C, 3), shares of each of C instruments to begin with, those of the fits.
 
         Returns:
-            shape (B, C, 2), shares by translations and by rotations of the body that the targets are on, from 0 to 1; 0
-            where no stop has several targets.
+            shape (B, C, 3), shares by translations and rotations of the body that the targets are on and by the joints,
+            from 0 to 1; 0 where no stop has several targets.
         """
         result = np.zeros(rho.shape)
         if self.stops is None:

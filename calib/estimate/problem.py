@@ -27,6 +27,7 @@ import numpy as np
 from calib.estimate.gauge import TOLERANCE, SizeGauge, measures_length, size_gauge
 from calib.estimate.linear import LinearProblem
 from calib.estimate.stop_errors import Stops
+from calib.estimate.stop_shares import PARTS
 from calib.model.kinematics import Kinematics
 from calib.model.observability import Observability, analyse
 from calib.numerics.solvers import triangle
@@ -69,7 +70,7 @@ class Problem(Value):
     distances: tuple[KnownDistance, ...]
     #: (C,), lowest noise of each instrument, in units of its sigma
     smallest_noise: tuple[float, ...]
-    #: (C, 2), share of each instrument's variance that targets of a stop have in common
+    #: (C, 3), share of each instrument's variance that targets of a stop have in common
     rho: Array
     #: The size of the arm, held where nothing measures a length
     gauge: SizeGauge | None = None
@@ -110,7 +111,7 @@ class Problem(Value):
             centre=np.zeros(p),
             distances=tuple(d for d in distances if {d.first, d.second} <= observed),
             smallest_noise=smallest_noise,
-            rho=np.zeros((len(smallest_noise), 2)),
+            rho=np.zeros((len(smallest_noise), len(PARTS))),
             stops=Stops.of(kinematics, rows),
         )
 
@@ -359,7 +360,7 @@ class Problem(Value):
 
         Of more than 1024 rows (`_TALL`) it is the triangle R of [A r] = Q R, transposed, which has the same products.
         Uses `weights`, shape (N,), of the rows; `scales`, shape (N, D), standard deviations as estimated, [m] and
-        [rad]; and `rho`, shape (C, 2), shares of each instrument's variance that the targets of a stop have in common.
+        [rad]; and `rho`, shape (C, 3), shares of each instrument's variance that the targets of a stop have in common.
 
         Args:
             columns: shape (p + 1, D, N), Jacobian of the prediction and behind it the residual of the D scalars of N
@@ -397,8 +398,8 @@ class Problem(Value):
         """Transform whitened values so that the errors which targets of a stop share are independent.
 
         The values of a stop (a standstill at which several targets are measured) are multiplied by K^-1/2, where K is
-        their covariance over the noise squared; see `calib.estimate.stop_errors`. Uses ``rho``, shape (C, 2), shares of
-        the variance of each of C instruments by translation and rotation of the targets' body.
+        their covariance over the noise squared; see `calib.estimate.stop_errors`. Uses ``rho``, shape (C, 3), shares of
+        the variance of each of C instruments by translation and rotation of the targets' body, and by the joints.
 
         Args:
             values: shape (N, D, q), residuals or columns of Jacobians in units of the noise, multiplied by the roots of

@@ -14,6 +14,7 @@ import numpy as np
 
 from calib.estimate.linear import LinearProblem
 from calib.estimate.prior_terms import PriorTerms
+from calib.estimate.stop_shares import PARTS
 from calib.model.families import FAMILIES
 from calib.numerics.likelihood import GaussianPriors
 from calib.numerics.reml import VarianceLimits, prior_std_by_reml
@@ -102,7 +103,7 @@ class Stage:
     noise: Array
     #: (B, K), of each family, in its parameters' unit
     prior_std: Array
-    #: (B, C, 2), shares of each instrument's variance that targets of a stop have in common
+    #: (B, C, 3), shares of each instrument's variance that targets of a stop have in common
     rho: Array
 
     @classmethod
@@ -133,7 +134,7 @@ class Stage:
             share=np.ones(kept.shape),
             noise=np.ones((B, instruments)),
             prior_std=np.tile(np.array(prior.start, dtype=np.float64), (B, 1)),
-            rho=np.zeros((B, instruments, 2)),
+            rho=np.zeros((B, instruments, len(PARTS))),
         )
 
     @property
@@ -166,7 +167,7 @@ class Stage:
     def fit(self, linear: LinearProblem) -> tuple[Array, Array, Array]:
         """Fit the linearised problem at this stage's weights, noise and priors, for each of B fits.
 
-        Uses `effective`, shape (B, N), row weights; `rho`, shape (B, C, 2), shares of variance that the targets of a
+        Uses `effective`, shape (B, N), row weights; `rho`, shape (B, C, 3), shares of variance that the targets of a
         stop have in common; `noise`, shape (B, C), of each instrument as a multiple of the given sigma; and `priors`, 1
         / variance, (B, p), and mean of each parameter.
 
@@ -183,7 +184,7 @@ class Stage:
     def scoring_fit(self, linear: LinearProblem) -> tuple[Array, Array, Array]:
         """Fit for the scores of single rows: `fit`, with covariance and freedom as if all rows were independent.
 
-        Uses `rho`, shape (B, C, 2), shares of variance that the targets of a stop have in common, and what `fit` uses:
+        Uses `rho`, shape (B, C, 3), shares of variance that the targets of a stop have in common, and what `fit` uses:
         row weights, noise and priors of B fits.
 
         Args:
@@ -419,8 +420,9 @@ class Stage:
                 sigma; ``linear.stops`` are its stops, None where there are none.
 
         Returns:
-            The stage with a new `rho`, shape (B, C, 2), shares by translation and by rotation of each of C instruments,
-            0 where its noise is at most twice the lowest, which is rounding; itself where there are no stops.
+            The stage with a new `rho`, shape (B, C, 3), shares by translation, rotation and joints of each of C
+            instruments, 0 where its noise is at most twice the lowest, which is rounding; itself where there are no
+            stops.
         """
         if linear.stops is None:
             return self
@@ -434,7 +436,7 @@ class Stage:
 
         Takes these from `kept`, the rows that each fit has, `weights`, robust, and `share`, the factor for repeats, all
         of shape (B, N); `noise`, shape (B, C), of each instrument as a multiple of the given sigma; `prior_std`, shape
-        (B, K), of each family of parameters; and `rho`, shape (B, C, 2), shared by the targets of a stop.
+        (B, K), of each family of parameters; and `rho`, shape (B, C, 3), shared by the targets of a stop.
 
         Args:
             fits: shape (n,), indices of the fits to keep, from 0.

@@ -6,10 +6,14 @@ A stop is one standstill of the robot at which several targets are measured, whi
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.estimate.stop_shares import ROTATION, TRANSLATION, transposed
+from calib.estimate.stop_shares import PARTS, transposed
+from calib.model.error_model import error_model
+from calib.model.kinematics import Kinematics, Samples
 from calib.registration.rows import Rows
 from calib.registration.same_poses import same_poses
 from calib.units import Array, Integers
@@ -72,28 +76,54 @@ def twists_of_bodies(origins: Array, points: Array, stops: Integers, counts: Arr
     return twists
 
 
-def of_unit_size(J: Array, instruments: NDArray[np.int8], counts: Array) -> Array:
-    """Scale Jacobians by displacements of bodies to unit mean square, separately for translations and rotations.
+def twists_of_joints(kinematics: Kinematics, samples: Samples) -> Array:
+    """Differentiate the poses of targets by the joints that turn: the nominal robot misses a stop by their errors.
 
-    After this a translation whose three components have the variance 1 each moves an instrument's scalars with a mean
-    variance of 1, and so does a rotation.
+    Joints that slide are left out: their errors, in another unit, are translations of the body.
 
     Args:
-        J: shape (K, D, 6), Jacobian of the D scalars of each of K rows, in units of their sigma, by its body's
-            displacement: three translations [m], three rotations [rad].
+        kinematics: The nominal robot, and frames and targets as registered.
+        samples: K samples of it.
+
+    Returns:
+        shape (K, 6, j), twist of the target along the frame's axes, linear [m] then angular [rad], by a radian of each
+        of j joints.
+    """
+    zeros = error_model(
+        kinematics.robot,
+        "zeros",
+        frame=dict.fromkeys(map(str, range(len(kinematics.T_frame_base))), ()),
+        target=False,
+        targets=[str(k) for k in range(len(kinematics.T_tip_target))],
+    )
+    turning = [k for k, parameter in enumerate(zeros.parameters) if parameter.unit == "rad"]
+    of_zeros = replace(kinematics, model=zeros)
+    _, twists = of_zeros.twists(np.zeros(len(zeros)), samples)
+    return twists[:, :, turning]
+
+
+def of_unit_size(J: Array, instruments: NDArray[np.int8], counts: Array) -> Array:
+    """Scale Jacobians by displacements of bodies to unit mean square: translations, rotations, and joints apart.
+
+    After this a translation whose three components have the variance 1 each moves an instrument's scalars with a mean
+    variance of 1, and so does a rotation, and so do errors of the joints.
+
+    Args:
+        J: shape (K, D, d), Jacobian of the D scalars of each of K rows, in units of their sigma, by its body's
+            displacement: three translations [m], three rotations [rad], the joints [rad].
         instruments: shape (K, D), index of each scalar's instrument, from 0; -1 for no scalar.
         counts: shape (K,), weight of each row in the mean.
 
     Returns:
-        shape (K, D, 6): of each instrument the sum of squares over the three translations has the mean 1 over its
-        scalars, and that over the three rotations too. 0 where there is no scalar, or the part moves none of an
-        instrument's.
+        shape (K, D, d): of each instrument the sum of squares over the three translations has the mean 1 over its
+        scalars, and so have that over the rotations and that over the joints. 0 where there is no scalar, or the part
+        moves none of an instrument's.
     """
     result = np.zeros(J.shape)
     for c in range(int(instruments.max()) + 1):
         of_instrument = instruments == c
         weight = counts[:, None] * of_instrument
-        for part in (TRANSLATION, ROTATION):
+        for part in PARTS:
             square = float(np.sum(weight[:, :, None] * J[:, :, part] ** 2))
             if square > 0.0:
                 scale = np.sqrt(np.sum(weight) / square)

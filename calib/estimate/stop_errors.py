@@ -2,15 +2,17 @@
 
 A stop is one standstill of the robot at which several targets are measured; a cell is one of these targets at that
 stop, whose repeats it holds. The robot's repeatability and what the model lacks displace that body by a translation and
-a rotation about the centroid of its targets, random and independent from stop to stop. A stop's scalars, in units of
-their sigma, have the covariance
+a rotation about the centroid of its targets; and each joint that turns misses its reading, by the steps of its encoder,
+play or a servo's error. All are random and independent from stop to stop. A stop's scalars, in units of their sigma,
+have the covariance
 
-    V = noise^2 K,        K = kappa I + rho_t J_t J_t^T + rho_r J_r J_r^T,        kappa = 1 - rho_t - rho_r
+    V = noise^2 K,        K = kappa I + rho_t J_t J_t^T + rho_r J_r J_r^T + rho_q J_q J_q^T
 
-with the Jacobians J_t and J_r of the predicted scalars by that displacement, each scaled so that the mean diagonal
-entry of J J^T over the table is 1: noise is the standard deviation of a scalar, rho_t and rho_r are the shares of its
-variance that the targets of a stop have in common, and kappa is the share that is independent. With
-G = [sqrt(rho_t) J_t, sqrt(rho_r) J_r], as in any mixed model (C. R. Henderson, 1953),
+with the Jacobians J_t, J_r and J_q of the predicted scalars by translation, rotation and joints, together d directions,
+each scaled so that the mean diagonal entry of J J^T over the table is 1: noise is the standard deviation of a scalar,
+rho_t, rho_r and rho_q are the shares of its variance that the targets of a stop have in common, and the share
+kappa = 1 - rho_t - rho_r - rho_q is independent. With G = [sqrt(rho_t) J_t, sqrt(rho_r) J_r, sqrt(rho_q) J_q], as in
+any mixed model (C. R. Henderson, 1953),
 
     K^-1 = [I - G (kappa I + G^T G)^-1 G^T] / kappa
 
@@ -26,7 +28,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.estimate.stop_bodies import of_unit_size, stop_of_rows, twists_of_bodies
+from calib.estimate.stop_bodies import (
+    of_unit_size,
+    stop_of_rows,
+    twists_of_bodies,
+    twists_of_joints,
+)
 from calib.estimate.stop_shares import TINY, Moments, root_shares, transposed, unshared
 from calib.model.kinematics import Kinematics
 from calib.registration.rows import Rows
@@ -46,10 +53,23 @@ class _CellMeans:
 
     #: (M, D, q), of given columns of the scalars, in their unit
     columns: Array
-    #: (M, D, 6), of the Jacobian of each scalar by translation (3) and rotation (3) of the stop's body
+    #: (M, D, d), of the Jacobian of each scalar by d directions: translation (3) and rotation (3) of the stop's body,
+    #: the joints
     J: Array
     #: (M, D), number of scalars: 1, or the sum of the rows' weights where that is less; 0 for other instruments
     count: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _IndependentMeans:
+    """Means X of one instrument's scalars over M cells, and K^-1/2 X, which are independent of each other."""
+
+    #: (M, D, q), X, in units of the noise
+    columns: Array
+    #: (M, D, q), K^-1/2 X
+    independent: Array
+    #: log det K over all stops
+    log_det: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,8 +82,8 @@ class Stops:
     cells: Integers
     #: (n,), rows of one number are of one stop
     stops: Integers
-    #: (n, D, 6), Jacobian of each scalar by the body's displacement: translations, then rotations. Of each instrument
-    #: the sum of squares over the translations, and over the rotations, has mean 1
+    #: (n, D, d), Jacobian of each scalar by the body's displacement: translations, rotations, joints. Of each
+    #: instrument the sum of squares over each of the three has mean 1
     J: Array
     #: (n, D), index of the instrument, and so of the noise, of each scalar, from 0; -1 where there is no scalar
     instruments: NDArray[np.int8]
@@ -107,9 +127,10 @@ class Stops:
 
         Returns:
             The n rows of these stops, by cell and stop, with the derivatives of their scalars by the displacement of
-            the stop's body, shape (n, D, 6): three translations, three rotations about the centroid of its targets,
-            along the measurement frame's axes. Each instrument's derivatives by translations, and those by rotations,
-            are scaled so that their sum of squares has mean 1 over its scalars. None where no stop has several targets.
+            the stop's body, shape (n, D, d): three translations, three rotations about the centroid of its targets,
+            along the measurement frame's axes, and the joints that turn. Each instrument's derivatives by translations,
+            by rotations and by joints are scaled so that their sum of squares has mean 1 over its scalars. None where
+            no stop has several targets.
         """
         stop = stop_of_rows(rows)
         if stop is None:
@@ -122,9 +143,11 @@ class Stops:
         # Repeats of a target are one point of the body.
         weight = 1.0 / np.bincount(of_stops.poses)[of_stops.poses]
         points = of_stops.points(T_frame_target)
-        twists = twists_of_bodies(T_frame_target[:, :3, 3], points, stop, weight)
+        of_body = twists_of_bodies(T_frame_target[:, :3, 3], points, stop, weight)
+        of_joints = twists_of_joints(kinematics, of_stops.samples)
+        twists = np.concatenate([of_body, of_joints], axis=2)
         derivative = of_stops.derivative(T_frame_target, twists)
-        J = np.zeros((len(of_stops), rows.width, 6))
+        J = np.zeros((len(of_stops), rows.width, twists.shape[2]))
         J[:, : of_stops.width] = derivative / of_stops.scales[:, :, None]
         instruments = rows.channels.index[chosen]
         J = of_unit_size(J, instruments, weight)
@@ -159,7 +182,7 @@ class Stops:
         """Return the stops (standstills at which several targets are measured) of a bootstrap sample of the stops.
 
         The caller multiplies the rows' weights by ``count``. A row of twice the weight has half the variance, and so
-        must the displacement that it shares. Of the fields it changes `J`, shape (n, D, 6), the derivatives of the
+        must the displacement that it shares. Of the fields it changes `J`, shape (n, D, d), the derivatives of the
         scalars of n rows by the displacement of their stop's body.
 
         Args:
@@ -176,8 +199,8 @@ class Stops:
         """Correct the normal equations of independent rows for what the targets of a stop share.
 
         The targets that are measured at one standstill of the robot (a stop) share the displacement of their body. With
-        the derivatives J_t and J_r of their scalars by its translation and rotation, the scalars have the covariance
-        noise^2 K, where K = kappa I + rho_t J_t J_t^T + rho_r J_r J_r^T and kappa = 1 - rho_t - rho_r. Only the means
+        the derivatives J_t, J_r and J_q of their scalars by its translation and rotation and by the joints, the scalars
+        have the covariance noise^2 K, with K as at the head of this module. Only the means
         over the repeats of a target at a stop share it: weighted sums over the square root of the sum of weights, X.
 
         Args:
@@ -185,8 +208,8 @@ class Stops:
                 residual, in units of each scalar's given sigma.
             weights: shape (B, N), of its rows in B fits, >= 0: the variance of a row's scalars is divided by its
                 weight.
-            rho: shape (B, C, 2), shares rho_t and rho_r of the variance of each of C instruments; where both are 0
-                there is nothing to correct.
+            rho: shape (B, C, 3), shares rho_t, rho_r and rho_q of the variance of each of C instruments; where all are
+                0 there is nothing to correct.
 
         Returns:
             What is to be added to the products of each fit and instrument: X^T (K^-1 - I) X over all stops, with the
@@ -200,10 +223,9 @@ class Stops:
         for stops in self._parts():
             X = stops._rows_of(columns)  # (n, D, q)
             for b, c in shares_any:
-                change, log_terms = stops._correction(X, weights[b], c, rho[b, c])
+                change, of_instrument = stops._correction(X, weights[b], c, rho[b, c])
                 changes[b, c] += change
-                for term in log_terms:
-                    log_det[b] += term
+                log_det[b] += of_instrument
         return changes, log_det
 
     def _correction(
@@ -212,12 +234,13 @@ class Stops:
         weights: Array,
         c: int,
         rho: Array,
-    ) -> tuple[Array, tuple[float, float]]:
+    ) -> tuple[Array, float]:
         """Correct the normal equations of one instrument in one fit for what the targets of a stop share.
 
         K = kappa I + G G^T is the covariance of the scalars of a stop (a standstill at which several targets are
-        measured) over the noise squared, with G = [sqrt(rho_t) J_t, sqrt(rho_r) J_r] and kappa = 1 - rho_t - rho_r. J_t
-        and J_r are the derivatives of the scalars by translation and rotation of the body that the targets are on.
+        measured) over the noise squared, with G and kappa as at the head of this module: the derivatives of the scalars
+        by translation and rotation of the body that the targets are on, and by the joints, times the roots of the
+        shares.
 
         Args:
             X: shape (n, D, q), q columns (of the Jacobian, and the residual) of the D scalars of the n rows of these S
@@ -225,33 +248,25 @@ class Stops:
             weights: shape (N,), of the table's N rows, >= 0: the variance of a row's scalars is divided by its weight.
                 Rows of weight 0 have no part.
             c: The instrument's index, from 0.
-            rho: shape (2,), the shares rho_t of translations and rho_r of rotations in the variance of its scalars.
+            rho: shape (3,), the shares of translations, rotations and joints in the variance of its scalars.
 
         Returns:
             X^T (K^-1 - I) X, shape (q, q), in units of X squared, summed over the stops, where X are the means of the
-            instrument's scalars over the repeats of a target at a stop; two terms whose sum is log det K, over all
-            stops.
+            instrument's scalars over the repeats of a target at a stop; and log det K, over all stops.
         """
-        means = self._means(
-            X, weights, c
-        )  # of M cells: columns (M, D, q), J (M, D, 6), count (M, D)
-        kappa = unshared(rho)
-        G = means.J * root_shares(rho)
-        GG = self._sums(transposed(G) @ G)  # over the cells of each stop, (S, 6, 6)
-        root = np.linalg.cholesky(np.eye(6) + GG / kappa)
-        G_X = self._sums(transposed(G) @ means.columns)  # likewise, (S, 6, q)
-        shared = np.linalg.solve(root, G_X / kappa)
-        change = _change_of_products(means.columns, shared, kappa)
-        of_unshared = np.sum(means.count) * np.log(kappa)
-        of_shared = 2.0 * np.sum(np.log(np.diagonal(root, axis1=1, axis2=2)))
-        return change, (float(of_unshared), float(of_shared))
+        means = self._independent_means(X, weights, c, rho)
+        independent = means.independent.reshape(-1, X.shape[2])
+        unweighted = means.columns.reshape(-1, X.shape[2])
+        # A difference of two squares of scalars: that of the matrices would leave too few digits where kappa is small.
+        change = independent.T @ independent - unweighted.T @ unweighted
+        return change, means.log_det
 
     def independent(self, columns: Array, weights: Array, rho: Array) -> Array:
         """Multiply the columns of whitened scalars by the root of K^-1, so that these are independent of each other.
 
         The targets that are measured at one standstill of the robot (a stop) share the displacement of their body, so
-        that their scalars have the covariance noise^2 K, K = kappa I + G G^T, with the share kappa = 1 - rho_t - rho_r
-        of independent errors and G = [sqrt(rho_t) J_t, sqrt(rho_r) J_r] of translation and rotation. With G^T G / kappa
+        that their scalars have the covariance noise^2 K, K = kappa I + G G^T, with the share kappa of
+        independent errors, and G = [sqrt(rho_t) J_t, sqrt(rho_r) J_r, sqrt(rho_q) J_q]. With G^T G / kappa
         = Q diag(s^2 - 1) Q^T,
 
             K^-1/2 = [I - G Q diag(1 / (s + s^2)) Q^T G^T / kappa] / sqrt(kappa)
@@ -262,7 +277,7 @@ class Stops:
             columns: shape (q, D, N), q columns (such as Jacobian and residual) of the D scalars of the table's N rows,
                 in units of the estimated noise, and times the square roots of the weights.
             weights: shape (N,), of the table's rows, >= 0.
-            rho: shape (C, 2), the shares rho_t of translations and rho_r of rotations in the variance of each of C
+            rho: shape (C, 3), the shares of translations, rotations and joints in the variance of each of C
                 instruments.
 
         Returns:
@@ -277,41 +292,40 @@ class Stops:
             weight_of_cell = np.maximum(np.add.reduceat(w, stops._first_row), TINY)
             root_share = np.sqrt(w / weight_of_cell[stops._cell_of_row])
             for c in instruments:
-                change = stops._change_of_means(X, weights, c, rho[c])
+                means = stops._independent_means(X, weights, c, rho[c])
+                change = means.independent - means.columns
                 changes = change[stops._cell_of_row] * root_share[:, None, None]
                 result[:, :, stops.rows] += changes.transpose(2, 1, 0)
         return result
 
-    def _change_of_means(self, X: Array, weights: Array, c: int, rho: Array) -> Array:
-        """Return what must be added to the cells' means so that those of a stop are independent: (K^-1/2 - I) means.
+    def _independent_means(self, X: Array, weights: Array, c: int, rho: Array) -> _IndependentMeans:
+        """Multiply the cells' means by K^-1/2, so that those of a stop are independent.
 
         A cell is one target at one standstill of the robot (a stop), with its repeats; K is the covariance of a stop's
-        scalars over the noise squared, kappa I + G G^T, with kappa = 1 - rho_t - rho_r and G = [sqrt(rho_t) J_t,
-        sqrt(rho_r) J_r], where J_t and J_r are the derivatives of the scalars by translation and rotation of the stop's
-        body.
+        scalars over the noise squared, kappa I + G G^T, with kappa and G as at the head of this module.
 
         Args:
             X: shape (n, D, q), q columns of the D scalars of the n rows of these stops, in the order of the field
                 `rows`, in units of their noise, not multiplied by the roots of the weights.
             weights: shape (N,), of the table's N rows, >= 0: the variance of a row's scalars is divided by its weight.
             c: The instrument's index, from 0.
-            rho: shape (2,), the shares rho_t of translations and rho_r of rotations in the variance of its scalars.
+            rho: shape (3,), the shares of translations, rotations and joints in the variance of its scalars.
 
         Returns:
-            shape (M, D, q), of M cells, in units of the noise; zero for scalars of other instruments. The means have
-            the variance of one row of weight 1: weighted sums over the square root of the sum of weights.
+            The means of M cells before and after, in units of the noise, zero for scalars of other instruments, and
+            log det K. The means have the variance of one row of weight 1: weighted sums over the square root of the sum
+            of weights.
         """
-        means = self._means(X, weights, c)  # of M cells: columns (M, D, q), J (M, D, 6)
+        means = self._means(X, weights, c)  # of M cells: columns (M, D, q), J (M, D, d)
         kappa = unshared(rho)
-        G = means.J * root_shares(rho) / np.sqrt(kappa)
+        G = means.J * root_shares(rho, means.J.shape[2]) / np.sqrt(kappa)
         squares, Q = np.linalg.eigh(self._sums(transposed(G) @ G))
-        s = np.sqrt(1.0 + np.maximum(squares, 0.0))[:, None]
-        G_means = self._sums(
-            transposed(G) @ means.columns
-        )  # over the cells of each stop, (S, 6, q)
-        shared = (Q / (s + s**2)) @ (transposed(Q) @ G_means)
+        s = np.sqrt(1.0 + np.maximum(squares, 0.0))[:, None]  # (S, 1, d)
+        of_stops = self._sums(transposed(G) @ means.columns)  # over the cells of each, (S, d, q)
+        shared = (Q / (s + s**2)) @ (transposed(Q) @ of_stops)
         independent = (means.columns - G @ shared[self._stop_of_cell]) / np.sqrt(kappa)
-        return np.asarray(independent - means.columns)
+        log_det = np.sum(means.count) * np.log(kappa) + 2.0 * np.sum(np.log(s))
+        return _IndependentMeans(means.columns, independent, float(log_det))
 
     def moments(self, columns: Array, weights: Array, c: int, x: Array, C: Array) -> Moments:
         """Compute the moments of a fit's residual, from which the shares of an instrument's variance are estimated.
@@ -329,7 +343,7 @@ class Stops:
             C: shape (p, p), its covariance, in the products of the parameters' units.
 
         Returns:
-            J^T J and J^T [r r^T + A C A^T] J of each of S stops, both of shape (S, 6, 6); the trace of r r^T + A C A^T
+            J^T J and J^T [r r^T + A C A^T] J of each of S stops, both of shape (S, d, d); the trace of r r^T + A C A^T
             over all stops; and the number of scalars. Residuals are in units of the given sigma.
         """
         parts = []
@@ -348,22 +362,23 @@ class Stops:
             means: Means of one instrument's scalars over M cells, each with the variance of one row of weight 1:
                 ``means.columns``, shape (M, D, p + 1), the derivative A of the prediction by p parameters, and behind
                 it the residual at some parameters, measured minus predicted, in units of the given sigma; ``means.J``,
-                shape (M, D, 6), the derivative by the displacement of the stop's body; ``means.count``, shape (M, D),
+                shape (M, D, d), the derivative by the displacement of the stop's body; ``means.count``, shape (M, D),
                 the number of scalars.
             x: shape (p,), the solution, relative to the parameters where the residual was taken [m, rad, ...].
             C: shape (p, p), its covariance, in the products of the parameters' units.
 
         Returns:
             With the residual r at the solution: J^T J and J^T [r r^T + A C A^T] J of each of these S stops, both of
-            shape (S, 6, 6); the trace of r r^T + A C A^T over all of them; and the number of scalars. In units of sigma
+            shape (S, d, d); the trace of r r^T + A C A^T over all of them; and the number of scalars. In units of sigma
             squared.
         """
         A = means.columns[..., :-1]
         r = means.columns[..., -1:] - A @ x[:, None]
-        # Over the cells of each stop, (S, 6, 6 + p + 1).
+        # Over the cells of each stop, (S, d, d + p + 1).
         sums = self._sums(transposed(means.J) @ np.concatenate([means.J, A, r], axis=2))
-        J_J = sums[..., :6]
-        J_A = sums[..., 6:-1]
+        directions = means.J.shape[2]
+        J_J = sums[..., :directions]
+        J_A = sums[..., directions:-1]
         J_r = sums[..., -1:]
         R = J_r @ transposed(J_r) + J_A @ C @ transposed(J_A)
         total = float(np.sum(r**2) + np.sum((A @ C) * A))
@@ -383,7 +398,7 @@ class Stops:
 
         Returns:
             Means of X, ``columns``, shape (M, D, q), in the unit of X; of the derivative by the displacement of the
-            stop's body, ``J``, shape (M, D, 6), without unit; and ``count``, shape (M, D), which is sum w, but at most
+            stop's body, ``J``, shape (M, D, d), without unit; and ``count``, shape (M, D), which is sum w, but at most
             1. All are zero for scalars of other instruments.
         """
         w = weights[self.rows, None]
@@ -394,7 +409,8 @@ class Stops:
         weighted = np.concatenate([X, self.J], axis=2) * weight
         means = np.add.reduceat(weighted, self._first_row) * scale[:, :, None]
         count = of_instrument[self._first_row] * np.minimum(total, 1.0)
-        return _CellMeans(means[..., :-6], means[..., -6:], count)
+        columns = X.shape[2]
+        return _CellMeans(means[..., :columns], means[..., columns:], count)
 
     def _sums(self, values: Array) -> Array:
         """Sum values over the cells of each stop: over the targets that are measured at one standstill.
@@ -449,25 +465,3 @@ class Stops:
             J=self.J[kept],
             instruments=self.instruments[kept],
         )
-
-
-def _change_of_products(means: Array, shared: Array, kappa: float) -> Array:
-    """The change of normal equations by what the targets of a stop share: X^T (K^-1 - I) X, summed over S stops.
-
-    K = kappa I + G G^T is the covariance of a stop's scalars over the noise squared, where G has the scaled derivatives
-    of the scalars by the displacement of the stop's body. With the Cholesky factor L of I + G^T G / kappa, K^-1 = I /
-    kappa - Z^T Z where Z = L^-1 G^T / kappa.
-
-    Args:
-        means: shape (M, D, q), q columns X of the D scalars, averaged over each of M cells: one target at one stop,
-            with its repeats.
-        shared: shape (S, 6, q), Z X of each of S stops.
-        kappa: The share of a scalar's variance that is independent of the other targets of its stop.
-
-    Returns:
-        shape (q, q), in units of X squared.
-    """
-    columns = means.shape[2]
-    X = means.reshape(-1, columns)
-    ZX = shared.reshape(-1, columns)
-    return np.asarray((1.0 / kappa - 1.0) * (X.T @ X) - ZX.T @ ZX)

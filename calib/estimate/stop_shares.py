@@ -1,11 +1,12 @@
 """The shares of a scalar's variance that the targets of a stop have in common, estimated from a fit's residuals.
 
 See `calib.estimate.stop_errors` for stops and their covariance V = noise^2 K, with K = kappa I + G G^T and the shares
-rho_t of translations and rho_r of rotations.
+rho_t of translations, rho_r of rotations and rho_q of the joints.
 
 The shares are estimated from the residual r of generalised least squares, E[r r^T] = V - A C A^T, by equations that
 end where the restricted likelihood is highest (R. D. Anderson, 1973; S. R. Searle, G. Casella, C. E. McCulloch,
-Variance Components, 1992): with the derivatives V_i of V by theta, which are noise^2 times kappa, rho_t and rho_r,
+Variance Components, 1992): with the derivatives V_i of V by theta, which are noise^2 times kappa, rho_t, rho_r and
+rho_q,
 
     sum_j tr(V^-1 V_i V^-1 V_j) theta_j = tr(V^-1 V_i V^-1 [r r^T + A C A^T])
 """
@@ -26,6 +27,15 @@ TRANSLATION = slice(0, 3)
 #: Columns of a body's rotation.
 ROTATION = slice(3, 6)
 
+#: Columns of a body's displacement, by translation and rotation.
+BODY = slice(0, 6)
+
+#: Columns of the displacement by the errors of the joints.
+JOINTS = slice(6, None)
+
+#: The columns whose variance is one.
+PARTS = (TRANSLATION, ROTATION, JOINTS)
+
 #: The least kappa: no instrument's noise is less than a thousandth of what the targets of a stop share.
 _LEAST_UNSHARED = 1e-6
 
@@ -44,37 +54,39 @@ TINY = 1e-300
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _InverseCovariance:
-    """K^-1 of S stops by matrices of six rows: K^-1 = (I - J H J^T) / kappa, and K^-1 J = J T.
+    """K^-1 of S stops by matrices of d rows: K^-1 = (I - J H J^T) / kappa, and K^-1 J = J T.
 
-    J has the Jacobian of a stop's scalars by its body's displacement: translation (3), rotation (3). With M = J^T J and
-    the shares D = diag(rho_t, rho_t, rho_t, rho_r, rho_r, rho_r), G G^T is J D J^T.
+    J has the Jacobian of a stop's scalars by its body's displacement in d directions: translation (3), rotation (3),
+    the errors of the joints. With M = J^T J and D, the diagonal matrix of each direction's share, G G^T is J D J^T.
     """
 
     #: The share of a scalar's variance that is independent of the other targets of its stop
     kappa: float
-    #: (S, 6, 6), (kappa I + D M)^-1
+    #: (S, d, d), (kappa I + D M)^-1
     T: Array
-    #: (S, 6, 6), T D
+    #: (S, d, d), T D
     H: Array
 
     @classmethod
     def of(cls, M: Array, rho: Array) -> _InverseCovariance:
         """Invert the covariance K = kappa I + J D J^T of the scalars of each stop, over the noise squared.
 
-        J has the derivatives of a stop's scalars by the displacement of its body, three translations and three
-        rotations; D = diag(rho_t, rho_t, rho_t, rho_r, rho_r, rho_r), and kappa = 1 - rho_t - rho_r, at least 1e-6.
+        J has the derivatives of a stop's scalars by the displacement of its body in d directions: three translations,
+        three rotations, and the errors of d - 6 joints. D is the diagonal matrix of each direction's share, rho_t,
+        rho_r or rho_q, and kappa = 1 - rho_t - rho_r - rho_q, at least 1e-6.
 
         Args:
-            M: shape (S, 6, 6), J^T J of each of S stops.
-            rho: shape (2,), the shares rho_t and rho_r of translations and rotations in the variance of a scalar.
+            M: shape (S, d, d), J^T J of each of S stops.
+            rho: shape (3,), the shares of translations, rotations and joints in the variance of a scalar.
 
         Returns:
-            kappa; T = (kappa I + D M)^-1 and H = T D, both of shape (S, 6, 6), with K^-1 = (I - J H J^T) / kappa and
+            kappa; T = (kappa I + D M)^-1 and H = T D, both of shape (S, d, d), with K^-1 = (I - J H J^T) / kappa and
             K^-1 J = J T.
         """
         kappa = unshared(rho)
-        shares = root_shares(rho) ** 2
-        T: Array = np.asarray(np.linalg.inv(kappa * np.eye(6) + shares[:, None] * M))
+        directions = M.shape[1]
+        shares = root_shares(rho, directions) ** 2
+        T: Array = np.asarray(np.linalg.inv(kappa * np.eye(directions) + shares[:, None] * M))
         return cls(kappa, T, T * shares)
 
 
@@ -82,13 +94,13 @@ class _InverseCovariance:
 class Moments:
     """The moments of one instrument's residual r at S stops, from which its shares are estimated, in any unit.
 
-    J is the Jacobian of a stop's scalars by its body's translation (3) and rotation (3), A that by the parameters of
-    the fit, and C the covariance of these.
+    J is the Jacobian of a stop's scalars by its body's displacement in d directions, translation (3), rotation (3) and
+    the errors of the joints, A that by the parameters of the fit, and C the covariance of these.
     """
 
-    #: (S, 6, 6), J^T J of each stop
+    #: (S, d, d), J^T J of each stop
     M: Array
-    #: (S, 6, 6), J^T [r r^T + A C A^T] J of each stop
+    #: (S, d, d), J^T [r r^T + A C A^T] J of each stop
     R: Array
     #: The trace of r r^T + A C A^T, of all stops
     total: float
@@ -101,14 +113,14 @@ class Moments:
 
         With the residual r of the scalars of a stop, the covariance A C A^T of their prediction, and their derivatives
         J by the displacement of the stop's body, moments are ``M`` = J^T J and ``R`` = J^T [r r^T + A C A^T] J of each
-        of S stops, both of shape (S, 6, 6); ``total``, the trace of r r^T + A C A^T over all stops; and ``count``, the
+        of S stops, both of shape (S, d, d); ``total``, the trace of r r^T + A C A^T over all stops; and ``count``, the
         number of scalars.
 
         Args:
             parts: Moments of the parts, in the order of the stops, of the residual r of one instrument in one fit; at
-                least one. With J, the Jacobian of a stop's scalars by translation (3) and rotation (3) of the body that
-                carries its targets, and A C A^T, the covariance of the prediction: ``M``, J^T J, and ``R``,
-                J^T [r r^T + A C A^T] J, shape (S, 6, 6), of each of the part's S stops; ``total``, the trace of
+                least one. With J, the Jacobian of a stop's scalars by the displacement in d directions of the body
+                that carries its targets, and A C A^T, the covariance of the prediction: ``M``, J^T J, and ``R``,
+                J^T [r r^T + A C A^T] J, shape (S, d, d), of each of the part's S stops; ``total``, the trace of
                 r r^T + A C A^T, and ``count``, the number of scalars, summed over them.
 
         Returns:
@@ -124,23 +136,24 @@ class Moments:
         return cls(M, R, total, count)
 
     def shares(self, rho: Array) -> Array:
-        """Estimate which shares of a scalar's variance translations and rotations of a stop's body have, by iteration.
+        """Estimate the shares of translations, rotations and joints in a scalar's variance, by iteration.
 
         All targets that are measured at one standstill of the robot (a stop) move with this body. With the derivatives
         J of a stop's scalars by its displacement, and the moments of the fit's residual r: ``M`` = J^T J and ``R`` =
-        J^T [r r^T + A C A^T] J, both of shape (S, 6, 6); ``total``, the trace of r r^T + A C A^T over all S stops,
+        J^T [r r^T + A C A^T] J, both of shape (S, d, d); ``total``, the trace of r r^T + A C A^T over all S stops,
         where A C A^T is the covariance of the prediction; and ``count``, the number of scalars.
 
         Args:
-            rho: shape (2,), the shares rho_t of translations and rho_r of rotations to begin with.
+            rho: shape (3,), the shares of translations, rotations and joints to begin with.
 
         Returns:
-            shape (2,), rho_t and rho_r, each from 0 to 1; both 0 where the degrees of freedom of the bodies (the ranks
-            of ``M``), or the others, are fewer than 12. After 20 iterations as they are.
+            shape (3,), each from 0 to 1; all 0 where the degrees of freedom of the bodies (the ranks of the first six
+            rows and columns of ``M``), or the others, are fewer than 12. After 20 iterations as they are.
         """
-        bodies = int(np.sum(np.linalg.matrix_rank(self.M, hermitian=True)))
+        of_bodies = self.M[:, BODY, BODY]  # errors of joints move the bodies in no other direction
+        bodies = int(np.sum(np.linalg.matrix_rank(of_bodies, hermitian=True)))
         if min(bodies, self.count - bodies) < _FEWEST_FREEDOM:
-            return np.zeros(2)
+            return np.zeros(len(PARTS))
         for _ in range(_STEPS):
             before = rho
             rho = _shares_of(self._components(rho))
@@ -149,98 +162,98 @@ class Moments:
         return rho
 
     def _components(self, rho: Array) -> Array:
-        """Estimate the variances theta of independent errors, translations and rotations, the last two >= 0.
+        """Estimate the variances theta of independent errors, translations, rotations and joints, the last three >= 0.
 
-        Solves the three linear equations for theta once; a variance that comes out negative is 0, and the others are
+        Solves the four linear equations for theta once; a variance that comes out negative is 0, and the others are
         solved for again.
 
         Args:
-            rho: shape (2,), the shares of translations and rotations in the variance of a scalar, at which the
-                equations are set up.
+            rho: shape (3,), the shares of translations, rotations and joints in the variance of a scalar, at which
+                the equations are set up.
 
         Returns:
-            theta, shape (3,), in the square of the residual's unit; that of rotations or translations is 0 too where
-            these move no scalar.
+            theta, shape (4,), in the square of the residual's unit; that of a part is 0 too where it moves no scalar.
         """
         inverse = _InverseCovariance.of(self.M, rho)
         left = self._left_side(inverse)
         right = self._right_side(inverse)
         free = np.diagonal(left) > 0.0  # no translation moves angles
         while True:
-            theta = np.zeros(3)
+            theta = np.zeros(1 + len(PARTS))
             theta[free] = np.linalg.solve(left[np.ix_(free, free)], right[free])
             if not np.any(theta[1:] < 0.0):
                 return theta
             free[1 + int(np.argmin(theta[1:]))] = False
 
     def _left_side(self, inverse: _InverseCovariance) -> Array:
-        """The matrix of the equations for theta, the variances of independent errors, translations and rotations.
+        """The matrix of the equations for theta: variances of independent errors, translations, rotations, joints.
 
-        The scalars of a stop have the covariance V = theta_0 I + theta_1 J_t J_t^T + theta_2 J_r J_r^T, where J = [J_t,
-        J_r] are their derivatives by translation and rotation of the body that all its targets are on. Uses ``M``,
-        shape (S, 6, 6), J^T J of each of S stops, and the ``count`` of scalars of all.
+        The scalars of a stop have the covariance V = theta_0 I + theta_1 J_t J_t^T + theta_2 J_r J_r^T + theta_3 J_q
+        J_q^T, where J = [J_t, J_r, J_q] are their derivatives by d directions: translation and rotation of the body
+        that all its targets are on, and the errors of the joints. Uses ``M``, shape (S, d, d), J^T J of each of S
+        stops, and the ``count`` of scalars of all.
 
         Args:
             inverse: K^-1 of each stop, where K is V over the noise squared, at the shares as they are so far, as
-                ``kappa``, and ``T`` and ``H``, shape (S, 6, 6): K^-1 = (I - J H J^T) / kappa and K^-1 J = J T.
+                ``kappa``, and ``T`` and ``H``, shape (S, d, d): K^-1 = (I - J H J^T) / kappa and K^-1 J = J T.
 
         Returns:
-            tr(K^-1 K_i K^-1 K_j), shape (3, 3), summed over the stops, where K_i is the derivative of the covariance V
+            tr(K^-1 K_i K^-1 K_j), shape (4, 4), summed over the stops, where K_i is the derivative of the covariance V
             by theta_i.
         """
         HM = inverse.H @ self.M
         MT = self.M @ inverse.T
         TMT = transposed(inverse.T) @ self.M @ inverse.T
-        result = np.zeros((3, 3))
+        result = np.zeros((1 + len(PARTS), 1 + len(PARTS)))
         of_independent = self.count - 2.0 * _trace(HM) + _trace(HM @ HM)
         result[0, 0] = of_independent / inverse.kappa**2
-        parts = (TRANSLATION, ROTATION)
-        for k, i in enumerate(parts, 1):
+        for k, i in enumerate(PARTS, 1):
             of_part = _trace(TMT[:, i, i])
             result[0, k] = of_part
             result[k, 0] = of_part
-            result[k, 1:] = [np.sum(MT[:, i, j] ** 2) for j in parts]
+            result[k, 1:] = [np.sum(MT[:, i, j] ** 2) for j in PARTS]
         return result
 
     def _right_side(self, inverse: _InverseCovariance) -> Array:
-        """The right side of the equations for theta, the variances of independent errors, translations and rotations.
+        """The right side of the equations for theta: variances of independent errors, translations, rotations, joints.
 
-        The scalars of a stop have the covariance V = theta_0 I + theta_1 J_t J_t^T + theta_2 J_r J_r^T, where J = [J_t,
-        J_r] are their derivatives by translation and rotation of the body that all its targets are on. Uses the moments
-        of the fit's residual r, whose prediction has the covariance A C A^T: ``M`` and ``R``, shape (S, 6, 6), of each
-        of S stops, and ``total``, over all stops,
+        The scalars of a stop have the covariance V = theta_0 I + theta_1 J_t J_t^T + theta_2 J_r J_r^T + theta_3 J_q
+        J_q^T, where J = [J_t, J_r, J_q] are their derivatives by d directions: translation and rotation of the body
+        that all its targets are on, and the errors of the joints. Uses the moments of the fit's residual r, whose
+        prediction has the covariance A C A^T: ``M`` and ``R``, shape (S, d, d), of each of S stops, and ``total``, over
+        all stops,
 
             M = J^T J,    R = J^T [r r^T + A C A^T] J,    total = tr(r r^T + A C A^T)
 
         Args:
             inverse: K^-1 of each stop, where K is V over the noise squared, at the shares as they are so far, as
-                ``kappa``, and ``T`` and ``H``, shape (S, 6, 6): K^-1 = (I - J H J^T) / kappa and K^-1 J = J T.
+                ``kappa``, and ``T`` and ``H``, shape (S, d, d): K^-1 = (I - J H J^T) / kappa and K^-1 J = J T.
 
         Returns:
-            tr(K^-1 K_i K^-1 [r r^T + A C A^T]), shape (3,), summed over the stops, in the square of the residual's
+            tr(K^-1 K_i K^-1 [r r^T + A C A^T]), shape (4,), summed over the stops, in the square of the residual's
             unit, where K_i is the derivative of the covariance V by theta_i.
         """
         HM = inverse.H @ self.M
         HR = inverse.H @ self.R
         TRT = transposed(inverse.T) @ self.R @ inverse.T
-        result = np.zeros(3)
+        result = np.zeros(1 + len(PARTS))
         of_independent = self.total - 2.0 * _trace(HR) + _trace(HM @ HR)
         result[0] = of_independent / inverse.kappa**2
-        for k, part in enumerate((TRANSLATION, ROTATION), 1):
+        for k, part in enumerate(PARTS, 1):
             result[k] = _trace(TRT[:, part, part])
         return result
 
 
 def _shares_of(theta: Array) -> Array:
-    """Return the shares of translations and rotations in the variance of a scalar, from the variances of its parts.
+    """Return the shares of translations, rotations and joints in a scalar's variance, from the variances of its parts.
 
     Args:
-        theta: shape (3,), variances of independent errors, and of translations and rotations of the body that carries
-            the targets of a stop; the last two >= 0.
+        theta: shape (4,), variances of independent errors, of translations and rotations of the body that carries the
+            targets of a stop, and of the errors of the joints; the last three >= 0.
 
     Returns:
-        rho, shape (2,), theta of translations and of rotations over the sum of all three; scaled down where their sum
-        would be above 1 - 1e-6 (`_LEAST_UNSHARED`).
+        rho, shape (3,), theta of translations, rotations and joints over the sum of all four; scaled down where their
+        sum would be above 1 - 1e-6 (`_LEAST_UNSHARED`).
     """
     shares = theta[1:] / max(float(np.sum(theta)), TINY)
     excess = float(np.sum(shares)) / (1.0 - _LEAST_UNSHARED)
@@ -253,24 +266,29 @@ def unshared(rho: Array) -> float:
     A stop is a standstill of the robot at which several targets of one body are measured.
 
     Args:
-        rho: shape (2,), the shares of its variance that translation and rotation of the stop's body have.
+        rho: shape (3,), the shares of its variance that translation and rotation of the stop's body, and the errors of
+            the joints have.
 
     Returns:
-        kappa = 1 - rho_t - rho_r, but never below 1e-6 (`_LEAST_UNSHARED`).
+        kappa = 1 - rho_t - rho_r - rho_q, but never below 1e-6 (`_LEAST_UNSHARED`).
     """
     return float(max(1.0 - np.sum(rho), _LEAST_UNSHARED))
 
 
-def root_shares(rho: Array) -> Array:
+def root_shares(rho: Array, directions: int) -> Array:
     """Return the square root of the share of each direction of a body's displacement in the variance of a scalar.
 
     Args:
-        rho: shape (2,), the shares of translations and of rotations, >= 0; each direction of a kind has the same.
+        rho: shape (3,), the shares of translations, rotations and joints, >= 0; each direction of a part has the same.
+        directions: Number d of directions, six and that of the joints.
 
     Returns:
-        shape (6,): of the three translations, then of the three rotations.
+        shape (d,): of the three translations, the three rotations, the joints.
     """
-    return np.repeat(np.sqrt(rho), 3)
+    shares = np.zeros(directions)
+    for part, share in zip(PARTS, rho, strict=True):
+        shares[part] = share
+    return np.sqrt(shares)
 
 
 def transposed(M: NDArray[np.floating]) -> Array:

@@ -73,21 +73,22 @@ def dense(problem, weights, rho):
     rows, stops = problem.rows, problem.stops
     row, column = np.nonzero(rows.used & (weights > 0.0)[:, None])
     number = rows.channels.index[row, column]
-    J, stop = np.zeros((len(row), 6)), -1 - row
+    J, stop = np.zeros((len(row), stops.J.shape[2])), -1 - row
     where = {r: k for k, r in enumerate(stops.rows.tolist())}
     for i, (r, d) in enumerate(zip(row.tolist(), column.tolist(), strict=True)):
         if r in where:
             J[i], stop[i] = stops.J[where[r], d], stops.stops[where[r]]
     K = np.diag(1.0 / weights[row])
-    for c, (t, w) in enumerate(rho):
+    for c, (t, w, g) in enumerate(rho):
         here = (number == c) & (stop >= 0)
-        K[here, here] *= 1.0 - t - w
+        K[here, here] *= 1.0 - t - w - g
         alike = (stop[:, None] == stop) & here[:, None] & here
-        K += np.where(alike, t * J[:, :3] @ J[:, :3].T + w * J[:, 3:] @ J[:, 3:].T, 0.0)
+        shared = t * J[:, :3] @ J[:, :3].T + w * J[:, 3:6] @ J[:, 3:6].T + g * J[:, 6:] @ J[:, 6:].T
+        K += np.where(alike, shared, 0.0)
     return K, row, column, number
 
 
-RHO = np.array([[0.6, 0.25], [0.3, 0.5], [0.0, 0.7]])
+RHO = np.array([[0.5, 0.25, 0.1], [0.1, 0.5, 0.2], [0.0, 0.3, 0.4]])
 
 
 def test_a_stop_is_where_several_targets_of_one_kind_are_seen_from_one_frame(make_scene):
@@ -131,9 +132,10 @@ def test_the_body_moves_as_one_and_its_effect_has_mean_square_one(mixed):
     for c in range(3):
         own = stops.instruments == c
         squares = [
-            np.sum(stops.J[own][:, part] ** 2) / np.sum(own) for part in (slice(3), slice(3, 6))
+            np.sum(stops.J[own][:, part] ** 2) / np.sum(own)
+            for part in (slice(3), slice(3, 6), slice(6, None))
         ]
-        assert squares == pytest.approx([0.0, 1.0] if c == 2 else [1.0, 1.0])
+        assert squares == pytest.approx([0.0, 1.0, 1.0] if c == 2 else [1.0, 1.0, 1.0])
 
 
 @pytest.mark.parametrize("part", [7, 10_000])
@@ -210,11 +212,11 @@ def test_repeats_of_a_target_count_as_their_mean(make_scene):
     )
     G = (
         stops.J
-        * np.sqrt(np.repeat(RHO[0], 3))
+        * np.sqrt(np.repeat(RHO[0], [3, 3, 6]))
         * np.sqrt(1.0 + (stops.rows // 10 == 1))[:, None, None]
     )
     for number in np.unique(stops.stops):
-        of_stop = G[stops.stops == number].reshape(-1, 6)
+        of_stop = G[stops.stops == number].reshape(-1, 12)
         K = (1.0 - np.sum(rho)) * np.eye(12) + of_stop @ of_stop.T
         expected += np.linalg.slogdet(K)[1]
     assert alone.log_det[0] == pytest.approx(expected)
@@ -231,34 +233,56 @@ def test_a_stop_that_is_drawn_twice_counts_twice(mixed):
     assert not np.any(mixed.stops.drawn(0 * count).J)
 
 
-def displaced(scene, q, rng, own, shift, turn):
-    """A table of all targets at some stops whose bodies are off by a shift [m] and a turn [rad]."""
-    samples = [scene.samples(len(q), 0, t, q) for t in range(4)]
-    points = np.stack([scene.kinematics.points(scene.x, one) for one in samples])
+def at_all_targets(scene, q):
+    """Positions of the four targets at joint values, shape (4, N, 3) [m]."""
+    return np.stack(
+        [scene.kinematics.points(scene.x, scene.samples(len(q), 0, t, q)) for t in range(4)]
+    )
+
+
+def displaced(scene, q, rng, own, shift, turn, play=0.0):
+    """A table of all targets at some stops whose bodies are off by a shift [m], a turn and play of the joints [rad].
+
+    Besides, the rms of a coordinate by a turn of 1 rad about each axis [m], and by errors of 1 rad of all joints [m].
+    """
+    points = at_all_targets(scene, q)
     lever = points - points.mean(axis=0)
     v, w = shift * rng.normal(size=(len(q), 3)), turn * rng.normal(size=(len(q), 3))
-    points = points + v + np.cross(w, lever) + own * rng.normal(size=points.shape)
+    steps = play * rng.normal(size=q.shape)
+    slopes = np.stack([at_all_targets(scene, q + 1e-6 * one) - points for one in np.eye(6)]) / 1e-6
+    by_joints = np.einsum("jtnk,nj->tnk", slopes, steps)
+    points = points + v + np.cross(w, lever) + by_joints + own * rng.normal(size=points.shape)
+    samples = [scene.samples(len(q), 0, t, q) for t in range(4)]
     tables = [
         scene._table(one, "point", points=values)
         for one, values in zip(samples, points, strict=True)
     ]
-    return joined(*tables), float(np.sqrt(2.0 / 3.0 * np.mean(np.sum(lever**2, axis=2))))
+    of_turn = np.sqrt(2.0 / 3.0 * np.mean(np.sum(lever**2, axis=2)))
+    return joined(*tables), of_turn, np.sqrt(np.sum(np.mean(slopes**2, axis=(1, 2, 3))))
 
 
 @pytest.mark.parametrize(
-    ("own", "shift", "turn"),
-    [(1e-4, 0.0, 0.0), (1e-4, 2e-4, 0.0), (5e-5, 1e-4, 2e-3), (1e-5, 2e-4, 2e-4)],
+    ("own", "shift", "turn", "play"),
+    [
+        (1e-4, 0.0, 0.0, 0.0),
+        (1e-4, 2e-4, 0.0, 0.0),
+        (5e-5, 1e-4, 2e-3, 0.0),
+        (1e-5, 2e-4, 2e-4, 0.0),
+        (5e-5, 0.0, 0.0, 2e-4),
+        (5e-5, 1e-4, 1e-3, 2e-4),
+    ],
 )
-def test_shares_against_monte_carlo_truth(make_scene, own, shift, turn):
+def test_shares_against_monte_carlo_truth(make_scene, own, shift, turn, play):
     found = []
     for seed in range(12):
         scene = make_scene(20 + seed, frames=[np.eye(4)], targets=HAND, length=0.0, angle=0.0)
         q = random_joint_values(scene.robot, 25, seed)
-        table, lever = displaced(scene, q, np.random.default_rng(seed), own, shift, turn)
+        rng = np.random.default_rng(seed)
+        table, lever, reach = displaced(scene, q, rng, own, shift, turn, play)
         problem = problem_of(scene, table)
         linear, one = problem.linear(np.zeros(problem.size)), np.ones((1, 100))
         rho, priors = (
-            np.zeros((1, 1, 2)),
+            np.zeros((1, 1, 3)),
             GaussianPriors(np.zeros(problem.size), np.zeros(problem.size)),
         )
         for _ in range(8):
@@ -268,16 +292,18 @@ def test_shares_against_monte_carlo_truth(make_scene, own, shift, turn):
             noise = left.residual_square(x) / (left.count - np.trace(left.H[0, 0] @ covariance[0]))
             rho = linear.stop_shares(x, covariance * noise[0, 0], one, rho)
         found.append([*rho[0, 0], np.sqrt(noise[0, 0]) * 1e-4])
-    total = own**2 + shift**2 + (lever * turn) ** 2
-    expected = shift**2 / total, (lever * turn) ** 2 / total
-    assert np.mean(found, axis=0)[:2] == pytest.approx(expected, abs=0.06)
-    assert np.mean(found, axis=0)[2] == pytest.approx(np.sqrt(total), rel=0.08)
+    parts = np.array([shift, lever * turn, reach * play]) ** 2
+    total = own**2 + np.sum(parts)
+    # Some of what joints do looks like a translation.
+    tolerance = 0.1 if play else 0.06
+    assert np.mean(found, axis=0)[:3] == pytest.approx(parts / total, abs=tolerance)
+    assert np.mean(found, axis=0)[3] == pytest.approx(np.sqrt(total), rel=0.08)
 
 
 def test_shares_maximise_the_restricted_likelihood(make_scene):
     scene = make_scene(40, frames=[np.eye(4)], targets=HAND, length=0.0, angle=0.0)
     q = random_joint_values(scene.robot, 9, 41)
-    table, _ = displaced(scene, q, np.random.default_rng(42), 5e-5, 1e-4, 1.5e-3)
+    table, *_ = displaced(scene, q, np.random.default_rng(42), 5e-5, 1e-4, 1.5e-3, 6e-4)
     problem = problem_of(scene, table)
     linear, one, p = problem.linear(np.zeros(problem.size)), np.ones((1, 36)), problem.size
     priors = GaussianPriors(np.full((1, p), 1e5), np.zeros(p))
@@ -285,15 +311,18 @@ def test_shares_maximise_the_restricted_likelihood(make_scene):
     def fall(values):
         """Of the restricted likelihood, at noise and shares."""
         noise, *shares = values
-        rho = np.array(shares).reshape(1, 2)
+        rho = np.array(shares).reshape(1, 3)
         told = linear.normal_equations(one, rho).log_likelihood(
             np.array([[noise]]), priors, priors.precision
         )
         return -float(told[0])
 
-    bounds = [(0.1, 10.0), (0.0, 0.8), (0.0, 0.8)]
-    best = minimize(fall, [1.0, 0.3, 0.3], bounds=bounds, method="Nelder-Mead", tol=1e-9).x
-    rho = np.zeros((1, 1, 2))
+    bounds = [(0.1, 10.0), (0.0, 0.8), (0.0, 0.8), (0.0, 0.8)]
+    options = {"maxiter": 4000, "maxfev": 4000}
+    best = minimize(
+        fall, [1.0, 0.3, 0.2, 0.2], bounds=bounds, method="Nelder-Mead", tol=1e-9, options=options
+    ).x
+    rho = np.zeros((1, 1, 3))
     for _ in range(30):
         x, covariance, _ = linear.fit(one, rho, np.array([[best[0]]]), priors)
         rho = linear.stop_shares(x, covariance, one, rho)
@@ -305,11 +334,11 @@ def test_too_few_stops_share_nothing(make_scene):
     scene = make_scene(43, frames=[np.eye(4)], targets=HAND, length=0.0, angle=0.0)
     for stops, told in ((1, False), (2, True)):
         q = random_joint_values(scene.robot, stops, 44)
-        table, _ = displaced(scene, q, np.random.default_rng(45), 1e-6, 1e-3, 0.0)
+        table, *_ = displaced(scene, q, np.random.default_rng(45), 1e-6, 1e-3, 0.0)
         problem = problem_of(scene, table)
         linear, nothing = problem.linear(np.zeros(problem.size)), np.zeros((1, problem.size))
         covariance, one = np.zeros((1, problem.size, problem.size)), np.ones((1, 4 * stops))
-        rho = linear.stop_shares(nothing, covariance, one, np.zeros((1, 1, 2)))
+        rho = linear.stop_shares(nothing, covariance, one, np.zeros((1, 1, 3)))
         assert bool(np.any(rho > 0.9)) == told
         assert bool(np.any(rho)) == told
 
@@ -389,14 +418,14 @@ def test_what_stops_share_is_no_pattern(ur3):
 
 
 @pytest.mark.slow
-def test_markers_tell_what_poses_of_their_body_tell(ur3):
+def test_markers_tell_more_than_poses_of_their_body(ur3):
     runs = [compare_fits(ur3, 25, 3.0, seed) for seed in range(30)]
     by_points = np.sqrt(np.mean([run.by_points**2 for run in runs]))
     by_poses = np.sqrt(np.mean([run.by_poses**2 for run in runs]))
     stated = np.sqrt(np.mean([run.stated**2 for run in runs]))
-    assert by_points < 1.03 * by_poses
-    # Joints that do not repeat displace the hand more along some directions: so do poses of it state too little.
-    assert stated == pytest.approx(by_points, rel=0.15)
+    # Joints that do not repeat displace the hand more along some directions, which poses of it do not know.
+    assert by_points < 0.75 * by_poses
+    assert stated == pytest.approx(by_points, rel=0.08)
     assert np.mean([sum(run.shares) for run in runs]) == pytest.approx(0.9, abs=0.03)
 
 
@@ -407,7 +436,7 @@ def test_the_covariance_against_monte_carlo(make_scene, own, shift, turn):
     for seed in range(60):
         scene = make_scene(seed, frames=[np.eye(4)], targets=HAND, length=4e-4, angle=3e-3)
         q = random_joint_values(scene.robot, 25, seed)
-        table, _ = displaced(scene, q, np.random.default_rng(seed), own, shift, turn)
+        table, *_ = displaced(scene, q, np.random.default_rng(seed), own, shift, turn)
         rows, setup = rows_and_setup(scene.robot, table, cell)
         fitted = fit(Task(scene.robot, cell, setup, "dh"), rows)
         samples = scene.samples(100, 0, 2, random_joint_values(scene.robot, 100, 5))

@@ -7,29 +7,32 @@ import pytest
 from scipy.linalg import block_diag
 
 from calib.estimate.stop_shares import (
-    ROTATION,
-    TRANSLATION,
+    PARTS,
     Moments,
     _InverseCovariance,
     _shares_of,
     unshared,
 )
 
-RHO = np.array([0.5, 0.2])
+RHO = np.array([0.4, 0.2, 0.1])
 
 
 @pytest.fixture
 def bodies():
-    """Derivatives J of nine scalars at each of five stops by a displacement, shape (5, 9, 6)."""
-    return np.random.default_rng(1).normal(size=(5, 9, 6))
+    """Derivatives J of nine scalars at each of five stops by a displacement, shape (5, 12, 8)."""
+    return np.random.default_rng(1).normal(size=(5, 12, 8))
 
 
 def covariance_parts(J):
-    """K_i, the derivatives of the covariance of all scalars by the independent, translation's and rotation's share."""
-    by_translation, by_rotation = J[:, :, TRANSLATION], J[:, :, ROTATION]
-    translations = block_diag(*(by_translation @ by_translation.swapaxes(1, 2)))
-    rotations = block_diag(*(by_rotation @ by_rotation.swapaxes(1, 2)))
-    return [np.eye(len(translations)), translations, rotations]
+    """K_i, the derivatives of the covariance of all scalars by the share that is independent and that of each part."""
+    by_parts = [J[:, :, part] for part in PARTS]
+    squares = [block_diag(*(by_part @ by_part.swapaxes(1, 2))) for by_part in by_parts]
+    return [np.eye(squares[0].shape[0]), *squares]
+
+
+def covariance(parts):
+    """K at the shares RHO."""
+    return sum(share * part for share, part in zip([unshared(RHO), *RHO], parts, strict=True))
 
 
 def moments_of(J, squares):
@@ -45,19 +48,19 @@ def moments_of(J, squares):
 
 def test_the_inverse_covariance_of_stops(bodies):
     parts = covariance_parts(bodies[:1])
-    K = unshared(RHO) * parts[0] + RHO[0] * parts[1] + RHO[1] * parts[2]
+    K = covariance(parts)
     J = bodies[0]
     inverse = _InverseCovariance.of(J.T[None] @ J, RHO)
     expected = np.linalg.inv(K)
     np.testing.assert_allclose(
-        (np.eye(9) - J @ inverse.H[0] @ J.T) / inverse.kappa, expected, atol=1e-10
+        (np.eye(12) - J @ inverse.H[0] @ J.T) / inverse.kappa, expected, atol=1e-10
     )
     np.testing.assert_allclose(J @ inverse.T[0], expected @ J, atol=1e-10)
 
 
 def test_the_equations_have_the_traces_of_dense_matrices(bodies):
     parts = covariance_parts(bodies)
-    K = unshared(RHO) * parts[0] + RHO[0] * parts[1] + RHO[1] * parts[2]
+    K = covariance(parts)
     r = np.random.default_rng(2).normal(size=len(K))
     moments = moments_of(bodies, np.outer(r, r))
     inverse = _InverseCovariance.of(moments.M, RHO)
@@ -72,27 +75,26 @@ def test_the_equations_have_the_traces_of_dense_matrices(bodies):
 def test_exact_moments_give_the_shares_back(bodies):
     """Residuals whose squares are their expectation: any start leads to the shares that they have."""
     parts = covariance_parts(bodies)
-    squares = 4.0 * (0.3 * parts[0] + RHO[0] * parts[1] + RHO[1] * parts[2])
-    shares = moments_of(bodies, squares).shares(np.zeros(2))
+    shares = moments_of(bodies, 4.0 * covariance(parts)).shares(np.zeros(3))
     assert shares == pytest.approx(RHO, abs=1e-9)
 
 
 def test_moments_of_parts_are_joined_in_their_order(bodies):
-    r = np.random.default_rng(3).normal(size=45)
+    r = np.random.default_rng(3).normal(size=60)
     whole = moments_of(bodies, np.outer(r, r))
-    first = moments_of(bodies[:2], np.outer(r[:18], r[:18]))
-    second = moments_of(bodies[2:], np.outer(r[18:], r[18:]))
+    first = moments_of(bodies[:2], np.outer(r[:24], r[:24]))
+    second = moments_of(bodies[2:], np.outer(r[24:], r[24:]))
     joined = Moments.joined([first, second])
     np.testing.assert_array_equal(joined.M, whole.M)
     np.testing.assert_allclose(joined.R, whole.R, rtol=1e-12)
     assert joined.total == pytest.approx(whole.total)
-    assert joined.count == 45.0
+    assert joined.count == 60.0
 
 
 def test_shares_leave_some_of_the_variance_independent():
-    assert _shares_of(np.array([1.0, 2.0, 1.0])) == pytest.approx([0.5, 0.25])
+    assert _shares_of(np.array([1.0, 2.0, 1.0, 4.0])) == pytest.approx([0.25, 0.125, 0.5])
     # A negative variance of the independent errors: all is shared but for the least.
-    shares = _shares_of(np.array([-1.0, 3.0, 1.0]))
+    shares = _shares_of(np.array([-1.0, 3.0, 1.0, 0.0]))
     assert np.sum(shares) == pytest.approx(1.0 - 1e-6, rel=1e-12)
     assert shares[0] / shares[1] == pytest.approx(3.0)
     assert unshared(np.array([0.9, 0.3])) == 1e-6
