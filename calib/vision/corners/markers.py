@@ -22,6 +22,9 @@ _THRESHOLD_STEP = 20
 #: The step of a thorough search [px].
 _THOROUGH_STEP = 5
 
+#: Outlines of one id whose middles are nearer than this, in sides of the smaller one, are of one marker.
+_DOUBLE = 0.5
+
 #: Smallest perimeter of a marker as a share of the image's longer side: 26 px in 1280.
 _SMALLEST_PERIMETER = 0.02
 
@@ -97,4 +100,19 @@ def find_markers(
     if ids is None or len(ids) == 0:
         return no_markers()
     quadrilaterals = np.array(corners, dtype=np.float64).reshape(-1, 4, 2)
-    return Markers(np.asarray(ids, dtype=int).reshape(-1), quadrilaterals)
+    return _without_doubles(Markers(np.asarray(ids, dtype=int).reshape(-1), quadrilaterals))
+
+
+def _without_doubles(markers: Markers) -> Markers:
+    """Drop a second outline of the same marker, such as the inner edge of its black frame: the larger one is kept."""
+    centres = markers.corners.mean(axis=1)
+    edges = markers.corners - np.roll(markers.corners, 1, axis=1)
+    sides = np.linalg.norm(edges, axis=2).mean(axis=1)
+    kept: list[int] = []
+    for k in np.argsort(-sides, kind="stable").tolist():
+        same = [j for j in kept if markers.ids[j] == markers.ids[k]]
+        distances = np.linalg.norm(centres[same] - centres[k], axis=1)
+        if not np.any(distances < _DOUBLE * sides[k]):
+            kept.append(k)
+    kept.sort()
+    return Markers(markers.ids[kept], markers.corners[kept])

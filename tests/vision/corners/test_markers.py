@@ -8,7 +8,7 @@ import pytest
 
 from calib.errors import CalibError
 from calib.vision.corners.layouts import marker_outlines
-from calib.vision.corners.markers import Markers, find_markers, no_markers
+from calib.vision.corners.markers import Markers, _without_doubles, find_markers, no_markers
 from tests.vision.board_views import CHARUCO_BOARD, View, render
 
 
@@ -35,6 +35,16 @@ def test_ids_are_counted_from_the_first():
     markers = Markers(np.array([3, 9, 10]), corners).of_ids(9, 1)
     assert markers.ids.tolist() == [0]
     np.testing.assert_array_equal(markers.corners, corners[1:2])
+
+
+def test_a_second_outline_of_a_marker_is_dropped():
+    outer = np.array([[0.0, 0.0], [20.0, 0.0], [20.0, 20.0], [0.0, 20.0]])
+    inner = 2.0 + 0.8 * outer
+    beside = outer + [30.0, 0.0]
+    corners = np.stack([inner, outer, beside, inner])
+    markers = _without_doubles(Markers(np.array([4, 4, 4, 7]), corners))
+    assert markers.ids.tolist() == [4, 4, 7]  # on another board the same id, and another id, stay
+    np.testing.assert_array_equal(markers.corners, corners[1:])
 
 
 def test_an_empty_picture_has_none():
