@@ -40,7 +40,7 @@ def test_ids_are_counted_from_the_first():
 def test_a_second_outline_of_a_marker_is_dropped():
     outer = np.array([[0.0, 0.0], [20.0, 0.0], [20.0, 20.0], [0.0, 20.0]])
     inner = 2.0 + 0.8 * outer
-    beside = outer + [30.0, 0.0]
+    beside = outer + np.array([30.0, 0.0])
     corners = np.stack([inner, outer, beside, inner])
     markers = _without_doubles(Markers(np.array([4, 4, 4, 7]), corners))
     assert markers.ids.tolist() == [4, 4, 7]  # on another board the same id, and another id, stay
