@@ -53,7 +53,7 @@ class Evidence:
     outliers: Mask
     #: Errors of nominal and calibrated robot on validation rows, and how many further rows were set aside as outliers
     validation: tuple[Errors, Errors, int]
-    #: Number of parameters of the model
+    #: Number of parameters of the model, but for those of cameras and boards, which the many corners of images tell
     parameters: int
     #: Whether any parameter of the robot has changed
     changes: bool
@@ -71,6 +71,8 @@ class Evidence:
     doubts: tuple[Reason, ...] = ()
     #: Stated last, and decide nothing
     notes: tuple[Reason, ...] = ()
+    #: (N,), which rows are corners in images; None: none
+    images: Mask | None = None
     #: Of the URDF: name and held-out errors of the non-geometric model, if there is one
     non_geometric: tuple[str, Errors] | None = None
 

@@ -25,12 +25,16 @@ from calib.diagnosis.reasons import (
     Why,
 )
 from calib.numerics.errors import Errors
+from calib.units import Mask
 
 #: Units with rules of their own.
 _LENGTH, _ANGLE = RESIDUAL_UNITS["m"], RESIDUAL_UNITS["rad"]
 
 #: Scalar measurements per parameter below which a fit relies on its priors.
 _FEW = 2.0
+
+#: Numbers of a pose, which is what the corners of an image tell of the robot.
+_OF_POSE = 6
 
 #: Fewer poses than this predict each other too well by chance.
 _HANDFUL = 8
@@ -387,11 +391,23 @@ def _applicable(*rules: tuple[bool, Reason]) -> list[Reason]:
 
 
 def _size(e: Evidence) -> dict[str, int]:
-    """Count different poses, pairs of poses, and scalars measured there, repeats once."""
+    """Count different poses, pairs of poses, images, and scalars measured there, repeats once."""
     single = np.any(e.used, axis=1) & ~e.pairs
-    first = np.unique(e.repeats, return_index=True)[1]
-    return {
+    images = np.zeros(len(e.repeats), dtype=bool) if e.images is None else e.images
+    size = {
         "poses": len(np.unique(e.repeats[single])),
         "pairs": len(np.unique(e.repeats[e.pairs])),
-        "numbers": int(np.sum(e.used[first])),
+        "numbers": _numbers(e, images),
     }
+    if np.any(images):
+        size["images"] = len(np.unique(e.repeats[images]))
+    return size
+
+
+def _numbers(e: Evidence, images: Mask) -> int:
+    """Count the scalars that tell of the robot, repeats once: of an image no more than the board's pose has."""
+    _, first, measurement = np.unique(e.repeats, return_index=True, return_inverse=True)
+    of_first = np.sum(e.used[first], axis=1)
+    of_all = np.bincount(measurement, np.sum(e.used, axis=1))
+    of_image = np.minimum(of_all, _OF_POSE)
+    return int(np.sum(np.where(images[first], of_image, of_first)))

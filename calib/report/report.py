@@ -131,8 +131,6 @@ def _reasons(c: CalibrationValues) -> list[str]:
 def _first_page(c: CalibrationValues, reasons: list[str]) -> FirstPage:
     """Return the first page; ``reasons`` are those of the verdict in words."""
     noise = texts.facts(c)["Noise"]
-    poses = c.fitted.estimate.problem.rows.poses
-    _, repeats = np.unique(poses, return_counts=True)
     return FirstPage(
         robot=robot_name(c.nominal),
         outcome=Outcome.of("none" if c.verdict is None else c.verdict.use),
@@ -143,13 +141,23 @@ def _first_page(c: CalibrationValues, reasons: list[str]) -> FirstPage:
         note=c.record.note,
         table=with_errors_at_board(tables.before_and_after(c), c),
         rule=[
-            f"Rows: {_rows_text(c.measurements)}; the estimate is from {plural(len(repeats), 'pose')}, each measured "
-            f"{times(int(repeats.min()), int(repeats.max()))}.",
+            f"Rows: {_rows_text(c.measurements)}; {_estimated_from(c)}.",
             "The verdict rests on rows that took no part in the fit, not on a tolerance: 'calib evaluate --tolerance' "
             "tests one, on rows measured afterwards.",
         ],
         parties=("Calibrated by", "Approved by"),
     )
+
+
+def _estimated_from(c: CalibrationValues) -> str:
+    """Say what the estimate is from: of images how many corners each, else how often each pose was measured."""
+    images = c.rows.images_of(c.rows.estimation)
+    if images:
+        corners = int(np.sum(c.rows.estimation))
+        return f"the estimate is from {plural(corners, 'corner')} in {plural(images, 'image')}"
+    _, repeats = np.unique(c.fitted.estimate.problem.rows.poses, return_counts=True)
+    often = times(int(repeats.min()), int(repeats.max()))
+    return f"the estimate is from {plural(len(repeats), 'pose')}, each measured {often}"
 
 
 def _combinations(c: CalibrationValues) -> list[str]:

@@ -57,7 +57,7 @@ _WHERE = ("target", "group", "non_geometric")
 
 @dataclass(frozen=True, slots=True)
 class RowNames:
-    """Number, set, kind, station and target of each of the N rows of a table."""
+    """Number, set, kind, station, target and image of each of the N rows of a table."""
 
     #: Number in the table, from 1
     numbers: tuple[int, ...]
@@ -69,6 +69,8 @@ class RowNames:
     groups: tuple[str, ...]
     #: Name of the target
     targets: tuple[str, ...]
+    #: Name of the image that a row is a corner in, ``""`` for other rows; empty without images
+    images: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         """The number N of rows of the table, estimation and validation rows."""
@@ -83,6 +85,20 @@ class RowNames:
     def validation(self) -> Mask:
         """True for the rows that were only predicted, whose entry of ``sets`` is not ``"estimate"``, shape (N,)."""
         return ~self.estimation
+
+    def images_of(self, chosen: Mask) -> int:
+        """Count the images of which rows are chosen.
+
+        Args:
+            chosen: shape (N,), the rows.
+
+        Returns:
+            Their number; 0 where some of the rows are no corners in images.
+        """
+        if not self.images:
+            return 0
+        names = set(np.array(self.images)[chosen].tolist())
+        return 0 if "" in names else len(names)
 
 
 @dataclass(frozen=True, slots=True)

@@ -127,7 +127,7 @@ SENTENCES = {
     "approach poses from one side.",
     Why.MAY_BE_CHANCE: "The improvement on held-out rows may be due to chance: it is {gain:.1f} "
     "standard errors. Measure more poses.",
-    Why.FEW_NUMBERS: "{measured} with {numbers} measured numbers are few for {parameters} "
+    Why.FEW_NUMBERS: "{measured} with {numbers} measured numbers{of_images} are few for {parameters} "
     "parameters: the result relies on the priors. Measure more poses.",
     Why.FAR_OFF_BEFORE: "The nominal robot is {before_off} rms off on held-out rows, far "
     "more than an uncalibrated arm. Is it the right URDF?",
@@ -234,6 +234,7 @@ def _words(values: Mapping[str, Any]) -> dict[str, str]:
         "after": f"{listed(after)} rms",
         "change": _change(before, after),
         "measured": _measured(values),
+        "of_images": ", six of an image," if values.get("images") else "",
         "beyond": "".join(sizes_of(values, "by", ".3g")),
         "explained": _percent(values.get("share", 0.0)),
         "chance_explains": _percent(values.get("chance", 0.0)),

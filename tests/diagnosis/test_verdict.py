@@ -342,3 +342,19 @@ def test_errors_on_validation_rows_must_fall_by_a_tenth(share, use, why):
     result = verdict(replace(GOOD, validation=(errors(1e-3), errors(share * 1e-3), 0)))
     assert result.use == use
     assert why in codes(result)
+
+
+def test_an_image_tells_six_numbers_of_the_robot_and_repeats_none():
+    """Ten images of three corners, the last two at one pose; of 27 parameters twice as many numbers are wanted."""
+    repeats = np.repeat([*range(9), 8], 3)
+    images = replace(GOOD, repeats=repeats, images=np.ones(ROWS, dtype=bool))
+    few = [
+        one for one in verdict(replace(images, parameters=28)).reasons if one.why == Why.FEW_NUMBERS
+    ]
+    assert {name: few[0].values[name] for name in ("poses", "numbers", "images")} == {
+        "poses": 9,
+        "numbers": 54,
+        "images": 9,
+    }
+    enough = verdict(replace(images, parameters=27))
+    assert Why.FEW_NUMBERS not in [one.why for one in enough.reasons]

@@ -9,6 +9,7 @@ import pytest
 
 from calib.errors import ModelError
 from calib.model.kinematics import Samples
+from calib.result.calibration import RowNames
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 
@@ -122,3 +123,12 @@ def test_a_target_link_is_for_one_target(calibrated, tmp_path):
     q = random_joint_values(turned.nominal, 5, 2)
     into_base = np.linalg.inv(turned.T_frame_base)
     np.testing.assert_allclose(robot.poses(q), into_base @ turned.predict_poses(q), atol=1e-9)
+
+
+def test_images_are_counted_where_all_rows_are_corners():
+    blank = ("",) * 4
+    sets = ("estimate", "estimate", "estimate", "validate")
+    names = RowNames((1, 2, 3, 4), sets, blank, blank, blank, ("a.png", "b.png", "a.png", ""))
+    assert names.images_of(names.estimation) == 2
+    assert names.images_of(np.ones(4, dtype=bool)) == 0  # one is no corner
+    assert replace(names, images=()).images_of(names.estimation) == 0
