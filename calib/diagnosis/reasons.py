@@ -30,6 +30,7 @@ class Why(Enum):
     JOINT_CONSTANT, SCALAR_ELSEWHERE, ORIENTATIONS_INVERSE = range(84, 87)
     READINGS_COUPLED, READINGS_NOT_COUPLED = range(88, 90)
     ORIENTATIONS_JOINT_TURNED, ORIENTATIONS_JOINT_ZERO = range(90, 92)
+    CAMERA_ON_OTHER_LINK = 92
     # A frame was sought and not found
     FRAME_NOT_FOUND = 87
     # No arm has such errors

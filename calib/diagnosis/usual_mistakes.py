@@ -144,7 +144,8 @@ def find_usual_mistake(robot: Robot, cell: Cell, table: Measurements) -> Reason 
         explain the rows as well; None if the nominal error is plausible or no mistake explains it.
     """
     if len(table) and np.all(table.where(lambda kind: kind.optical)):
-        table, cell = as_poses(robot, cell, table)
+        poses, cell_of_poses = as_poses(robot, cell, table)
+        return _of_images(find_usual_mistake(robot, cell_of_poses, poses), robot)
     if not np.all(table.of_kind("point", "pose")):
         return None
     table = _some_rows(table)
@@ -168,6 +169,19 @@ def find_usual_mistake(robot: Robot, cell: Cell, table: Measurements) -> Reason 
         if explanations:
             return _all_as_good(explanations)
     return None
+
+
+def _of_images(mistake: Reason | None, robot: Robot) -> Reason | None:
+    """Word a mistake of poses as that of the images from which these poses are.
+
+    Args:
+        mistake: The mistake; None: none.
+        robot: The robot: its base carries the camera, its tip the board.
+    """
+    if mistake is None or mistake.why is not Why.POSES_INVERSE:
+        return mistake
+    links = {"base": robot.base, "tip": robot.tip}
+    return Reason.of(Why.CAMERA_ON_OTHER_LINK, **mistake.values, **links)
 
 
 def _some_rows(table: Measurements) -> Measurements:

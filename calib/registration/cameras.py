@@ -28,6 +28,10 @@ _WIDE = {"px": 1e4, "1": 10.0}
 _FEWEST_IMAGES = 2
 
 
+#: Corners so far outside of the image are of another size of images, as a share of the width.
+_BESIDE = 0.01
+
+
 @dataclass(frozen=True, slots=True)
 class _Owner:
     """The camera or the board that unknowns are of."""
@@ -82,7 +86,8 @@ def optics_of_rows(
         unknowns, camera by camera, then board by board.
 
     Raises:
-        MeasurementError: Nothing says how large the images of a camera are.
+        MeasurementError: Nothing says how large the images of a camera are, or corners or intrinsics are of images of
+            another size.
     """
     is_image = measurements.where(lambda kind: kind.optical)
     if not np.any(is_image):
@@ -94,6 +99,7 @@ def optics_of_rows(
     for camera in _owners(setup.groups, frames, images.frame[is_image], cell.cameras):
         rows = is_image & np.isin(images.frame, camera.members)
         described = _camera(cell, camera, measurements)
+        _check_size(described, images, rows, measurements)
         values[rows], of_camera = _of_camera(described, images, rows, camera)
         unknowns += of_camera
     for board in _owners(setup.targets, targets, images.target[is_image], cell.boards):
@@ -190,6 +196,41 @@ def _camera(cell: Cell, owner: _Owner, measurements: Measurements) -> Camera:
             "the rest."
         )
     return camera
+
+
+def _check_size(camera: Camera, images: _Images, rows: Mask, measurements: Measurements) -> None:
+    """Refuse corners outside of a camera's images, and intrinsics that are those of another resolution.
+
+    Args:
+        camera: The camera.
+        images: All images.
+        rows: shape (N,), those of this camera.
+        measurements: The table, which errors name.
+
+    Raises:
+        MeasurementError: A corner is outside, or the lens's centre is that of images of another size.
+    """
+    source = measurements.source or "Measurements"
+    size = np.array([camera.width, camera.height])
+    beyond = np.maximum(-images.pixels, images.pixels - size)
+    outside = rows & np.any(beyond > _BESIDE * camera.width, axis=1)
+    if np.any(outside):
+        first = int(np.argmax(outside))
+        u, v = images.pixels[first]
+        raise MeasurementError(
+            f"{source}, row {measurements.rows[first]}: the corner at u = {u:.1f}, v = {v:.1f} px is outside of images "
+            f"of {camera.width} x {camera.height}, the size given of the camera. Give the size of the images in which "
+            "the corners were found, and intrinsics of that resolution."
+        )
+    likely = camera.likely_size
+    if likely is not None:
+        assert camera.values is not None
+        u, v = camera.values[2:4]
+        raise MeasurementError(
+            f"{source}: the lens's centre cx = {u:.1f}, cy = {v:.1f} px is that of images of about {likely[0]} x "
+            f"{likely[1]}, and not of {camera.width} x {camera.height}. Give the intrinsics of this resolution, or the "
+            f"size alone (--camera {camera.width}x{camera.height}): then the images tell the rest."
+        )
 
 
 def _of_camera(

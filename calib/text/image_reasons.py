@@ -8,6 +8,9 @@ from calib.diagnosis.reasons import Why
 
 #: The sentence of each code; see `calib.text.verdict.SENTENCES`.
 OF_IMAGES: Mapping[Why, str] = {
+    Why.CAMERA_ON_OTHER_LINK: "The nominal robot is {given_m:mm.0f} mm rms off, far more than an uncalibrated arm, but "
+    "only {error_m:mm.1f} mm if '{tip}' carries the camera and '{base}' the board: exchange --camera-on and --board-on"
+    ".",
     Why.SENSE_REVERSED: "The images fit far better if '{joint}' counts the other way ({error_m:mm.1f} mm "
     "instead of {given_m:mm.1f} mm): check its positive direction in the table and in the URDF.",
     Why.SENSE_UNKNOWN: "These poses do not tell in which direction a joint counts: with the sign of "

@@ -10,6 +10,7 @@ import pytest
 from calib.diagnosis.images.poses import as_poses
 from calib.diagnosis.images.senses import doubtful_senses
 from calib.diagnosis.reasons import Why
+from calib.diagnosis.usual_mistakes import find_usual_mistake
 from tests.images import arm, cell, mounts, poses, table
 
 
@@ -54,3 +55,11 @@ def test_images_as_poses_have_the_boards_poses():
     np.testing.assert_allclose(result.rotations, T[:, :3, :3], atol=1e-6)
     assert set(result.kinds) == {"pose"}
     assert c.estimate_frame
+
+
+def test_links_of_camera_and_board_that_are_exchanged_are_named():
+    backwards = arm().rebuilt(base="panda_link0", tip="panda_link8")
+    told = find_usual_mistake(backwards, cell(), table(poses(12)))
+    assert told.why == Why.CAMERA_ON_OTHER_LINK
+    assert (told.values["tip"], told.values["base"]) == ("panda_link8", "panda_link0")
+    assert told.values["error_m"] < 5e-3 < 0.03 < told.values["given_m"]
