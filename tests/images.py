@@ -22,8 +22,8 @@ BOARD = Board(
     dictionary="DICT_5X5_100",
 )
 VALUES = {
-    "pinhole": np.array([700.0, 705.0, 640.0, 355.0, -0.1, 0.05, 1e-3, -5e-4, 0.0]),
-    "fisheye": np.array([420.0, 418.0, 641.0, 358.0, -0.02, 0.01, -4e-3, 6e-4]),
+    "pinhole": np.array([700.0, 705.0, 1200.0, 995.0, -0.1, 0.05, 1e-3, -5e-4, 0.0]),
+    "fisheye": np.array([420.0, 418.0, 1201.0, 998.0, -0.02, 0.01, -4e-3, 6e-4]),
 }
 
 HOME = np.array([0.0, -0.3, 0.0, -2.3, 0.0, 2.0, 0.8])
@@ -36,7 +36,7 @@ def arm():
 
 def camera(lens="pinhole", **changes):
     return Camera(
-        **({"width": 1280, "height": 720, "lens": lens, "values": VALUES[lens]} | changes)
+        **({"width": 2400, "height": 2000, "lens": lens, "values": VALUES[lens]} | changes)
     )
 
 

@@ -97,15 +97,15 @@ def test_a_camera_of_which_nothing_is_said_is_refused():
 
 def test_corners_outside_of_the_image_are_refused_with_their_row():
     m = table(poses(3))
-    outside = np.flatnonzero(m.reading("u") > 1.01 * 640 + 1)[0]
+    outside = np.flatnonzero(m.reading("u") > 1.01 * 1500)[0]
     with pytest.raises(MeasurementError, match=f"row {outside + 1}:") as refused:
-        rows_and_setup(arm(), m, cell(cameras={"": camera(values=None, width=640)}))
-    assert "640 x 720" in str(refused.value)
+        rows_and_setup(arm(), m, cell(cameras={"": camera(values=None, width=1500)}))
+    assert "1500 x 2000" in str(refused.value)
 
 
 def test_intrinsics_of_another_resolution_are_refused():
     doubled = VALUES["pinhole"] * [2, 2, 2, 2, 1, 1, 1, 1, 1]
-    with pytest.raises(MeasurementError, match="cx = 1280"):
+    with pytest.raises(MeasurementError, match="cx = 2400"):
         rows_and_setup(arm(), table(poses(3)), cell(cameras={"": camera(values=doubled)}))
 
 

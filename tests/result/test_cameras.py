@@ -45,7 +45,7 @@ def result(measurements):
 
 def test_a_camera_has_the_numbers_as_estimated(result):
     (key,), (found,) = result.cameras, result.cameras.values()
-    assert (key, found.width, found.height, found.lens) == ("", 1280, 720, "pinhole")
+    assert (key, found.width, found.height, found.lens) == ("", 2400, 2000, "pinhole")
     estimates = [result.parameter(name) for name in LENSES["pinhole"].names]
     np.testing.assert_allclose(found.values, [p.value for p in estimates], rtol=1e-12)
     np.testing.assert_allclose(found.sigma, [p.std for p in estimates], rtol=1e-12)
@@ -162,7 +162,7 @@ def test_the_file_has_both_cameras_in_plain_words(result, tmp_path):
     assert before["lens_names"] == list(LENSES["pinhole"].names)
     assert before["values"] == result.nominal_cameras[""].values.tolist()
     assert after["values"] == result.cameras[""].values.tolist()
-    assert (after["station"], after["width_px"], after["height_px"]) == ("", 1280, 720)
+    assert (after["station"], after["width_px"], after["height_px"]) == ("", 2400, 2000)
     assert written["nominal_boards"][0]["square_m"] == BOARD.square
     assert written["boards"][0]["square_m"] == result.boards[""].square
     # The document names the keys of lengths and angles, and says that those of pixels are alike.

@@ -9,6 +9,7 @@ from calib.text.image_reasons import OF_IMAGES
 from calib.text.verdict import reason_text
 
 VALUES = {
+    Why.CAMERA_ON_OTHER_LINK: {"given_m": 0.05, "error_m": 3e-3, "base": "arm", "tip": "hand"},
     Why.SENSE_REVERSED: {"joint": "elbow", "error_m": 2e-3, "given_m": 9e-3},
     Why.SENSE_UNKNOWN: {"joints": "elbow, wrist"},
     Why.FOCAL_LENGTH_OFF: {"share": 0.015, "std": 0.002, "exact": True},
@@ -20,6 +21,7 @@ VALUES = {
 }
 
 SAID = {
+    Why.CAMERA_ON_OTHER_LINK: ("50 mm", "3.0 mm", "'hand' carries the camera and 'arm'"),
     Why.SENSE_REVERSED: ("elbow", "2.0 mm", "9.0 mm"),
     Why.SENSE_UNKNOWN: ("elbow, wrist",),
     Why.FOCAL_LENGTH_OFF: ("+1.50 %", "0.20 %", "exact"),
