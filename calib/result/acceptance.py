@@ -387,7 +387,7 @@ def assess(
     """
     _refuse_commands(robot, table, calibration)
     if calibration is not None:
-        cell = _with_optics(cell, calibration)
+        cell = calibration.with_optics(cell)
     evaluations = _evaluations(robot, table, cell, calibration, which)
     seen = np.zeros(len(table), dtype=bool)
     if calibration is not None:
@@ -408,15 +408,6 @@ def assess(
         accepted=accepted,
         outside=_outside(table, calibration, accuracies[judged], judged),
         hint=_explanation(evaluations, cell, calibration, which),
-    )
-
-
-def _with_optics(cell: Cell, calibration: CalibrationValues) -> Cell:
-    """Return a cell with the cameras and boards that a result began with, where it gives none of its own."""
-    return replace(
-        cell,
-        cameras=cell.cameras or calibration.nominal_cameras,
-        boards=cell.boards or calibration.nominal_boards,
     )
 
 

@@ -270,6 +270,18 @@ class CalibrationValues(FittedModel):
         """
         return calibrated_cameras(self.nominal_cameras, self)
 
+    def with_optics(self, cell: Cell) -> Cell:
+        """Return a cell with the cameras and boards that this result began with, where it gives none of its own.
+
+        Args:
+            cell: The cell.
+        """
+        return replace(
+            cell,
+            cameras=cell.cameras or self.nominal_cameras,
+            boards=cell.boards or self.nominal_boards,
+        )
+
     @property
     def boards(self) -> Mapping[str, Board]:
         """Printed boards with their squares as estimated: as given, times 1 plus the mean error of scale; by target."""

@@ -167,7 +167,7 @@ def evaluate(
         record=known_cell.record,
         cameras=known_cell.cameras,
         boards=known_cell.boards,
-        images=None if scale is None else ImageFigures.of(residual, scale, rows),
+        images=None if scale is None else ImageFigures.of(residual, scale, rows, table.images),
     )
 
 

@@ -5,6 +5,7 @@ An error of e pixels of a corner at the depth Z is e Z / f at the board, with th
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,13 +41,16 @@ class ImageFigures:
     largest_at_board: float
 
     @classmethod
-    def of(cls, residual: Array, scale: Array, rows: Rows) -> ImageFigures | None:
+    def of(
+        cls, residual: Array, scale: Array, rows: Rows, names: Sequence[str]
+    ) -> ImageFigures | None:
         """Summarise the residuals of images.
 
         Args:
             residual: shape (N, D), measured minus predicted.
             scale: shape (N,), length that a pixel is at each corner [m/px]; NaN in rows that are no images.
             rows: The N rows.
+            names: Name of the image of each row; where there is none, a pose has one image.
 
         Returns:
             The figures; None where no row is an image.
@@ -59,7 +63,7 @@ class ImageFigures:
         lengths = errors * scale[images]
         bias = uv.mean(axis=0)
         return cls(
-            images=len(np.unique(rows.blocks[images])),
+            images=len({(rows.blocks[i], names[i]) for i in np.flatnonzero(images)}),
             corners=int(np.sum(images)),
             mean=float(errors.mean()),
             p95=float(np.percentile(errors, _MOST)),

@@ -24,7 +24,7 @@ _LIVE = "; connect-src 'self' ws://127.0.0.1:* ws://localhost:*"
 _FOLDER = Path(__file__).parent
 
 #: The files of the script of a page of robots, in order.
-_SCRIPTS = ("robots.js", "marks.js", "words.js", "controls.js")
+_SCRIPTS = ("robots.js", "marks.js", "words.js", "images.js", "controls.js")
 
 #: Colours of robots and measured positions.
 COLOURS = {"nominal": look.NOMINAL, "calibrated": look.CALIBRATED, "measured": look.INK}

@@ -20,6 +20,7 @@ import calib.viewer.scene as stage
 from calib.channels import RESIDUAL_UNITS
 from calib.result.calibration import CalibrationValues
 from calib.units import Array
+from calib.viewer.draw_sight import draw_sight, images_table
 from calib.viewer.html_page import COLOURS, Key, Page, filled_page, floats
 from calib.viewer.layout import Layout, layout_of, outline_of
 from calib.viewer.puppet import Puppet, Visual, packed, read_visuals, translation
@@ -111,12 +112,14 @@ def view_page(view: View, *, live: bool = False, about: About | None = None) -> 
         view.start,
         size,
         magnified=_magnified(view, factor),
-        around=_seen_around(about, size),
+        around=_seen_around(view, about, size),
         tracker=about.tracker,
         only_moves=view.calibrated is None and set(view.kinds) == {"pose"},
     )
     scene = _draw(view, shown, layout)
     keys = _drawn_about(about, scene, size)
+    if view.sight is not None:
+        keys.append(draw_sight(scene, shown, view.sight))
     names = [name.lower() for name, _ in view.names[: len(shown)]]
     html = filled_page(
         "robots.html",
@@ -195,11 +198,14 @@ def _magnified(view: View, factor: int) -> Array:
     return np.asarray(moved[is_shown])
 
 
-def _seen_around(about: About, size: float) -> Array:
-    """Return the points (K, 3) [m] about a robot that the camera sees, and the tracker where it is near."""
-    if about.tracker is None or np.linalg.norm(about.tracker) > _NEAR_TRACKER * size:
-        return about.points
-    return np.vstack([about.points, about.tracker])
+def _seen_around(view: View, about: About, size: float) -> Array:
+    """Return the points (K, 3) [m] about a robot that are seen too: boards or cameras, and a tracker that is near."""
+    points = [about.points]
+    if view.sight is not None:
+        points.append(view.sight.outline)
+    if about.tracker is not None and np.linalg.norm(about.tracker) <= _NEAR_TRACKER * size:
+        points.append(about.tracker[None])
+    return np.vstack(points)
 
 
 def _draw(view: View, shown: Mapping[str, Puppet], layout: Layout) -> Scene:
@@ -312,6 +318,7 @@ def script_table(view: View, shown: Mapping[str, Puppet]) -> dict[str, Any]:
         "instruments": packed(view.instruments).tolist(),
         "bases": floats(packed(view.T_base_nominal)) if view.is_registered_apart else "",
         "numbers": {name: list(texts) for name, texts in view.numbers.items()},
+        "images": images_table(view.sight, FACTORS),
     }
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from calib.camera.camera import Camera
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.errors import ModelError, choices
@@ -29,7 +30,9 @@ from calib.text.comparison import sentence
 from calib.text.verdict import against, reason_text
 from calib.units import Array, Integers, Mask
 from calib.viewer.puppet import translation
+from calib.viewer.sight import Sight, sight_of
 from calib.viewer.standing import standing
+from calib.viewer.steps import steps_of
 
 #: Name of each of two robots, and a description that stands below it.
 Names = Sequence[tuple[str, str]]
@@ -40,11 +43,8 @@ _POSES = 24
 #: Poses of each joint of a robot alone.
 _POSES_PER_JOINT = 9
 
-#: Rows that are shown at most: the page stays quick.
-MOST_ROWS = 400
-
-#: Of `MOST_ROWS`, rows kept free for flagged ones.
-_FLAGGED_ROWS = 50
+#: Where nothing is known of cameras.
+NO_CAMERAS: Mapping[str, Camera] = ReadOnlyMapping()
 
 #: A station whose frame is nearer to the base than this [m, rad] is the base.
 _SAME_FRAME = 1e-9
@@ -92,6 +92,8 @@ class View:
     verdict: str = ""
     #: A sentence below the heading, such as the verdict's first reason
     note: str = ""
+    #: Cameras, boards and the corners of each step, where the steps are images
+    sight: Sight | None = None
     #: Name and description of each robot
     names: Names = (("Nominal", "the URDF as given"), ("Calibrated", "the corrected URDF"))
     #: What is shown in words for each pose, by the name of it: N texts, such as a joint's values with their unit
@@ -165,7 +167,7 @@ def view_of(calibration: CalibrationValues, *, accepted: bool = False) -> View:
     m = c.measurements
     before = EvaluationValues(c.nominal, m, c.nominal_setup, (), c.residual_nominal, c.channels)
     after = EvaluationValues(c.robot, m, c.setup, (), c.residual_calibrated, c.channels)
-    view = _at_rows(before, after, flagged_rows(c))
+    view = _at_rows(before, after, flagged_rows(c), c.cameras)
     names = (view.names[0], ("Calibrated", _calibrated_is(c, accepted=accepted)))
     view = replace(view, title=f"{c.nominal.name or 'Robot'}: nominal and calibrated", names=names)
     return _with_verdict(view, c)
@@ -210,7 +212,7 @@ def view_of_result(
     Returns:
         The view; its errors are those of `calib.evaluate`.
     """
-    cell = cell or Cell()
+    cell = result.with_optics(cell or Cell())
     before = result.uncorrected(robot)
     after = result.corrected(robot)
     if table is None:
@@ -223,7 +225,7 @@ def view_of_result(
         which = tuple(known)
         first = evaluate(before, table, cell, known=result.nominal_setup, which=which)
         second = evaluate(after, table, cell, known=result.setup, which=which)
-        view = _at_rows(first, second, _flagged_by(result, table))
+        view = _at_rows(first, second, _flagged_by(result, table), result.cameras or cell.cameras)
     origins = f"joint origins of {source}"
     if np.array_equal(before.placements, after.placements):
         origins = "unchanged: no joint origin was corrected"
@@ -261,7 +263,7 @@ def view_of_robots(
     if table is not None:
         first = evaluate(nominal, table, cells[0])
         second = evaluate(calibrated, table, cells[1]) if calibrated else None
-        view = _at_rows(first, second, np.zeros(len(table), bool))
+        view = _at_rows(first, second, np.zeros(len(table), bool), cells[-1].cameras)
         return replace(view, names=names, title=title)
     q, labels = _poses_without_table(nominal, alone=calibrated is None)
     targets = [_first_target(cell) for cell in cells]
@@ -318,120 +320,77 @@ def _with_verdict(view: View, c: CalibrationValues) -> View:
     return replace(view, verdict=c.verdict.use, note=note)
 
 
-def _at_rows(first: EvaluationValues, second: EvaluationValues | None, flagged: Mask) -> View:
-    """Return the view of one or two robots at the rows of a table.
+def _at_rows(
+    first: EvaluationValues,
+    second: EvaluationValues | None,
+    flagged: Mask,
+    cameras: Mapping[str, Camera] = NO_CAMERAS,
+) -> View:
+    """Return the view of one or two robots at the rows of a table, or at its images.
 
     Args:
         first: The first robot's residuals.
         second: The second robot's of the same rows; None to show one robot alone.
         flagged: shape (N,), the flagged rows.
+        cameras: Cameras of images by their stations; without any, neither they nor boards are drawn.
 
     Returns:
-        The view of all rows, or of an even choice of many, with flagged ones; a typical row is shown first.
+        The view of all steps, or of an even choice of many, with flagged ones; a typical one is shown first.
     """
+    chain = first.robot
     first = standing(first)
     second = standing(second) if second is not None else None
-    m = first.measurements
     last = second or first
-    errors = _errors_by_unit(first, last)
-    leading = next(iter(errors.values()), np.full((2, len(m)), np.nan))
-    start = _typical_row(leading, m.estimation & ~flagged)
-    at = _shown_rows(start, flagged)
-    nominal_target = setup_of_rows(first.setup, m)[1]
-    T_frame_base, calibrated_target = setup_of_rows(last.setup, m)
-    view = View(
-        nominal=first.robot,
-        calibrated=None,
-        q=m.joints_for(first.robot.joint_names)[at],
-        labels=_row_labels(m, at),
-        kinds=_row_kinds(m, flagged, at),
-        nominal_target=nominal_target[at],
-        calibrated_target=calibrated_target[at],
-        T_base_nominal=_bases_of_first(first, last)[at],
-        measured=measured_in_base(m, T_frame_base)[at],
-        errors={unit: of_unit[:, at] for unit, of_unit in errors.items()},
-        instruments=_stations(m, T_frame_base),
-        start=int(np.searchsorted(at, start)),
+    steps = steps_of(first, last, flagged)
+    sight = sight_of(first, last, steps, cameras, carries_camera=first.robot is not chain)
+    at = steps.shown
+    view = _at_steps(first, last, steps.m, at)
+    view = replace(
+        view,
+        labels=tuple(steps.labels[k] for k in at),
+        kinds=tuple(steps.kinds[k] for k in at),
+        errors={unit: of_unit[:, at] for unit, of_unit in steps.errors.items()},
+        start=int(np.searchsorted(at, steps.start)),
+        sight=sight.at(at) if sight is not None else None,
     )
     if second is not None:
         view = replace(view, calibrated=second.robot)
-    if len(at) < len(flagged):
-        view = replace(view, rows=len(flagged))
+    if len(at) < len(steps.flagged):
+        view = replace(view, rows=len(steps.flagged))
     return view
 
 
-def _errors_by_unit(first: EvaluationValues, last: EvaluationValues) -> dict[str, Array]:
-    """Return the errors of two robots at N rows, shape (2, N), by the unit that they are in; NaN where a row has none.
+def _at_steps(
+    first: EvaluationValues, last: EvaluationValues, m: Measurements, at: Integers
+) -> View:
+    """Return the view of the first robot alone, with poses and places.
 
     Args:
-        first: The first robot's residuals.
-        last: The second robot's of the same rows, or again the first's.
+        first: The first robot's frames and targets.
+        last: Those in whose base everything is.
+        m: One row of each of N steps.
+        at: Indices of those that are shown, from 0.
     """
-    errors = {}
-    for unit in first.channels.present:
-        robots = [e.channels.norms(e.residual, unit) for e in (first, last)]
-        errors[unit] = np.array(robots)
-    return errors
+    nominal_target = setup_of_rows(first.setup, m)[1]
+    T_frame_base, calibrated_target = setup_of_rows(last.setup, m)
+    return View(
+        nominal=first.robot,
+        calibrated=None,
+        q=m.joints_for(first.robot.joint_names)[at],
+        nominal_target=nominal_target[at],
+        calibrated_target=calibrated_target[at],
+        T_base_nominal=_bases_of_first(first, last, m)[at],
+        measured=measured_in_base(m, T_frame_base)[at],
+        instruments=_stations(m, T_frame_base),
+    )
 
 
-def _row_labels(m: Measurements, at: Integers) -> tuple[str, ...]:
-    """Return the labels of the rows with these indices: ``row 31``, by their number in the table."""
-    return tuple(f"row {m.rows[index]}" for index in at)
-
-
-def _row_kinds(m: Measurements, flagged: Mask, at: Integers) -> tuple[str, ...]:
-    """Return ``"estimation"``, ``"validation"`` or ``"flagged"`` of each row that is shown.
-
-    Args:
-        m: N rows.
-        flagged: shape (N,), the flagged rows.
-        at: Indices of the rows that are shown, from 0.
-    """
-    kinds = np.where(m.validation, "validation", "estimation")
-    kinds = np.where(flagged, "flagged", kinds)
-    return tuple(kinds[at].tolist())
-
-
-def _typical_row(errors: Array, fitted: Mask) -> int:
-    """Return the index of the row that is shown first: the one whose errors, of both robots, are nearest the median.
-
-    Of each robot's errors the rows have ranks; the larger of a row's two distances from the middle rank is least.
-
-    Args:
-        errors: shape (2, N), in one unit; NaN where none was measured.
-        fitted: shape (N,), the rows to choose from, if any has an error: fitted, and not flagged.
-
-    Returns:
-        The index, from 0; of equal ones the first. 0 where no row has an error.
-    """
-    is_known = np.all(np.isfinite(errors), axis=0)
-    rows = np.flatnonzero(is_known & fitted)
-    if not len(rows):
-        rows = np.flatnonzero(is_known)
-    if not len(rows):
-        return 0
-    ranks = errors[:, rows].argsort(axis=1).argsort(axis=1)
-    from_middle = np.abs(ranks - 0.5 * (len(rows) - 1)).max(axis=0)
-    return int(rows[from_middle.argmin()])
-
-
-def _shown_rows(start: int, flagged: Mask) -> Integers:
-    """Return the ascending indices of the rows that are shown: the row ``start``, flagged ones, an even choice."""
-    count = len(flagged)
-    if count <= MOST_ROWS:
-        return np.arange(count)
-    evenly = np.linspace(0, count - 1, MOST_ROWS - _FLAGGED_ROWS).round().astype(int)
-    first_flagged = np.flatnonzero(flagged)[: _FLAGGED_ROWS - 1]
-    return np.unique([start, *first_flagged, *evenly])
-
-
-def _bases_of_first(first: EvaluationValues, last: EvaluationValues) -> Array:
-    """Return the base of the first robot in the last one's, shape (N, 4, 4), [m].
+def _bases_of_first(first: EvaluationValues, last: EvaluationValues, m: Measurements) -> Array:
+    """Return the base of the first robot in the last one's at the rows ``m``, shape (N, 4, 4), [m].
 
     Both are seen from the same station, so that the errors in the picture are those of the tables. Where no row
     measures a position, neither estimates its place: the two robots share their base.
     """
-    m = first.measurements
     if not np.any(m.where(lambda kind: kind.coordinates)):
         return np.broadcast_to(np.eye(4), (len(m), 4, 4))
     T_frame_first, _ = setup_of_rows(first.setup, m)

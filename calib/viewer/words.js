@@ -65,6 +65,7 @@ function describe() {
     fill(element("factors"), state.mode === "over" ? overlaidText() : sideText());
   }
   drawInset(points());
+  drawImage();
   fillNumbers();
 }
 
