@@ -144,8 +144,8 @@ def find_usual_mistake(robot: Robot, cell: Cell, table: Measurements) -> Reason 
         explain the rows as well; None if the nominal error is plausible or no mistake explains it.
     """
     if len(table) and np.all(table.where(lambda kind: kind.optical)):
-        poses, cell_of_poses = as_poses(robot, cell, table)
-        return _of_images(find_usual_mistake(robot, cell_of_poses, poses), robot)
+        of_images, cell_of_poses = as_poses(robot, cell, table)
+        return _of_images(find_usual_mistake(robot, cell_of_poses, of_images), robot)
     if not np.all(table.of_kind("point", "pose")):
         return None
     table = _some_rows(table)

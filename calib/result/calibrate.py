@@ -343,7 +343,7 @@ def _assembled(
         nominal=robot,
         robot=geometry.kinematics.model.apply(robot, estimate.x),
         source=Source(m.source, m.sha256, m.orientation),
-        rows=_row_names(m),
+        rows=RowNames.of(m),
         frame_estimated=cell.estimate_frame,
         frozen=cell.frozen,
         ties=cell.ties,
@@ -537,12 +537,6 @@ def _nominal_residual(fits: TableFits, places: Setup) -> Array:
         return np.where(rows.used, np.nan, 0.0)
     T_base_tip = fits.geometry.task.robot.poses(rows.joints)
     return rows.residual(places.target_poses(T_base_tip, rows.samples))
-
-
-def _row_names(m: Measurements) -> RowNames:
-    """Return what the rows of a table are called."""
-    images = m.images if any(m.images) else ()
-    return RowNames(m.rows, m.sets, m.kinds, m.groups, m.targets, images)
 
 
 def _scored(measurements: Measurements, fits: TableFits) -> _Scored:

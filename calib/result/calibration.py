@@ -72,6 +72,12 @@ class RowNames:
     #: Name of the image that a row is a corner in, ``""`` for other rows; empty without images
     images: tuple[str, ...] = ()
 
+    @classmethod
+    def of(cls, m: Measurements) -> RowNames:
+        """Return what the rows of a table are called."""
+        images = m.images if any(m.images) else ()
+        return cls(m.rows, m.sets, m.kinds, m.groups, m.targets, images)
+
     def __len__(self) -> int:
         """The number N of rows of the table, estimation and validation rows."""
         return len(self.numbers)

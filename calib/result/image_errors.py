@@ -63,7 +63,7 @@ class ImageFigures:
         lengths = errors * scale[images]
         bias = uv.mean(axis=0)
         return cls(
-            images=len({(rows.blocks[i], names[i]) for i in np.flatnonzero(images)}),
+            images=len({(rows.blocks[i], names[i]) for i in np.flatnonzero(images).tolist()}),
             corners=int(np.sum(images)),
             mean=float(errors.mean()),
             p95=float(np.percentile(errors, _MOST)),

@@ -10,7 +10,7 @@ from calib.camera import optics
 from calib.model.parameters import BOARD, CAMERA, Parameter
 from calib.result.calibration import CalibrationValues
 from calib.result.prediction import ParameterEstimate
-from calib.text.layout.lines import number
+from calib.text.layout.lines import number, plural
 from calib.units import Array
 
 #: Decimals of a number of a lens, by its unit.
@@ -88,3 +88,14 @@ def _owner(parameter: Parameter) -> str:
     """Return the name of the camera or board of a parameter with a space before it; empty for the only one."""
     _, bracket, name = parameter.name.partition("[")
     return f" of '{name.rstrip(']')}'" if bracket else ""
+
+
+def counted_rows(c: CalibrationValues) -> str:
+    """Count the rows of each set, or the images and their corners."""
+    estimation, validation = (int(np.sum(s)) for s in (c.rows.estimation, c.rows.validation))
+    images = c.rows.images_of(c.rows.estimation)
+    if not images:
+        return f"{estimation} rows for estimation and {validation} for validation"
+    fresh = f"{c.rows.images_of(c.rows.validation)} with {validation}" if validation else "none"
+    counted = f"{plural(images, 'image')} with {estimation} corners"
+    return f"{counted} for estimation and {fresh} for validation"

@@ -18,10 +18,10 @@ from calib.numerics.errors import Errors, UnitErrors
 from calib.result.calibration import CalibrationValues
 from calib.result.prediction import Outlier, ParameterEstimate
 from calib.text.layout.doubtful_rows import robustness_text
-from calib.text.layout.lines import listed, mm, number, plural, wrap
+from calib.text.layout.lines import listed, mm, number, wrap
 from calib.text.layout.sizes import shown, with_unit
 from calib.text.layout.tables import Column, name_column, table_lines
-from calib.text.optics import optics_sentences
+from calib.text.optics import counted_rows, optics_sentences
 from calib.text.places import frame_sentences, target_sentences
 from calib.text.readings import coupling_sentence, rows_sentence
 from calib.text.verdict import reason_text
@@ -79,23 +79,12 @@ def _heading(c: CalibrationValues) -> str:
     """Name the robot and count the rows."""
     heading = wrap(
         f"calib {__version__}: robot '{c.nominal.name}', {c.nominal.base} to {c.nominal.tip}, "
-        f"{len(c.nominal.joints)} joints; {_counts(c)} from "
+        f"{len(c.nominal.joints)} joints; {counted_rows(c)} from "
         f"{c.source.name or 'memory'}"
     )
     rows = rows_sentence(c.nominal)
     sentences = [f"{rows}." if rows else "", coupling_sentence(c.nominal)]
     return "\n".join([heading, *(wrap(sentence) for sentence in sentences if sentence)])
-
-
-def _counts(c: CalibrationValues) -> str:
-    """Count the rows of each set, or the images and their corners."""
-    estimation, validation = (int(np.sum(s)) for s in (c.rows.estimation, c.rows.validation))
-    images = c.rows.images_of(c.rows.estimation)
-    if not images:
-        return f"{estimation} rows for estimation and {validation} for validation"
-    fresh = f"{c.rows.images_of(c.rows.validation)} with {validation}" if validation else "none"
-    counted = f"{plural(images, 'image')} with {estimation} corners"
-    return f"{counted} for estimation and {fresh} for validation"
 
 
 def _verdict(c: CalibrationValues) -> str:

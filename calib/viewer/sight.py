@@ -30,6 +30,9 @@ _THICKNESS = 0.003
 #: Parts into which an edge of the image is divided: distortion bends it.
 _PARTS = 8
 
+#: Widest slope of a line of sight that is drawn: of a fisheye lens some see beside the camera.
+_WIDEST = 1.7
+
 #: Focal length of a camera of which nothing is known, over the width of its images.
 _FOCAL = 0.8
 
@@ -163,14 +166,9 @@ def frustum(camera: Camera, depth: float) -> Shape:
         camera: The camera; of unknown intrinsics it is drawn with a usual lens.
         depth: Depth along the line of sight [m].
     """
-    border = _border(camera.width, camera.height)
-    values = camera.values
-    if values is None:
-        focal = _FOCAL * camera.width
-        middle = 0.5 * np.array([camera.width, camera.height]) - 0.5
-        rays = np.column_stack([(border - middle) / focal, np.ones(len(border))])
-    else:
-        rays = LENSES[camera.lens].rays(border, values)
+    rays = _rays(camera, _border(camera.width, camera.height))
+    slopes = np.linalg.norm(rays[:, :2], axis=1, keepdims=True)
+    rays[:, :2] *= np.minimum(1.0, _WIDEST / slopes)
     seen = depth * rays
     around = np.stack([seen, np.roll(seen, -1, axis=0)], axis=1)
     edges = seen[::_PARTS]
@@ -182,6 +180,21 @@ def frustum(camera: Camera, depth: float) -> Shape:
         edges=body,
         T_shape_body=translation([0.0, 0.0, -0.5 * body[2]]),
     )
+
+
+def _rays(camera: Camera, pixels: Array) -> Array:
+    """Return the directions in which a camera sees pixels (n, 2), as points at a depth of 1, shape (n, 3)."""
+    if camera.values is None:
+        focal = np.full(2, _FOCAL * camera.width)
+        middle = 0.5 * np.array([camera.width, camera.height]) - 0.5
+        return np.column_stack([(pixels - middle) / focal, np.ones(len(pixels))])
+    lens = LENSES[camera.lens]
+    rays = lens.rays(pixels, camera.values)
+    # Far from what was measured a distortion may have no inverse.
+    missing = np.linalg.norm(lens.project(rays, camera.values) - pixels, axis=1) > 1.0
+    straight = (pixels - camera.values[2:4]) / camera.values[:2]
+    rays[missing] = np.column_stack([straight, np.ones(len(pixels))])[missing]
+    return rays
 
 
 def _border(width: int, height: int) -> Array:

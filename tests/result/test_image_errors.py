@@ -9,7 +9,7 @@ from calib.channels import Channels
 from calib.estimate.fitting import fit
 from calib.estimate.task import Task
 from calib.registration.table_rows import rows_and_setup
-from calib.result.image_errors import errors_at_board, metres_per_pixel
+from calib.result.image_errors import ImageFigures, errors_at_board, metres_per_pixel
 from tests.images import BOARD, arm, cell, mounts, poses, table
 
 
@@ -33,3 +33,16 @@ def test_lengths_are_pixels_times_their_length():
     assert errors.n == 2
     assert errors.max == pytest.approx(5e-3)
     assert errors.mean == pytest.approx(3.5e-3)
+
+
+def test_two_images_of_one_pose_are_two():
+    q = poses(3)[[0, 0, 1]]
+    m = table(q)
+    rows, _ = rows_and_setup(arm(), m, cell())
+    residual = np.tile([3.0, 4.0], (len(m), 1))
+    figures = ImageFigures.of(residual, np.full(len(m), 1e-3), rows, m.images)
+    assert (figures.images, figures.corners) == (3, 3 * len(BOARD.corners))
+    assert (figures.mean, figures.bias) == (pytest.approx(5.0), (3.0, 4.0))
+    assert figures.largest_at_board == pytest.approx(5e-3)
+    unnamed = ImageFigures.of(residual, np.full(len(m), 1e-3), rows, ("",) * len(m))
+    assert unnamed.images == 2

@@ -15,10 +15,9 @@ from calib.result.calibration_file import read_result
 from calib.robot.ranges import column_ranges, random_joint_values
 from calib.text.verdict import reason_text
 from calib.viewer.puppet import translation
+from calib.viewer.steps import MOST_ROWS
 from calib.viewer.view import (
-    MOST_ROWS,
     View,
-    _typical_row,
     joint_texts,
     view_of,
     view_of_result,
@@ -113,21 +112,6 @@ def test_errors_in_the_picture_are_those_of_the_tables_when_the_frame_is_estimat
     assert len(view.instruments) == 1
     assert view.is_registered_apart
     assert not view_of(result).is_registered_apart
-
-
-def test_errors_that_no_row_has_or_one_row_has_choose_the_first_row_or_that_one():
-    nan = np.nan
-    fitted = np.array([True, True, True, False])
-    assert _typical_row(np.full((2, 4), nan), fitted) == 0
-    assert _typical_row(np.array([[nan, nan, nan, 1.0]] * 2), fitted) == 3
-    assert _typical_row(np.array([[3.0, 1.0, 2.0, 2.0]] * 2), fitted) == 2
-    # The median of the one is the extreme of the other: neither is typical.
-    assert (
-        _typical_row(
-            np.array([[1.0, 2.0, 3.0, 4.0, 5.0], [4.0, 1.0, 3.0, 5.0, 2.0]]), np.ones(5, bool)
-        )
-        == 2
-    )
 
 
 def test_the_calibrated_robot_s_label_follows_the_verdict_and_what_was_written(result):
