@@ -34,6 +34,21 @@ def test_predictions_are_as_good_as_they_can_be_and_as_stated():
 
 
 @pytest.mark.slow
+def test_servo_steps_and_few_pictures_cost_little_more():
+    module = study()
+    figures = [
+        module.against_the_bound("ur5", "tool0", "base_link", seed, module.CHEAP)
+        for seed in range(12)
+    ]
+    error, bound, stated = (
+        sum(getattr(f, name) for f in figures) for name in ("error", "bound", "stated")
+    )
+    # 12 cells: a mean square is uncertain by some 20 %. Joints' errors taken for one displacement: 1.3.
+    assert 0.7 < error / bound < 1.25
+    assert 0.7 < stated / error < 1.4
+
+
+@pytest.mark.slow
 def test_cells_without_a_guess_reach_the_minimum_of_the_truth():
     module = study()
     ratios = [module.start_ratio(arm, 7 + k, known=k % 2 == 0) for k, arm in enumerate(module.ARMS)]
