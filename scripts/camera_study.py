@@ -3,13 +3,15 @@
     python scripts/camera_study.py bound panda panda_link8 panda_link0 --runs 75
     python scripts/camera_study.py bound so101 gripper_link base_link --cheap --runs 100
     python scripts/camera_study.py starts --runs 300
+    python scripts/camera_study.py pictures ur5 tool0 base_link --runs 20
 
 ``bound``: virtual cells of 40 pictures, of which only the image's size is known of the camera; 0.3 px. Errors of the
 robot, of the print and of the lens are drawn from what the fit takes for their priors, and predictions are judged at 40
 fresh poses. The bound is that of a fit that knows noise and prior standard deviations. With ``--cheap`` 15 pictures of
 a poor lens by a servo arm: joints stop anywhere within steps of 0.1 deg, and zeros are 2 deg off. ``starts``: cells of
 15 pictures without a guess of mount or board, half of them of unknown intrinsics, against a fit that starts at the true
-places.
+places. ``pictures``: where the board's middle is predicted in the camera at fresh poses, by the number of pictures,
+with the intrinsics of the maker, and by hand-eye calibration alone.
 """
 
 from __future__ import annotations
@@ -30,6 +32,7 @@ from calib.estimate.prior_terms import PriorTerms
 from calib.estimate.problem import Problem
 from calib.estimate.task import Task
 from calib.model.families import FAMILIES
+from calib.model.kinematics import Samples
 from calib.registration.rows import Rows
 from calib.registration.table_rows import rows_and_setup
 from calib.robot.robot import Robot, read_only
@@ -66,6 +69,9 @@ ARMS = (
 NOISE = 0.3
 FRESH = 40
 MODEL = "dh"
+
+#: Numbers of pictures that are compared.
+NUMBERS = (10, 15, 20, 30, 40, 60)
 
 #: Step of differences [rad].
 STEP = 1e-6
@@ -239,6 +245,30 @@ def start_ratio(arm: tuple[str, str, str], seed: int, *, known: bool) -> float:
     return float(np.sqrt(np.mean(of_none**2) / np.mean(of_truth**2)))
 
 
+def place_error(arm: tuple[str, str, str], seed: int, pictures: int, model: str) -> float:
+    """Fit one cell with a model, and return how far the board's middle is off in the camera at fresh poses, rms [m]."""
+    cell = draw(*arm, seed)
+    known = Cell(cameras={"": STATED}, boards={"": BOARD})
+    m = table_of(take_pictures(cell, cell.views(pictures, seed), seed))
+    rows, setup = rows_and_setup(cell.truth.nominal, m, known)
+    fitted = fit(Task(cell.truth.nominal, known, setup, model), rows)
+    views = cell.views(FRESH, seed, validation=True)
+    true = take_pictures(cell, views, seed + 100_000).T_camera_board
+    found = fitted.kinematics.poses(fitted.estimate.x, Samples.at(views))
+    away = (found[:, :3, :3] - true[:, :3, :3]) @ BOARD.centre + found[:, :3, 3] - true[:, :3, 3]
+    return float(np.sqrt(np.mean(np.sum(away**2, axis=1))))
+
+
+def run_pictures(arguments: argparse.Namespace) -> Iterator[str]:
+    """Yield the lines of the third study."""
+    arm = (arguments.robot, arguments.camera_on, arguments.board_on)
+    seeds = range(arguments.runs)
+    yield f"{' '.join(arm)}, {len(seeds)} cells, median and largest error of the board's place [mm]:"
+    for model, pictures in (("frames", max(NUMBERS)), *((MODEL, number) for number in NUMBERS)):
+        errors = 1e3 * np.array([place_error(arm, seed, pictures, model) for seed in seeds])
+        yield f"  {model}, {pictures} pictures: {np.median(errors):.3f}, {np.max(errors):.3f}"
+
+
 def run_bound(arguments: argparse.Namespace) -> Iterator[str]:
     """Yield the lines of the first study."""
     arm = (arguments.robot, arguments.camera_on, arguments.board_on)
@@ -278,6 +308,11 @@ def main() -> None:
     starts = studies.add_parser("starts")
     starts.add_argument("--runs", type=int, default=300)
     starts.set_defaults(run=run_starts)
+    pictures = studies.add_parser("pictures")
+    for name in ("robot", "camera_on", "board_on"):
+        pictures.add_argument(name)
+    pictures.add_argument("--runs", type=int, default=20)
+    pictures.set_defaults(run=run_pictures)
     arguments = parser.parse_args()
     for line in arguments.run(arguments):
         print(line, flush=True)
