@@ -17,8 +17,10 @@ with the intrinsics of the maker, and by hand-eye calibration alone.
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from itertools import count, islice
 
 import numpy as np
 
@@ -27,6 +29,7 @@ from calib.camera.camera import Camera
 from calib.camera.optics import CORNER, INTRINSICS
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
+from calib.errors import CalibError
 from calib.estimate.fitting import Fitted, fit
 from calib.estimate.prior_terms import PriorTerms
 from calib.estimate.problem import Problem
@@ -136,12 +139,12 @@ def draw(
 
 def table_of(pictures: Pictures) -> Measurements:
     """Return the table of the corners in pictures."""
-    count = len(pictures.picture)
+    number = len(pictures.picture)
     return Measurements(
         joint_names=pictures.cell.truth.nominal.joint_names,
         joints=pictures.readings[pictures.picture],
-        points=np.full((count, 3), np.nan),
-        kinds=("pixel",) * count,
+        points=np.full((number, 3), np.nan),
+        kinds=("pixel",) * number,
         images=tuple(pictures.images[i] for i in pictures.picture),
         corners=tuple(map(str, pictures.corner)),
         board_points=BOARD.corners[pictures.corner],
@@ -269,11 +272,20 @@ def run_pictures(arguments: argparse.Namespace) -> Iterator[str]:
         yield f"  {model}, {pictures} pictures: {np.median(errors):.3f}, {np.max(errors):.3f}"
 
 
+def figures_of(arm: tuple[str, str, str], setting: Setting) -> Iterator[Figures]:
+    """Yield the figures of one cell after the other; a seed of which no cell comes is left out."""
+    for seed in count():
+        try:
+            yield against_the_bound(*arm, seed, setting)
+        except CalibError as error:
+            print(f"seed {seed}: {error}", file=sys.stderr)
+
+
 def run_bound(arguments: argparse.Namespace) -> Iterator[str]:
     """Yield the lines of the first study."""
     arm = (arguments.robot, arguments.camera_on, arguments.board_on)
     setting = CHEAP if arguments.cheap else USUAL
-    figures = [against_the_bound(*arm, seed, setting) for seed in range(arguments.runs)]
+    figures = list(islice(figures_of(arm, setting), arguments.runs))
     error, bound, stated = (
         sum(getattr(f, name) for f in figures) for name in ("error", "bound", "stated")
     )

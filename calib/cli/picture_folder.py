@@ -61,7 +61,8 @@ def _corners(folder: Path, boards: Sequence[Board], *, quiet: bool) -> bytes:
         raise CalibError(
             f"'{folder}' is a folder of pictures, and nothing says which board they show: give --board board.toml."
         )
-    joints = read_joint_table(folder / JOINTS, {}, None)
+    # All pictures of the folder are judged, those that were taken to validate with too.
+    joints = read_joint_table(folder / JOINTS, {}, None).without("set")
     files = find_images([str(folder)], {})
     matches = match(joints, files)
     with (

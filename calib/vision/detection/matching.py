@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 
 from calib.data.columns import list_columns, name_columns
@@ -71,6 +71,11 @@ class JointTable(Value):
             for name, column in self.columns.items()
             if column.index not in places and name.casefold() != IMAGE
         )
+
+    def without(self, name: str) -> JointTable:
+        """Return the table without a column, by its name in small letters; itself where it has none of that name."""
+        kept = {key: column for key, column in self.columns.items() if key.casefold() != name}
+        return replace(self, columns=kept)
 
     def cell(self, row: int, column: Column | None) -> str:
         """Return a cell.
