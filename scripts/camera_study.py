@@ -277,7 +277,7 @@ def figures_of(arm: tuple[str, str, str], setting: Setting) -> Iterator[Figures]
     for seed in count():
         try:
             yield against_the_bound(*arm, seed, setting)
-        except CalibError as error:
+        except CalibError as error:  # noqa: PERF203
             print(f"seed {seed}: {error}", file=sys.stderr)
 
 

@@ -54,7 +54,8 @@ def _target(c: CalibrationValues, t: int, name: str) -> str:
     if c.setup.rotation:
         place += _rpy(T_tip_target)
     place += f" in {c.nominal.tip}"
-    label = f"Target '{name}'" if name else "Target"
+    noun = "Board" if c.rows.images_of(np.ones(len(c.rows), dtype=bool)) else "Target"
+    label = f"{noun} '{name}'" if name else noun
     if not c.setup.target_unknown[t]:
         return f"{label}: {place}, as given."
     if placed_name("target", "x", name) not in c.model.names:
