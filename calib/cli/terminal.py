@@ -111,11 +111,12 @@ def command_line() -> str:
 
 
 @contextmanager
-def stages_bar(*, quiet: bool) -> Iterator[Callable[[str, int, int], None] | None]:
+def stages_bar(*, quiet: bool, first: str = "") -> Iterator[Callable[[str, int, int], None] | None]:
     """Show a bar on stderr for each stage of the work in the block.
 
     Args:
         quiet: Whether no bar is wanted.
+        first: The name of work before the first stage, whose amount is not known: its bar moves to and fro.
 
     Yields:
         A function of the stage's name, the work done and all of its work; None where nobody is watching.
@@ -128,8 +129,12 @@ def stages_bar(*, quiet: bool) -> Iterator[Callable[[str, int, int], None] | Non
 
     with Progress(console=Console(stderr=True), transient=True) as bar:
         tasks: dict[str, TaskID] = {}
+        if first:
+            tasks[first] = bar.add_task(first, total=None)
 
         def advance(stage: str, done: int, total: int) -> None:
+            if first in tasks:
+                bar.remove_task(tasks.pop(first))
             if stage not in tasks:
                 tasks[stage] = bar.add_task(stage, total=total)
             bar.update(tasks[stage], completed=done, total=total)
@@ -138,15 +143,18 @@ def stages_bar(*, quiet: bool) -> Iterator[Callable[[str, int, int], None] | Non
 
 
 @contextmanager
-def progress_bar(label: str, *, quiet: bool) -> Iterator[Callable[[int, int], None] | None]:
+def progress_bar(
+    label: str, *, quiet: bool, first: str = ""
+) -> Iterator[Callable[[int, int], None] | None]:
     """Show a bar on stderr for the work in the block.
 
     Args:
         label: The name of the work.
         quiet: Whether no bar is wanted.
+        first: The name of what comes before it, whose amount is not known.
 
     Yields:
         A function of the work done and all of the work; None where nobody is watching.
     """
-    with stages_bar(quiet=quiet) as advance:
+    with stages_bar(quiet=quiet, first=first) as advance:
         yield None if advance is None else partial(advance, label)

@@ -62,7 +62,8 @@ SAY = "import sys; from calib.cli.terminal import say; say(sys.argv[1])"
 
 PROGRESS = """
 from calib.cli.terminal import progress_bar, stages_bar
-with progress_bar("Fitting", quiet=QUIET) as advance:
+with progress_bar("Fitting", quiet=QUIET, first="Choosing the model") as advance:
+    import time; time.sleep(0.3)
     if advance:
         [advance(k, 3) for k in range(4)]
 with stages_bar(quiet=QUIET) as advance:
@@ -109,7 +110,7 @@ def test_elsewhere_the_text_is_printed_as_it_is(capsys):
 @pytest.mark.slow
 def test_a_bar_for_each_stage():
     seen = on_a_terminal(PROGRESS.replace("QUIET", "False"))
-    for what in ("Fitting", "Choosing poses", "Forecasting"):
+    for what in ("Choosing the model", "Fitting", "Choosing poses", "Forecasting"):
         assert what in seen
     assert "100%" in seen
     assert on_a_terminal(PROGRESS.replace("QUIET", "True")) == ""

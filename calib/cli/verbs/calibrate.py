@@ -68,7 +68,7 @@ def calibrate(
 
         from calib.calibration import calibrate as calibrate_robot
 
-        with progress_bar("cross-validation", quiet=quiet) as progress:
+        with progress_bar("cross-validation", quiet=quiet, first="fits") as progress:
             result = calibrate_robot(
                 arm,
                 measurements,

@@ -124,7 +124,7 @@ def _calibrate_by_camera(*, quiet: bool) -> Calibration:
         boards={"": read_board(franka_file("board.toml"))},
         model="dh",
     )
-    with progress_bar("cross-validation", quiet=quiet) as progress:
+    with progress_bar("cross-validation", quiet=quiet, first="fits") as progress:
         return calibrate(robot, measurements, cell=cell, progress=progress)
 
 
