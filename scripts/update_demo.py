@@ -13,10 +13,12 @@ import subprocess
 import tempfile
 from pathlib import Path
 
-from calib.calibration import calibrate
+from calib.calibration import Calibration, calibrate
+from calib.camera.board_file import read_board
+from calib.camera.camera_file import read_camera
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
-from calib.example import PAPER_TARGET, paper_measurements, paper_urdf
+from calib.example import PAPER_TARGET, franka_file, paper_measurements, paper_urdf
 from calib.formats.origins import write_origins
 from calib.report.report import write_report
 from calib.robot.robot import Robot, read_only
@@ -29,6 +31,7 @@ PICTURES = (
     ("view.png", "view.html", (1600, 900)),
     ("overlaid.png", "view.html#mode=over&factor=50", (1600, 900)),
     ("report.png", "report.html", (1000, 1320)),
+    ("camera.png", "camera.html", (1600, 900)),
 )
 
 #: Options of Chromium: a picture of the whole window, and nothing from the network.
@@ -64,6 +67,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as pages:
         write_page(result, Path(pages) / "view.html")
         write_report(result, Path(pages) / "report.html", command="calib demo")
+        write_page(franka_result(), Path(pages) / "camera.html")
         for name, page, (width, height) in PICTURES:
             file, hash_sign, fragment = page.partition("#")
             address = (Path(pages) / file).as_uri() + hash_sign + fragment
@@ -71,6 +75,15 @@ def main() -> None:
             command += [f"--window-size={width},{height}", f"--screenshot={DOCS / name}", address]
             subprocess.run(command, check=True, capture_output=True, timeout=120)
             print(f"Written: {DOCS / name}")
+
+
+def franka_result() -> Calibration:
+    """Calibrate the Franka arm with a camera as `calib demo --camera` does."""
+    robot = Robot.load("panda", base="panda_link8", tip="panda_link0")
+    cameras = {"": read_camera(franka_file("camera.toml"))}
+    boards = {"": read_board(franka_file("board.toml"))}
+    cell = Cell(cameras=cameras, boards=boards, model="dh")
+    return calibrate(robot, franka_file("corners.csv"), cell=cell)
 
 
 if __name__ == "__main__":
