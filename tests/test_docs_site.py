@@ -251,6 +251,7 @@ def test_the_python_of_every_page_is_run():
         assert page in (ROOT / tests).read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_the_python_of_these_pages_runs(tmp_path, monkeypatch, capsys):
     for file, given in {
         "robot.urdf": paper_urdf(),

@@ -14,6 +14,7 @@ PAGE = (ROOT / "docs" / "extending.md").read_text(encoding="utf-8")
 SECTIONS = [part for part in re.split(r"^## ", PAGE, flags=re.MULTILINE) if "```python" in part]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("section", SECTIONS, ids=lambda part: part.partition("\n")[0])
 def test_the_page_s_programs_run(section, tmp_path):
     program = tmp_path / "program.py"

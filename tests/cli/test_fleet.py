@@ -29,6 +29,7 @@ def manifest(folder: Path, *rows: str, header: str = "name,robot,data") -> None:
     (folder / "m.csv").write_text("\n".join([header, *rows, ""]), encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_a_fleet_is_calibrated_compared_and_kept(call, arms_shop: Path):
     done = call(arms_shop, "fleet", "m.csv", "--out", "r", *ARM, "--no-reports")
     assert (done.code, done.err) == (0, "")

@@ -13,6 +13,7 @@ from tests.cli.test_fleet import QUICK, arms_shop, manifest
 __all__ = ["arms_shop"]
 
 
+@pytest.mark.slow
 def test_a_row_s_own_words_win(call, arms_shop: Path):
     (arms_shop / "sub").mkdir()
     (arms_shop / "cell.toml").write_text('model = "dh"\n')

@@ -55,6 +55,7 @@ def words(call, folder):
     return within
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_kind_is_simulated_fitted_evaluated_planned_and_read_again(words, folder, kind):
     units, headers = KINDS[kind]
@@ -97,6 +98,7 @@ def _noise(unit: str) -> float:
     return {"m": 3.8e-5, "rad": np.radians(0.01), "px": 0.3}[unit]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_what_was_written_is_read_back(words, folder, kind):
     """The table by its own reader; each residual is measured minus predicted by the kind's own function."""

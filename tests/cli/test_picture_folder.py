@@ -45,6 +45,7 @@ def test_a_table_is_taken_as_it_is(tmp_path: Path):
         assert path == tmp_path / "data.csv"
 
 
+@pytest.mark.slow
 def test_a_folder_needs_joint_values_a_board_and_corners(pictures: Path):
     with pytest.raises(CalibError, match="--board"), table_of(pictures, [], quiet=True):
         pass

@@ -48,6 +48,7 @@ def table(words, folder) -> Iterator[None]:
         words(CALIBRATE)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("table")
 def test_verbs_take_a_family_a_kind_a_solver_and_a_format_of_a_plugin(words, folder):
     assert "edge_distance [mm]" in (folder / "table.csv").read_text()
@@ -102,6 +103,7 @@ def test_what_is_wrong_is_one_line(words, folder):
     assert "Traceback" in words("demo --plugin broken.py --debug", code=1)
 
 
+@pytest.mark.slow
 def test_the_help_lists_what_a_plugin_registers(run, folder):
     done = run(folder, "calibrate", "--help", "--plugin", "my_plugin.py")
     assert done.code == 0
@@ -110,6 +112,7 @@ def test_the_help_lists_what_a_plugin_registers(run, folder):
     assert "names of the joints" in " ".join(done.out.split())
 
 
+@pytest.mark.slow
 def test_installed_plugins_are_loaded(program, tmp_path):
     write_distribution(tmp_path, "line_gauge_d")
     environment = os.environ | {

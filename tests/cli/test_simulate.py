@@ -136,6 +136,7 @@ def photograph(call, shop: Path):
     return run
 
 
+@pytest.mark.slow
 def test_pictures_with_their_files_and_the_table_of_corners(photograph, shop: Path):
     words = (*IMAGES, "--count", "2", "--validation", "1", "--seed", "3")
     done = photograph(*words, "--images", "pictures", "-o", "t.csv", "--noise", "0.2 px")

@@ -28,6 +28,7 @@ def number(text: str, label: str) -> float:
     return float(re.search(rf"^{re.escape(label)} +([\d.]+)", text, re.MULTILINE)[1])
 
 
+@pytest.mark.slow
 def test_a_study_says_what_calibrations_reach(simulate, shop: Path):
     done = simulate("--study", "4", "--count", "20", "--workers", "1", "--json", "s.json")
     assert (done.code, done.err) == (0, "")

@@ -78,6 +78,7 @@ def test_without_positions_the_motion_of_the_base_is_left_out():
     assert (std(found, q, {"in_base": True})[:, 0] > less).all()
 
 
+@pytest.mark.slow
 def test_of_a_tool_it_is_the_scatter_of_robots_drawn_from_the_covariance():
     found = made("paper")
     q = random_joint_values(found.nominal, 3)

@@ -100,6 +100,7 @@ def test_the_true_robot_comes_near_the_corners():
     assert (plan.expected < 3e-3).all()
 
 
+@pytest.mark.slow
 def test_the_pointer_first_stands_above_the_corner():
     plan = touched()
     # From the pointer's tip the corner is straight ahead, but for what the calibration does not know.
@@ -134,6 +135,7 @@ def test_errors_stay_below_what_is_expected():
     assert np.mean(below) > 0.85
 
 
+@pytest.mark.slow
 def test_collisions_are_looked_for_at_both_poses(monkeypatch):
     check = CollisionCheck(floor=False)
     plan = plan_touch(result(), BOARD, POINTER, np.array([3]), collisions=check)

@@ -275,6 +275,7 @@ def test_tables_of_kinds_from_outside(tmp_path):
     assert m.select(m.of_kind("point")).readings == {}
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("own")
 @pytest.mark.parametrize("count", [60, 2000])
 def test_a_kind_from_outside_is_simulated_fitted_and_cross_validated(ur3, count):

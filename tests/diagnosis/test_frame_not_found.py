@@ -73,6 +73,7 @@ def test_the_nominal_robot_is_not_judged(ur3):
     assert np.isnan(result.errors["nominal"]["estimation"]["m"].rms)
 
 
+@pytest.mark.slow
 def test_no_file_or_evaluation_has_errors_of_the_nominal_robot(ur3, tmp_path):
     table, cell = measured(ur3, "range", seed=0, count=60)
     wrong, cell = with_joints_reversed(table), unstated(cell)

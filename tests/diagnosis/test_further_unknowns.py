@@ -124,6 +124,7 @@ def test_the_scale_of_an_instrument(clean, share):
     assert scale.reach == pytest.approx(reach, rel=0.01)
 
 
+@pytest.mark.slow
 def test_a_known_distance_between_sockets_tells_the_scale(calibrated):
     """Sockets measure nothing: only the distance grows, and the error that it then has is found."""
     scene, result = calibrated("sockets")

@@ -79,6 +79,7 @@ def test_a_station_is_flagged_by_its_share_of_outliers(
         assert reason.values == {"flagged": flagged, "rows": 20, "setup": "1"}
 
 
+@pytest.mark.slow
 def test_a_station_whose_rows_are_flagged(calibrated):
     """A joint slipped further: the robust fit takes that station's rows for outliers, and the station is named."""
     scene, good = calibrated("set-ups")

@@ -145,6 +145,7 @@ def test_positions_that_are_all_one_are_refused_before_any_fit(ur3: Robot, thirt
     check_positions(ur3, rows, "")
 
 
+@pytest.mark.slow
 def test_a_wrong_base_a_trackers_frame_and_a_target_that_is_fixed(ur3: Robot, thirty: Measurements):
     world = Robot.load(paper_urdf(), tip="tool0")
     base = find_usual_mistake(world, Cell(), thirty)

@@ -201,6 +201,7 @@ def test_a_robot_that_is_not_to_be_used_gets_no_urdf_unless_it_is_accepted(right
     assert set(files(out / "right")) == MADE - {"corrected.urdf"}
 
 
+@pytest.mark.slow
 def test_a_urdf_of_an_earlier_result_does_not_stay(right, tmp_path):
     out, data = tmp_path / "out", tmp_path / "right.csv"
     good = (tmp_path / "arm-0.csv").read_bytes()

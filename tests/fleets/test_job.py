@@ -7,6 +7,8 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
+import pytest
+
 from calib.errors import CalibError
 from calib.fleets.job import FleetJob, FleetOptions, calibrate_job, failed_row
 from calib.fleets.record import DONE, FAILED, WRITTEN
@@ -32,6 +34,7 @@ def test_a_job_returns_the_row_and_the_files(tmp_path, ur3):
     assert table["noise"]["sigma"] == dict(result.row.sigma)
 
 
+@pytest.mark.slow
 def test_a_report_names_the_command_and_the_robot(tmp_path, ur3):
     options = replace(QUICK, reports=True, command="calib fleet m.csv")
     result = calibrate_job(options, job_of(tmp_path, ur3))

@@ -29,6 +29,7 @@ def trials(robot, *, model="hayati", validate=False, **more):
     return Trials(Scenario(robot, cell=cell, model=model), cell, validate=validate, **more)
 
 
+@pytest.mark.slow
 def test_forty_calibrations_reach_what_was_forecast(ur3):
     poses = Scenario(ur3).random_poses(30, 7)
     found = study(trials(ur3, poses=poses, sets=("estimate",) * 30), 40)

@@ -16,6 +16,7 @@ from calib.text.layout.lines import mm
 from calib.text.places import frame_sentences
 
 
+@pytest.mark.slow
 def test_target_found_given_moved_and_kept(ur3: Robot, table: Measurements):
     def said(cell: Cell) -> str:
         whole = " ".join(calibrate(ur3, table, cell=cell, validate=False).summary().split())

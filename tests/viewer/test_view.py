@@ -54,6 +54,7 @@ def test_predictions_are_those_of_the_robots_in_one_base(ur3, disturb):
     assert list(View(ur3, None, q).robots) == ["nominal"]
 
 
+@pytest.mark.slow
 def test_of_many_rows_an_even_choice_is_shown_with_the_flagged_ones():
     c = many_rows(6000)
     view = view_of(c)
@@ -100,6 +101,7 @@ def test_measured_points_are_shown_in_the_base_frame_and_the_tracker_where_it_st
     np.testing.assert_allclose(view.instruments, [np.linalg.inv(T)], atol=1e-12)
 
 
+@pytest.mark.slow
 def test_errors_in_the_picture_are_those_of_the_tables_when_the_frame_is_estimated(result):
     cell = Cell(estimate_frame=True)
     calibrated = calibrate(result.nominal, result.measurements, cell=cell, validate=False)

@@ -40,6 +40,7 @@ def corners_of(image: Array, board: Board, of_ids: tuple[int, int] = (0, 17)) ->
     return grow(grey, board, placement.map, points, pixels)[0]
 
 
+@pytest.mark.slow
 def test_steep_views():
     errors = []
     found = 0
