@@ -27,6 +27,17 @@ _SQUARE = 0.04
 _SQUARES = (0.012, 0.04)
 
 
+#: Standard deviation of a coefficient of a fisheye lens over that of the one before.
+_HIGHER = 0.5
+
+#: Draws of a lens until one is found that does not fold the image.
+_DRAWS = 100
+
+#: Angles from the axis at which a lens is examined: so many, up to this [rad].
+_ANGLES = 400
+_WIDEST = float(np.deg2rad(85.0))
+
+
 def usual_camera() -> Camera:
     """Return the usual camera, with its maker's numbers."""
     return Camera(width=1280, height=720, values=_USUAL)
@@ -59,21 +70,57 @@ def draw_camera(stated: Camera, rng: np.random.Generator) -> Camera:
         rng: Random numbers.
 
     Returns:
-        The same camera with its true numbers, which are exact.
+        The same camera with its true numbers, which are exact. A lens that shows two points in one place, which there
+        is none of, is drawn anew, up to 100 times.
     """
+    for _ in range(_DRAWS):
+        camera = _drawn(stated, rng)
+        if not folds(camera):
+            break
+    return camera
+
+
+def folds(camera: Camera) -> bool:
+    """Tell whether a lens draws points further from its axis nearer to the middle of the image, within the image.
+
+    Args:
+        camera: A camera with numbers of its lens.
+    """
+    assert camera.values is not None
+    slopes = np.tan(np.linspace(0.0, _WIDEST, _ANGLES))
+    points = np.column_stack([slopes, np.zeros(_ANGLES), np.ones(_ANGLES)])
+    radii = LENSES[camera.lens].project(points, camera.values)[:, 0] - camera.values[2]
+    outside = radii >= 0.5 * np.hypot(camera.width, camera.height)
+    seen = radii[: int(np.argmax(outside)) + 1] if np.any(outside) else radii
+    return bool(np.any(np.diff(seen) <= 0.0))
+
+
+def _drawn(stated: Camera, rng: np.random.Generator) -> Camera:
+    """Draw a camera about what is stated of it, whatever its lens then does."""
     unit_normal = rng.standard_normal(len(LENSES[stated.lens].names))
     values = stated.values
     if values is None:
         values = _any_values(stated, unit_normal, float(rng.uniform(*_FOCAL)))
     else:
         sigma = stated.sigma
-        usual = LENSES[stated.lens].default_sigma(values, stated.width)
+        usual = _usual_sigma(stated, values)
         if sigma is None:
             sigma = usual
         # Of a number that is not known, what is stated is as good as a maker's.
         values = values + np.where(np.isfinite(sigma), sigma, usual) * unit_normal
     exact = np.zeros(len(values))
     return replace(stated, values=read_only(values), sigma=read_only(exact))
+
+
+def _usual_sigma(camera: Camera, values: Array) -> Array:
+    """Return the standard deviations of a maker's numbers (m,): of a fisheye lens, those of higher powers are smaller.
+
+    At the edge of the image, 1 rad and more from the axis, all would else bend it beyond what lenses do.
+    """
+    sigma = LENSES[camera.lens].default_sigma(values, camera.width)
+    if camera.lens == "fisheye":
+        sigma[4:] *= _HIGHER ** np.arange(len(sigma) - 4)
+    return sigma
 
 
 def _any_values(camera: Camera, unit_normal: Array, focal_share: float) -> Array:
@@ -91,7 +138,7 @@ def _any_values(camera: Camera, unit_normal: Array, focal_share: float) -> Array
     focal_length = focal_share * camera.width
     values[:2] = focal_length
     values[2:4] = (np.array([camera.width, camera.height]) - 1) / 2.0
-    sigma = LENSES[camera.lens].default_sigma(values, camera.width)
+    sigma = _usual_sigma(camera, values)
     sigma[:2] = [0.0, 1e-3 * focal_length]
     sigma[4] = _RADIAL
     return np.asarray(values + sigma * unit_normal)

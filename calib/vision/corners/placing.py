@@ -21,6 +21,12 @@ _COARSE = 0.4
 #: A marker agrees with a map that knows the lens where its corners are nearer than this, in sides of a marker.
 _FINE = 0.15
 
+#: A marker agrees with its neighbours where its corners are nearer than this to where these have it, in sides of it.
+_BESIDE = 0.3
+
+#: The neighbours that tell where a marker is: the nearest ones.
+_NEIGHBOURS = 4
+
 #: Fewest pixels that either tolerance means.
 _TOLERANCE_PX = 1.5
 
@@ -80,7 +86,9 @@ def place(markers: Markers, layout: Array, image_size: tuple[int, int]) -> Place
             return None
         if (agrees == before).all():
             break
-    return Placement(planar_map, agrees)
+    return Placement(
+        planar_map, agrees | _agreeing_with_neighbours(points, markers.corners, agrees)
+    )
 
 
 def _sides(corners: Array) -> Array:
@@ -99,6 +107,33 @@ def _agreeing_on_homography(points: Array, corners: Array) -> Mask:
     if used is None:
         return np.zeros(len(points), dtype=bool)
     return np.asarray(used.reshape(-1, 4).astype(bool).all(axis=1))
+
+
+def _agreeing_with_neighbours(points: Array, corners: Array, agrees: Mask) -> Mask:
+    """Return the other markers that are where their nearest neighbours have them: a lens may bend as no map does.
+
+    Args:
+        points: Corners of the markers on the board, shape (m, 4, 2) [m].
+        corners: Where they were found, shape (m, 4, 2) [px].
+        agrees: The markers that agree with the map of the whole board, shape (m,).
+    """
+    result = np.zeros(len(points), dtype=bool)
+    known = np.flatnonzero(agrees)
+    if len(known) < _NEIGHBOURS:
+        return result
+    cv2 = opencv()
+    middles = points.mean(axis=1)
+    tolerance = np.maximum(_TOLERANCE_PX, _BESIDE * _sides(corners))
+    for k in np.flatnonzero(~agrees).tolist():
+        distances = np.linalg.norm(middles[known] - middles[k], axis=1)
+        near = known[np.argsort(distances)[:_NEIGHBOURS]]
+        source, image = points[near].reshape(-1, 2), corners[near].reshape(-1, 2)
+        H, _ = cv2.findHomography(source, image)
+        if H is not None:
+            predicted = cv2.perspectiveTransform(points[k][None], H)[0]
+            away = np.linalg.norm(predicted - corners[k], axis=1).max()
+            result[k] = away <= tolerance[k]
+    return result
 
 
 def _agreeing(planar_map: PlanarMap, points: Array, corners: Array) -> Mask:

@@ -1,15 +1,15 @@
 """The map from a board to its image without a calibrated camera: a homography, and one number for the lens.
 
-A straight line stays straight under a homography H, under a lens it does not. The division model (Fitzgibbon 2001,
-"Simultaneous linear estimation of multiple view geometry and lens distortion") has one parameter and closed forms in
-both directions:
+A straight line stays straight under a homography H, under a lens it does not. The lens is taken for one that draws
+points at equal distances for equal angles from its axis, as fisheye lenses do (Devernay and Faugeras 2001, "Straight
+lines have to be straight"), or for one that does the opposite. It has one parameter, and closed forms both ways:
 
-    p_u = p_d / (1 + lambda |p_d|^2)
+    p_u = p_d tan(w r_d) / (w r_d),     r_d = |p_d|,  w = sqrt(-3 lambda)       lambda < 0, a barrel
+    p_u = p_d tanh(w r_d) / (w r_d),                  w = sqrt(3 lambda)        lambda > 0, a pincushion
     p_u ~ H (x, y, 1)
-    p_d = 2 p_u / (1 + sqrt(1 - 4 lambda |p_u|^2))
 
-with p = (pixel - image's middle) / (half of the image's diagonal). For a given lambda H is linear least squares
-(direct linear transform), so the fit is a search along one number.
+with p = (pixel - image's middle) / (half of the image's diagonal); near the middle p_u = p_d (1 - lambda r_d^2). For a
+given lambda H is linear least squares (direct linear transform), so the fit is a search along one number.
 """
 
 from __future__ import annotations
@@ -23,7 +23,16 @@ from calib.units import Array, Mask
 from calib.values.pickling import Value
 
 #: The values of lambda that are searched: from a fisheye lens's barrel to a strong pincushion.
-_LAMBDA_RANGE = (-0.8, 0.4)
+_LAMBDA_RANGE = (-4.0, 0.4)
+
+#: Distances from the middle below this are not bent, in units of w.
+_TINY = 1e-9
+
+#: Largest tanh that is inverted.
+_FARTHEST = 1.0 - 1e-9
+
+#: Angle from the lens's axis up to which points are mapped: at a right angle p_u is infinite [rad].
+_WIDEST = 1.5
 
 #: Standard deviation of lambda before anything is seen: most lenses bend little.
 _SIGMA_LAMBDA = 0.3
@@ -82,9 +91,7 @@ class PlanarMap(Value):
 
     def unproject(self, pixels: Array) -> Array:
         """Return the points of the board that are seen at pixels, shape (n, 2) [m]."""
-        distorted = (pixels - self.middle) / self.half_diagonal
-        square = np.sum(distorted**2, axis=1, keepdims=True)
-        undistorted = distorted / (1.0 + self.distortion * square)
+        undistorted = _undistort((pixels - self.middle) / self.half_diagonal, self.distortion)
         homogeneous = np.column_stack([undistorted, np.ones(len(pixels))])
         on_board = np.linalg.solve(self.H, homogeneous.T).T
         return np.asarray(on_board[:, :2] / on_board[:, 2:])
@@ -115,7 +122,10 @@ def fit_planar_map(
         prior = (distortion * _SIGMA_POINT / _SIGMA_LAMBDA) ** 2
         return float(np.sum(residual**2)) + prior
 
-    best = minimize_scalar(cost, bounds=_LAMBDA_RANGE, method="bounded", options={"xatol": 2e-4})
+    lowest, highest = _LAMBDA_RANGE
+    farthest = float(np.max(np.sum(distorted**2, axis=1)))
+    bounds = (max(lowest, -(_WIDEST**2) / (3.0 * farthest)), highest)
+    best = minimize_scalar(cost, bounds=bounds, method="bounded", options={"xatol": 2e-4})
     distortion = float(best.x)
     H = _homography(points, _undistort(distorted, distortion), root)
     return PlanarMap(H, distortion, middle, half_diagonal)
@@ -129,15 +139,20 @@ def _apply(H: Array, points: Array) -> Array:
 
 def _undistort(distorted: Array, distortion: float) -> Array:
     """Return normalised image points without distortion, shape (n, 2)."""
-    square = np.sum(distorted**2, axis=1, keepdims=True)
-    return np.asarray(distorted / (1.0 + distortion * square))
+    angle = np.sqrt(3.0 * abs(distortion)) * np.linalg.norm(distorted, axis=1, keepdims=True)
+    small = angle < _TINY
+    safe = np.where(small, 1.0, angle)
+    mapped = np.tan(np.minimum(safe, _WIDEST)) if distortion < 0.0 else np.tanh(safe)
+    return np.asarray(distorted * np.where(small, 1.0, mapped / safe))
 
 
 def _distort(undistorted: Array, distortion: float) -> Array:
     """Return normalised image points with distortion, shape (n, 2)."""
-    square = np.sum(undistorted**2, axis=1, keepdims=True)
-    root = np.sqrt(np.maximum(1.0 - 4.0 * distortion * square, 0.0))
-    return np.asarray(2.0 * undistorted / (1.0 + root))
+    length = np.sqrt(3.0 * abs(distortion)) * np.linalg.norm(undistorted, axis=1, keepdims=True)
+    small = length < _TINY
+    safe = np.where(small, 1.0, length)
+    mapped = np.arctan(safe) if distortion < 0.0 else np.arctanh(np.minimum(safe, _FARTHEST))
+    return np.asarray(undistorted * np.where(small, 1.0, mapped / safe))
 
 
 def _homography(points: Array, image: Array, root_weights: Array) -> Array:

@@ -179,13 +179,15 @@ def _of_layout(board: Board, pictures: Sequence[Picture]) -> Iterator[Finding]:
         return
     concerned = [*wrong, *doubtful]
     better: Explanation | None = explanation(board, _seen(board, concerned))
+    value = np.nan
+    if better is not None and better.code == RATIO:
+        value = measured_ratio(better.board, _seen(board, concerned))
+        if _is_as_described(board, value):
+            better = None
     if better is None and wrong:
         yield Finding(code=UNEXPLAINED, board=board.name, pictures=names(wrong))
     if better is None:
         return
-    value = np.nan
-    if better.code == RATIO:
-        value = measured_ratio(better.board, _seen(board, concerned))
     yield Finding(
         code=better.code,
         board=board.name,
@@ -217,6 +219,15 @@ def _of_size(board: Board, placed: Sequence[Picture]) -> Iterator[Finding]:
 def _of_ratio(board: Board, placed: Sequence[Picture]) -> Iterator[Finding]:
     """Yield whether the markers have another size beside the squares than described."""
     ratio = measured_ratio(board, _seen(board, placed))
-    described = board.marker / board.square
-    if abs(ratio / described - 1.0) > _RATIO_TOLERANCE:
+    if np.isfinite(ratio) and not _is_as_described(board, ratio):
         yield Finding(code=RATIO, board=board.name, pictures=names(placed), value=ratio)
+
+
+def _is_as_described(board: Board, ratio: float) -> bool:
+    """Tell whether markers have the described size beside the squares, as well as it is measured.
+
+    Args:
+        board: The board.
+        ratio: Side of the markers in sides of a square; NaN if it is not known.
+    """
+    return bool(abs(ratio * board.square / board.marker - 1.0) <= _RATIO_TOLERANCE)

@@ -10,7 +10,7 @@ import pytest
 from calib.camera.camera import UNKNOWN, Camera
 from calib.camera.lenses import LENSES
 from calib.robot.robot import Robot
-from calib.simulation.camera.equipment import draw_camera, usual_board, usual_camera
+from calib.simulation.camera.equipment import draw_camera, folds, usual_board, usual_camera
 from tests.vision.boards import FISHEYE
 
 
@@ -45,6 +45,8 @@ def test_true_numbers_scatter_about_the_stated_ones_as_their_sigma_says():
 def test_without_a_sigma_the_numbers_are_a_makers(camera):
     errors = drawn(camera) - camera.values
     expected = LENSES[camera.lens].default_sigma(camera.values, camera.width)
+    if camera.lens == "fisheye":
+        expected = expected * [1, 1, 1, 1, 1, 0.5, 0.25, 0.125]
     np.testing.assert_allclose(errors.std(axis=0), expected, rtol=0.15)
     unknown = replace(camera, sigma=np.full(len(expected), UNKNOWN))
     np.testing.assert_allclose(drawn(unknown), drawn(camera))
@@ -60,3 +62,16 @@ def test_of_a_camera_without_numbers_any_usual_ones_are_drawn():
     true = draw_camera(Camera(name="left", width=640, height=480), np.random.default_rng(0))
     assert (true.name, true.width, true.lens) == ("left", 640, "pinhole")
     assert not true.sigma.any()
+
+
+def test_no_lens_is_drawn_that_shows_two_points_in_one_place():
+    values = np.array([420.0, 420.0, 640.0, 480.0, -0.02, 0.005, 0.0, 0.0])
+    fisheye = Camera(width=1280, height=960, lens="fisheye", values=values)
+    assert not folds(fisheye)
+    turned = replace(fisheye, values=values - 0.03 * np.eye(8)[7])  # back from 1.2 rad on
+    assert folds(turned)
+    # Within a smaller image the same lens is as good as any.
+    assert not folds(replace(turned, width=640, height=480))
+    drawn_lenses = [draw_camera(fisheye, np.random.default_rng(seed)) for seed in range(60)]
+    assert not any(map(folds, drawn_lenses))
+    assert not folds(usual_camera())

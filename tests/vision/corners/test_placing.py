@@ -10,7 +10,7 @@ from calib.camera.board import Board
 from calib.units import Array
 from calib.vision.corners.layouts import marker_outlines
 from calib.vision.corners.markers import Markers
-from calib.vision.corners.placing import place
+from calib.vision.corners.placing import _agreeing, place
 from tests.vision.board_views import CHARUCO_BOARD, View
 
 SIZE = (640, 480)
@@ -65,3 +65,22 @@ def test_another_layout_is_no_sound_place():
 def test_one_marker_is_no_place():
     assert place(markers().of_ids(5, 1), marker_outlines(CHARUCO_BOARD), SIZE) is None
     assert place(markers().of_ids(5, 2), marker_outlines(CHARUCO_BOARD), SIZE) is not None
+
+
+def test_markers_that_a_lens_moves_agree_with_their_neighbours():
+    """A lens that bends one side as no map knows; a misread id agrees with nobody."""
+    right = markers()
+    shift = right.corners - right.corners.mean(axis=(0, 1))
+    bent = right.corners + 6e-6 * np.maximum(shift[..., :1], 0.0) ** 3
+    layout = marker_outlines(CHARUCO_BOARD)
+    placement = place(Markers(right.ids, bent), layout, SIZE)
+    assert placement is not None
+    by_map = _agreeing(placement.map, layout[right.ids], bent)
+    assert (~by_map).sum() == 3
+    assert placement.misread == 1
+    assert placement.is_sound
+    ids = right.ids.copy()
+    ids[4] = 16
+    misread = place(Markers(ids, bent), layout, SIZE)
+    assert misread is not None
+    assert not misread.agrees[4]

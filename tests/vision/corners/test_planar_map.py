@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from calib.camera.lenses import LENSES
 from calib.vision.corners.planar_map import fit_planar_map, in_image
 from tests.vision.board_views import CHARUCO_BOARD, View
 
@@ -71,3 +72,32 @@ def test_what_is_behind_the_camera_has_no_pixel():
 def test_pixels_inside():
     pixels = np.array([[2.0, 2.0], [1.9, 5.0], [637.0, 477.0], [637.1, 3.0]])
     assert in_image(pixels, SIZE, 2.0).tolist() == [True, False, True, False]
+
+
+def fisheye_pixels(focal=150.0):
+    """A steep board by a lens of equal angles, its axis through the middle of the image; up to 62 deg from it."""
+    view = View(tilt=(50, 20, 30), middle=(0.04, 0.0, 0.11))
+    T = view.T_camera_board(CHARUCO_BOARD)
+    points = CHARUCO_BOARD.corners @ T[:3, :3].T + T[:3, 3]
+    values = np.array([focal, focal, 319.5, 239.5, 0.0, 0.0, 0.0, 0.0])
+    return LENSES["fisheye"].project(points, values)
+
+
+def test_a_lens_of_equal_angles_is_mapped_exactly():
+    pixels = fisheye_pixels()
+    farthest = np.linalg.norm(pixels - [319.5, 239.5], axis=1).max() / 150.0
+    assert farthest > 1.0  # [rad]
+    planar_map = fit_planar_map(POINTS, pixels, SIZE)
+    assert np.abs(planar_map.project(POINTS) - pixels).max() < 0.05
+    np.testing.assert_allclose(planar_map.unproject(pixels), POINTS, atol=2e-5)
+    # Half of the diagonal is 400 px: w = 400 / 150.
+    assert planar_map.distortion == pytest.approx(-((400.0 / 150.0) ** 2) / 3.0, rel=0.01)
+
+
+def test_a_pincushion_is_undone():
+    view = View(tilt=(20, 10, 30), distortion=(0.15, 0.0), focal=400, middle=(0, 0, 0.2))
+    pixels = view.corners(CHARUCO_BOARD)
+    planar_map = fit_planar_map(POINTS, pixels, SIZE)
+    assert 0.05 < planar_map.distortion < 0.4
+    assert np.abs(planar_map.project(POINTS) - pixels).max() < 0.5
+    np.testing.assert_allclose(planar_map.unproject(planar_map.project(POINTS)), POINTS, atol=1e-9)
