@@ -190,9 +190,11 @@ def _rays(camera: Camera, pixels: Array) -> Array:
         return np.column_stack([(pixels - middle) / focal, np.ones(len(pixels))])
     lens = LENSES[camera.lens]
     rays = lens.rays(pixels, camera.values)
-    # Far from what was measured a distortion may have no inverse.
+    # Far from what was measured a distortion may have no inverse; a fisheye lens sees there beside the camera.
     missing = np.linalg.norm(lens.project(rays, camera.values) - pixels, axis=1) > 1.0
     straight = (pixels - camera.values[2:4]) / camera.values[:2]
+    if camera.lens == "fisheye":
+        straight *= _WIDEST / np.linalg.norm(straight, axis=1, keepdims=True)
     rays[missing] = np.column_stack([straight, np.ones(len(pixels))])[missing]
     return rays
 
