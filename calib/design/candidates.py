@@ -31,6 +31,12 @@ Reason = Literal[
     "collision",
 ]
 
+#: What is easily mistaken where no image can be taken.
+_HOW_THEY_FACE = (
+    " Check how both are turned (--camera-at, --board-at): z of a camera is its line of sight, and z of a board points "
+    "into the page, so that one that lies face up is turned by 180 deg about x."
+)
+
 #: Poses of one batch; a power of two keeps the sequence even.
 _BATCH = 4096
 
@@ -272,12 +278,13 @@ def _refuse_all(drawn: int, refused: Mapping[str, int]) -> None:
     Raises:
         ModelError: Always.
     """
-    views = {"focus", "tilt", "image"}
-    instrument = "board or the camera" if views & refused.keys() else "tracker"
+    instrument, hint = "tracker", ""
+    if {"focus", "tilt", "image"} & refused.keys():
+        instrument, hint = "board or the camera", _HOW_THEY_FACE
     parts = ", ".join(f"{number} by {reason}" for reason, number in refused.items() if number)
     raise ModelError(
         f"None of {drawn} poses drawn can be measured; refused: {parts}. Widen the region or the "
-        f"joint ranges, move the {instrument}, or drop a condition."
+        f"joint ranges, move the {instrument}, or drop a condition.{hint}"
     )
 
 
