@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -61,7 +61,8 @@ def inspect(
     Args:
         robot: The nominal robot; or the path of a URDF or xacro, or a name such as ``"ur3"``, with the cell's base and
             tip, or those that the table's joint columns tell.
-        cell: Its model is analysed, ``"auto"`` as ``"dh"``; or the path of a cell file; None: the default cell.
+        cell: Its model is analysed, ``"auto"`` as ``"dh"``; or the path of a cell file; None: the default cell. Errors
+            of single corners of its boards are left out.
         measurements: Their estimation rows are analysed, with frames and targets registered; or the path of their
             table. None: 200 poses over the
             joint limits, with a target or anchor that the cell does not give at a generic place.
@@ -79,6 +80,7 @@ def inspect(
         rows, setup, assumed = _rows_over_joint_limits(arm, known)
     else:
         arm, table, known = inputs_of(robot, measurements, cell)
+        known = _with_exact_corners(known)
         rows, setup = rows_and_setup(arm, table, known)
         rows = rows.select(table.estimation)
         setup = register(arm.poses(rows.joints), setup, rows)
@@ -94,6 +96,16 @@ def inspect(
         source=source,
         assumed=assumed,
     )
+
+
+def _with_exact_corners(cell: Cell) -> Cell:
+    """Return a cell whose boards have their corners in place.
+
+    Errors of single corners have a narrow prior each, and without it any of them would be mistaken for an error of the
+    robot or of the print as a whole.
+    """
+    boards = {name: replace(board, sigma_corner=0.0) for name, board in cell.boards.items()}
+    return replace(cell, boards=boards)
 
 
 def _rows_over_joint_limits(robot: Robot, cell: Cell) -> tuple[Rows, Setup, tuple[str, ...]]:

@@ -8,6 +8,7 @@ import pytest
 from calib.data.cell import Cell
 from calib.diagnosis.inspection import inspect
 from calib.robot.robot import read_only
+from tests import images
 from tests.fits import place
 
 
@@ -59,3 +60,13 @@ def test_what_was_assumed(ur3, table):
     # An instrument that measures positions has its frame anywhere.
     assert inspect(ur3, Cell(estimate_frame=True)).assumed == ("target",)
     assert (inspect(ur3, Cell(), table).poses, inspect(ur3, Cell(), table).assumed) == (30, ())
+
+
+def test_of_images_single_corners_are_left_out():
+    """All is told but two zeros, where joints and mounts meet."""
+    found = inspect(images.arm(), images.cell(model="zeros"), images.table(images.poses(12)))
+    names = found.model.names
+    assert not any(name.startswith("corner_") for name in names)
+    assert {"fx", "k3", "board_scale_x", "board_sag_y"} < set(names)
+    # The first zero is the camera's mount, the last one the board's place.
+    assert found.observability.rank == len(names) - 2

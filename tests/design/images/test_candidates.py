@@ -89,5 +89,5 @@ def test_a_board_that_never_fits_the_image():
 def test_a_board_out_of_reach():
     robot, seen = in_hand("ur5")
     far = sight(seen.T_frame_base, seen.T_tip_board, nearest=9.0, farthest=9.5)
-    with pytest.raises(ModelError, match="move the board or the camera.*180 deg about x"):
+    with pytest.raises(ModelError, match=r"move the board or the camera.*180 deg about x"):
         drawn(robot, far, 1)
