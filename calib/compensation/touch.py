@@ -210,10 +210,10 @@ def _all_postures(scene: _Scene, points: Array) -> list[_Postures | None]:
     near = scene.result.ranges.mean(axis=1)
     postures = []
     for point in points:
-        found = _postures(scene, point, near)
-        if found is not None:
-            near = found.touching
-        postures.append(found)
+        posture = _postures(scene, point, near)
+        if posture is not None:
+            near = posture.touching
+        postures.append(posture)
     return postures
 
 

@@ -243,7 +243,7 @@ def open_scores(linear: LinearProblem, x: Array, stage: Stage, projections: Arra
     residual = projections @ (linear.residual(x) / noise)[:, :, None]
     A = projections @ (linear.A / noise[:, :, None])
     predicted = np.eye(noise.shape[1]) + A @ covariance @ A.swapaxes(1, 2)
-    # By eigenvalues, which are at least 1: of a fit that is far off they exceed the identity by all digits.
+    # By eigenvalues, which are at least 1: of a fit that is far off, rounding would make the matrix singular.
     variances, vectors = np.linalg.eigh(predicted)
     along = vectors.swapaxes(1, 2) @ residual
     squares = np.sum(along[:, :, 0] ** 2 / np.maximum(variances, 1.0), axis=1)

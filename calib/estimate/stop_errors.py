@@ -257,7 +257,7 @@ class Stops:
         means = self._independent_means(X, weights, c, rho)
         independent = means.independent.reshape(-1, X.shape[2])
         unweighted = means.columns.reshape(-1, X.shape[2])
-        # A difference of two squares of scalars: that of the matrices would leave too few digits where kappa is small.
+        # By whitened scalars: K^-1 - I itself loses its digits where kappa is small.
         change = independent.T @ independent - unweighted.T @ unweighted
         return change, means.log_det
 

@@ -33,7 +33,7 @@ BODY = slice(0, 6)
 #: Columns of the displacement by the errors of the joints.
 JOINTS = slice(6, None)
 
-#: The columns whose variance is one.
+#: Columns whose directions have the same variance.
 PARTS = (TRANSLATION, ROTATION, JOINTS)
 
 #: The least kappa: no instrument's noise is less than a thousandth of what the targets of a stop share.

@@ -160,7 +160,7 @@ def one_trial(trials: Trials, seed: int) -> Trial:
 
 
 class _Measured(NamedTuple):
-    """What was simulated in one trial."""
+    """The simulated table of one trial, and the truth behind it."""
 
     #: The table
     measurements: Measurements

@@ -124,29 +124,25 @@ def sight_of(
     m = first.measurements
     stations = m.targets if carries_camera else m.groups
     boards = m.groups if carries_camera else m.targets
-    depth = _DEPTH * _usual_distance(last, steps)
     of_stations = {name: _camera_of(name, cameras) for name in dict.fromkeys(stations)}
-    camera_shapes = {name: frustum(camera, depth) for name, camera in of_stations.items()}
-    board_shapes = _board_shapes(last, boards)
-    carried, standing = board_shapes, camera_shapes
+    depth = _DEPTH * _usual_distance(last, steps)
+    standing = {name: frustum(camera, depth) for name, camera in of_stations.items()}
+    carried = _board_shapes(last, boards)
     if carries_camera:
-        carried, standing = camera_shapes, board_shapes
+        carried, standing = standing, carried
+    images = [
+        _corners_of(first, last, rows, of_stations[stations[int(rows[0])]]) for rows in steps.rows
+    ]
     return Sight(
         carried=next(iter(carried.values())),
         standing=tuple(_standing(first, last, standing)),
-        images=tuple(
-            _corners_of(first, last, rows, of_stations[stations[int(rows[0])]])
-            for rows in steps.rows
-        ),
+        images=tuple(images),
     )
 
 
 def _camera_of(station: str, cameras: Mapping[str, Camera]) -> Camera:
     """Return the camera of a station: its own, else the one without a name, else any."""
-    for name in (station, "", *cameras):
-        if name in cameras:
-            return cameras[name]
-    raise KeyError(station)
+    return next(cameras[name] for name in (station, "", *cameras) if name in cameras)
 
 
 def _usual_distance(e: EvaluationValues, steps: Steps) -> float:

@@ -78,6 +78,7 @@ def test_corners_of_one_image_share_the_errors_of_the_robot():
     fitted = fit(Task(robot, cell(), setup, "frames"), rows)
     # Of what joints do to each image, which is larger than the noise of a corner.
     assert fitted.estimate.problem.rho.sum() > 0.5
+    assert fitted.estimate.problem.rho[0, 2] > 0.5
     linear = fitted.estimate.problem.linear(fitted.estimate.x)
     stage = fitted.estimate
     none = np.zeros((1, 1, 3))

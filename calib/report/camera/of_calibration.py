@@ -18,7 +18,7 @@ from calib.units import Array, Integers, Mask
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Prediction:
-    """What the calibrated robot predicts at all N rows of a table."""
+    """Predictions of the calibrated robot at all N rows of a table."""
 
     #: Shape (N, 4, 4), pose of the target in the frame [m]
     T_frame_target: Array

@@ -100,7 +100,7 @@ class SeenCorners(Value):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BoardViews:
-    """How the boards stood in the views of one camera: a view is one board in one image."""
+    """Tilt and distance of the boards in the views of one camera: a view is one board in one image."""
 
     #: Shape (V,), angle between the board's normal and the line of sight to its middle [rad]
     tilt: Array
@@ -138,7 +138,7 @@ def rms(residual: Array) -> float:
 
 def _indices_by_name(names: list[str] | tuple[str, ...]) -> dict[str, Integers]:
     """Return the indices of each name, from 0, in the order in which names first occur."""
-    found: dict[str, list[int]] = {}
+    indices: dict[str, list[int]] = {}
     for index, name in enumerate(names):
-        found.setdefault(name, []).append(index)
-    return {name: np.array(indices) for name, indices in found.items()}
+        indices.setdefault(name, []).append(index)
+    return {name: np.array(of_name) for name, of_name in indices.items()}

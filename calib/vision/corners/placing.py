@@ -121,19 +121,32 @@ def _agreeing_with_neighbours(points: Array, corners: Array, agrees: Mask) -> Ma
     known = np.flatnonzero(agrees)
     if len(known) < _NEIGHBOURS:
         return result
-    cv2 = opencv()
     middles = points.mean(axis=1)
     tolerance = np.maximum(_TOLERANCE_PX, _BESIDE * _sides(corners))
     for k in np.flatnonzero(~agrees).tolist():
         distances = np.linalg.norm(middles[known] - middles[k], axis=1)
         near = known[np.argsort(distances)[:_NEIGHBOURS]]
-        source, image = points[near].reshape(-1, 2), corners[near].reshape(-1, 2)
-        H, _ = cv2.findHomography(source, image)
-        if H is not None:
-            predicted = cv2.perspectiveTransform(points[k][None], H)[0]
-            away = np.linalg.norm(predicted - corners[k], axis=1).max()
-            result[k] = away <= tolerance[k]
+        predicted = _by_homography(points[near], corners[near], points[k])
+        result[k] = np.linalg.norm(predicted - corners[k], axis=1).max() <= tolerance[k]
     return result
+
+
+def _by_homography(points: Array, corners: Array, others: Array) -> Array:
+    """Predict where other points are seen by the homography of some markers.
+
+    Args:
+        points: Corners of the markers on the board, shape (m, 4, 2) [m].
+        corners: Where they were found, shape (m, 4, 2) [px].
+        others: Other points of the board, shape (n, 2) [m].
+
+    Returns:
+        Their pixels, shape (n, 2); NaN where the markers tell no homography.
+    """
+    cv2 = opencv()
+    H, _ = cv2.findHomography(points.reshape(-1, 2), corners.reshape(-1, 2))
+    if H is None:
+        return np.full(others.shape, np.nan)
+    return np.asarray(cv2.perspectiveTransform(others[None], H)[0])
 
 
 def _agreeing(planar_map: PlanarMap, points: Array, corners: Array) -> Mask:
