@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 import calib.data.kinds as registry
 from calib.data.columns import SETS, reserved
 from calib.data.forms.column_options import ColumnOptions
+from calib.data.kinds import SIGMAS
 from calib.errors import MeasurementError, choices
 from calib.numerics.geometry import not_rotations
 from calib.robot.robot import read_only
@@ -30,6 +31,9 @@ from calib.values.arguments import (
 
 #: Two rows of a pair that both give its distance give the same to all digits of a table [m].
 _AGREE_M = 1e-9
+
+#: Difference of a correlation from that of the same two numbers, in digits that a table may have.
+_SYMMETRIC = 1e-4
 
 #: Most rows that a message lists.
 _LISTED_ROWS = 8
@@ -270,6 +274,36 @@ def check_rotations(labels: RowLabels, rotations: Array, rows: Mask) -> None:
         labels.fail(int(wrong[0]), what)
 
 
+def check_covariances(labels: RowLabels, covariances: Array, rows: Mask) -> None:
+    """Check the covariances of measured poses.
+
+    Args:
+        labels: The N rows, for messages.
+        covariances: shape (N, 6, 6) [m^2, m rad, rad^2].
+        rows: Which rows have one, shape (N,).
+
+    Raises:
+        MeasurementError: A matrix of these rows is not symmetric or not positive definite, or has a standard deviation
+            that no instrument has.
+    """
+    fix = "It has x, y, z [m] and the turns about x, y, z [rad], row by row."
+    for i in np.flatnonzero(rows).tolist():
+        C = covariances[i]
+        if not np.any(C):
+            labels.fail(i, "the covariance is zero; leave out the columns where it is not known")
+        std = np.sqrt(np.maximum(np.diagonal(C), 0.0))
+        if not np.all((std >= SIGMAS[0]) & (std <= SIGMAS[1])):
+            labels.fail(
+                i,
+                f"a standard deviation of the covariance is out of {SIGMAS[0]:g} to {SIGMAS[1]:g}, in SI units. {fix}",
+            )
+        correlation = C / np.outer(std, std)
+        if np.max(np.abs(correlation - correlation.T)) > _SYMMETRIC:
+            labels.fail(i, f"the covariance is not symmetric. {fix}")
+        if np.linalg.eigvalsh(correlation)[0] <= 0.0:
+            labels.fail(i, f"the covariance is not positive definite. {fix}")
+
+
 def check_torques(labels: RowLabels, torques: Array) -> None:
     """Check that each joint has torques in all rows or in none.
 
@@ -356,7 +390,7 @@ def check_argument_types(given: object) -> None:
     check_mapping("sigma", value("sigma"))
     for unit, std in value("sigma").items():
         numbers(f"sigma[{unit!r}]", std, "an array of standard deviations with an entry a row")
-    for name in ("joints", "rotations", "distances", "torques"):
+    for name in ("joints", "rotations", "distances", "torques", "covariances"):
         if value(name) is not None:
             numbers(name, value(name), "an array of numbers with an entry a row")
     numbers("points", value("points"), "positions of shape (N, 3), [m]")

@@ -24,6 +24,9 @@ POINT = ("x", "y", "z")
 #: Columns of the position on its board of a corner that a camera saw.
 BOARD_POINT = ("board_x", "board_y", "board_z")
 
+#: Columns of the covariance of a pose, row by row, as of ROS's PoseWithCovariance.
+COVARIANCE = tuple(f"covariance_{i}" for i in range(36))
+
 #: Columns of an orientation that are never a joint's where the joints are not known.
 ORIENTATION = (*orientations.ROTATION_VECTOR.columns, *orientations.QUATERNION.columns)
 
@@ -66,7 +69,7 @@ Columns = tuple[Column, ...]
 
 def reserved() -> tuple[str, ...]:
     """Return the names of columns that no joint can have: words, noise, readings, positions."""
-    noise = [unit.sigma_name for unit in RESIDUAL_UNITS.values()]
+    noise = [*(unit.sigma_name for unit in RESIDUAL_UNITS.values()), *COVARIANCE]
     return (*WORDS, *noise, *registry.readings(), *POINT, *BOARD_POINT)
 
 

@@ -12,6 +12,7 @@ from calib.channels import RESIDUAL_UNITS
 from calib.data.columns import (
     BOARD_POINT,
     COMMON,
+    COVARIANCE,
     EXPECTED,
     ORIENTATION,
     POINT,
@@ -51,7 +52,7 @@ class Layout:
     groups: Columns
     #: Columns of numbers that are used: ``joints`` in the order of the joints, ``torques``, ``points``,
     #: ``board_points``, ``orientation`` (as many as its convention has), the noise of each unit (``sigma``,
-    #: ``sigma_angle``), and each reading of a kind by its name.
+    #: ``sigma_angle``), ``covariances``, 36 of them or none, and each reading of a kind by its name.
     blocks: Mapping[str, Columns]
     #: Kinds of the rows; more than one only with a column ``kind``.
     kinds: tuple[str, ...]
@@ -104,6 +105,7 @@ class Layout:
             "joints": joints,
             "torques": _torques(table, named, joints),
             **_noise(table, named, present),
+            "covariances": _covariances(table, named, present),
             **_positions(table, named, present, points_elsewhere=points_elsewhere),
             **_board_points(table, named, present),
             **({} if orientation is None else {"orientation": orientation.columns}),
@@ -210,14 +212,35 @@ def _board_points(table: Table, named: Named, present: Sequence[Kind]) -> dict[s
 
 
 def _noise(table: Table, named: Named, present: Sequence[Kind]) -> dict[str, Columns]:
-    """Return the column of the noise of scalars in each unit that some kind has, if it is there."""
+    """Return the column of the noise of scalars in each unit that some kind has, if it is there.
+
+    Poses with a covariance have none.
+    """
     blocks: dict[str, Columns] = {}
+    with_covariance = _covariances(table, named, present)
+    with_noise = [kind for kind in present if not (with_covariance and kind.is_pose)]
     for symbol, unit in RESIDUAL_UNITS.items():
-        is_needed = any(symbol in kind.units for kind in present)
+        is_needed = any(symbol in kind.units for kind in with_noise)
         if is_needed and unit.sigma_name in named:
             column = with_unit(table, named[unit.sigma_name], unit.quantity)
             blocks[unit.sigma_name] = (column,)
     return blocks
+
+
+def _covariances(table: Table, named: Named, present: Sequence[Kind]) -> Columns:
+    """Return the 36 columns of the covariances of poses; none where there are no such columns, or no poses."""
+    given = [name for name in COVARIANCE if name in named]
+    if not given or not any(kind.is_pose for kind in present):
+        return ()
+    missing = [name for name in COVARIANCE if name not in named]
+    if missing:
+        raise MeasurementError(
+            f"{table.source}: there is a column '{given[0]}' and none '{missing[0]}'. A covariance has the columns "
+            f"'{COVARIANCE[0]}' to '{COVARIANCE[-1]}': its 6 x 6 entries row by row, of x, y, z [m] and of the turns "
+            "about x, y, z [rad]."
+        )
+    what = "a covariance, in SI units"
+    return tuple(with_unit(table, named[name], None, what) for name in COVARIANCE)
 
 
 def _readings(table: Table, named: Named, present: Sequence[Kind]) -> dict[str, Columns]:

@@ -18,6 +18,7 @@ from calib.data.checks import (
     RowLabels,
     by_word,
     check_argument_types,
+    check_covariances,
     check_groups,
     check_joint_names,
     check_pairs,
@@ -32,6 +33,7 @@ from calib.data.checks import (
 from calib.data.columns import (
     BOARD_POINT,
     COMMON,
+    COVARIANCE,
     DEFAULT_TARGET,
     POINT,
     SETS,
@@ -65,7 +67,15 @@ _WORDS = {
 }
 
 #: Attributes that are arrays with an entry a row.
-_ARRAYS = ("joints", "points", "rotations", "distances", "torques", "board_points")
+_ARRAYS = (
+    "joints",
+    "points",
+    "rotations",
+    "distances",
+    "torques",
+    "board_points",
+    "covariances",
+)
 
 #: Attributes that map names to arrays with an entry a row.
 _MAPPINGS = ("sigma", "readings")
@@ -98,7 +108,8 @@ class Measurements(Value):
     #: ``"estimate"`` or ``"validate"``; all ``"estimate"`` when not given.
     sets: tuple[str, ...] = ()
     #: Standard deviation of one scalar by its unit, shape (N,) each: ``"m"`` of a coordinate or length [m], ``"rad"``
-    #: of an orientation about one axis [rad], ``"px"`` of an image coordinate [px]; empty: not given.
+    #: of an orientation about one axis [rad], ``"px"`` of an image coordinate [px]; empty: not given. In rows with
+    #: ``covariances`` it is theirs, rms over the axes, whatever was given.
     sigma: Mapping[str, Array] = field(default_factory=dict)
     #: Names of the targets; ``"target"`` when not given.
     targets: tuple[str, ...] = ()
@@ -142,6 +153,10 @@ class Measurements(Value):
     corners: tuple[str, ...] = ()
     #: Positions of the corners as designed, each in its board's frame, shape (N, 3), [m]; None: no row is an image.
     board_points: Array | None = None
+    #: Covariance of the errors of measured poses, shape (N, 6, 6): of the position [m] and of the rotation vector from
+    #: the true orientation to the measured one [rad], along the measurement frame's axes; NaN in rows without one.
+    #: None: no row has one.
+    covariances: Array | None = None
 
     def __post_init__(self) -> None:
         """Copy the arrays, fill in what was not given, and check that all of it fits together."""
@@ -170,6 +185,7 @@ class Measurements(Value):
             check_torques(labels, self.torques)
         fill("distances", readings.pop("distance", None))
         fill("readings", ReadOnlyMapping(readings))
+        fill("covariances", self._checked_covariances(labels))
         fill("sigma", ReadOnlyMapping(self._checked_sigma(labels)))
 
     def _labels(self) -> RowLabels:
@@ -204,6 +220,35 @@ class Measurements(Value):
             array = checked_numbers(labels, unit.sigma_name, values, (), has_unit, SIGMAS)
             if array is not None:
                 result[symbol] = array
+        return result | self._sigma_of_covariances(result)
+
+    def _checked_covariances(self, labels: RowLabels) -> Array | None:
+        """Return the checked covariances of poses, NaN in rows without one; None if no row has one."""
+        if self.covariances is None:
+            return None
+        given = numbers("covariances", self.covariances, "of shape (N, 6, 6)")
+        is_given = np.isfinite(given).all(axis=tuple(range(1, given.ndim)))
+        with_one = is_given & self.where(lambda kind: kind.is_pose)
+        limits = (-(SIGMAS[1] ** 2), SIGMAS[1] ** 2)
+        array = checked_numbers(labels, "covariances", given, (6, 6), with_one, limits)
+        if array is not None:
+            check_covariances(labels, array, with_one)
+        return array
+
+    def _sigma_of_covariances(self, given: Mapping[str, Array]) -> dict[str, Array]:
+        """Return the standard deviations of lengths and angles with those of the rows that have a covariance.
+
+        Args:
+            given: Standard deviations as given, by unit.
+        """
+        if self.covariances is None:
+            return {}
+        variances = np.diagonal(self.covariances, axis1=1, axis2=2)
+        result = {}
+        for symbol, of_unit in (("m", variances[:, :3]), ("rad", variances[:, 3:])):
+            std = np.sqrt(np.mean(of_unit, axis=1))
+            as_given = given.get(symbol, np.full(len(self), np.nan))
+            result[symbol] = read_only(np.where(np.isfinite(std), std, as_given))
         return result
 
     def _checked_readings(self, labels: RowLabels) -> dict[str, Array]:
@@ -520,6 +565,19 @@ class Measurements(Value):
                 yield name, None, quaternions[:, i]
         for reading in registry.readings().values() if len(self) else ():
             yield reading.name, reading.quantity, self.reading(reading.name)
+        yield from self._noise_columns()
+
+    def _noise_columns(self) -> Iterator[_NumberColumn]:
+        """Return the columns of standard deviations and covariances to write, likewise."""
         for symbol, values in self.sigma.items():
             unit = RESIDUAL_UNITS[symbol]
-            yield unit.sigma_name, unit.quantity, values
+            yield unit.sigma_name, unit.quantity, self._as_given(values)
+        if self.covariances is not None:
+            for i, name in enumerate(COVARIANCE):
+                yield name, None, self.covariances.reshape(-1, len(COVARIANCE))[:, i]
+
+    def _as_given(self, sigma: Array) -> Array:
+        """Return standard deviations, shape (N,), without those that are of a covariance."""
+        if self.covariances is None:
+            return sigma
+        return np.where(np.isnan(self.covariances[:, 0, 0]), sigma, np.nan)

@@ -37,7 +37,7 @@ _NO_COMMAND = "no command: "
 _QUOTED = 80
 
 #: Blocks of several columns; the others have one.
-_WIDE = ("joints", "torques", "points", "board_points", "orientation")
+_WIDE = ("joints", "torques", "points", "board_points", "orientation", "covariances")
 
 
 def read_values(table: Table, layout: Layout, elsewhere: Points | None = None) -> dict[str, Any]:
@@ -132,6 +132,8 @@ def _measured_blocks(kind: Kind, blocks: Blocks) -> list[str]:
 def _used_blocks(kind: Kind, blocks: Blocks) -> set[str]:
     """Return the names of the blocks that rows of a kind use: measured ones, joints and noise."""
     noise = {RESIDUAL_UNITS[symbol].sigma_name for symbol in kind.units}
+    if kind.is_pose and "covariances" in blocks:
+        noise = {"covariances"}
     designed = {"board_points"} if kind.optical else set()
     return {"joints", "torques", *designed, *noise, *_measured_blocks(kind, blocks)}
 
@@ -352,6 +354,7 @@ def _arrays(layout: Layout, si: Blocks, count: int) -> dict[str, Any]:
         "joints": si.get("joints", np.empty((count, 0))),
         "points": si.get("points", np.full((count, 3), np.nan)),
         "board_points": si.get("board_points"),
+        "covariances": si["covariances"].reshape(-1, 6, 6) if "covariances" in si else None,
         "rotations": _rotations(layout, si),
         "orientation": "" if layout.orientation is None else layout.orientation.convention.name,
         "torques": _torques(layout, si["torques"]) if "torques" in si else None,

@@ -211,7 +211,7 @@ class Sensitivity:
             blocks=np.arange(n),
         ).as_measured_at(T_frame_target)
         slopes = rows.derivative(T_frame_target, twists)
-        return np.asarray(slopes / rows.scales[:, :, None])
+        return rows.standardised(slopes)
 
     def located(self, q: Array) -> Array:
         """Differentiate the predicted positions of the k targets, in the measurement frame, by the p parameters.

@@ -146,7 +146,7 @@ def _with_unknowns(fitted: Fitted, columns: Array, of_distances: Array | None) -
     if of_distances is not None:
         sigma = np.array([known.sigma for known in problem.distances])
         further[: len(sigma)] = of_distances / sigma[:, None]
-    return _with_columns(linear, columns / problem.rows.scales[:, :, None], further)
+    return _with_columns(linear, problem.rows.standardised(columns), further)
 
 
 def _prior_with_unknowns(fitted: Fitted, count: int, held: Mask | None) -> PriorTerms:

@@ -200,8 +200,10 @@ def _whiten(fitted: Fitted, values: Array, weights: Array) -> Array:
     """
     problem = fitted.estimate.problem
     counts = problem.rows.used & (weights > 0.0)[:, None]
-    factors = np.sqrt(weights)[:, None] / problem.scales
-    return problem.independent(values * factors[:, :, None], weights)[counts]
+    of_each_row = np.broadcast_to(values, (len(weights), *values.shape[1:]))
+    factors = np.sqrt(weights)[:, None] / problem.noise_by_scalar
+    whitened = problem.rows.standardised(of_each_row) * factors[:, :, None]
+    return problem.independent(whitened, weights)[counts]
 
 
 def _fitted_directions(fitted: Fitted, A: Array) -> Array:

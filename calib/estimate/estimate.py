@@ -78,26 +78,20 @@ def problem_at_stage(problem: Problem, stage: Stage) -> Problem:
     """Return a problem with the weights, noise and priors of a stage.
 
     Args:
-        problem: The least-squares problem of N rows of D scalars and p parameters; ``problem.rows.scales``, shape (N,
-            D), are the given sigmas [m] and [rad], and ``problem.rows.channels.index``, shape (N, D), the index of each
-            scalar's instrument.
+        problem: The least-squares problem of N rows and p parameters.
         stage: State of one fit to these rows: ``stage.effective``, shape (1, N), row weights with the factors for
             repeats; ``stage.noise``, shape (1, C), of each of C instruments, as a multiple of the given sigma;
             ``stage.priors``, 1 / variance, (1, p), and mean, (p,), of each parameter; ``stage.rho``, shape (1, C, 3),
             shares of each instrument's variance that the targets of a stop (standstill of the robot) have in common.
 
     Returns:
-        The same problem with these weights, precisions, means and shares, and with the standard deviation of each
-        scalar, shape (N, D), [m] and [rad], which is the given one times the noise of its instrument.
+        The same problem with these weights, noise, precisions, means and shares.
     """
-    # An entry without a scalar has the instrument -1, the last one here.
-    noise_of_instrument = np.append(stage.noise[0], 1.0)
-    noise = noise_of_instrument[problem.rows.channels.index]
     priors = stage.priors
     return replace(
         problem,
         weights=stage.effective[0],
-        scales=noise * problem.rows.scales,
+        noise=stage.noise[0],
         precision=priors.precision[0],
         centre=priors.centre,
         rho=stage.rho[0],

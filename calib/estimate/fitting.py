@@ -12,9 +12,9 @@ import numpy as np
 
 from calib.blas import one_blas_thread
 from calib.errors import MeasurementError, ModelError
-from calib.estimate.bounds import estimate_within_bounds
 from calib.estimate.estimate import Estimate
 from calib.estimate.paper import paper_estimate
+from calib.estimate.pose_noise import estimate_with_pose_noise
 from calib.estimate.prior_terms import PriorTerms
 from calib.estimate.problem import Problem
 from calib.estimate.solving import mark_sole_postures
@@ -132,7 +132,8 @@ class Fitted(Value):
         if not len(rows):
             return np.zeros(0)
         estimate = self.estimate
-        linear = Problem.initial(self.kinematics, rows).linear(estimate.x)
+        as_fitted = replace(rows, pose_noise=estimate.problem.rows.pose_noise)
+        linear = Problem.initial(self.kinematics, as_fitted).linear(estimate.x)
         not_fitted = np.zeros((1, len(rows)))
         noise = self._noise_of(rows)
         scores = linear.scores(estimate.x[None], estimate.covariance[None], not_fitted, noise[None])
@@ -216,7 +217,12 @@ def fit(
     """
     if reference is not None:
         of_reference = reference.estimate.problem
-        rows = replace(rows, weights=of_reference.weights, sole=of_reference.rows.sole)
+        rows = replace(
+            rows,
+            weights=of_reference.weights,
+            sole=of_reference.rows.sole,
+            pose_noise=of_reference.rows.pose_noise,
+        )
         registered = reference.setup
     task.check_solver()
     model = task.error_model()
@@ -231,7 +237,7 @@ def fit(
     else:
         prior = PriorTerms.of(task, model, registered)
         marked = mark_sole_postures(problem, prior)
-        estimate = estimate_within_bounds(marked, task, prior)
+        estimate = estimate_with_pose_noise(marked, task, prior)
     if reference is not None:
         estimate = replace(
             estimate,

@@ -166,7 +166,7 @@ def paper_system(problem: Problem, nominal: Array, unit: Array, X: Array) -> tup
         e, shape (N,), [mm^2], and de/dX, shape (N, p), [mm^2 per mm or rad].
     """
     x = X / unit - nominal
-    residual = _MM * problem.linear(x).residual(x) * problem.rows.scales
+    residual = _MM * problem.rows.in_units(problem.linear(x).residual(x))
     jacobian = _MM * problem.jacobian(x) / unit
     error = np.sum(residual**2, axis=1)
     return error, -2.0 * np.einsum("ij,ijk->ik", residual, jacobian)

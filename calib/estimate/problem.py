@@ -58,8 +58,8 @@ class Problem(Value):
     kinematics: Kinematics
     #: The measurements
     rows: Rows
-    #: (N, D), standard deviation of each scalar as estimated: sigma times noise, [m] and [rad]
-    scales: Array
+    #: (C,), standard deviation of each instrument as estimated, in units of its sigma
+    noise: Array
     #: (N,), of the rows, between 0 and 1
     weights: Array
     #: (p,), 1 / tau_k^2; 0 for a parameter without prior
@@ -98,14 +98,13 @@ class Problem(Value):
             The least-squares problem of these rows: p parameters, which are offsets from the nominal robot and the
             registered frames and targets. The arm's size is not held.
         """
-        scales = rows.scales
         smallest_noise = _smallest_noise(rows)
         observed = set(rows.samples.frame.tolist())
         p = len(kinematics.model)
         return cls(
             kinematics=kinematics,
             rows=rows,
-            scales=scales,
+            noise=np.ones(len(smallest_noise)),
             weights=np.ones(len(rows)),
             precision=np.zeros(p),
             centre=np.zeros(p),
@@ -130,10 +129,48 @@ class Problem(Value):
         gauge = size_gauge(self.kinematics, self.rows, linear.A, residual)
         return replace(self, gauge=gauge)
 
+    def with_rows(self, rows: Rows) -> Problem:
+        """Return the problem of other rows of the same poses, frames and targets, which share the arm's gauge."""
+        stops = Stops.of(self.kinematics, rows)
+        return replace(self, rows=rows, stops=stops, _last=[])
+
     @property
     def size(self) -> int:
         """Number p of parameters: of the robot, then of frames and targets."""
         return len(self.kinematics.model)
+
+    @property
+    def scales(self) -> Array:
+        """Standard deviation of each scalar as estimated, shape (N, D), in its unit, such as [m] and [rad]."""
+        return self.rows.scales_at(self.noise)
+
+    @property
+    def noise_by_scalar(self) -> Array:
+        """Estimated noise of each scalar in units of its sigma, shape (N, D); 1 where there is no scalar."""
+        # An entry without a scalar has the instrument -1, the last one here.
+        return np.asarray(np.append(self.noise, 1.0)[self.rows.channels.index])
+
+    @property
+    def noise_over_sigma(self) -> Array:
+        """Estimated standard deviation over the stated or assumed one, of each of C instruments, shape (C,).
+
+        It is the noise, but for poses with a covariance, whose noise is relative to what the robot adds to it as well
+        (`rows.pose_noise`): of these it is the median over scalars.
+        """
+        rows = self.rows
+        result = np.array(self.noise)
+        if rows.covariances is None:
+            return result
+        ratio = np.ones(rows.used.shape)
+        for unit in rows.channels.present:
+            stated = rows.sigma[unit][:, None]
+            ratio = np.where(rows.channels.where(unit), self.scales / stated, ratio)
+        of_poses = np.isfinite(rows.covariances[:, :1, 0])
+        for c in range(len(result)):
+            of_channel = rows.channels.index == c
+            if np.any(of_channel & of_poses):
+                result[c] = np.median(ratio[of_channel])
+        return result
 
     def residual(self, x: Array) -> Array:
         """Measured minus predicted.
@@ -160,7 +197,7 @@ class Problem(Value):
             shape (N, D, p), of the D scalars of N rows, [m] and [rad] per unit of each parameter; not divided by their
             standard deviations; 0 where nothing was measured.
         """
-        return np.asarray(self.linear(x).A * self.rows.scales[:, :, None])
+        return self.rows.in_units(self.linear(x).A)
 
     def linear(self, x: Array) -> LinearProblem:
         """Linearise the problem at given parameters.
@@ -204,20 +241,19 @@ class Problem(Value):
             measured.
         """
         rows = self.rows
-        scales = rows.scales.T
         columns = np.empty((self.size + 1, rows.width, len(rows)))
         rotation = rows.depends_on_orientation
         for part in rows.parts(PART):
             part_rows = rows.select(part)
             width = part_rows.width
-            scale = scales[:width, part]
             poses, twists = self.kinematics.twists(x, part_rows.samples, rotation=rotation)
             if width < rows.width:  # these rows lack a kind that others have
                 columns[:, width:, part] = 0.0
             optics = self.kinematics.optics(x, part_rows.samples)
-            derivative = part_rows.derivative(poses, twists, optics).transpose(2, 1, 0)
-            columns[:-1, :width, part] = derivative / scale
-            columns[-1][:width, part] = part_rows.residual(poses, optics).T / scale
+            derivative = part_rows.standardised(part_rows.derivative(poses, twists, optics))
+            residual = part_rows.standardised(part_rows.residual(poses, optics))
+            columns[:-1, :width, part] = derivative.transpose(2, 1, 0)
+            columns[-1][:width, part] = residual.T
         return columns
 
     def observability(self, x: Array) -> Observability:
@@ -359,8 +395,8 @@ class Problem(Value):
         """The whitened Jacobian A and residual r of the M measured scalars, by columns.
 
         Of more than 1024 rows (`_TALL`) it is the triangle R of [A r] = Q R, transposed, which has the same products.
-        Uses `weights`, shape (N,), of the rows; `scales`, shape (N, D), standard deviations as estimated, [m] and
-        [rad]; and `rho`, shape (C, 3), shares of each instrument's variance that the targets of a stop have in common.
+        Uses `weights`, shape (N,), of the rows; `noise`, shape (C,), of each instrument, in units of the given sigma;
+        and `rho`, shape (C, 3), shares of each instrument's variance that the targets of a stop have in common.
 
         Args:
             columns: shape (p + 1, D, N), Jacobian of the prediction and behind it the residual of the D scalars of N
@@ -369,7 +405,7 @@ class Problem(Value):
         Returns:
             shape (p + 1, M); or (p + 1, p + 1), or fewer columns, of a triangle.
         """
-        whiten = (np.sqrt(self.weights)[:, None] * (self.rows.scales / self.scales)).T
+        whiten = (np.sqrt(self.weights)[:, None] / self.noise_by_scalar).T
         if self.stops is not None and np.any(self.rho):
             columns = self.stops.independent(columns * whiten, self.weights, self.rho)
             whiten = np.ones(whiten.shape)

@@ -148,7 +148,7 @@ class Stops:
         twists = np.concatenate([of_body, of_joints], axis=2)
         derivative = of_stops.derivative(T_frame_target, twists)
         J = np.zeros((len(of_stops), rows.width, twists.shape[2]))
-        J[:, : of_stops.width] = derivative / of_stops.scales[:, :, None]
+        J[:, : of_stops.width] = of_stops.standardised(derivative)
         instruments = rows.channels.index[chosen]
         J = of_unit_size(J, instruments, weight)
         order = np.lexsort((of_stops.poses, stop))

@@ -8,14 +8,22 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from calib.camera.optics import board_points
-from calib.channels import Channels, channels_of
+from calib.channels import Channels, channels_of, residual_unit
 from calib.data.kinds import Kind
 from calib.mappings import ReadOnlyMapping
 from calib.model.kinematics import FIXED, Optics, Samples
+from calib.numerics.pose_noise import POSE, PoseNoise, standardisers
 from calib.units import Array, Integers, Mask
 
 #: Index of the kind of rows that hold no measurement themselves: the second rows of pairs.
 NONE = -1
+
+#: What the errors of measured poses have besides their stated covariance until a fit estimates it.
+USUAL_POSE_NOISE = PoseNoise(
+    scale=1.0,
+    position=residual_unit("m").repeatability,
+    orientation=residual_unit("rad").repeatability,
+)
 
 #: The fewest rows of each frame, target and kind in an even sample, if it has room for them.
 _FEWEST_OF_EACH = 100
@@ -31,6 +39,20 @@ class _KindRows:
     rows: Integers | slice
     #: Columns of the residual that the kind fills
     columns: Integers
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _CorrelatedRows:
+    """The n rows whose six scalars have a covariance."""
+
+    #: (n,), their numbers
+    rows: Integers
+    #: (n, 6, 6), their covariances [m^2, m rad, rad^2]
+    covariances: Array
+    #: (n, 6, 6), transformations that make their errors independent, of variance 1
+    W: Array
+    #: (n, 6, 6), the inverse of these
+    inverse: Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,10 +84,17 @@ class Rows:
     weights: Array | None = None
     #: (N,), rows of sole postures, see `calib.estimate.sole_postures`; None: the fit finds them
     sole: Mask | None = None
+    #: (N, 6, 6), stated covariance of a measured pose's error: position [m] and rotation vector [rad], along the axes
+    #: of the frame; NaN in rows without one, whose scalars are independent; None: no row has one
+    covariances: Array | None = None
+    #: What the errors of rows with a covariance have besides
+    pose_noise: PoseNoise = USUAL_POSE_NOISE
     #: (N, D), the kind and the unit of each entry of the residual: its instrument, and so its noise
     channels: Channels = field(init=False)
     #: The rows of each kind that occurs, in the order of kinds' numbers
     _by_kind: tuple[_KindRows, ...] = field(init=False, repr=False)
+    #: Rows with a covariance, and the transformations of their scalars; None: no row has one
+    _correlated: _CorrelatedRows | None = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         """Derive what every evaluation of a fit needs."""
@@ -74,6 +103,7 @@ class Rows:
         vector_units = [kind.vector_units for kind in self.kinds]
         object.__setattr__(self, "channels", channels_of(units, vector_units, self.kind))
         object.__setattr__(self, "_by_kind", _rows_by_kind(self.kinds, self.kind))
+        object.__setattr__(self, "_correlated", _correlated_rows(self.covariances, self.pose_noise))
 
     def __len__(self) -> int:
         """Number of rows N."""
@@ -110,11 +140,70 @@ class Rows:
 
     @property
     def scales(self) -> Array:
-        """Standard deviation of each entry as given or assumed before the fit, shape (N, D), in its unit."""
+        """Standard deviation of each entry as given or assumed before the fit, shape (N, D), in its unit.
+
+        Of rows with a covariance it is with what the robot adds, by ``pose_noise``.
+        """
         result = np.repeat(self.sigma["m"][:, None], self.width, axis=1)
         for unit in self.channels.present:
             result = np.where(self.channels.where(unit), self.sigma[unit][:, None], result)
+        if self._correlated is not None:
+            variances = np.diagonal(self._correlated.covariances, axis1=1, axis2=2)
+            result[self._correlated.rows, :POSE] = np.sqrt(variances)
         return result
+
+    def standardised(self, values: Array) -> Array:
+        """Return values of the scalars in units of their standard deviations as given or assumed.
+
+        Those of rows with a covariance are transformed by W besides, so that errors are independent; see
+        `calib.numerics.pose_noise`.
+
+        Args:
+            values: Residuals or derivatives, shape (N, D) or (N, D, q), in the units of ``channels``.
+
+        Returns:
+            Of the same shape [1].
+        """
+        by_row = values.reshape(len(self), self.width, -1)
+        result = by_row / self.scales[:, :, None]
+        if self._correlated is not None:
+            chosen, W = self._correlated.rows, self._correlated.W
+            result[chosen, :POSE] = W @ by_row[chosen, :POSE]
+        return np.asarray(result.reshape(values.shape))
+
+    def in_units(self, standardised: Array) -> Array:
+        """Return values of the scalars in the units of ``channels``: the inverse of `standardised`.
+
+        Args:
+            standardised: shape (N, D) or (N, D, q) [1].
+
+        Returns:
+            Of the same shape.
+        """
+        by_row = standardised.reshape(len(self), self.width, -1)
+        result = by_row * self.scales[:, :, None]
+        if self._correlated is not None:
+            chosen, inverse = self._correlated.rows, self._correlated.inverse
+            result[chosen, :POSE] = inverse @ by_row[chosen, :POSE]
+        return np.asarray(result.reshape(standardised.shape))
+
+    def scales_at(self, noise: Array) -> Array:
+        """Return the standard deviation of each entry at estimated noise.
+
+        Args:
+            noise: shape (C,), of each channel, in units of the given sigma.
+
+        Returns:
+            shape (N, D), in the units of ``channels``.
+        """
+        # An entry without a scalar has the channel -1, the last one here.
+        by_entry = np.append(noise, 1.0)[self.channels.index]
+        result = by_entry * self.scales
+        if self._correlated is not None:
+            chosen, inverse = self._correlated.rows, self._correlated.inverse
+            factors = inverse * by_entry[chosen, None, :POSE]
+            result[chosen, :POSE] = np.linalg.norm(factors, axis=2)
+        return np.asarray(result)
 
     @property
     def depends_on_orientation(self) -> bool:
@@ -168,6 +257,7 @@ class Rows:
             blocks=self.blocks[chosen],
             weights=None if self.weights is None else self.weights[chosen],
             sole=None if self.sole is None else self.sole[chosen],
+            covariances=None if self.covariances is None else self.covariances[chosen],
         )
 
     def residual(self, T_frame_target: Array, optics: Optics | None = None) -> Array:
@@ -355,6 +445,23 @@ def _rows_by_kind(kinds: tuple[Kind, ...], kind_of_row: Integers) -> tuple[_Kind
             rows = slice(None) if np.all(of_kind) else np.flatnonzero(of_kind)
             result.append(_KindRows(kind, rows, np.arange(len(kind.units))))
     return tuple(result)
+
+
+def _correlated_rows(stated: Array | None, noise: PoseNoise) -> _CorrelatedRows | None:
+    """Return the rows with a covariance, and their transformations; None if there are none.
+
+    Args:
+        stated: Stated covariances, shape (N, 6, 6), NaN in rows without; None: no row has one.
+        noise: What errors have besides.
+    """
+    if stated is None:
+        return None
+    rows = np.flatnonzero(np.isfinite(stated[:, 0, 0]))
+    if not len(rows):
+        return None
+    covariances = noise.covariances(stated[rows])
+    W = standardisers(covariances)
+    return _CorrelatedRows(rows, covariances, W, np.asarray(np.linalg.inv(W)))
 
 
 def _drawn_of_groups(group: Integers, count: Integers, quota: Integers) -> Integers:

@@ -64,6 +64,7 @@ def rows_and_setup(robot: Robot, measurements: Measurements, cell: Cell) -> tupl
         measured=_measured(measurements, kinds, kind),
         partner=partner,
         sigma=_sigma_by_unit(measurements, cell),
+        covariances=measurements.covariances,
         poses=_repeats(pose, samples, kind, partner),
         blocks=joined_labels(pose, pairs),
     )

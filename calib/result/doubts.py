@@ -298,8 +298,8 @@ def _agreeing_repeats(result: CalibrationValues, fitted: Fitted) -> Iterator[Rea
     Args:
         result: The result. Of ``repeats``, None where no pose was repeated, are used ``within``, the standard deviation
             of one scalar within the poses, and ``freedoms``, its degrees of freedom, of the first unit measured.
-        fitted: The fit of its best model: ``estimate.noise[0]``, the noise of its first channel as a multiple of the
-            given sigma, which is ``rows.sigma``, median over rows.
+        fitted: The fit of its best model, with the noise of its first channel as a multiple of the stated sigma, which
+            is ``rows.sigma``, median over rows.
 
     Yields:
         One reason with the scatter, such as ``within_m``, and the noise, such as ``noise_m`` [m]; none where they are
@@ -309,7 +309,7 @@ def _agreeing_repeats(result: CalibrationValues, fitted: Fitted) -> Iterator[Rea
     rows = fitted.estimate.problem.rows
     unit = rows.channels.units[0]
     sigma = float(np.median(rows.sigma[unit]))
-    noise = float(fitted.estimate.noise[0]) * sigma
+    noise = float(fitted.estimate.problem.noise_over_sigma[0]) * sigma
     if repeats is None or repeats.freedoms.get(unit, 0.0) < FEWEST_FREEDOM:
         return
     within = repeats.within[unit]
@@ -338,7 +338,7 @@ def thin(fitted: Fitted) -> tuple[Fitted, Mask]:
     reduced = replace(
         Problem.initial(problem.kinematics, rows, problem.distances),
         weights=problem.weights[chosen],
-        scales=problem.scales[chosen][:, : rows.width],
+        noise=problem.noise,
         precision=problem.precision,
         centre=problem.centre,
         rho=problem.rho,
@@ -376,8 +376,8 @@ def _missing_model(fitted: Fitted) -> Iterator[Reason]:
     """Say if full placements, or these with non-geometric errors, would lower the noise far below that of a fit.
 
     Args:
-        fitted: The fit of the model that was named: its model, its rows, and ``estimate.noise[0]``, the noise of its
-            first instrument (of a length, if any was measured) as a multiple of the given sigma.
+        fitted: The fit of the model that was named: its model, its rows, and the noise of its first instrument (of a
+            length, if any was measured) as a multiple of the stated sigma.
 
     Yields:
         One reason with the name of the larger model that leaves the least noise, and the noise in the first unit,
@@ -385,7 +385,7 @@ def _missing_model(fitted: Fitted) -> Iterator[Reason]:
         to `_FAR_LESS`.
     """
     rows, name = fitted.estimate.problem.rows, fitted.kinematics.model.name
-    noise = least = fitted.estimate.noise[0]
+    noise = least = float(fitted.estimate.problem.noise_over_sigma[0])
     lacking = ""
     not_loaded = [family for family in joint_families() if not FAMILIES[family].loaded]
     with_families = "+".join(("placement", *not_loaded))
@@ -417,7 +417,8 @@ def _noise_of(fitted: Fitted, model: str) -> float | None:
     full = replace(task, model=model, cell=free, solver="lm", allow_absent=True)
     if rows.count < 2 * len(full.error_model()):
         return None
-    return fit(full, rows, registered=fitted.setup).estimate.noise[0]
+    refitted = fit(full, rows, registered=fitted.setup)
+    return float(refitted.estimate.problem.noise_over_sigma[0])
 
 
 def noise_doubts(
@@ -427,8 +428,7 @@ def noise_doubts(
 
     Args:
         result: The result with its table and cell in memory, which may state the noise.
-        fitted: The fit. Its ``estimate.noise``, shape (C,), is the estimated over the given standard deviation of each
-            of the C channels of its rows.
+        fitted: The fit, with the estimated over the stated standard deviation of each of the C channels of its rows.
         doubts: Doubts so far. Where a model lacks something, residuals are no noise, and nothing is yielded; nor where
             residuals of a named geometry follow a joint.
 
@@ -443,7 +443,7 @@ def noise_doubts(
     if _named_model(result) and result.non_geometric is None and Why.JOINT_PATTERN in codes:
         return
     rows = fitted.estimate.problem.rows
-    for c, ratio in enumerate(fitted.estimate.noise):
+    for c, ratio in enumerate(fitted.estimate.problem.noise_over_sigma):
         of_channel, _ = np.nonzero(rows.channels.index == c)
         yield from _channel_noise(result, rows, c, of_channel, float(ratio))
 

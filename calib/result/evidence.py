@@ -138,9 +138,9 @@ def _noise_floor(result: CalibrationValues, fitted: Fitted, doubts: tuple[Reason
     What the noise of a fit exceeds it by is lack of model.
 
     Args:
-        result: The result with its fits in memory, of the geometry and of the non-geometric model if there is one;
-            ``estimate.noise``, shape (C,), of each is the noise of each instrument (lengths of each kind of rows, then
-            angles), as a multiple of the given sigma.
+        result: The result with its fits in memory, of the geometry and of the non-geometric model if there is one. The
+            noise of each instrument (lengths of each kind of rows, then angles) is compared, as a multiple of the
+            stated sigma.
         fitted: The fit to N rows whose noise is compared; ``rows.channels.index``, shape (N, D), is the index of each
             scalar's instrument, -1 for none.
         doubts: Reasons for doubt. That a larger model leaves less noise, ``Why.MODEL_LACKS``, has both noises of a
@@ -150,8 +150,9 @@ def _noise_floor(result: CalibrationValues, fitted: Fitted, doubts: tuple[Reason
         shape (N, D), above 0 and at most 1; 1 for scalars that were not measured.
     """
     fits = (result.fit_in_memory.geometry, result.fit_in_memory.non_geometric)
-    noise = np.array(fitted.estimate.noise)
-    least = np.min([fit.estimate.noise for fit in fits if fit is not None], axis=0)
+    noise = fitted.estimate.problem.noise_over_sigma
+    of_fits = [fit.estimate.problem.noise_over_sigma for fit in fits if fit is not None]
+    least = np.min(of_fits, axis=0)
     share = np.minimum(least / noise, 1.0)
     for doubt in doubts:
         if doubt.why == Why.MODEL_LACKS:

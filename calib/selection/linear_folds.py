@@ -19,6 +19,7 @@ from calib.estimate.stages import FEWEST_FREEDOM, Stage, Weighting, run_stages
 from calib.estimate.task import PAPER
 from calib.numerics.errors import CrossValidation
 from calib.numerics.likelihood import GaussianPriors
+from calib.registration.rows import Rows
 from calib.selection.folds import Folds
 from calib.selection.held_out import held_out_residual, seen_only_by
 from calib.units import Array, Mask
@@ -65,9 +66,20 @@ def linear_cross_validation(fitted: Fitted, outliers: Mask | None = None) -> Cro
         own_places = seen_only_by(fitted, mask)
         if np.any(own_places):
             x = _with_own_places(part, x, own_places, problem.weights[mask])
-        whitened = part.residual(x)
-        residuals.append(whitened * rows.scales[mask])
+        residuals.append(_in_units(rows.select(mask), part.residual(x)))
     return folds.joined(rows, residuals, outliers)
+
+
+def _in_units(rows: Rows, standardised: Array) -> Array:
+    """Return residuals of some rows of a table, shape (n, D), as wide as the table, in their units.
+
+    Args:
+        rows: These n rows, which may have fewer columns than the table.
+        standardised: shape (n, D), as `Rows.standardised` has them.
+    """
+    result = np.zeros(standardised.shape)
+    result[:, : rows.width] = rows.in_units(standardised[:, : rows.width])
+    return result
 
 
 def _with_own_places(part: LinearProblem, x: Array, own_places: Mask, weights: Array) -> Array:
@@ -269,7 +281,7 @@ def _accurate_residual(fitted: Fitted, linear: LinearProblem, x: Array, mask: Ma
     problem = estimate.problem
     rows = problem.rows
     residual = problem.residual(x)
-    linear_residual = linear.residual(x) * rows.scales
+    linear_residual = rows.in_units(linear.residual(x))
     difference = (linear_residual - residual) / problem.scales
     kept_rows = rows.checked & ~mask & (estimate.weights > 0.0)
     kept = rows.used & kept_rows[:, None]

@@ -27,6 +27,6 @@ def problem_of(virtual, rng, precision):
     centre = 1e-3 * rng.normal(size=27)
     problem = Problem.initial(virtual.kinematics, rows)
     weights = rng.uniform(0, 1, 12)
-    scales = 1.3 * rows.scales
-    found = replace(problem, weights=weights, scales=scales, precision=precision, centre=centre)
+    noise = np.full(len(problem.noise), 1.3)
+    found = replace(problem, weights=weights, noise=noise, precision=precision, centre=centre)
     return found, x

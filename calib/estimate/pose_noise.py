@@ -1,0 +1,80 @@
+"""Fits of measured poses with covariances: what the instrument's errors are multiplied by, and what the robot adds.
+
+See `calib.numerics.pose_noise`. The fit, at given noise of the poses, and this noise, from the fit's residuals, are
+estimated in turn until it settles.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from calib.estimate.bounds import estimate_within_bounds
+from calib.estimate.estimate import Estimate
+from calib.estimate.prior_terms import PriorTerms
+from calib.estimate.problem import Problem
+from calib.estimate.stages import FEWEST_FREEDOM
+from calib.estimate.task import Task
+from calib.numerics.pose_noise import POSE, PoseNoise, likeliest_noise
+
+#: The most fits.
+_ROUNDS = 8
+
+#: Standard deviations whose relative change is less have settled.
+_SETTLED = 0.03
+
+
+def estimate_with_pose_noise(problem: Problem, task: Task, prior: PriorTerms) -> Estimate:
+    """Estimate parameters within their bounds, and the noise of measured poses that have covariances.
+
+    Args:
+        problem: The least-squares problem of N rows and p parameters, with its sole postures marked.
+        task: Robot, cell and options of the fit.
+        prior: Priors of the p parameters, none of them held.
+
+    Returns:
+        The estimate. Its ``problem.rows.pose_noise`` is the estimated one, if there are rows with a covariance, and
+        more of them than the parameters take.
+
+    Raises:
+        SolverError: The residual is not finite at the start.
+    """
+    estimate = estimate_within_bounds(problem, task, prior)
+    if problem.rows.covariances is None or problem.rows.weights is not None:
+        return estimate
+    for _ in range(_ROUNDS):
+        before = problem.rows.pose_noise
+        noise = _noise_of(estimate)
+        if noise is None or _is_near(noise, before):
+            break
+        problem = problem.with_rows(replace(problem.rows, pose_noise=noise))
+        estimate = estimate_within_bounds(problem, task, prior)
+    return estimate
+
+
+def _noise_of(estimate: Estimate) -> PoseNoise | None:
+    """Return the noise of poses that a fit's residuals tell; None where they are too few."""
+    problem = estimate.problem
+    rows = problem.rows
+    assert rows.covariances is not None
+    chosen = np.isfinite(rows.covariances[:, 0, 0]) & rows.checked & (problem.weights > 0.0)
+    if estimate.freedom < FEWEST_FREEDOM or not np.any(chosen):
+        return None
+    J = problem.jacobian(estimate.x)[chosen, :POSE]
+    r = problem.residual(estimate.x)[chosen, :POSE]
+    spread = J @ estimate.covariance @ J.transpose(0, 2, 1)
+    squares = r[:, :, None] * r[:, None] + spread
+    return likeliest_noise(
+        rows.covariances[chosen], squares, problem.weights[chosen], rows.pose_noise
+    )
+
+
+def _is_near(noise: PoseNoise, other: PoseNoise) -> bool:
+    """True if the standard deviations of errors hardly differ between two noises of poses."""
+    pairs = (
+        (noise.scale, other.scale),
+        (noise.position, other.position),
+        (noise.orientation, other.orientation),
+    )
+    return all(abs(a - b) <= _SETTLED * b for a, b in pairs)
