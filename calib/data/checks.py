@@ -14,9 +14,8 @@ from numpy.typing import ArrayLike
 import calib.data.kinds as registry
 from calib.data.columns import SETS, reserved
 from calib.data.forms.column_options import ColumnOptions
-from calib.data.kinds import SIGMAS
 from calib.errors import MeasurementError, choices
-from calib.numerics.geometry import not_rotations
+from calib.numerics.geometry import FARTHEST, not_rotations
 from calib.robot.robot import read_only
 from calib.tables.table import Table
 from calib.units import Array, Integers, Mask
@@ -31,9 +30,6 @@ from calib.values.arguments import (
 
 #: Two rows of a pair that both give its distance give the same to all digits of a table [m].
 _AGREE_M = 1e-9
-
-#: Difference of a correlation from that of the same two numbers, in digits that a table may have.
-_SYMMETRIC = 1e-4
 
 #: Most rows that a message lists.
 _LISTED_ROWS = 8
@@ -256,6 +252,43 @@ def shared_by_pairs(labels: RowLabels, values: ArrayLike, pair_rows: Integers) -
     return result
 
 
+def checked_readings(
+    labels: RowLabels, given: Mapping[str, ArrayLike | None], pair_rows: Integers
+) -> dict[str, Array]:
+    """Return checked, read-only copies of the readings of kinds.
+
+    Args:
+        labels: The N rows, for messages.
+        given: Readings by the column's name, shape (N,) each, in SI units; None: not given.
+        pair_rows: Indices of the two rows of each pair, from 0, shape (P, 2).
+
+    Returns:
+        The readings, NaN in rows that do not measure them; both rows of a pair have the pair's.
+
+    Raises:
+        MeasurementError: No registered kind has such a reading, or a number is missing or out of range.
+    """
+    registered = registry.readings()
+    unknown = given.keys() - registered.keys()
+    if unknown:
+        raise MeasurementError(
+            f"No kind of measurement reads {choices(unknown)}; register it first "
+            "(calib.data.kinds.register)."
+        )
+    result: dict[str, Array] = {}
+    for name, reading in registered.items():
+        kinds = [kind for kind in map(registry.get, registry.names()) if reading in kind.readings]
+        values = given.get(name)
+        if values is not None and any(kind.paired for kind in kinds):
+            values = shared_by_pairs(labels, values, pair_rows)
+        rows = mask_of_words(labels.kinds, *(kind.name for kind in kinds))
+        least = registry.SIGMAS[0] if reading.positive else -FARTHEST
+        array = checked_numbers(labels, name, values, (), rows, (least, FARTHEST))
+        if array is not None:
+            result[name] = array
+    return result
+
+
 def check_rotations(labels: RowLabels, rotations: Array, rows: Mask) -> None:
     """Check the orientations of rows.
 
@@ -272,36 +305,6 @@ def check_rotations(labels: RowLabels, rotations: Array, rows: Mask) -> None:
     if wrong.size:
         what = "'rotations' holds no rotation; each is orthonormal with determinant 1"
         labels.fail(int(wrong[0]), what)
-
-
-def check_covariances(labels: RowLabels, covariances: Array, rows: Mask) -> None:
-    """Check the covariances of measured poses.
-
-    Args:
-        labels: The N rows, for messages.
-        covariances: shape (N, 6, 6) [m^2, m rad, rad^2].
-        rows: Which rows have one, shape (N,).
-
-    Raises:
-        MeasurementError: A matrix of these rows is not symmetric or not positive definite, or has a standard deviation
-            that no instrument has.
-    """
-    fix = "It has x, y, z [m] and the turns about x, y, z [rad], row by row."
-    for i in np.flatnonzero(rows).tolist():
-        C = covariances[i]
-        if not np.any(C):
-            labels.fail(i, "the covariance is zero; leave out the columns where it is not known")
-        std = np.sqrt(np.maximum(np.diagonal(C), 0.0))
-        if not np.all((std >= SIGMAS[0]) & (std <= SIGMAS[1])):
-            labels.fail(
-                i,
-                f"a standard deviation of the covariance is out of {SIGMAS[0]:g} to {SIGMAS[1]:g}, in SI units. {fix}",
-            )
-        correlation = C / np.outer(std, std)
-        if np.max(np.abs(correlation - correlation.T)) > _SYMMETRIC:
-            labels.fail(i, f"the covariance is not symmetric. {fix}")
-        if np.linalg.eigvalsh(correlation)[0] <= 0.0:
-            labels.fail(i, f"the covariance is not positive definite. {fix}")
 
 
 def check_torques(labels: RowLabels, torques: Array) -> None:

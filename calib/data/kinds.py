@@ -44,9 +44,6 @@ SIGMAS = (1e-15, 1e6)
 #: Units of the three coordinates of a point.
 _COORDINATES = ("m", "m", "m")
 
-#: Units of a pose: of its position, then of the rotation vector of its orientation.
-POSE_UNITS = (*_COORDINATES, "rad", "rad", "rad")
-
 #: A distance below this has no direction [m].
 _TINY = 1e-12
 
@@ -202,11 +199,6 @@ class Kind(Value):
         """True if the first lengths are the target's three coordinates: ``point``, ``pose``, ``fixed``."""
         held_at_point = self.units == _COORDINATES and not self.readings
         return self.position or held_at_point
-
-    @property
-    def is_pose(self) -> bool:
-        """True if a position and an orientation are measured, and nothing else: their errors may be correlated."""
-        return self.orientation and self.units == POSE_UNITS
 
     @property
     def vector_units(self) -> tuple[str, ...]:

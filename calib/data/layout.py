@@ -26,6 +26,7 @@ from calib.data.columns import (
     reserved,
     with_unit,
 )
+from calib.data.covariances import may_have_covariance
 from calib.data.forms.brands import fix_for_brand
 from calib.data.forms.column_options import ColumnOptions, ColumnsInput, column_options
 from calib.data.forms.orientation_columns import Orientation, conventions_of, find_orientation
@@ -218,7 +219,7 @@ def _noise(table: Table, named: Named, present: Sequence[Kind]) -> dict[str, Col
     """
     blocks: dict[str, Columns] = {}
     with_covariance = _covariances(table, named, present)
-    with_noise = [kind for kind in present if not (with_covariance and kind.is_pose)]
+    with_noise = [kind for kind in present if not (with_covariance and may_have_covariance(kind))]
     for symbol, unit in RESIDUAL_UNITS.items():
         is_needed = any(symbol in kind.units for kind in with_noise)
         if is_needed and unit.sigma_name in named:
@@ -230,7 +231,7 @@ def _noise(table: Table, named: Named, present: Sequence[Kind]) -> dict[str, Col
 def _covariances(table: Table, named: Named, present: Sequence[Kind]) -> Columns:
     """Return the 36 columns of the covariances of poses; none where there are no such columns, or no poses."""
     given = [name for name in COVARIANCE if name in named]
-    if not given or not any(kind.is_pose for kind in present):
+    if not given or not any(may_have_covariance(kind) for kind in present):
         return ()
     missing = [name for name in COVARIANCE if name not in named]
     if missing:

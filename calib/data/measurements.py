@@ -18,7 +18,6 @@ from calib.data.checks import (
     RowLabels,
     by_word,
     check_argument_types,
-    check_covariances,
     check_groups,
     check_joint_names,
     check_pairs,
@@ -27,13 +26,12 @@ from calib.data.checks import (
     check_torques,
     check_words,
     checked_numbers,
+    checked_readings,
     mask_of_words,
-    shared_by_pairs,
 )
 from calib.data.columns import (
     BOARD_POINT,
     COMMON,
-    COVARIANCE,
     DEFAULT_TARGET,
     POINT,
     SETS,
@@ -41,6 +39,13 @@ from calib.data.columns import (
     cells_of,
 )
 from calib.data.copies import repeats_of_earlier
+from calib.data.covariances import (
+    checked_covariances,
+    covariance_columns,
+    may_have_covariance,
+    sigma_with_covariances,
+    sigma_without_covariances,
+)
 from calib.data.forms.column_options import ColumnsInput
 from calib.data.forms.orientations import QUATERNION
 from calib.data.kinds import SIGMAS, Kind
@@ -174,7 +179,8 @@ class Measurements(Value):
         if any(self.pairs):
             words = zip(self.paired.tolist(), self.pairs, strict=True)
             fill("pairs", tuple(word if is_paired else "" for is_paired, word in words))
-        readings = self._checked_readings(labels)
+        given = {"distance": self.distances, **self.readings}
+        readings = checked_readings(labels, given, self.pair_rows)
         for name, array in self._checked_arrays(labels).items():
             fill(name, array)
         if self.rotations is not None:
@@ -185,7 +191,8 @@ class Measurements(Value):
             check_torques(labels, self.torques)
         fill("distances", readings.pop("distance", None))
         fill("readings", ReadOnlyMapping(readings))
-        fill("covariances", self._checked_covariances(labels))
+        poses = self.where(may_have_covariance)
+        fill("covariances", checked_covariances(labels, self.covariances, poses))
         fill("sigma", ReadOnlyMapping(self._checked_sigma(labels)))
 
     def _labels(self) -> RowLabels:
@@ -220,59 +227,7 @@ class Measurements(Value):
             array = checked_numbers(labels, unit.sigma_name, values, (), has_unit, SIGMAS)
             if array is not None:
                 result[symbol] = array
-        return result | self._sigma_of_covariances(result)
-
-    def _checked_covariances(self, labels: RowLabels) -> Array | None:
-        """Return the checked covariances of poses, NaN in rows without one; None if no row has one."""
-        if self.covariances is None:
-            return None
-        given = numbers("covariances", self.covariances, "of shape (N, 6, 6)")
-        is_given = np.isfinite(given).all(axis=tuple(range(1, given.ndim)))
-        with_one = is_given & self.where(lambda kind: kind.is_pose)
-        limits = (-(SIGMAS[1] ** 2), SIGMAS[1] ** 2)
-        array = checked_numbers(labels, "covariances", given, (6, 6), with_one, limits)
-        if array is not None:
-            check_covariances(labels, array, with_one)
-        return array
-
-    def _sigma_of_covariances(self, given: Mapping[str, Array]) -> dict[str, Array]:
-        """Return the standard deviations of lengths and angles with those of the rows that have a covariance.
-
-        Args:
-            given: Standard deviations as given, by unit.
-        """
-        if self.covariances is None:
-            return {}
-        variances = np.diagonal(self.covariances, axis1=1, axis2=2)
-        result = {}
-        for symbol, of_unit in (("m", variances[:, :3]), ("rad", variances[:, 3:])):
-            std = np.sqrt(np.mean(of_unit, axis=1))
-            as_given = given.get(symbol, np.full(len(self), np.nan))
-            result[symbol] = read_only(np.where(np.isfinite(std), std, as_given))
-        return result
-
-    def _checked_readings(self, labels: RowLabels) -> dict[str, Array]:
-        """Return the checked readings of kinds by the column's name; both rows of a pair have it."""
-        given = {"distance": self.distances, **self.readings}
-        registered = registry.readings()
-        unknown = given.keys() - registered.keys()
-        if unknown:
-            raise MeasurementError(
-                f"No kind of measurement reads {choices(unknown)}; register it first "
-                "(calib.data.kinds.register)."
-            )
-        result: dict[str, Array] = {}
-        for name, reading in registered.items():
-            values = given.get(name)
-            reading_kinds = [k for k in registry.names() if reading in registry.get(k).readings]
-            if values is not None and any(registry.get(kind).paired for kind in reading_kinds):
-                values = shared_by_pairs(labels, values, self.pair_rows)
-            rows = self.of_kind(*reading_kinds)
-            least = SIGMAS[0] if reading.positive else -FARTHEST
-            array = checked_numbers(labels, name, values, (), rows, (least, FARTHEST))
-            if array is not None:
-                result[name] = array
-        return result
+        return sigma_with_covariances(result, self.covariances)
 
     def _check_complete(self) -> None:
         """Refuse a table without rows to estimate from, incomplete pairs, groups of too few rows."""
@@ -565,19 +520,8 @@ class Measurements(Value):
                 yield name, None, quaternions[:, i]
         for reading in registry.readings().values() if len(self) else ():
             yield reading.name, reading.quantity, self.reading(reading.name)
-        yield from self._noise_columns()
-
-    def _noise_columns(self) -> Iterator[_NumberColumn]:
-        """Return the columns of standard deviations and covariances to write, likewise."""
         for symbol, values in self.sigma.items():
             unit = RESIDUAL_UNITS[symbol]
-            yield unit.sigma_name, unit.quantity, self._as_given(values)
-        if self.covariances is not None:
-            for i, name in enumerate(COVARIANCE):
-                yield name, None, self.covariances.reshape(-1, len(COVARIANCE))[:, i]
-
-    def _as_given(self, sigma: Array) -> Array:
-        """Return standard deviations, shape (N,), without those that are of a covariance."""
-        if self.covariances is None:
-            return sigma
-        return np.where(np.isnan(self.covariances[:, 0, 0]), sigma, np.nan)
+            given = sigma_without_covariances(values, self.covariances)
+            yield unit.sigma_name, unit.quantity, given
+        yield from covariance_columns(self.covariances)

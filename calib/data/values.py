@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 import calib.data.kinds as registry
 from calib.channels import RESIDUAL_UNITS
 from calib.data.columns import SETS, STATUS, TORQUE
+from calib.data.covariances import may_have_covariance
 from calib.data.forms.points import Points
 from calib.data.kinds import Kind
 from calib.data.layout import Layout, slides
@@ -132,7 +133,7 @@ def _measured_blocks(kind: Kind, blocks: Blocks) -> list[str]:
 def _used_blocks(kind: Kind, blocks: Blocks) -> set[str]:
     """Return the names of the blocks that rows of a kind use: measured ones, joints and noise."""
     noise = {RESIDUAL_UNITS[symbol].sigma_name for symbol in kind.units}
-    if kind.is_pose and "covariances" in blocks:
+    if may_have_covariance(kind) and "covariances" in blocks:
         noise = {"covariances"}
     designed = {"board_points"} if kind.optical else set()
     return {"joints", "torques", *designed, *noise, *_measured_blocks(kind, blocks)}

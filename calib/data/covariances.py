@@ -1,0 +1,112 @@
+"""Covariances of measured poses: which rows may have one, their checks, columns, and standard deviations."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from calib.data.checks import RowLabels, checked_numbers
+from calib.data.columns import COVARIANCE
+from calib.data.kinds import SIGMAS, Kind
+from calib.numerics.pose_noise import POSE
+from calib.robot.robot import read_only
+from calib.units import Array, Mask
+from calib.values.arguments import numbers
+
+#: Units of the scalars of a pose: of its position, then of the rotation vector of its orientation.
+_POSE_UNITS = ("m", "m", "m", "rad", "rad", "rad")
+
+#: Least and largest entry [m^2, m rad, rad^2].
+_ENTRIES = (-(SIGMAS[1] ** 2), SIGMAS[1] ** 2)
+
+#: Difference of a correlation from that of the same two numbers, in digits that a table may have.
+_SYMMETRIC = 1e-4
+
+#: What messages say of a matrix.
+_ENTRIES_ARE = "It has x, y, z [m] and the turns about x, y, z [rad], row by row."
+
+
+def may_have_covariance(kind: Kind) -> bool:
+    """Return True for kinds that measure a position and an orientation, and nothing else."""
+    return kind.orientation and kind.units == _POSE_UNITS
+
+
+def checked_covariances(labels: RowLabels, values: ArrayLike | None, poses: Mask) -> Array | None:
+    """Return a checked, read-only copy of the covariances of measured poses.
+
+    Args:
+        labels: The N rows, for messages.
+        values: shape (N, 6, 6) [m^2, m rad, rad^2], NaN in rows without one; None: not given.
+        poses: Which rows may have one, shape (N,).
+
+    Returns:
+        The covariances, NaN in other rows; None if no row has one.
+
+    Raises:
+        MeasurementError: Another shape, or a matrix that is not symmetric or not positive definite, or has a standard
+            deviation that no instrument has.
+    """
+    if values is None:
+        return None
+    given = numbers("covariances", values, "of shape (N, 6, 6)")
+    is_given = np.isfinite(given).all(axis=tuple(range(1, given.ndim)))
+    with_one = is_given & poses
+    result = checked_numbers(labels, "covariances", given, (POSE, POSE), with_one, _ENTRIES)
+    if result is not None:
+        for i in np.flatnonzero(with_one).tolist():
+            _check(labels, i, result[i])
+    return result
+
+
+def _check(labels: RowLabels, index: int, C: Array) -> None:
+    """Check the covariance of a row, from 0, shape (6, 6)."""
+    if not np.any(C):
+        labels.fail(index, "the covariance is zero; leave out the columns where it is not known")
+    std = np.sqrt(np.maximum(np.diagonal(C), 0.0))
+    if not np.all((std >= SIGMAS[0]) & (std <= SIGMAS[1])):
+        allowed = f"{SIGMAS[0]:g} to {SIGMAS[1]:g}, in SI units"
+        labels.fail(
+            index, f"a standard deviation of the covariance is not from {allowed}. {_ENTRIES_ARE}"
+        )
+    correlation = C / np.outer(std, std)
+    if np.max(np.abs(correlation - correlation.T)) > _SYMMETRIC:
+        labels.fail(index, f"the covariance is not symmetric. {_ENTRIES_ARE}")
+    if np.linalg.eigvalsh(correlation)[0] <= 0.0:
+        labels.fail(index, f"the covariance is not positive definite. {_ENTRIES_ARE}")
+
+
+def sigma_with_covariances(
+    sigma: Mapping[str, Array], covariances: Array | None
+) -> dict[str, Array]:
+    """Return standard deviations of scalars with those of the rows that have a covariance: rms over the axes.
+
+    Args:
+        sigma: Of the other rows, by unit, shape (N,) each [m], [rad].
+        covariances: shape (N, 6, 6), NaN in rows without one; None: no row has one.
+    """
+    result = dict(sigma)
+    if covariances is None:
+        return result
+    variances = np.diagonal(covariances, axis1=1, axis2=2)
+    for symbol, of_unit in (("m", variances[:, :3]), ("rad", variances[:, 3:])):
+        std = np.sqrt(np.mean(of_unit, axis=1))
+        of_others = sigma.get(symbol, np.full(len(std), np.nan))
+        result[symbol] = read_only(np.where(np.isfinite(std), std, of_others))
+    return result
+
+
+def sigma_without_covariances(sigma: Array, covariances: Array | None) -> Array:
+    """Return standard deviations of one unit, shape (N,), with NaN in the rows that have a covariance."""
+    if covariances is None:
+        return sigma
+    return np.where(np.isnan(covariances[:, 0, 0]), sigma, np.nan)
+
+
+def covariance_columns(covariances: Array | None) -> Iterator[tuple[str, None, Array]]:
+    """Yield name, no unit, and values of the columns of covariances, shape (N, 6, 6); none if there are none."""
+    if covariances is not None:
+        by_column = covariances.reshape(len(covariances), len(COVARIANCE))
+        for name, values in zip(COVARIANCE, by_column.T, strict=True):
+            yield name, None, values
