@@ -2,16 +2,17 @@
 
     pip install "opencv-python-headless<5"     of version 5 OpenCV has no hand-eye methods any more
     python scripts/hand_eye_study.py
-    python scripts/hand_eye_study.py --models frames zeros dh auto
+    python scripts/hand_eye_study.py --models frames zeros dh auto --poses dh auto
 
 Poses k and k + 6 of both places of the board are left out together, k = 0 to 5. Printed is what the left-out pictures
 say: the rms distance of corners from their predictions, and that of the board's origin as found by solvePnP from where
-the fit has it. Of the hand-eye methods the board stands at the mean of the fitted pictures, each place by itself.
+the fit has it. Of the hand-eye methods the board stands at the mean of the fitted pictures, each place by itself. With
+``--poses`` calib is given the poses by solvePnP alone, without and with their covariances.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import cv2
@@ -33,6 +34,9 @@ from calib.units import Array, Mask
 
 #: Names of OpenCV's methods.
 METHODS = ("TSAI", "PARK", "HORAUD", "ANDREFF", "DANIILIDIS")
+
+#: Step of differences [m, rad].
+STEP = 1e-6
 
 #: Links that carry the camera and the board.
 CAMERA_ON, BOARD_ON = "panda_link8", "panda_link0"
@@ -180,6 +184,71 @@ def by_calib(model: str) -> Callable[[Data, int], Iterator[Prediction]]:
     return predict
 
 
+def pose_covariance(T_camera_board: Array, points: Array, lens: Array) -> Array:
+    """Return the covariance of a pose by solvePnP for corners of 1 px, shape (6, 6) [m^2, m rad, rad^2]."""
+    columns = []
+    for step in STEP * np.eye(6):
+        ahead, behind = (
+            _images(_moved(T_camera_board, change), points, lens) for change in (step, -step)
+        )
+        columns.append((ahead - behind).ravel() / (2.0 * STEP))
+    J = np.column_stack(columns)
+    return np.linalg.inv(J.T @ J)
+
+
+def _moved(T_camera_board: Array, step: Array) -> Array:
+    """Return a pose, shape (4, 4), moved along the camera's axes and turned about them by a step, shape (6,)."""
+    turned = cv2.Rodrigues(step[3:])[0] @ T_camera_board[:3, :3]
+    return pose_of(T_camera_board[:3, 3] + step[:3], turned)
+
+
+def _images(T_camera_board: Array, points: Array, lens: Array) -> Array:
+    """Return the images of points of the board, shape (n, 2) [px]."""
+    in_camera = points @ T_camera_board[:3, :3].T + T_camera_board[:3, 3]
+    return LENSES["pinhole"].project(in_camera, lens)
+
+
+def by_poses(model: str, *, covariances: bool) -> Callable[[Data, int], Iterator[Prediction]]:
+    """Return how a fit to poses by solvePnP, with or without covariances, predicts the left-out pictures of a fold."""
+
+    def predict(data: Data, k: int) -> Iterator[Prediction]:
+        out = data.left_out(k)
+        table = _table_of_poses(data, data.pictures(~out), covariances=covariances)
+        result = calibrate(
+            data.robot,
+            table,
+            cell=Cell(estimate_frame=True),
+            model=model,
+            validate=model == "auto",
+        )
+        places = result.setup.targets
+        for picture in data.pictures(out):
+            T_base_tip = result.robot.poses(picture.q[None])[0]
+            T_tip_board = result.setup.T_tip_target[places.index(picture.place)]
+            T = result.setup.T_frame_base[0] @ T_base_tip @ T_tip_board
+            yield Prediction(T, data.lens, picture.points)
+
+    return predict
+
+
+def _table_of_poses(data: Data, pictures: Sequence[Picture], *, covariances: bool) -> Measurements:
+    """Return the table of the board's poses by solvePnP."""
+    T = np.array([board_pose(one.points, one.pixels, data.lens) for one in pictures])
+    stated = None
+    if covariances:
+        pairs = zip(T, pictures, strict=True)
+        stated = np.array([pose_covariance(pose, one.points, data.lens) for pose, one in pairs])
+    return Measurements(
+        joint_names=data.robot.joint_names,
+        joints=np.array([one.q for one in pictures]),
+        points=T[:, :3, 3],
+        rotations=T[:, :3, :3],
+        kinds=("pose",) * len(pictures),
+        targets=tuple(one.place for one in pictures),
+        covariances=stated,
+    )
+
+
 def judge(data: Data, predict: Callable[[Data, int], Iterator[Prediction]]) -> tuple[float, float]:
     """Return the rms error of the left-out corners [px], and of the board's place [m]."""
     corners, places = [], []
@@ -198,15 +267,19 @@ def main() -> None:
     """Print a row for each method."""
     parser = study_parser(__doc__)
     parser.add_argument("--models", nargs="*", default=["frames", "zeros", "dh", "auto"])
+    parser.add_argument("--poses", nargs="*", default=[], help="models of fits to solvePnP's poses")
     arguments = parser.parse_args()
     data = Data.load()
     methods = {}
     if hasattr(cv2, "calibrateHandEye"):
         methods = {f"calibrateHandEye, {name}": by_hand_eye(name) for name in METHODS}
     methods |= {f"calib, --model {model}": by_calib(model) for model in arguments.models}
+    for model in arguments.poses:
+        methods[f"calib, poses, {model}"] = by_poses(model, covariances=False)
+        methods[f"calib, poses with covariances, {model}"] = by_poses(model, covariances=True)
     figures = ((name, *judge(data, predict)) for name, predict in methods.items())
     rows = ([name, f"{px:.2f}", f"{1e3 * m:.2f}"] for name, px, m in figures)
-    print_table(["method", "corners [px]", "board's place [mm]"], rows, [28])
+    print_table(["method", "corners [px]", "board's place [mm]"], rows, [40])
 
 
 if __name__ == "__main__":

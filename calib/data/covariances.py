@@ -10,13 +10,10 @@ from numpy.typing import ArrayLike
 from calib.data.checks import RowLabels, checked_numbers
 from calib.data.columns import COVARIANCE
 from calib.data.kinds import SIGMAS, Kind
-from calib.numerics.pose_noise import POSE
+from calib.numerics.pose_noise import POSE, POSE_UNITS
 from calib.robot.robot import read_only
 from calib.units import Array, Mask
 from calib.values.arguments import numbers
-
-#: Units of the scalars of a pose: of its position, then of the rotation vector of its orientation.
-_POSE_UNITS = ("m", "m", "m", "rad", "rad", "rad")
 
 #: Least and largest entry [m^2, m rad, rad^2].
 _ENTRIES = (-(SIGMAS[1] ** 2), SIGMAS[1] ** 2)
@@ -30,7 +27,7 @@ _ENTRIES_ARE = "It has x, y, z [m] and the turns about x, y, z [rad], row by row
 
 def may_have_covariance(kind: Kind) -> bool:
     """Return True for kinds that measure a position and an orientation, and nothing else."""
-    return kind.orientation and kind.units == _POSE_UNITS
+    return kind.orientation and kind.units == POSE_UNITS
 
 
 def checked_covariances(labels: RowLabels, values: ArrayLike | None, poses: Mask) -> Array | None:

@@ -41,7 +41,7 @@ def estimate_with_pose_noise(problem: Problem, task: Task, prior: PriorTerms) ->
         SolverError: The residual is not finite at the start.
     """
     estimate = estimate_within_bounds(problem, task, prior)
-    if problem.rows.covariances is None or problem.rows.weights is not None:
+    if not np.any(problem.rows.correlated) or problem.rows.weights is not None:
         return estimate
     for _ in range(_ROUNDS):
         before = problem.rows.pose_noise
@@ -58,7 +58,7 @@ def _noise_of(estimate: Estimate) -> PoseNoise | None:
     problem = estimate.problem
     rows = problem.rows
     assert rows.covariances is not None
-    chosen = np.isfinite(rows.covariances[:, 0, 0]) & rows.checked & (problem.weights > 0.0)
+    chosen = rows.correlated & rows.checked & (problem.weights > 0.0)
     if estimate.freedom < FEWEST_FREEDOM or not np.any(chosen):
         return None
     J = problem.jacobian(estimate.x)[chosen, :POSE]

@@ -159,17 +159,14 @@ class Problem(Value):
         """
         rows = self.rows
         result = np.array(self.noise)
-        if rows.covariances is None:
+        if not np.any(rows.correlated):
             return result
         ratio = np.ones(rows.used.shape)
         for unit in rows.channels.present:
             stated = rows.sigma[unit][:, None]
             ratio = np.where(rows.channels.where(unit), self.scales / stated, ratio)
-        of_poses = np.isfinite(rows.covariances[:, :1, 0])
-        for c in range(len(result)):
-            of_channel = rows.channels.index == c
-            if np.any(of_channel & of_poses):
-                result[c] = np.median(ratio[of_channel])
+        for c in np.unique(rows.channels.index[rows.correlated]).tolist():
+            result[c] = np.median(ratio[rows.channels.index == c])
         return result
 
     def residual(self, x: Array) -> Array:

@@ -29,8 +29,9 @@ from scipy.optimize import minimize
 
 from calib.units import Array
 
-#: Scalars of a pose: of its position, then of its orientation.
-POSE = 6
+#: Units of the scalars of a pose: of its position, then of the rotation vector of its orientation; and their number.
+POSE_UNITS = ("m", "m", "m", "rad", "rad", "rad")
+POSE = len(POSE_UNITS)
 
 #: The orientation first.
 _ORDER = [3, 4, 5, 0, 1, 2]

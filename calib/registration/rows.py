@@ -12,7 +12,7 @@ from calib.channels import Channels, channels_of, residual_unit
 from calib.data.kinds import Kind
 from calib.mappings import ReadOnlyMapping
 from calib.model.kinematics import FIXED, Optics, Samples
-from calib.numerics.pose_noise import POSE, PoseNoise, standardisers
+from calib.numerics.pose_noise import POSE, POSE_UNITS, PoseNoise, standardisers
 from calib.units import Array, Integers, Mask
 
 #: Index of the kind of rows that hold no measurement themselves: the second rows of pairs.
@@ -103,7 +103,9 @@ class Rows:
         vector_units = [kind.vector_units for kind in self.kinds]
         object.__setattr__(self, "channels", channels_of(units, vector_units, self.kind))
         object.__setattr__(self, "_by_kind", _rows_by_kind(self.kinds, self.kind))
-        object.__setattr__(self, "_correlated", _correlated_rows(self.covariances, self.pose_noise))
+        poses = self.where(lambda kind: kind.units == POSE_UNITS)
+        correlated = _correlated_rows(self.covariances, poses, self.pose_noise)
+        object.__setattr__(self, "_correlated", correlated)
 
     def __len__(self) -> int:
         """Number of rows N."""
@@ -123,6 +125,14 @@ class Rows:
     def used(self) -> Mask:
         """True for the entries of the residual that are measured, shape (N, D)."""
         return self.channels.used
+
+    @property
+    def correlated(self) -> Mask:
+        """Rows whose scalars are correlated, shape (N,): poses with a covariance."""
+        result = np.zeros(len(self), dtype=bool)
+        if self._correlated is not None:
+            result[self._correlated.rows] = True
+        return result
 
     @property
     def channel_kinds(self) -> tuple[Kind, ...]:
@@ -447,16 +457,17 @@ def _rows_by_kind(kinds: tuple[Kind, ...], kind_of_row: Integers) -> tuple[_Kind
     return tuple(result)
 
 
-def _correlated_rows(stated: Array | None, noise: PoseNoise) -> _CorrelatedRows | None:
+def _correlated_rows(stated: Array | None, poses: Mask, noise: PoseNoise) -> _CorrelatedRows | None:
     """Return the rows with a covariance, and their transformations; None if there are none.
 
     Args:
         stated: Stated covariances, shape (N, 6, 6), NaN in rows without; None: no row has one.
+        poses: Rows of which position and orientation count, shape (N,).
         noise: What errors have besides.
     """
     if stated is None:
         return None
-    rows = np.flatnonzero(np.isfinite(stated[:, 0, 0]))
+    rows = np.flatnonzero(np.isfinite(stated[:, 0, 0]) & poses)
     if not len(rows):
         return None
     covariances = noise.covariances(stated[rows])

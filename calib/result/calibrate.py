@@ -28,6 +28,7 @@ from calib.model.kinematics import Samples
 from calib.model.observability import Observability
 from calib.model.parameters import Parameter
 from calib.numerics.errors import CrossValidation, rms
+from calib.numerics.pose_noise import PoseNoise
 from calib.numerics.repeats import Repeats, scatter_of_repeats
 from calib.numerics.scores import Limits
 from calib.numerics.solvers import Solver
@@ -367,6 +368,7 @@ def _assembled(
         suspects=_flagged(m, fits, scored, m.validation, scored.suspect_limit),
         robustness=_robustness(geometry),
         repeats=_repeats(geometry),
+        pose_noise=_pose_noise(geometry),
         outside=_outside(m, fits),
         nominal_cross_validation=validations.nominal,
         observability=observability,
@@ -667,6 +669,12 @@ def _stated_sigma(measurements: Measurements, cell: Cell) -> dict[str, float]:
         else:
             stated.pop(unit, None)
     return {unit: stated[unit] for unit in RESIDUAL_UNITS if unit in stated}
+
+
+def _pose_noise(fitted: Fitted) -> PoseNoise | None:
+    """Return what the errors of fitted poses have besides their stated covariances; None where none was stated."""
+    rows = fitted.estimate.problem.rows
+    return rows.pose_noise if np.any(rows.correlated) else None
 
 
 def _repeats(fitted: Fitted) -> Repeats | None:

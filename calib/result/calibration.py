@@ -27,6 +27,7 @@ from calib.mappings import ReadOnlyMapping
 from calib.model.kinematics import Samples
 from calib.model.observability import Observability
 from calib.numerics.errors import CrossValidation, Errors
+from calib.numerics.pose_noise import PoseNoise
 from calib.numerics.repeats import Repeats
 from calib.numerics.solvers import Solution
 from calib.registration.setup import Setup
@@ -212,6 +213,8 @@ class CalibrationValues(FittedModel):
     nominal_boards: Mapping[str, Board] = field(default_factory=ReadOnlyMapping)
     #: The best joint zeros alone; None where they cannot be fitted, or where an earlier version wrote the file
     zeros: JointZeros | None = None
+    #: What the errors of measured poses have besides their stated covariances; None where none was stated
+    pose_noise: PoseNoise | None = None
     #: Who measured what for whom, where, when and with what, as the cell says
     record: Record = BLANK
     #: Measurements and solved problem; None where the result was read from a file

@@ -28,6 +28,7 @@ from calib.model.kinematics import Kinematics
 from calib.model.observability import Observability
 from calib.model.parameters import SETUP, ErrorModel, Parameter
 from calib.numerics.errors import CrossValidation, Errors, UnitErrors
+from calib.numerics.pose_noise import PoseNoise
 from calib.numerics.repeats import Repeats
 from calib.registration.setup import Setup
 from calib.result.calibration import CalibrationValues, Source
@@ -250,6 +251,7 @@ _LAYOUT: JsonLayout = JsonLayout(
             "values": Key("values", _values_table, _read_values),
         },
         Payload: {"mass": "mass_kg", "com": "com_m"},
+        PoseNoise: {"position": "position_m", "orientation": "orientation_rad"},
         Repeats: {"within": "scatter", "freedoms": "freedom", "rho": "correlation"},
         Candidate: {"name": "set", "prior_std": _PRIOR_STD},
         Robustness: {
@@ -288,7 +290,7 @@ _LAYOUT: JsonLayout = JsonLayout(
             "ranges": Key("robot.ranges", None, _read_ranges),
             **{
                 name: f"noise.{name}"
-                for name in ("freedom", "repeats", "prior_std_from", "flag_limit")
+                for name in ("freedom", "repeats", "pose_noise", "prior_std_from", "flag_limit")
             },
             "prior_std": replace(_PRIOR_STD, path="noise.prior_std"),
             "sigma": "noise.sigma",

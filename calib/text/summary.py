@@ -15,6 +15,7 @@ from calib.model.families import FAMILIES, unit_of
 from calib.model.observability import Combination
 from calib.model.parameters import FRAME, TARGET
 from calib.numerics.errors import Errors, UnitErrors
+from calib.numerics.pose_noise import PoseNoise
 from calib.result.calibration import CalibrationValues
 from calib.result.prediction import Outlier, ParameterEstimate
 from calib.text.layout.doubtful_rows import robustness_text
@@ -135,6 +136,8 @@ def facts(c: CalibrationValues) -> dict[str, str]:
         point, prior standard deviations, rank.
     """
     result = {"Noise": _noise(c)}
+    if c.pose_noise is not None:
+        result["Noise of poses"] = _pose_noise(c.pose_noise)
     if c.repeats is not None:
         unit = next(iter(c.repeats.within))
         scatter, freedom = c.repeats.within[unit], c.repeats.freedoms[unit]
@@ -156,6 +159,15 @@ def _noise(c: CalibrationValues) -> str:
     if c.freedom >= _ENOUGH_FREEDOM:
         source = f"from residuals, {c.freedom:.0f} d.o.f."
     return f"{listed(noise)} (1 sigma, {source})."
+
+
+def _pose_noise(noise: PoseNoise) -> str:
+    """Word what poses with stated covariances have besides."""
+    added = f"{with_unit(noise.position, 'm')} along and {with_unit(noise.orientation, 'rad')} about each axis"
+    return (
+        f"the stated standard deviations times {noise.scale:.2g}; and {added}, of what the robot does not repeat and "
+        "the model lacks."
+    )
 
 
 def _per(channels: Channels, unit: str) -> str:
