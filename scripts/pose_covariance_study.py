@@ -45,7 +45,7 @@ PICTURES = 25
 NOISE = 0.2
 
 #: Nothing is added to the stated covariances [m, rad].
-NOTHING = PoseNoise(scale=1.0, position=1e-9, orientation=1e-9)
+NOTHING = PoseNoise(scale=1.0, position=1e-9, orientation=1e-9, joint=1e-9)
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,7 +14,7 @@ from calib.blas import one_blas_thread
 from calib.errors import MeasurementError, ModelError
 from calib.estimate.estimate import Estimate
 from calib.estimate.paper import paper_estimate
-from calib.estimate.pose_noise import estimate_with_pose_noise
+from calib.estimate.pose_noise import estimate_with_pose_noise, with_joint_errors
 from calib.estimate.prior_terms import PriorTerms
 from calib.estimate.problem import Problem
 from calib.estimate.solving import mark_sole_postures
@@ -132,7 +132,8 @@ class Fitted(Value):
         if not len(rows):
             return np.zeros(0)
         estimate = self.estimate
-        as_fitted = replace(rows, pose_noise=estimate.problem.rows.pose_noise)
+        as_fitted = with_joint_errors(rows, self.kinematics)
+        as_fitted = replace(as_fitted, pose_noise=estimate.problem.rows.pose_noise)
         linear = Problem.initial(self.kinematics, as_fitted).linear(estimate.x)
         not_fitted = np.zeros((1, len(rows)))
         noise = self._noise_of(rows)
@@ -231,6 +232,7 @@ def fit(
         registered = _registered(task, rows)
     model = registered.aligned(model)
     kinematics = Kinematics(task.robot, model, registered.T_frame_base, registered.T_tip_target)
+    rows = with_joint_errors(rows, kinematics)
     problem = Problem.initial(kinematics, rows, task.distances).with_size_held()
     if task.solver == PAPER:
         estimate = paper_estimate(problem, task, registered)

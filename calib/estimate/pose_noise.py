@@ -15,14 +15,30 @@ from calib.estimate.estimate import Estimate
 from calib.estimate.prior_terms import PriorTerms
 from calib.estimate.problem import Problem
 from calib.estimate.stages import FEWEST_FREEDOM
+from calib.estimate.stop_bodies import twists_of_joints
 from calib.estimate.task import Task
+from calib.model.kinematics import Kinematics
 from calib.numerics.pose_noise import POSE, PoseNoise, likeliest_noise
+from calib.registration.rows import USUAL_POSE_NOISE, Rows
 
 #: The most fits.
 _ROUNDS = 8
 
 #: Standard deviations whose relative change is less have settled.
 _SETTLED = 0.03
+
+
+def with_joint_errors(rows: Rows, kinematics: Kinematics) -> Rows:
+    """Return rows with what the errors of joints do to poses that have a covariance; themselves without such rows.
+
+    Args:
+        rows: N rows of measurements.
+        kinematics: The nominal robot, frames and targets as registered.
+    """
+    if not np.any(rows.correlated):
+        return rows
+    J = twists_of_joints(kinematics, rows.samples)
+    return replace(rows, by_joints=J @ J.transpose(0, 2, 1))
 
 
 def estimate_with_pose_noise(problem: Problem, task: Task, prior: PriorTerms) -> Estimate:
@@ -58,6 +74,7 @@ def _noise_of(estimate: Estimate) -> PoseNoise | None:
     problem = estimate.problem
     rows = problem.rows
     assert rows.covariances is not None
+    assert rows.by_joints is not None
     chosen = rows.correlated & rows.checked & (problem.weights > 0.0)
     if estimate.freedom < FEWEST_FREEDOM or not np.any(chosen):
         return None
@@ -66,7 +83,11 @@ def _noise_of(estimate: Estimate) -> PoseNoise | None:
     spread = J @ estimate.covariance @ J.transpose(0, 2, 1)
     squares = r[:, :, None] * r[:, None] + spread
     return likeliest_noise(
-        rows.covariances[chosen], squares, problem.weights[chosen], rows.pose_noise
+        rows.covariances[chosen],
+        rows.by_joints[chosen],
+        squares,
+        problem.weights[chosen],
+        USUAL_POSE_NOISE,
     )
 
 
@@ -76,5 +97,6 @@ def _is_near(noise: PoseNoise, other: PoseNoise) -> bool:
         (noise.scale, other.scale),
         (noise.position, other.position),
         (noise.orientation, other.orientation),
+        (noise.joint, other.joint),
     )
     return all(abs(a - b) <= _SETTLED * b for a, b in pairs)

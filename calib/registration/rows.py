@@ -23,6 +23,7 @@ USUAL_POSE_NOISE = PoseNoise(
     scale=1.0,
     position=residual_unit("m").repeatability,
     orientation=residual_unit("rad").repeatability,
+    joint=residual_unit("rad").repeatability,
 )
 
 #: The fewest rows of each frame, target and kind in an even sample, if it has room for them.
@@ -89,6 +90,9 @@ class Rows:
     covariances: Array | None = None
     #: What the errors of rows with a covariance have besides
     pose_noise: PoseNoise = USUAL_POSE_NOISE
+    #: (N, 6, 6), J_q J_q^T with the Jacobian J_q of the target's pose by the joints that turn, likewise along the axes
+    #: of the frame [m^2, m, 1]; None: errors of joints do not count
+    by_joints: Array | None = None
     #: (N, D), the kind and the unit of each entry of the residual: its instrument, and so its noise
     channels: Channels = field(init=False)
     #: The rows of each kind that occurs, in the order of kinds' numbers
@@ -104,7 +108,7 @@ class Rows:
         object.__setattr__(self, "channels", channels_of(units, vector_units, self.kind))
         object.__setattr__(self, "_by_kind", _rows_by_kind(self.kinds, self.kind))
         poses = self.where(lambda kind: kind.units == POSE_UNITS)
-        correlated = _correlated_rows(self.covariances, poses, self.pose_noise)
+        correlated = _correlated_rows(self, poses)
         object.__setattr__(self, "_correlated", correlated)
 
     def __len__(self) -> int:
@@ -268,6 +272,7 @@ class Rows:
             weights=None if self.weights is None else self.weights[chosen],
             sole=None if self.sole is None else self.sole[chosen],
             covariances=None if self.covariances is None else self.covariances[chosen],
+            by_joints=None if self.by_joints is None else self.by_joints[chosen],
         )
 
     def residual(self, T_frame_target: Array, optics: Optics | None = None) -> Array:
@@ -457,22 +462,23 @@ def _rows_by_kind(kinds: tuple[Kind, ...], kind_of_row: Integers) -> tuple[_Kind
     return tuple(result)
 
 
-def _correlated_rows(stated: Array | None, poses: Mask, noise: PoseNoise) -> _CorrelatedRows | None:
+def _correlated_rows(rows: Rows, poses: Mask) -> _CorrelatedRows | None:
     """Return the rows with a covariance, and their transformations; None if there are none.
 
     Args:
-        stated: Stated covariances, shape (N, 6, 6), NaN in rows without; None: no row has one.
+        rows: N rows: their stated covariances, and what errors have besides.
         poses: Rows of which position and orientation count, shape (N,).
-        noise: What errors have besides.
     """
+    stated = rows.covariances
     if stated is None:
         return None
-    rows = np.flatnonzero(np.isfinite(stated[:, 0, 0]) & poses)
-    if not len(rows):
+    chosen = np.flatnonzero(np.isfinite(stated[:, 0, 0]) & poses)
+    if not len(chosen):
         return None
-    covariances = noise.covariances(stated[rows])
+    by_joints = np.zeros(stated.shape) if rows.by_joints is None else rows.by_joints
+    covariances = rows.pose_noise.covariances(stated[chosen], by_joints[chosen])
     W = standardisers(covariances)
-    return _CorrelatedRows(rows, covariances, W, np.asarray(np.linalg.inv(W)))
+    return _CorrelatedRows(chosen, covariances, W, np.asarray(np.linalg.inv(W)))
 
 
 def _drawn_of_groups(group: Integers, count: Integers, quota: Integers) -> Integers:

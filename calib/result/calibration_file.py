@@ -251,7 +251,11 @@ _LAYOUT: JsonLayout = JsonLayout(
             "values": Key("values", _values_table, _read_values),
         },
         Payload: {"mass": "mass_kg", "com": "com_m"},
-        PoseNoise: {"position": "position_m", "orientation": "orientation_rad"},
+        PoseNoise: {
+            "position": "position_m",
+            "orientation": "orientation_rad",
+            "joint": "joint_rad",
+        },
         Repeats: {"within": "scatter", "freedoms": "freedom", "rho": "correlation"},
         Candidate: {"name": "set", "prior_std": _PRIOR_STD},
         Robustness: {

@@ -163,10 +163,11 @@ def _noise(c: CalibrationValues) -> str:
 
 def _pose_noise(noise: PoseNoise) -> str:
     """Word what poses with stated covariances have besides."""
-    added = f"{with_unit(noise.position, 'm')} along and {with_unit(noise.orientation, 'rad')} about each axis"
+    of_joints = with_unit(noise.joint, "rad")
+    along, about = with_unit(noise.position, "m"), with_unit(noise.orientation, "rad")
     return (
-        f"the stated standard deviations times {noise.scale:.2g}; and {added}, of what the robot does not repeat and "
-        "the model lacks."
+        f"the stated standard deviations times {noise.scale:.2g}; besides, of the robot, {of_joints} at each joint, "
+        f"and {along} along and {about} about each axis."
     )
 
 
