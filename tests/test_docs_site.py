@@ -222,6 +222,7 @@ ELSEWHERE = {
     "universal-robots.md": "tests/formats/test_universal_robots.py",
     "view.md": "tests/viewer/test_live.py",
     "extending.md": "tests/test_extending.py",
+    "data-format.md": "tests/data/test_covariances.py",
 }
 
 #: Run here, in this order: what one makes, the next may use.

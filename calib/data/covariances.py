@@ -94,13 +94,6 @@ def sigma_with_covariances(
     return result
 
 
-def sigma_without_covariances(sigma: Array, covariances: Array | None) -> Array:
-    """Return standard deviations of one unit, shape (N,), with NaN in the rows that have a covariance."""
-    if covariances is None:
-        return sigma
-    return np.where(np.isnan(covariances[:, 0, 0]), sigma, np.nan)
-
-
 def covariance_columns(covariances: Array | None) -> Iterator[tuple[str, None, Array]]:
     """Yield name, no unit, and values of the columns of covariances, shape (N, 6, 6); none if there are none."""
     if covariances is not None:

@@ -44,7 +44,6 @@ from calib.data.covariances import (
     covariance_columns,
     may_have_covariance,
     sigma_with_covariances,
-    sigma_without_covariances,
 )
 from calib.data.forms.column_options import ColumnsInput
 from calib.data.forms.orientations import QUATERNION
@@ -113,8 +112,7 @@ class Measurements(Value):
     #: ``"estimate"`` or ``"validate"``; all ``"estimate"`` when not given.
     sets: tuple[str, ...] = ()
     #: Standard deviation of one scalar by its unit, shape (N,) each: ``"m"`` of a coordinate or length [m], ``"rad"``
-    #: of an orientation about one axis [rad], ``"px"`` of an image coordinate [px]; empty: not given. In rows with
-    #: ``covariances`` it is theirs, rms over the axes, whatever was given.
+    #: of an orientation about one axis [rad], ``"px"`` of an image coordinate [px]; empty: not given.
     sigma: Mapping[str, Array] = field(default_factory=dict)
     #: Names of the targets; ``"target"`` when not given.
     targets: tuple[str, ...] = ()
@@ -227,7 +225,7 @@ class Measurements(Value):
             array = checked_numbers(labels, unit.sigma_name, values, (), has_unit, SIGMAS)
             if array is not None:
                 result[symbol] = array
-        return sigma_with_covariances(result, self.covariances)
+        return result
 
     def _check_complete(self) -> None:
         """Refuse a table without rows to estimate from, incomplete pairs, groups of too few rows."""
@@ -365,6 +363,14 @@ class Measurements(Value):
         pairs = np.array(complete, dtype=np.intp).reshape(-1, 2)
         pairs.setflags(write=False)
         return pairs
+
+    @property
+    def stated_sigma(self) -> dict[str, Array]:
+        """Standard deviation of one scalar by its unit, shape (N,) each, as ``sigma``.
+
+        In rows with one of ``covariances`` it is theirs, rms over the axes.
+        """
+        return sigma_with_covariances(self.sigma, self.covariances)
 
     def where(self, test: Callable[[Kind], bool]) -> Mask:
         """Mark the rows whose kind passes a test, such as ``lambda kind: kind.position``.
@@ -522,6 +528,5 @@ class Measurements(Value):
             yield reading.name, reading.quantity, self.reading(reading.name)
         for symbol, values in self.sigma.items():
             unit = RESIDUAL_UNITS[symbol]
-            given = sigma_without_covariances(values, self.covariances)
-            yield unit.sigma_name, unit.quantity, given
+            yield unit.sigma_name, unit.quantity, values
         yield from covariance_columns(self.covariances)

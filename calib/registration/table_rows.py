@@ -107,9 +107,10 @@ def _sigma_by_unit(measurements: Measurements, cell: Cell) -> dict[str, Array]:
         cell: May state it for all rows.
     """
     result = {}
+    stated = measurements.stated_sigma
     for symbol, unit in RESIDUAL_UNITS.items():
         general = np.full(len(measurements), cell.sigma.get(symbol, unit.assumed_sigma))
-        by_row = measurements.sigma.get(symbol, np.full(len(measurements), np.nan))
+        by_row = stated.get(symbol, np.full(len(measurements), np.nan))
         result[symbol] = np.where(np.isfinite(by_row), by_row, general)
     return result
 

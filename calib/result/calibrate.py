@@ -662,7 +662,7 @@ def _stated_sigma(measurements: Measurements, cell: Cell) -> dict[str, float]:
         cell: May state it for all rows.
     """
     stated = dict(cell.sigma)
-    for unit, by_row in measurements.sigma.items():
+    for unit, by_row in measurements.stated_sigma.items():
         of_fitted = by_row[measurements.estimation & np.isfinite(by_row)]
         if len(of_fitted):  # the second row of a pair states none
             stated[unit] = rms(of_fitted)

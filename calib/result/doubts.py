@@ -474,7 +474,7 @@ def _channel_noise(
     unit = RESIDUAL_UNITS[symbol]
     m, sigma = result.measurements, float(np.median(rows.sigma[symbol][of_channel]))
     noise = ratio * sigma
-    by_row = _all_stated(m.sigma.get(symbol), m.estimation, of_channel)
+    by_row = _all_stated(m.stated_sigma.get(symbol), m.estimation, of_channel)
     if symbol not in result.cell.sigma and not by_row:
         if noise > unit.large_noise:
             yield Reason.of(Why.NOISE_LARGE, **{f"noise_{symbol}": noise})

@@ -12,8 +12,10 @@ from calib.data.cell import Cell
 from calib.data.kinds import get
 from calib.model.error_model import DIRECTIONS, error_model
 from calib.model.kinematics import Kinematics, Samples
+from calib.numerics.pose_noise import PoseNoise
 from calib.registration.rows import NONE, Rows
 from calib.registration.table_rows import rows_and_setup
+from tests.covariances import random_covariances
 
 #: Numbers of kinds in the registry.
 KINDS = tuple(map(get, ("point", "pose", "distance", "pair", "fixed", "plane")))
@@ -231,3 +233,69 @@ def test_rows_of_sole_postures_are_not_checked():
     sole = replace(rows, sole=np.array([True, False, False]))
     assert sole.checked.tolist() == [False, True, True]
     assert sole.select(slice(0, 2)).checked.tolist() == [False, True]
+
+
+def correlated_rows():
+    """Rows of all kinds, of which the poses have covariances, one of them none."""
+    rng = np.random.default_rng(20)
+    kinds = [POINT, POSE, NONE, POSE, POINT, POSE]
+    covariances = random_covariances(rng, len(kinds))
+    covariances[3] = np.nan
+    J = rng.normal(size=(len(kinds), 6, 4))
+    return replace(
+        some_rows(rng, kinds),
+        covariances=covariances,
+        by_joints=J @ J.transpose(0, 2, 1),
+        pose_noise=PoseNoise(scale=2.0, position=1e-4, orientation=2e-3, joint=1e-4),
+    )
+
+
+def test_only_poses_are_correlated():
+    rows = correlated_rows()
+    np.testing.assert_array_equal(np.flatnonzero(rows.correlated), [1, 5])
+    as_points = replace(rows, kinds=(get("point"),), kind=np.zeros(6, dtype=int))
+    assert not as_points.correlated.any()
+    assert as_points.scales.shape == (6, 3)
+
+
+def test_standardised_values_come_back():
+    rows = correlated_rows()
+    values = np.random.default_rng(21).normal(size=(6, 6, 3))
+    np.testing.assert_allclose(rows.in_units(rows.standardised(values)), values, rtol=1e-9)
+    column = values[:, :, 0]
+    np.testing.assert_array_equal(rows.standardised(column), rows.standardised(values)[:, :, 0])
+    # A row without a covariance is divided by its sigma.
+    expected = values[3] / np.repeat([rows.sigma["m"][3], rows.sigma["rad"][3]], 3)[:, None]
+    np.testing.assert_allclose(rows.standardised(values)[3], expected)
+
+
+def test_standardised_errors_are_independent():
+    rows = correlated_rows()
+    V = rows.pose_noise.covariances(rows.covariances, rows.by_joints)
+    W = rows.standardised(np.tile(np.eye(6), (6, 1, 1)))
+    for k in (1, 5):
+        np.testing.assert_allclose(W[k] @ V[k] @ W[k].T, np.eye(6), atol=1e-9)
+        np.testing.assert_allclose(rows.scales[k], np.sqrt(np.diag(V[k])))
+
+
+def test_scales_at_a_noise_are_those_of_the_scaled_independent_errors():
+    rows = correlated_rows()
+    names = list(zip([kind.name for kind in rows.channel_kinds], rows.channels.units, strict=True))
+    noise = np.arange(1.0, 1.0 + len(names))
+    of_lengths, of_angles = (noise[names.index(("pose", unit))] for unit in ("m", "rad"))
+    W = rows.standardised(np.tile(np.eye(6), (6, 1, 1)))
+    for k in (1, 5):
+        root = np.linalg.inv(W[k]) * np.repeat([of_lengths, of_angles], 3)
+        np.testing.assert_allclose(rows.scales_at(noise)[k], np.sqrt(np.diag(root @ root.T)))
+    np.testing.assert_allclose(rows.scales_at(np.ones(len(names))), rows.scales)
+    alone = noise[names.index(("point", "m"))] * rows.sigma["m"][0]
+    np.testing.assert_allclose(rows.scales_at(noise)[0, :3], alone)
+
+
+def test_some_of_the_rows_keep_their_covariances():
+    rows = correlated_rows()
+    some = rows.select(np.array([False, False, False, True, True, True]))
+    np.testing.assert_array_equal(np.flatnonzero(some.correlated), [2])
+    values = np.random.default_rng(22).normal(size=(6, 6))
+    np.testing.assert_array_equal(some.standardised(values[3:])[2], rows.standardised(values)[5])
+    assert not rows.select(np.arange(6) < 1).correlated.any()
