@@ -45,7 +45,10 @@ def leaves(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
 
 @pytest.fixture(scope="module")
 def everything(make_scene: Callable[..., Any]) -> Calibration:
-    """A result that says all that a result can: poses, repeats, an outlier and a suspect, ties, a held joint, auto."""
+    """A result that says all that a result can.
+
+    Poses with covariances, repeats, an outlier and a suspect, ties, a held joint, auto.
+    """
     robot = Robot.load(paper_urdf(), base="base", tip="tool0", held={"wrist_3_joint": 0.4})
     scene = make_scene(
         51, frames=1, robot=robot, model="dh+gain", other={"gain": 2e-3}, noise=2e-5,
@@ -58,7 +61,16 @@ def everything(make_scene: Callable[..., Any]) -> Calibration:
     rotations[1:4] = rotations[0]
     points[[10, 39]] += 0.03
     sets = ("estimate",) * 34 + ("validate",) * 6
-    m = replace(m, joints=joints, points=points, rotations=rotations, sets=sets, orientation="kuka")
+    covariances = np.tile(np.diag(np.repeat([2e-5, 1e-4], 3) ** 2), (40, 1, 1))
+    m = replace(
+        m,
+        joints=joints,
+        points=points,
+        rotations=rotations,
+        covariances=covariances,
+        sets=sets,
+        orientation="kuka",
+    )
     cell = Cell(
         estimate_frame=True,
         held={"wrist_3_joint": 0.4},
@@ -72,6 +84,7 @@ def everything(make_scene: Callable[..., Any]) -> Calibration:
     assert result.outliers
     assert result.suspects
     assert result.repeats is not None
+    assert result.pose_noise is not None
     return result
 
 
