@@ -18,14 +18,14 @@ from calib.estimate.stages import FEWEST_FREEDOM
 from calib.estimate.stop_bodies import twists_of_joints
 from calib.estimate.task import Task
 from calib.model.kinematics import Kinematics
-from calib.numerics.pose_noise import POSE, PoseNoise, likeliest_noise
+from calib.numerics.pose_noise import POSE, PoseNoise, likeliest_noise, standardisers
 from calib.registration.rows import USUAL_POSE_NOISE, Rows
 
 #: The most fits.
 _ROUNDS = 8
 
-#: Standard deviations whose relative change is less have settled.
-_SETTLED = 0.03
+#: Covariances whose relative change is less, in every direction, have settled.
+_SETTLED = 0.1
 
 
 def with_joint_errors(rows: Rows, kinematics: Kinematics) -> Rows:
@@ -60,9 +60,8 @@ def estimate_with_pose_noise(problem: Problem, task: Task, prior: PriorTerms) ->
     if not np.any(problem.rows.correlated) or problem.rows.weights is not None:
         return estimate
     for _ in range(_ROUNDS):
-        before = problem.rows.pose_noise
         noise = _noise_of(estimate)
-        if noise is None or _is_near(noise, before):
+        if noise is None or _is_settled(problem.rows, noise):
             break
         problem = problem.with_rows(replace(problem.rows, pose_noise=noise))
         estimate = estimate_within_bounds(problem, task, prior)
@@ -91,12 +90,11 @@ def _noise_of(estimate: Estimate) -> PoseNoise | None:
     )
 
 
-def _is_near(noise: PoseNoise, other: PoseNoise) -> bool:
-    """True if the standard deviations of errors hardly differ between two noises of poses."""
-    pairs = (
-        (noise.scale, other.scale),
-        (noise.position, other.position),
-        (noise.orientation, other.orientation),
-        (noise.joint, other.joint),
-    )
-    return all(abs(a - b) <= _SETTLED * b for a, b in pairs)
+def _is_settled(rows: Rows, noise: PoseNoise) -> bool:
+    """True if the covariances of rows hardly change with another noise of poses."""
+    assert rows.covariances is not None
+    assert rows.by_joints is not None
+    given = rows.covariances[rows.correlated], rows.by_joints[rows.correlated]
+    W = standardisers(rows.pose_noise.covariances(*given))
+    relative = W @ noise.covariances(*given) @ W.transpose(0, 2, 1)
+    return bool(np.max(np.abs(np.linalg.eigvalsh(relative) - 1.0)) <= _SETTLED)

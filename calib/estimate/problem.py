@@ -270,7 +270,8 @@ class Problem(Value):
         has_weight = (self.weights > 0.0) | ~rows.checked
         counts = rows.used & has_weight[:, None]
         sigma_of_lengths = rows.sigma["m"][:, None, None]
-        jacobian = (self.linear(x).A * sigma_of_lengths)[counts]
+        in_sigma = self.jacobian(x) / rows.scales[:, :, None]
+        jacobian = (in_sigma * sigma_of_lengths)[counts]
         if self.gauge is not None:
             # Growth changes predictions only by shares of the residuals, which determine nothing.
             growth = self.gauge.growth
