@@ -71,15 +71,7 @@ _WORDS = {
 }
 
 #: Attributes that are arrays with an entry a row.
-_ARRAYS = (
-    "joints",
-    "points",
-    "rotations",
-    "distances",
-    "torques",
-    "board_points",
-    "covariances",
-)
+_ARRAYS = ("joints", "points", "rotations", "distances", "torques", "board_points", "covariances")
 
 #: Attributes that map names to arrays with an entry a row.
 _MAPPINGS = ("sigma", "readings")

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 import calib.data.kinds as registry
+from calib.channels import RESIDUAL_UNITS
 from calib.data.layout import Layout
 from calib.errors import MeasurementError
 from calib.tables.table import Column, Table
@@ -108,6 +109,8 @@ def check_units(table: Table, layout: Layout, numbers: Mapping[str, Array]) -> N
         if name == "joints":  # each by its own column, anything else by all columns of a row
             for k, column in enumerate(columns):
                 _check_block(table, layout, name, [column], block[:, [k]])
+        elif name == "covariances":
+            _check_covariances(table, block)
         else:
             _check_block(table, layout, name, columns, block)
 
@@ -167,6 +170,20 @@ def _matrix_fault(values: Array) -> Fault | None:
         f"determinant is 1, here {np.linalg.det(R[wrong[0]]):.6g}."
     )
     return Fault(int(wrong[0]), 0, what)
+
+
+def _check_covariances(table: Table, values: Array) -> None:
+    """Refuse covariances, of (N, 36), by half of which positions are measured worse than by any camera."""
+    complete = values[np.isfinite(values).all(axis=1)]
+    if not len(complete):
+        return
+    variances = np.diagonal(complete.reshape(-1, 6, 6), axis1=1, axis2=2)[:, :3]
+    std = np.sqrt(np.maximum(np.median(np.mean(variances, axis=1)), 0.0))
+    if std > RESIDUAL_UNITS["m"].absurd:
+        raise MeasurementError(
+            f"{table.source}: by half of the covariances a coordinate has a standard deviation of {std:.2g} m or more. "
+            "They are in m^2, m rad and rad^2; of lengths in mm, divide the first three rows and columns by 1000."
+        )
 
 
 def _degrees_fault(layout: Layout, values: Array) -> Fault | None:

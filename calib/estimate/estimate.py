@@ -12,6 +12,7 @@ from calib.estimate.problem import Problem
 from calib.estimate.stages import Stage
 from calib.mappings import keep_read_only
 from calib.model.parameters import FRAME, TARGET
+from calib.numerics.pose_noise import PoseNoise
 from calib.numerics.scores import Limits
 from calib.numerics.solvers import Solution
 from calib.robot.robot import read_only
@@ -61,6 +62,18 @@ class Estimate(Value):
     def __post_init__(self) -> None:
         """Keep a read-only copy of the mapping."""
         keep_read_only(self, "prior_std")
+
+    @property
+    def sigma(self) -> dict[str, float]:
+        """Estimated standard deviation of one scalar by its unit, median over all scalars that were fitted."""
+        scales, channels = self.problem.scales, self.problem.rows.channels
+        return {unit: float(np.median(scales[channels.where(unit)])) for unit in channels.present}
+
+    @property
+    def pose_noise(self) -> PoseNoise | None:
+        """What errors of fitted poses have besides their stated covariances; None where none was stated."""
+        rows = self.problem.rows
+        return rows.pose_noise if np.any(rows.correlated) else None
 
     @property
     def outliers(self) -> Mask:

@@ -28,7 +28,6 @@ from calib.model.kinematics import Samples
 from calib.model.observability import Observability
 from calib.model.parameters import Parameter
 from calib.numerics.errors import CrossValidation, rms
-from calib.numerics.pose_noise import PoseNoise
 from calib.numerics.repeats import Repeats, scatter_of_repeats
 from calib.numerics.scores import Limits
 from calib.numerics.solvers import Solver
@@ -354,7 +353,7 @@ def _assembled(
         solution=estimate.solution,
         seconds=fits.seconds,
         freedom=estimate.freedom,
-        sigma=_noise_std(geometry),
+        sigma=geometry.estimate.sigma,
         sigma_given=_stated_sigma(m, cell),
         residual_nominal=read_only(_nominal_residual(fits, nominal_places)),
         residual_calibrated=read_only(scored.residual),
@@ -368,7 +367,7 @@ def _assembled(
         suspects=_flagged(m, fits, scored, m.validation, scored.suspect_limit),
         robustness=_robustness(geometry),
         repeats=_repeats(geometry),
-        pose_noise=_pose_noise(geometry),
+        pose_noise=geometry.estimate.pose_noise,
         outside=_outside(m, fits),
         nominal_cross_validation=validations.nominal,
         observability=observability,
@@ -640,20 +639,6 @@ def _solver_name(solver: str | Solver) -> str:
     return solver if isinstance(solver, str) else solver.__name__
 
 
-def _noise_std(fitted: Fitted) -> dict[str, float]:
-    """Return the estimated standard deviation of one scalar, median over all scalars that were fitted, by unit.
-
-    Args:
-        fitted: A fit to N rows. Of its problem are used ``scales``, the estimated standard deviation of each scalar,
-            and ``rows.channels``, their units, both shape (N, D).
-    """
-    problem = fitted.estimate.problem
-    channels = problem.rows.channels
-    return {
-        unit: float(np.median(problem.scales[channels.where(unit)])) for unit in channels.present
-    }
-
-
 def _stated_sigma(measurements: Measurements, cell: Cell) -> dict[str, float]:
     """Return the noise of one scalar of fitted rows as their table states it, rms, else as the cell does, by unit.
 
@@ -669,12 +654,6 @@ def _stated_sigma(measurements: Measurements, cell: Cell) -> dict[str, float]:
         else:
             stated.pop(unit, None)
     return {unit: stated[unit] for unit in RESIDUAL_UNITS if unit in stated}
-
-
-def _pose_noise(fitted: Fitted) -> PoseNoise | None:
-    """Return what the errors of fitted poses have besides their stated covariances; None where none was stated."""
-    rows = fitted.estimate.problem.rows
-    return rows.pose_noise if np.any(rows.correlated) else None
 
 
 def _repeats(fitted: Fitted) -> Repeats | None:

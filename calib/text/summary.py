@@ -15,13 +15,19 @@ from calib.model.families import FAMILIES, unit_of
 from calib.model.observability import Combination
 from calib.model.parameters import FRAME, TARGET
 from calib.numerics.errors import Errors, UnitErrors
-from calib.numerics.pose_noise import PoseNoise
 from calib.result.calibration import CalibrationValues
 from calib.result.prediction import Outlier, ParameterEstimate
 from calib.text.layout.doubtful_rows import robustness_text
-from calib.text.layout.lines import listed, mm, number, wrap
+from calib.text.layout.lines import mm, number, wrap
 from calib.text.layout.sizes import shown, with_unit
 from calib.text.layout.tables import Column, name_column, table_lines
+from calib.text.noise import (
+    ENOUGH_FREEDOM,
+    measured_lengths,
+    noise_text,
+    per_scalar,
+    pose_noise_text,
+)
 from calib.text.optics import counted_rows, optics_sentences
 from calib.text.places import frame_sentences, target_sentences
 from calib.text.readings import coupling_sentence, rows_sentence
@@ -38,9 +44,6 @@ _MOST_NAMES = 6
 EXPECTED = "Expected error at a new point"
 SCATTER = "Scatter of repeats"
 PRIOR_STD = "Prior standard deviations"
-
-#: Degrees of freedom from which on the noise is estimated from the rows, not from its prior.
-_ENOUGH_FREEDOM = 6.0
 
 #: A prior standard deviation below this is shown as none [mm, mrad, urad/Nm]: the last digit shown.
 _NOTHING = 2e-3
@@ -135,14 +138,14 @@ def facts(c: CalibrationValues) -> dict[str, str]:
         A sentence for each label, as far as the figure exists: noise, scatter of repeats, expected error at a new
         point, prior standard deviations, rank.
     """
-    result = {"Noise": _noise(c)}
+    result = {"Noise": noise_text(c)}
     if c.pose_noise is not None:
-        result["Noise of poses"] = _pose_noise(c.pose_noise)
+        result["Noise of poses"] = pose_noise_text(c.pose_noise)
     if c.repeats is not None:
         unit = next(iter(c.repeats.within))
         scatter, freedom = c.repeats.within[unit], c.repeats.freedoms[unit]
         if np.isfinite(scatter):
-            per = _per(c.channels, unit)
+            per = per_scalar(c.channels, unit)
             result[SCATTER] = f"{with_unit(scatter, unit)} {per} ({freedom:.0f} d.o.f.)."
     result[EXPECTED] = _expected(c)
     if c.prior_std:
@@ -152,38 +155,12 @@ def facts(c: CalibrationValues) -> dict[str, str]:
     return result
 
 
-def _noise(c: CalibrationValues) -> str:
-    """Word the estimated noise in each unit, and its source."""
-    noise = [f"{with_unit(std, unit)} {_per(c.channels, unit)}" for unit, std in c.sigma.items()]
-    source = "mostly assumed: too few rows"
-    if c.freedom >= _ENOUGH_FREEDOM:
-        source = f"from residuals, {c.freedom:.0f} d.o.f."
-    return f"{listed(noise)} (1 sigma, {source})."
-
-
-def _pose_noise(noise: PoseNoise) -> str:
-    """Word what poses with stated covariances have besides."""
-    of_joints = with_unit(noise.joint, "rad")
-    along, about = with_unit(noise.position, "m"), with_unit(noise.orientation, "rad")
-    return (
-        f"the stated standard deviations times {noise.scale:.2g}; besides, of the robot, {of_joints} at each joint, "
-        f"and {along} along and {about} about each axis."
-    )
-
-
-def _per(channels: Channels, unit: str) -> str:
-    """Word what the noise of one scalar is stated for, such as ``"per coordinate"``."""
-    if unit == "m":
-        return f"per {measured_lengths(channels)}"
-    return RESIDUAL_UNITS[unit].per
-
-
 def _expected(c: CalibrationValues) -> str:
     """Word the expected error at a new point."""
     if c.cross_validation is None and c.verdict is not None:
         # A usual mistake explains the rows, or a frame was not found: this fit is of something that is not there.
         return "not known: see the verdict."
-    if c.cross_validation is None and c.freedom < _ENOUGH_FREEDOM:
+    if c.cross_validation is None and c.freedom < ENOUGH_FREEDOM:
         # Prior standard deviations estimated from nothing shrink to nothing, and the expected error with them.
         return "not known: too few rows."
     near, everywhere = c.new_point
@@ -199,28 +176,6 @@ def _prior_std(c: CalibrationValues) -> str:
         sizes.append(f"{family} {size:.3g} {unit}" if size > _NOTHING else f"{family} none")
     source = "estimated from the data" if c.prior_std_from == "data" else "as given"
     return f"{', '.join(sizes)} ({source})."
-
-
-def measured_lengths(*channels: Channels) -> str:
-    """Name what measured lengths are: coordinates of points, distances, or both.
-
-    Args:
-        channels: Units of the scalars of one or several sets of rows.
-
-    Returns:
-        ``"coordinate"``, ``"length"`` where these are no coordinates of a position, or ``"coordinate or length"``.
-    """
-    are_vectors = set()
-    for of_rows in channels:
-        occurring = set(np.unique(of_rows.index).tolist())
-        for c, unit in enumerate(of_rows.units):
-            if unit == "m" and c in occurring:
-                are_vectors.add(of_rows.vectors[c])
-    names = {True: "coordinate", False: "length"}
-    return (
-        " or ".join(name for is_vector, name in names.items() if is_vector in are_vectors)
-        or "coordinate"
-    )
 
 
 def error_title(unit: str, *channels: Channels) -> str:

@@ -135,6 +135,12 @@ def test_a_unit_is_refused(tmp_path):
     refused(write_lines(tmp_path, *lines_of(C, names)), ["covariance_0 [mm]", "no unit"])
 
 
+def test_covariances_of_millimetres_are_refused(tmp_path):
+    C = random_covariances(np.random.default_rng(15), 3)
+    in_mm = np.repeat([1e3, 1.0], 3)
+    refused(write_lines(tmp_path, *lines_of(C * np.outer(in_mm, in_mm))), ["m^2", "1000"])
+
+
 def test_an_empty_cell_is_refused(tmp_path):
     C = random_covariances(np.random.default_rng(10), 2)
     lines = lines_of(C)

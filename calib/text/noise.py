@@ -1,0 +1,64 @@
+"""Texts of the noise of a result: in each unit, of poses with covariances, and what it is stated for."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from calib.channels import RESIDUAL_UNITS, Channels
+from calib.numerics.pose_noise import PoseNoise
+from calib.result.calibration import CalibrationValues
+from calib.text.layout.lines import listed
+from calib.text.layout.sizes import with_unit
+
+#: Degrees of freedom from which on the noise is estimated from the rows, not from its prior.
+ENOUGH_FREEDOM = 6.0
+
+
+def noise_text(c: CalibrationValues) -> str:
+    """Word the estimated noise in each unit, and its source."""
+    noise = [
+        f"{with_unit(std, unit)} {per_scalar(c.channels, unit)}" for unit, std in c.sigma.items()
+    ]
+    source = "mostly assumed: too few rows"
+    if c.freedom >= ENOUGH_FREEDOM:
+        source = f"from residuals, {c.freedom:.0f} d.o.f."
+    return f"{listed(noise)} (1 sigma, {source})."
+
+
+def pose_noise_text(noise: PoseNoise) -> str:
+    """Word what the errors of poses have besides their stated covariances."""
+    of_joints = with_unit(noise.joint, "rad")
+    along, about = with_unit(noise.position, "m"), with_unit(noise.orientation, "rad")
+    return (
+        f"the stated standard deviations times {noise.scale:.2g}; besides, of the robot, {of_joints} at each joint, "
+        f"and {along} along and {about} about each axis."
+    )
+
+
+def per_scalar(channels: Channels, unit: str) -> str:
+    """Word what the noise of one scalar is stated for, such as ``"per coordinate"``."""
+    if unit == "m":
+        return f"per {measured_lengths(channels)}"
+    return RESIDUAL_UNITS[unit].per
+
+
+def measured_lengths(*channels: Channels) -> str:
+    """Name what measured lengths are: coordinates of points, distances, or both.
+
+    Args:
+        channels: Units of the scalars of one or several sets of rows.
+
+    Returns:
+        ``"coordinate"``, ``"length"`` where these are no coordinates of a position, or ``"coordinate or length"``.
+    """
+    are_vectors = set()
+    for of_rows in channels:
+        occurring = set(np.unique(of_rows.index).tolist())
+        for c, unit in enumerate(of_rows.units):
+            if unit == "m" and c in occurring:
+                are_vectors.add(of_rows.vectors[c])
+    names = {True: "coordinate", False: "length"}
+    return (
+        " or ".join(name for is_vector, name in names.items() if is_vector in are_vectors)
+        or "coordinate"
+    )
