@@ -15,7 +15,8 @@ Letters of shapes, in all of `calib.estimate`:
     K   families of parameters, each with one prior standard deviation
 
 Sigma is the standard deviation of a scalar as given or assumed before the fit; the noise is the estimated one, in units
-of sigma. "Whitened" is divided by sigma times noise, and times the root of the weight.
+of sigma. "In units of sigma" is as `Rows.standardised` has it: of a pose with a covariance the six scalars are made
+independent too. "Whitened" is divided by sigma times noise, and times the root of the weight.
 """
 
 from __future__ import annotations
@@ -130,9 +131,14 @@ class Problem(Value):
         return replace(self, gauge=gauge)
 
     def with_rows(self, rows: Rows) -> Problem:
-        """Return the problem of other rows of the same poses, frames and targets, which share the arm's gauge."""
-        stops = Stops.of(self.kinematics, rows)
-        return replace(self, rows=rows, stops=stops, _last=[])
+        """Return the problem with the same rows whose errors are given otherwise: by another noise of poses."""
+        return replace(
+            self,
+            rows=rows,
+            smallest_noise=_smallest_noise(rows),
+            stops=Stops.of(self.kinematics, rows),
+            _last=[],
+        )
 
     @property
     def size(self) -> int:

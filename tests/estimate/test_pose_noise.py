@@ -209,3 +209,50 @@ def test_a_reference_hands_its_noise_on(make_scene):
     smaller = fit(Task(scene.robot, CELL, setup, "zeros"), rows, reference=reference)
     noises = [one.estimate.problem.rows.pose_noise for one in (smaller, reference)]
     assert astuple(noises[0]) == astuple(noises[1])
+
+
+def test_exact_poses_are_fitted_exactly(make_scene):
+    scene = make_scene(11)
+    stated = random_covariances(np.random.default_rng(11), 40)
+    table = replace(scene.poses(40), covariances=stated)
+    found = fitted(scene, table)
+    assert np.max(np.abs(errors(scene, found))) < 1e-7
+    assert not found.estimate.outliers.any()
+
+
+def test_a_pose_that_is_far_off_has_no_weight(make_scene):
+    rng = np.random.default_rng(12)
+    scene = make_scene(12)
+    stated = random_covariances(rng, 60)
+    table = table_with(scene, 60, stated, stated, rng)
+    points = table.points.copy()
+    points[17, 1] += 5e-3
+    found = fitted(scene, replace(table, points=points))
+    assert np.flatnonzero(found.estimate.outliers).tolist() == [17]
+    assert found.estimate.weights[17] == 0.0
+    assert found.estimate.problem.rows.pose_noise.scale == pytest.approx(1.0, abs=0.25)
+
+
+def test_a_few_poses_keep_the_usual_noise(make_scene):
+    rng = np.random.default_rng(13)
+    scene = make_scene(13)
+    stated = random_covariances(rng, 3)
+    found = fitted(scene, table_with(scene, 3, stated, stated, rng))
+    assert found.estimate.problem.rows.pose_noise == USUAL_POSE_NOISE
+
+
+def test_the_order_of_poses_does_not_matter(make_scene):
+    rng = np.random.default_rng(14)
+    scene = make_scene(14)
+    stated = random_covariances(rng, 50)
+    table = table_with(scene, 50, stated, stated, rng)
+    order = rng.permutation(50)
+    shuffled = replace(
+        table,
+        joints=table.joints[order],
+        points=table.points[order],
+        rotations=table.rotations[order],
+        covariances=stated[order],
+    )
+    first, second = (errors(scene, fitted(scene, one)) for one in (table, shuffled))
+    np.testing.assert_allclose(first, second, atol=1e-9)
