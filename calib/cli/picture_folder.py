@@ -12,37 +12,45 @@ from calib.errors import CalibError
 
 if TYPE_CHECKING:
     from calib.camera.board import Board
+    from calib.camera.camera import Camera
+    from calib.vision.detection.detect import Detection
 
 #: The table of joint values that a folder of pictures holds.
 JOINTS = "joints.csv"
 
 
 @contextmanager
-def table_of(data: Path, boards: Sequence[Board], *, quiet: bool) -> Iterator[Path]:
+def table_of(
+    data: Path, boards: Sequence[Board], cameras: Sequence[Camera], *, quiet: bool
+) -> Iterator[Path]:
     """Yield a table: as given, or of the corners in the pictures of a folder.
 
     Args:
         data: A table, or a folder with pictures and a table of joint values, `JOINTS`.
         boards: The boards that the pictures may show.
+        cameras: The cameras that may have taken them; none: any.
         quiet: True to print nothing.
 
     Yields:
         Path of a table; one of corners is there only until the context ends.
 
     Raises:
-        CalibError: The folder has no joint values, no board is described, or no corner was found.
+        CalibError: The folder has no joint values, no board is described, no corner was found, or a picture is of
+            another size than those of the cameras.
     """
     if not data.is_dir():
         yield data
         return
-    table = _corners(data, boards, quiet=quiet)
+    table = _corners(data, boards, cameras, quiet=quiet)
     with TemporaryDirectory() as folder:
         path = Path(folder) / f"{data.name}.csv"
         path.write_bytes(table)
         yield path
 
 
-def _corners(folder: Path, boards: Sequence[Board], *, quiet: bool) -> bytes:
+def _corners(
+    folder: Path, boards: Sequence[Board], cameras: Sequence[Camera], *, quiet: bool
+) -> bytes:
     """Find the corners in the pictures of a folder, and return their table; see `table_of`."""
     from calib.cli.executor import executor_of
     from calib.cli.terminal import progress_bar, say
@@ -74,6 +82,19 @@ def _corners(folder: Path, boards: Sequence[Board], *, quiet: bool) -> bytes:
     lines = detection_text(detection, joints, matches)
     if not detection.corner_count:
         raise CalibError("\n".join([f"No corner can be used in '{folder}'.", *lines]))
+    _check_sizes(detection, cameras)
     if not quiet:
         say("\n".join([*lines, ""]))
     return corner_table(detection, joints, matches)
+
+
+def _check_sizes(detection: Detection, cameras: Sequence[Camera]) -> None:
+    """Refuse pictures whose size is that of none of the cameras; without a camera there is nothing to check."""
+    sizes = {(camera.width, camera.height) for camera in cameras}
+    for picture in detection.used:
+        if sizes and picture.size not in sizes:
+            given = " or ".join(f"{width} x {height}" for width, height in sorted(sizes))
+            raise CalibError(
+                f"'{picture.file.path}' has {picture.size[0]} x {picture.size[1]} pixels, and the camera's images have "
+                f"{given}. Give pictures of this size, as the camera took them: intrinsics are of one resolution."
+            )

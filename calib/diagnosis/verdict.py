@@ -24,6 +24,7 @@ from calib.diagnosis.reasons import (
     Verdict,
     Why,
 )
+from calib.mappings import ReadOnlyMapping
 from calib.numerics.errors import Errors
 from calib.units import Mask
 
@@ -44,6 +45,10 @@ _MANY_OUTLIERS = 0.15
 
 #: Validation rows whose error is more than so many times that of held-out rows were measured differently.
 _ANOTHER_MEASUREMENT = 10.0
+
+#: A focal length, or a board, that is off by a larger share is another one: lenses are off by 1 to 3 %, prints by 0.3
+#: to 1 %.
+_OTHER_SHARE = ReadOnlyMapping({Why.FOCAL_LENGTH_OFF: 0.1, Why.BOARD_SCALE_OFF: 0.02})
 
 #: A change of a parameter above this is no error of an arm [m or rad].
 _TOO_FAR = 0.1
@@ -223,7 +228,7 @@ def _against(e: Evidence, f: _Figures) -> list[Reason]:
         (f.unproven and f.many and not f.accidents, _many_outliers(e, f)),
         (elsewhere, Reason.of(Why.UNKNOWN_ELSEWHERE, **_over_limits(e, f))),
     )[:1]
-    wrong = [doubt for doubt in e.doubts if doubt.why in WRONG_INPUT]
+    wrong = [doubt for doubt in e.doubts if _is_wrong_input(doubt)]
     fails = f.validated and not f.validation_falls
     no_better = Reason.of(Why.VALIDATION_NO_BETTER, **_on_validation(e, f))
     return [*wrong, *first, *_applicable((fails, no_better))]
@@ -234,7 +239,7 @@ def _careful(e: Evidence, f: _Figures, against: list[Reason]) -> list[Reason]:
     doubts = [
         doubt
         for doubt in e.doubts
-        if not _improvable(doubt, f) and _matters(doubt) and doubt.why not in WRONG_INPUT
+        if not _improvable(doubt, f) and _matters(doubt) and not _is_wrong_input(doubt)
     ]
     given = [doubt for doubt in doubts if doubt.why in GIVEN]
     others = [doubt for doubt in doubts if doubt.why not in GIVEN]
@@ -285,6 +290,17 @@ def _remaining(e: Evidence, f: _Figures, against: list[Reason]) -> list[Reason]:
         (too_rough, Reason.of(Why.CAMERA_TOO_ROUGH)),
     )
     return first + [doubt for doubt in e.doubts if _improvable(doubt, f)]
+
+
+def _is_wrong_input(doubt: Reason) -> bool:
+    """Tell whether a doubt is that the input is wrong, so that a result is, however well it fits.
+
+    A focal length or a board that is a little off is a doubt about a given value; one that is far off is another
+    camera, resolution or board, or a square that was not measured.
+    """
+    if doubt.why in _OTHER_SHARE:
+        return abs(float(doubt.values["share"])) > _OTHER_SHARE[doubt.why]
+    return doubt.why in WRONG_INPUT
 
 
 def _improvable(doubt: Reason, f: _Figures) -> bool:

@@ -28,6 +28,12 @@ _WIDE = {"px": 1e4, "1": 10.0}
 _FEWEST_IMAGES = 2
 
 
+#: Places of corners that differ by less, as a share of a square, are the same.
+_ALIKE = 1e-3
+
+#: Squares of all distances below this are of a single corner [m^2].
+_NO_EXTENT = 1e-12
+
 #: Corners so far outside of the image are of another size of images, as a share of the width.
 _BESIDE = 0.01
 
@@ -105,6 +111,8 @@ def optics_of_rows(
     for board in _owners(setup.targets, targets, images.target[is_image], cell.boards):
         rows = is_image & np.isin(images.target, board.members)
         print_of_board = cell.boards.get(board.key)
+        if print_of_board is not None:
+            _check_squares(print_of_board, images, rows, measurements)
         _fill_board(values, images, rows, print_of_board)
         values[rows, optics.BOARD] = board.number
         unknowns += _board_unknowns(print_of_board or _unknown_board(), images, rows, board)
@@ -230,6 +238,35 @@ def _check_size(camera: Camera, images: _Images, rows: Mask, measurements: Measu
             f"{source}: the lens's centre cx = {u:.1f}, cy = {v:.1f} px is that of images of about {likely[0]} x "
             f"{likely[1]}, and not of {camera.width} x {camera.height}. Give the intrinsics of this resolution, or the "
             f"size alone (--camera {camera.width}x{camera.height}): then the images tell the rest."
+        )
+
+
+def _check_squares(board: Board, images: _Images, rows: Mask, measurements: Measurements) -> None:
+    """Refuse a table of corners that was made with another size of the board's squares.
+
+    Args:
+        board: The board as described.
+        images: All images.
+        rows: shape (N,), those of this board.
+        measurements: The table, which errors name.
+
+    Raises:
+        MeasurementError: The corners of the table lie further apart, or nearer, by one factor.
+    """
+    names = [images.corners[k] for k in images.corner[rows].tolist()]
+    if not all(name.isdecimal() and int(name) < len(board.corners) for name in names):
+        return  # the names are not those of calib: other places of the corners may be meant
+    designed = board.corners[[int(name) for name in names]]
+    far_designed = np.linalg.norm(designed - designed.mean(axis=0), axis=1)
+    given = images.points[rows]
+    far = np.linalg.norm(given - given.mean(axis=0), axis=1)
+    factor = float(far @ far_designed / max(far_designed @ far_designed, _NO_EXTENT))
+    are_alike = np.allclose(far, factor * far_designed, rtol=0.0, atol=_ALIKE * board.square)
+    if are_alike and abs(factor - 1.0) > _ALIKE:
+        raise MeasurementError(
+            f"{measurements.source or 'Measurements'}: its corners are those of squares of "
+            f"{1e3 * factor * board.square:.4g} mm, and the board is described with {1e3 * board.square:.4g} mm. After "
+            "a change of the description run calib detect again, or give the board as it was described before."
         )
 
 

@@ -19,7 +19,8 @@ OF_IMAGES: Mapping[Why, str] = {
     Why.FOCAL_LENGTH_OFF: "The focal length seems to be {share:%+.2f} % off what was stated (standard "
     "deviation {std:%.2f} %): {if_exact}are the intrinsics of this camera, resolution and focus?",
     Why.BOARD_SCALE_OFF: "The board seems to be {share:%+.2f} % off its stated size (standard deviation "
-    "{std:%.2f} %): {if_exact}measure the printed squares, many of them at once, and correct square_mm.",
+    "{std:%.2f} %), and all lengths of the arm with it: {if_exact}measure the printed squares, many of them at once, "
+    "correct square_mm, and run calib detect again.",
     Why.BOARD_HEAD_ON: "The board was always seen head on, tilted by {tilt_rad:deg.0f} deg at most: such "
     "images hardly tell focal length from distance. Add images with the board tilted by 30 to 45 deg, to all sides.",
     Why.FEW_CORNERS: "{images} of {all} images show fewer than {corners} corners: their poses are rough, "

@@ -8,6 +8,7 @@ from pathlib import Path
 import cv2
 import pytest
 
+from calib.camera.camera import Camera
 from calib.cli.picture_folder import JOINTS, table_of
 from calib.errors import CalibError
 from tests.vision.board_views import CHARUCO_BOARD, View, render
@@ -27,7 +28,7 @@ def pictures(tmp_path: Path) -> Path:
 
 
 def test_all_pictures_are_judged_whatever_set_they_are_of(pictures: Path):
-    with table_of(pictures, [CHARUCO_BOARD], quiet=True) as path:
+    with table_of(pictures, [CHARUCO_BOARD], [], quiet=True) as path:
         assert path.name == "fresh.csv"
         with path.open(encoding="utf-8", newline="") as file:
             rows = list(csv.DictReader(file))
@@ -40,14 +41,26 @@ def test_all_pictures_are_judged_whatever_set_they_are_of(pictures: Path):
     assert len(rows) == 48
 
 
+def test_pictures_of_another_size_are_refused(pictures: Path):
+    height, width = render(CHARUCO_BOARD, View()).shape[:2]
+    right, wrong = Camera(width=width, height=height), Camera(width=2 * width, height=2 * height)
+    with table_of(pictures, [CHARUCO_BOARD], [wrong, right], quiet=True) as path:
+        assert path.exists()
+    with (
+        pytest.raises(CalibError, match=f"{width} x {height}.*{2 * width} x {2 * height}"),
+        table_of(pictures, [CHARUCO_BOARD], [wrong], quiet=True),
+    ):
+        pass
+
+
 def test_a_table_is_taken_as_it_is(tmp_path: Path):
-    with table_of(tmp_path / "data.csv", [], quiet=True) as path:
+    with table_of(tmp_path / "data.csv", [], [], quiet=True) as path:
         assert path == tmp_path / "data.csv"
 
 
 @pytest.mark.slow
 def test_a_folder_needs_joint_values_a_board_and_corners(pictures: Path):
-    with pytest.raises(CalibError, match="--board"), table_of(pictures, [], quiet=True):
+    with pytest.raises(CalibError, match="--board"), table_of(pictures, [], [], quiet=True):
         pass
     for name in ("a.png", "b.png"):
         (pictures / name).write_bytes(
@@ -55,9 +68,12 @@ def test_a_folder_needs_joint_values_a_board_and_corners(pictures: Path):
         )
     with (
         pytest.raises(CalibError, match="No corner can be used"),
-        table_of(pictures, [CHARUCO_BOARD], quiet=True),
+        table_of(pictures, [CHARUCO_BOARD], [], quiet=True),
     ):
         pass
     (pictures / JOINTS).unlink()
-    with pytest.raises(CalibError, match=JOINTS), table_of(pictures, [CHARUCO_BOARD], quiet=True):
+    with (
+        pytest.raises(CalibError, match=JOINTS),
+        table_of(pictures, [CHARUCO_BOARD], [], quiet=True),
+    ):
         pass

@@ -58,6 +58,11 @@ FAR = Reason.of(Why.TARGET_FAR, target="", far_m=0.282)
 SEVEN = np.repeat(np.arange(ROWS)[:, None] >= ROWS - 7, 3, axis=1)
 
 
+def _off(why: Why, share: float) -> Reason:
+    """A focal length or a board that is other than stated."""
+    return Reason.of(why, share=share, std=1e-3, exact=False)
+
+
 def drifting(falls: float) -> Reason:
     """A drift that explains so much of held-out blocks."""
     return Reason.of(Why.DRIFT, share=0.3, chance=0.05, p=1e-4, falls=falls)
@@ -103,6 +108,10 @@ def test_a_good_calibration_is_to_be_used_and_says_by_how_much():
         ),
         ({"nominal": validated(0.26)}, "use with care", Why.FAR_OFF_BEFORE),
         ({"parameters": 60, "expected": 3e-3}, "use with care", Why.FEW_NUMBERS),
+        ({"doubts": (_off(Why.BOARD_SCALE_OFF, 0.015),)}, "use with care", Why.BOARD_SCALE_OFF),
+        ({"doubts": (_off(Why.BOARD_SCALE_OFF, -0.04),)}, "do not use", Why.BOARD_SCALE_OFF),
+        ({"doubts": (_off(Why.FOCAL_LENGTH_OFF, 0.04),)}, "use with care", Why.FOCAL_LENGTH_OFF),
+        ({"doubts": (_off(Why.FOCAL_LENGTH_OFF, -0.5),)}, "do not use", Why.FOCAL_LENGTH_OFF),
         # A joint that stood still was not calibrated, whatever held-out rows say.
         ({"doubts": (STILL,)}, "use with care", Why.JOINTS_STILL),
         # Of seven poses even a proven gain may be chance.

@@ -109,6 +109,25 @@ def test_intrinsics_of_another_resolution_are_refused():
         rows_and_setup(arm(), table(poses(3)), cell(cameras={"": camera(values=doubled)}))
 
 
+@pytest.mark.parametrize("factor", [0.96, 1.005])
+def test_a_table_made_with_another_square_is_refused(factor):
+    other = replace(BOARD, square=factor * BOARD.square, marker=factor * BOARD.marker)
+    with pytest.raises(MeasurementError, match="calib detect"):
+        rows_and_setup(arm(), table(poses(3)), cell(boards={"": other}))
+    # How well the square is known may change, and its digits.
+    same = replace(BOARD, square=BOARD.square * (1.0 + 1e-5), sigma_scale=0.01)
+    rows_and_setup(arm(), table(poses(3)), cell(boards={"": same}))
+
+
+def test_corners_by_other_names_or_at_other_places_are_not_compared():
+    m = table(poses(3))
+    other = replace(BOARD, square=0.5 * BOARD.square, marker=0.5 * BOARD.marker)
+    named = replace(m, corners=tuple(f"c{name}" for name in m.corners))
+    rows_and_setup(arm(), named, cell(boards={"": other}))
+    reversed_names = replace(m, corners=tuple(str(len(BOARD.corners) - int(n)) for n in m.corners))
+    rows_and_setup(arm(), reversed_names, cell(boards={"": other}))
+
+
 def test_corners_of_one_image_are_no_repeats_and_are_held_out_together():
     rows, _ = rows_and_setup(arm(), table(poses(3)), cell())
     assert len(np.unique(rows.poses)) == len(rows)

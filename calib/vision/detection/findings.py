@@ -182,7 +182,7 @@ def _of_layout(board: Board, pictures: Sequence[Picture]) -> Iterator[Finding]:
     value = np.nan
     if better is not None and better.code == RATIO:
         value = measured_ratio(better.board, _seen(board, concerned))
-        if _is_as_described(board, value):
+        if np.isnan(value) or _is_as_described(board, value):
             better = None
     if better is None and wrong:
         yield Finding(code=UNEXPLAINED, board=board.name, pictures=names(wrong))

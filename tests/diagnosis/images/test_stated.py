@@ -43,6 +43,15 @@ def test_a_board_of_another_size_is_named(sigma):
     assert reason.values["exact"] is (sigma == 0.0)
 
 
+@pytest.mark.parametrize("square", [0.96, 0.9])
+def test_a_wrong_square_is_named_though_all_lengths_of_the_arm_make_up_for_it(square):
+    """Lengths of the arm that have grown alike, by much more than arms are wrong, are no proof of a wide prior."""
+    stated = replace(BOARD, sigma_scale=0.003)
+    (reason,) = reasons(camera(sigma=CLOSE), stated, model="dh", points=square * BOARD.corners)
+    assert reason.why is Why.BOARD_SCALE_OFF
+    assert reason.values["share"] == pytest.approx(square - 1.0, abs=0.015)
+
+
 @pytest.mark.parametrize("exact", [True, False])
 def test_right_statements_are_not_contradicted(exact):
     stated = camera(sigma=np.zeros(9) if exact else CLOSE)
