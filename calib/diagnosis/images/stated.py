@@ -102,8 +102,9 @@ def _column(fitted: Fitted, question: _Question) -> Array:
     """Return the derivative of the predictions by the relative error of a number, shape (N, D, 1)."""
     rows = fitted.estimate.problem.rows
     x = fitted.estimate.x
-    values = fitted.kinematics.optics(x, rows.samples)
+    values, stated = fitted.kinematics.optics(x, rows.samples), rows.samples.optics
     assert values is not None
+    assert stated is not None
     images = rows.where(lambda kind: kind.optical)
     T = fitted.kinematics.poses(x, rows.samples)
     _, by_optics = optics.image_derivatives(
@@ -114,8 +115,8 @@ def _column(fitted: Fitted, question: _Question) -> Array:
     result = np.zeros((len(rows), rows.width, 1))
     of_images = np.zeros((len(by_optics), rows.width))
     for column in question.columns:
-        # A focal length grows by a share of itself, a scale by the share alone.
-        factor = values.values[images, column] if question.why is Why.FOCAL_LENGTH_OFF else 1.0
+        # A focal length grows by a share of the stated one, a scale by the share alone.
+        factor = stated[images, column] if question.why is Why.FOCAL_LENGTH_OFF else 1.0
         of_images[:, :2] += by_optics[:, :, column] * np.reshape(factor * chosen, (-1, 1))
     result[images, :, 0] = of_images
     return result

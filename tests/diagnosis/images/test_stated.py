@@ -34,6 +34,13 @@ def test_a_wrong_focal_length_is_named(exact):
     assert reason.values["exact"] is exact
 
 
+def test_a_focal_length_of_another_resolution_is_named_with_its_share_of_the_stated_one():
+    half = np.array([2.0, 2.0, 1, 1, 1, 1, 1, 1, 1])
+    (reason,) = reasons(camera(values=VALUES["pinhole"] * half))
+    assert reason.why is Why.FOCAL_LENGTH_OFF
+    assert reason.values["share"] == pytest.approx(-0.5, abs=0.02)
+
+
 @pytest.mark.parametrize("sigma", [0.0, 0.003])
 def test_a_board_of_another_size_is_named(sigma):
     stated = replace(BOARD, sigma_scale=sigma)
