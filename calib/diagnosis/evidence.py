@@ -53,6 +53,8 @@ class Evidence:
     outliers: Mask
     #: Errors of nominal and calibrated robot on validation rows, and how many further rows were set aside as outliers
     validation: tuple[Errors, Errors, int]
+    #: Errors of the calibrated robot on all validation rows, with those that were set aside
+    validation_with_suspects: Errors
     #: Number of parameters of the model, but for those of cameras and boards, which the many corners of images tell
     parameters: int
     #: Whether any parameter of the robot has changed

@@ -334,6 +334,7 @@ def _on_validation(e: Evidence, f: _Figures) -> dict[str, Any]:
         "aside": e.validation[2],
         "before": f.validation_before,
         "after": f.validation_after,
+        "whole": e.validation_with_suspects,
     }
 
 

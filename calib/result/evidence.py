@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 
@@ -64,6 +64,7 @@ def evidence_of(
         pairs=rows.partner >= 0,
         outliers=result.fitted.estimate.outliers,
         validation=_validation_errors(result, part),
+        validation_with_suspects=_errors_of(result, part)["validation"],
         doubts=(*noise_doubts(result, fitted, doubts), *doubts),
         notes=() if of_non_geometric else tuple(_notes(result)),
         images=rows.where(lambda kind: kind.optical),
@@ -185,8 +186,18 @@ def _notes(result: CalibrationValues) -> Iterator[Reason]:
         joint = farthest.beyond[0]
         number = int(np.array(m.rows)[m.validation][farthest.index])
         distance = {"by_m" if joint.prismatic else "by_rad": joint.by}
+        images = np.array(m.images)[m.validation]
+        outside = {image for image in images[[row.index for row in result.outside]] if image}
+        of_images = (
+            {"images": len(outside), "image": str(images[farthest.index])} if outside else {}
+        )
         yield Reason.of(
-            Why.OUTSIDE, rows=len(result.outside), row=number, joint=joint.joint, **distance
+            Why.OUTSIDE,
+            rows=len(result.outside),
+            row=number,
+            joint=joint.joint,
+            **distance,
+            **of_images,
         )
 
 
@@ -260,6 +271,12 @@ def _mean_variance(J: Array, covariance: Array) -> float:
     """
     variances = np.einsum("nip,pq,niq->n", J, covariance, J, optimize=True)
     return float(np.mean(variances))
+
+
+def _errors_of(result: CalibrationValues, part: FittedModel) -> Mapping[str, Errors]:
+    """Return the errors of a part of a result, its geometry or its non-geometric model, by set."""
+    name = "non_geometric" if isinstance(part, NonGeometric) else "calibrated"
+    return result.errors[name]
 
 
 def _validation_errors(result: CalibrationValues, part: FittedModel) -> tuple[Errors, Errors, int]:

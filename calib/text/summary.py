@@ -16,8 +16,8 @@ from calib.model.observability import Combination
 from calib.model.parameters import FRAME, TARGET
 from calib.numerics.errors import Errors, UnitErrors
 from calib.result.calibration import CalibrationValues
-from calib.result.prediction import Outlier, ParameterEstimate
-from calib.text.layout.doubtful_rows import robustness_text
+from calib.result.prediction import ParameterEstimate
+from calib.text.layout.doubtful_rows import outliers_text, robustness_text
 from calib.text.layout.lines import mm, number, wrap
 from calib.text.layout.sizes import shown, with_unit
 from calib.text.layout.tables import Column, name_column, table_lines
@@ -363,25 +363,12 @@ def _flagged(c: CalibrationValues) -> str:
     """List the outliers, the first dozen of each set, and the effect of their weights."""
     lines = ["Outliers: none."]
     if c.outliers:
-        lines = [wrap(f"Outliers ({weights_text(c)}): {_outliers(c.outliers)}")]
+        lines = [wrap(f"Outliers ({weights_text(c)}): {outliers_text(c, c.outliers)}")]
         if c.robustness is not None:
             lines.append(wrap(robustness_text(c.robustness), "  "))
     if c.suspects:
-        lines.append(wrap(f"Outliers among the validation rows: {_outliers(c.suspects)}"))
+        lines.append(wrap(f"Outliers among the validation rows: {outliers_text(c, c.suspects)}"))
     return "\n".join(lines)
-
-
-def _outliers(outliers: Sequence[Outlier]) -> str:
-    """List rows with residual and score."""
-    rows = []
-    for outlier in outliers[:_MOST_ROWS]:
-        unit, residual = next(iter(outlier.residual.items()))
-        size = f"{shown(residual, unit, 2)} {RESIDUAL_UNITS[unit].shown}"
-        rows.append(f"row {outlier.row} ({size}, {outlier.score:.1f} sigma)")
-    more = len(outliers) - _MOST_ROWS
-    if more > 0:
-        rows.append(f"and {more} more")
-    return "; ".join(rows)
 
 
 def _models(c: CalibrationValues) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 
 from calib.diagnosis.reasons import NO, Reason, Verdict, Why
 from calib.text.image_reasons import OF_IMAGES
-from calib.text.layout.doubtful_rows import joint_unit
+from calib.text.layout.doubtful_rows import joint_unit, row_or_image, rows_lie
 from calib.text.layout.lines import listed, mm, plural
 from calib.text.layout.sizes import absurd_size, sizes_of
 
@@ -194,7 +194,7 @@ SENTENCES = {
     "ignored.",
     Why.VALIDATION_GAIN: "On the {rows} validation rows{rows_aside} it falls {change}.",
     Why.OUTSIDE: "{rows_lie} outside the range of the fitted joint values, where "
-    "errors may be larger: '{joint}' in row {row} by {beyond}.",
+    "errors may be larger: '{joint}' in {place} by {beyond}.",
     **OF_IMAGES,
     Why.FRAME_MOVED: _ANEW
     + "measurement frame is registered anew: did the tracker or the robot move? Then add --frame "
@@ -246,7 +246,8 @@ def _words(values: Mapping[str, Any]) -> dict[str, str]:
         "named": "",
         "of_station": "",
         "ranges": _ranges(values),
-        "rows_lie": _rows_lie(values.get("rows", 0)),
+        "rows_lie": rows_lie(values),
+        "place": row_or_image(values),
         "better": "",
         "before_off": absurd_size(values, "before"),
         "after_off": absurd_size(values, "after"),
@@ -260,7 +261,8 @@ def _words(values: Mapping[str, Any]) -> dict[str, str]:
         words["outliers_aside"] = ", outliers excluded"
     if values.get("aside"):
         outliers = plural(values["aside"], "outlier")
-        words["rows_aside"] = f" ({outliers} excluded)"
+        whole = listed(sizes_of(values, "whole"))
+        words["rows_aside"] = f" ({outliers} excluded; {whole} with them)"
     if values.get("target"):
         words["named"] = f" '{values['target']}'"
     if values.get("station"):
@@ -291,11 +293,6 @@ def _measured(values: Mapping[str, Any]) -> str:
     if values.get("pairs"):
         counts.append(f"{values['pairs']} pairs of poses")
     return " and ".join(counts)
-
-
-def _rows_lie(rows: object) -> str:
-    """Word how many validation rows lie somewhere; rows of other reasons may be a list."""
-    return "1 validation row lies" if rows == 1 else f"{rows} validation rows lie"
 
 
 def _p_value(p: float) -> str:

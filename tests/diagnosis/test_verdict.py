@@ -40,6 +40,7 @@ GOOD = Evidence(
     pairs=np.zeros(ROWS, dtype=bool),
     outliers=np.arange(ROWS) < 2,
     validation=(errors(2.7e-3), errors(0.25e-3), 0),
+    validation_with_suspects=errors(0.26e-3),
     parameters=27,
     changes=True,
     largest=5e-3,
@@ -91,6 +92,7 @@ def test_a_good_calibration_is_to_be_used_and_says_by_how_much():
     assert gain.code == "gain"
     assert (gain.values["method"], gain.values["outliers"]) == ("leave-one-out", 2)
     assert (fresh.values["rows"], fresh.values["aside"]) == (5, 1)
+    assert fresh.values["whole_m"] == pytest.approx(0.26e-3)
 
 
 @pytest.mark.parametrize(

@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
 from calib.channels import RESIDUAL_UNITS
 from calib.diagnosis.coverage import Beyond, OutsideRow
+from calib.result.calibration import CalibrationValues
+from calib.result.prediction import Outlier
 from calib.selection.robustness import Robustness
 from calib.text.layout.lines import mm, plural
 from calib.text.layout.sizes import shown
 
 #: Rows outside of the measured range that are named one by one; a sentence with more is hard to read.
 _NAMED = 3
+
+#: Outliers that are listed; the others are counted.
+_LISTED = 12
 
 _DEG = float(np.degrees(1.0))
 
@@ -40,6 +46,55 @@ def outside_text(rows: Sequence[OutsideRow], numbers: Sequence[int]) -> str:
     more = len(rows) - _NAMED
     if more > 0:
         parts.append(f"and {plural(more, 'more row')}")
+    return "; ".join(parts)
+
+
+def rows_lie(values: Mapping[str, Any]) -> str:
+    """Word how many validation rows, or images, lie somewhere; rows of other reasons may be a list."""
+    if "image" in values:
+        images = values["images"]
+        return f"{plural(images, 'validation image')} {'lies' if images == 1 else 'lie'}"
+    rows = values.get("rows", 0)
+    return "1 validation row lies" if rows == 1 else f"{rows} validation rows lie"
+
+
+def row_or_image(values: Mapping[str, Any]) -> str:
+    """Name the image of a reason's values, or else its row."""
+    return f"'{values['image']}'" if "image" in values else f"row {values.get('row', 0)}"
+
+
+def outliers_text(c: CalibrationValues, outliers: Sequence[Outlier]) -> str:
+    """List rows, or the images that they are corners of, with residual and score."""
+    if c.rows.images:
+        return _outliers_by_image(c, outliers)
+    rows = []
+    for outlier in outliers[:_LISTED]:
+        unit, residual = next(iter(outlier.residual.items()))
+        size = f"{shown(residual, unit, 2)} {RESIDUAL_UNITS[unit].shown}"
+        rows.append(f"row {outlier.row} ({size}, {outlier.score:.1f} sigma)")
+    more = len(outliers) - _LISTED
+    if more > 0:
+        rows.append(f"and {more} more")
+    return "; ".join(rows)
+
+
+def _outliers_by_image(c: CalibrationValues, outliers: Sequence[Outlier]) -> str:
+    """List images with the number of their corners that are outliers, and the largest residual and score."""
+    images = dict(zip(c.rows.numbers, c.rows.images, strict=True))
+    by_image: dict[str, list[Outlier]] = {}
+    for outlier in outliers:
+        by_image.setdefault(images[outlier.row] or f"row {outlier.row}", []).append(outlier)
+    parts = []
+    for image, of_image in list(by_image.items())[:_LISTED]:
+        unit = next(iter(of_image[0].residual))
+        largest = max(outlier.residual.get(unit, 0.0) for outlier in of_image)
+        score = max(outlier.score for outlier in of_image)
+        size = f"{shown(largest, unit, 2)} {RESIDUAL_UNITS[unit].shown}"
+        corners = plural(len(of_image), "corner")
+        parts.append(f"{image}, {corners} (up to {size}, {score:.1f} sigma)")
+    more = len(by_image) - _LISTED
+    if more > 0:
+        parts.append(f"and {plural(more, 'more image')}")
     return "; ".join(parts)
 
 
