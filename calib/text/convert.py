@@ -160,8 +160,8 @@ def _displacement(conversion: Conversion) -> str:
     q = spread_poses(source.nominal)
     lengths, angles = _distances(source.robot.poses(q), source.nominal.poses(q))
     return (
-        f"Over the joint limits '{source.robot.tip}' lies {mm(lengths.mean())} mm (mean) and at most "
-        f"{mm(lengths.max())} mm from where the nominal robot has it, turned by {deg(angles.mean())} deg (mean) and at "
+        f"Over the joint limits '{source.robot.tip}', as '{source.robot.base}' sees it, lies {mm(lengths.mean())} mm (mean) "
+        f"and at most {mm(lengths.max())} mm from where the nominal robot has it, turned by {deg(angles.mean())} deg (mean) and at "
         f"most {deg(angles.max())} deg."
     )
 
