@@ -159,10 +159,11 @@ def _displacement(conversion: Conversion) -> str:
         return "Read as a nominal robot: there is no calibration to compare it with."
     q = spread_poses(source.nominal)
     lengths, angles = _distances(source.robot.poses(q), source.nominal.poses(q))
+    far = f"{mm(lengths.mean())} mm (mean) and at most {mm(lengths.max())} mm"
+    turned = f"{deg(angles.mean())} deg (mean) and at most {deg(angles.max())} deg"
     return (
-        f"Over the joint limits '{source.robot.tip}', as '{source.robot.base}' sees it, lies {mm(lengths.mean())} mm (mean) "
-        f"and at most {mm(lengths.max())} mm from where the nominal robot has it, turned by {deg(angles.mean())} deg (mean) and at "
-        f"most {deg(angles.max())} deg."
+        f"Over the joint limits '{source.robot.tip}', as '{source.robot.base}' sees it, lies {far} from where the "
+        f"nominal robot has it, turned by {turned}."
     )
 
 
