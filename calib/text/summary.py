@@ -42,6 +42,7 @@ _MOST_NAMES = 6
 
 #: Labels of `facts` that tests and the report ask for.
 EXPECTED = "Expected error at a new point"
+POSE_NOISE = "Noise of poses"
 SCATTER = "Scatter of repeats"
 PRIOR_STD = "Prior standard deviations"
 
@@ -140,7 +141,7 @@ def facts(c: CalibrationValues) -> dict[str, str]:
     """
     result = {"Noise": noise_text(c)}
     if c.pose_noise is not None:
-        result["Noise of poses"] = pose_noise_text(c.pose_noise)
+        result[POSE_NOISE] = pose_noise_text(c.pose_noise)
     if c.repeats is not None:
         unit = next(iter(c.repeats.within))
         scatter, freedom = c.repeats.within[unit], c.repeats.freedoms[unit]

@@ -12,7 +12,7 @@ from calib.channels import channels_of
 from calib.data.kinds import get
 from calib.numerics.pose_noise import PoseNoise
 from calib.text.noise import ENOUGH_FREEDOM, measured_lengths, noise_text, pose_noise_text
-from calib.text.summary import facts
+from calib.text.summary import POSE_NOISE, facts
 
 
 @pytest.mark.parametrize(
@@ -43,6 +43,5 @@ def test_the_noise_of_poses_is_told_in_common_units(default_result):
     )
     numbers = [float(word) for word in re.findall(r"\d+\.\d+", pose_noise_text(noise))]
     assert numbers == pytest.approx([0.37, 0.013, 0.125, 0.02])
-    label = "Noise of poses"
-    assert label not in facts(default_result)
-    assert facts(replace(default_result, pose_noise=noise))[label] == pose_noise_text(noise)
+    assert POSE_NOISE not in facts(default_result)
+    assert facts(replace(default_result, pose_noise=noise))[POSE_NOISE] == pose_noise_text(noise)
