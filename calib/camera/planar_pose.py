@@ -8,7 +8,7 @@ poses are refined, and the one that fits is taken. Sources: Z. Zhang, A flexible
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -86,31 +86,41 @@ def planar_poses(views: Sequence[View], lens: Lens, values: Array) -> tuple[Plan
     Returns:
         The poses; None where the points of a view do not tell it.
     """
-    started = []
-    for k, T in enumerate(closed_form_poses(views, lens, values)):
-        if T is not None:
-            started.append((k, T))
+    starts = closed_form_poses(views, lens, values)
+    numbers = [k for k, T in enumerate(starts) if T is not None]
     result: list[PlanarPose | None] = [None] * len(views)
-    if not started:
-        return tuple(result)
-    numbers = [k for k, _ in started]
-    chosen = [views[k] for k in numbers]
-    first = np.array([T for _, T in started])
-    centres = np.array([points.mean(axis=0) for points, _ in chosen])
-    near = _refined(first, chosen, lens, values)
-    other = _refined(_on_other_side(near[0], centres), chosen, lens, values)
-    for v, k in enumerate(numbers):
-        count = len(chosen[v][0])
-        solutions = [(float(cost[v]), T[v], N[v]) for T, cost, N in (near, other)]
-        (cost, T, N), (other_cost, other_T, _) = sorted(solutions, key=lambda s: s[0])
-        result[k] = PlanarPose(
-            T_camera_board=T,
-            rms=float(np.sqrt(cost / count)),
-            covariance=np.linalg.pinv(N),
-            T_camera_board_other=other_T,
-            rms_other=float(np.sqrt(other_cost / count)),
-        )
+    if numbers:
+        chosen = [views[k] for k in numbers]
+        found = _refined_on_both_sides(np.array([starts[k] for k in numbers]), chosen, lens, values)
+        for k, pose in zip(numbers, found, strict=True):
+            result[k] = pose
     return tuple(result)
+
+
+def _refined_on_both_sides(
+    T: Array, views: Sequence[View], lens: Lens, values: Array
+) -> Iterator[PlanarPose]:
+    """Refine the poses of V views, and those on the other side of the line of sight, and yield the better of both.
+
+    Args:
+        T: shape (V, 4, 4), T_camera_board to start from [m].
+        views: Points and images of each.
+        lens: The lens model.
+        values: shape (m,), its numbers.
+    """
+    centres = np.array([points.mean(axis=0) for points, _ in views])
+    near = _refined(T, views, lens, values)
+    other = _refined(_on_other_side(near[0], centres), views, lens, values)
+    for v, (points, _) in enumerate(views):
+        solutions = [(float(cost[v]), poses[v], N[v]) for poses, cost, N in (near, other)]
+        (cost, best, N), (other_cost, second, _) = sorted(solutions, key=lambda s: s[0])
+        yield PlanarPose(
+            T_camera_board=best,
+            rms=float(np.sqrt(cost / len(points))),
+            covariance=np.linalg.pinv(N),
+            T_camera_board_other=second,
+            rms_other=float(np.sqrt(other_cost / len(points))),
+        )
 
 
 def closed_form_poses(views: Sequence[View], lens: Lens, values: Array) -> tuple[Array | None, ...]:

@@ -71,7 +71,7 @@ class Estimate(Value):
 
     @property
     def pose_noise(self) -> PoseNoise | None:
-        """What errors of fitted poses have besides their stated covariances; None where none was stated."""
+        """Noise of fitted poses beyond their stated covariances; None where none was stated."""
         rows = self.problem.rows
         return rows.pose_noise if np.any(rows.correlated) else None
 

@@ -46,7 +46,7 @@ _SCALE_SPREAD = float(np.log(10.0))
 
 @dataclass(frozen=True, slots=True)
 class PoseNoise:
-    """What the errors of measured poses have besides their stated covariances."""
+    """Noise of measured poses beyond their stated covariances C: the four numbers of V at the head of this module."""
 
     #: s, by which the instrument's standard deviations are multiplied
     scale: float
