@@ -89,7 +89,7 @@ class Calibration(CalibrationValues):
         ranges               (m, 2) [rad] or [m], least and greatest joint values of fitted rows
         sigma                noise of one scalar by its unit, such as sigma["m"] [m]; sigma_given as the cell or the
                              table states it
-        pose_noise           PoseNoise, of poses beyond their stated covariances; None where none was stated
+        pose_noise           PoseNoise, scale of stated covariances of poses, what the robot adds; None without any
         repeats              Repeats, scatter of rows that repeat a pose; None where none does
         freedom              degrees of freedom left for the noise
 

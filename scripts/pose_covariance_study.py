@@ -5,9 +5,10 @@
 Virtual cells of 25 pictures, corners found to 0.2 px, intrinsics and print known exactly; from each picture the board's
 pose and its covariance are computed. Joints stop anywhere within steps of their encoders, of which the covariances know
 nothing. Fits of the poses are judged at 40 fresh ones: by the error of the predicted place of the board in the camera,
-relative to a fit that knows the covariance of every pose, with its part by the joints' steps; and by the share of
-predictions within the 95 % intervals. Fitted are poses of equal standard deviations, poses with covariances as they are
-(nothing added for the robot), and poses with covariances.
+relative to a fit that knows the covariance of every pose, C + step^2 / 12 J_q J_q^T; and by the share of predictions
+within the 95 % intervals. Fitted are poses of equal standard deviations, poses with covariances as they are (nothing
+added for the robot), and poses with covariances. The fits that take the noise of poses as given, "known" and
+"covariances alone", have all rows in full; all four estimate a factor on the noise of positions and orientations.
 """
 
 from __future__ import annotations
@@ -115,7 +116,7 @@ def figures_of(case: tuple[tuple[str, str, str], float], seed: int) -> Figures:
         rows, setup = rows_and_setup(cell.truth.nominal, table, known)
         task = Task(cell.truth.nominal, known, setup, MODEL)
         if stated is not None:
-            # Rows with weights of their own keep their noise.
+            # With weights of their own, rows keep the noise of poses that they come with.
             fixed = replace(rows, weights=np.ones(len(rows)))
             fits.append(fit(task, replace(fixed, pose_noise=NOTHING)))
         fits.append(fit(task, rows))

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from calib.data.checks import RowLabels, checked_numbers
 from calib.data.columns import COVARIANCE
 from calib.data.kinds import SIGMAS, Kind
+from calib.errors import MeasurementError
 from calib.numerics.pose_noise import POSE, POSE_UNITS
 from calib.robot.robot import read_only
 from calib.units import Array, Mask
@@ -39,22 +40,27 @@ def checked_covariances(labels: RowLabels, values: ArrayLike | None, poses: Mask
         poses: Which rows may have one, shape (N,).
 
     Returns:
-        The covariances, NaN in other rows; None if no row has one.
+        The covariances, symmetric to the last bit, NaN in other rows; None if no row has one.
 
     Raises:
-        MeasurementError: Another shape, or a matrix that is not symmetric or not positive definite, or has a standard
-            deviation that no instrument has.
+        MeasurementError: Another shape, or a matrix that is not symmetric or not positive definite, that lacks some of
+            its numbers, or has a standard deviation that no instrument has.
     """
     if values is None:
         return None
     given = numbers("covariances", values, "of shape (N, 6, 6)")
-    is_given = np.isfinite(given).all(axis=tuple(range(1, given.ndim)))
-    with_one = is_given & poses
-    result = checked_numbers(labels, "covariances", given, (POSE, POSE), with_one, _ENTRIES)
-    if result is not None:
-        for i in np.flatnonzero(with_one).tolist():
-            _check(labels, i, result[i])
-    return result
+    shape = (len(labels.rows), POSE, POSE)
+    if given.shape != shape:
+        raise MeasurementError(
+            f"{labels.name}: 'covariances' has shape {given.shape} and should have {shape}"
+        )
+    with_one = ~np.isnan(given).all(axis=(1, 2)) & poses
+    checked = checked_numbers(labels, "covariances", given, (POSE, POSE), with_one, _ENTRIES)
+    if checked is None:
+        return None
+    for i in np.flatnonzero(with_one).tolist():
+        _check(labels, i, checked[i])
+    return read_only(0.5 * (checked + checked.transpose(0, 2, 1)))
 
 
 def _check(labels: RowLabels, index: int, C: Array) -> None:
@@ -70,7 +76,7 @@ def _check(labels: RowLabels, index: int, C: Array) -> None:
     correlation = C / np.outer(std, std)
     if np.max(np.abs(correlation - correlation.T)) > _SYMMETRIC:
         labels.fail(index, f"the covariance is not symmetric. {_ENTRIES_ARE}")
-    if np.linalg.eigvalsh(correlation)[0] <= 0.0:
+    if np.linalg.eigvalsh(0.5 * (correlation + correlation.T))[0] <= 0.0:
         labels.fail(index, f"the covariance is not positive definite. {_ENTRIES_ARE}")
 
 

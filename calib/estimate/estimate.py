@@ -71,7 +71,7 @@ class Estimate(Value):
 
     @property
     def pose_noise(self) -> PoseNoise | None:
-        """Noise of fitted poses beyond their stated covariances; None where none was stated."""
+        """Scale of the stated covariances of poses, and what the robot adds; None where none was stated."""
         rows = self.problem.rows
         return rows.pose_noise if np.any(rows.correlated) else None
 

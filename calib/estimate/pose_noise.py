@@ -21,7 +21,7 @@ from calib.model.kinematics import Kinematics
 from calib.numerics.pose_noise import POSE, PoseNoise, likeliest_noise, standardisers
 from calib.registration.rows import USUAL_POSE_NOISE, Rows
 
-#: The most fits.
+#: The most rounds of noise and fit.
 _ROUNDS = 8
 
 #: Covariances whose relative change is less, in every direction, have settled.
@@ -50,8 +50,8 @@ def estimate_with_pose_noise(problem: Problem, task: Task, prior: PriorTerms) ->
         prior: Priors of the p parameters, none of them held.
 
     Returns:
-        The estimate. Its ``problem.rows.pose_noise`` is the estimated one, if there are rows with a covariance, and
-        more of them than the parameters take.
+        The estimate. Its ``problem.rows.pose_noise`` is the estimated one; that of ``problem`` where no row has a
+        covariance, where the rows come with weights, or where fewer than `FEWEST_FREEDOM` degrees of freedom are left.
 
     Raises:
         SolverError: The residual is not finite at the start.
@@ -61,15 +61,18 @@ def estimate_with_pose_noise(problem: Problem, task: Task, prior: PriorTerms) ->
         return estimate
     for _ in range(_ROUNDS):
         noise = _noise_of(estimate)
-        if noise is None or _is_settled(problem.rows, noise):
+        if noise is None:
             break
+        is_settled = _is_settled(problem.rows, noise)
         problem = problem.with_rows(replace(problem.rows, pose_noise=noise))
         estimate = estimate_within_bounds(problem, task, prior)
+        if is_settled:
+            break
     return estimate
 
 
 def _noise_of(estimate: Estimate) -> PoseNoise | None:
-    """Return the noise of poses that a fit's residuals tell; None where they are too few."""
+    """Return the noise of poses that a fit's residuals tell; None where too few degrees of freedom are left."""
     problem = estimate.problem
     rows = problem.rows
     assert rows.covariances is not None

@@ -1,9 +1,10 @@
 """Problem: robot, error model and measurements as one weighted least-squares problem.
 
-    minimise  1/2 [sum_i w_i |r_i(x) / sigma_i|^2 + sum_k (x_k - m_k)^2 / tau_k^2 + sum_c (d_c - d_c(x))^2 / s_c^2]
+    minimise  1/2 [sum_i w_i |W_i r_i(x)|^2 + sum_k (x_k - m_k)^2 / tau_k^2 + sum_c (d_c - d_c(x))^2 / s_c^2]
 
-with residuals r (measured minus predicted), normal priors of standard deviation tau on the parameters (mean 0, but at a
-bound) and known distances d. Linearised it is y = A x + n: see `calib.estimate.linear`.
+with residuals r (measured minus predicted), W = 1 / sigma (of poses with a covariance as `Rows.standardised` has it),
+normal priors of standard deviation tau on the parameters (mean 0, but at a bound) and known distances d. Linearised it
+is y = A x + n: see `calib.estimate.linear`.
 
 Letters of shapes, in all of `calib.estimate`:
 
@@ -160,19 +161,20 @@ class Problem(Value):
     def noise_over_sigma(self) -> Array:
         """Estimated standard deviation over the stated or assumed one, of each of C instruments, shape (C,).
 
-        It is the noise, but for poses with a covariance, whose noise is relative to what the robot adds to it as well
-        (`rows.pose_noise`): of these it is the median over scalars.
+        It is `noise`, but of instruments of poses with a covariance, where that is relative to V, with what the robot
+        adds (`Rows.pose_noise`). Of these it is the median over rows of their standard deviations, rms over the axes.
         """
         rows = self.rows
         result = np.array(self.noise)
         if not np.any(rows.correlated):
             return result
-        ratio = np.ones(rows.used.shape)
-        for unit in rows.channels.present:
-            stated = rows.sigma[unit][:, None]
-            ratio = np.where(rows.channels.where(unit), self.scales / stated, ratio)
+        variances = self.scales**2
         for c in np.unique(rows.channels.index[rows.correlated]).tolist():
-            result[c] = np.median(ratio[rows.channels.index == c])
+            of_channel = rows.channels.index == c
+            measuring = np.any(of_channel, axis=1)
+            mean = np.mean(variances, axis=1, where=of_channel | ~measuring[:, None])
+            stated = rows.sigma[rows.channels.units[c]]
+            result[c] = np.median((np.sqrt(mean) / stated)[measuring])
         return result
 
     def residual(self, x: Array) -> Array:

@@ -1,9 +1,10 @@
 """Correlated errors of measured poses: their covariance, and transformations by which they become independent.
 
-The error e = (position, rotation vector) of a measured pose has six components. An instrument states their covariance
-C, shape (6, 6) [m^2, m rad, rad^2]; it may be wrong by a scale s^2, and it knows nothing of the robot. That adds errors
-of standard deviations t along each axis and a about each, and joints that turn miss their readings by g (the steps of
-encoders and servos, play), which move the target by the Jacobian J_q:
+The error e of a measured pose has six components: of the target's position, and the rotation vector of its orientation,
+measured minus predicted, along the axes of the measurement frame; errors of two rows are independent. With the
+measurement comes their covariance C, shape (6, 6) [m^2, m rad, rad^2]. It may be wrong by a scale s^2, and does not
+include the robot, which adds errors of standard deviations t along each of these axes and a about each. And joints that
+turn miss their readings by g (the steps of encoders and servos, play), which moves the target by the Jacobian J_q:
 
     V = s^2 C + diag(t^2, t^2, t^2, a^2, a^2, a^2) + g^2 J_q J_q^T
 
@@ -17,8 +18,10 @@ so that e' = W e has W V W^T = 1. The three entries of e_t' are still of the pos
 each has a noise factor of its own, as positions and orientations of other measurements have.
 
 From residuals r of a fit, with the Jacobians J and the covariance P of its parameters, s, t, a and g are those of the
-highest restricted likelihood, by expectation and maximisation (N. Laird, N. Lange, D. Stram, 1987): in turn with the
-fit, they minimise the sum of w (log det V + tr(V^-1 S)) over the rows, with S = r r^T + J P J^T and their weights w.
+highest restricted likelihood, with a weak prior of s about 1, by expectation and maximisation (N. Laird, N. Lange, D.
+Stram, 1987): in turn with the fit, they minimise, with the rows' weights w and S = r r^T + J P J^T,
+
+    sum over rows of w [log det V + tr(V^-1 S)] + (log s / log 10)^2
 """
 
 from __future__ import annotations
@@ -46,7 +49,7 @@ _SCALE_SPREAD = float(np.log(10.0))
 
 @dataclass(frozen=True, slots=True)
 class PoseNoise:
-    """Noise of measured poses beyond their stated covariances C: the four numbers of V at the head of this module."""
+    """Scale of the stated covariances C of measured poses, and what the robot adds: V at the head of this module."""
 
     #: s, by which the instrument's standard deviations are multiplied
     scale: float
@@ -54,7 +57,7 @@ class PoseNoise:
     position: float
     #: a, standard deviation about each axis [rad]
     orientation: float
-    #: g, standard deviation of the errors of joints that turn [rad]
+    #: g, standard deviation of the errors of joints that turn [rad]; 0 without such joints
     joint: float
 
     def covariances(self, stated: Array, by_joints: Array) -> Array:
@@ -97,19 +100,20 @@ def likeliest_noise(
     Args:
         stated: C, shape (n, 6, 6) [m^2, m rad, rad^2].
         by_joints: J_q J_q^T, shape (n, 6, 6) [m^2, m, 1].
-        squares: S, shape (n, 6, 6), expected products of the errors' components, likewise.
+        squares: S, shape (n, 6, 6), expected products of the errors' components [m^2, m rad, rad^2].
         weights: shape (n,), how much each row counts.
-        start: Where the search begins: none of its numbers so small that it makes no difference.
+        start: Where the search begins: at none of its numbers so small that V hardly depends on it, for the search is
+            by logarithms, and would stay there.
 
     Returns:
-        The scale s, and the standard deviations t, a and g; see the head of this module.
+        The scale s, and the standard deviations t, a and g, the last 0 where no joint turns.
     """
     begin = [start.scale, start.position, start.orientation, start.joint]
     of_position = np.diag([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
     of_orientation = np.eye(POSE) - of_position
 
     def cost(logarithms: Array) -> tuple[float, Array]:
-        """Return minus twice the log-likelihood and its derivative by the logarithms of s, t, a and g."""
+        """Return the sum at the head of this module and its derivative by the logarithms of s, t, a and g."""
         s, t, a, g = np.exp(logarithms)
         V = PoseNoise(s, t, a, g).covariances(stated, by_joints)
         inverse = np.linalg.inv(V)
@@ -127,4 +131,5 @@ def likeliest_noise(
 
     bounds = [(np.log(least), None) for least in _LOWEST]
     found = minimize(cost, np.log(begin), jac=True, method="L-BFGS-B", bounds=bounds)
-    return PoseNoise(*np.exp(found.x).tolist())
+    scale, position, orientation, joint = np.exp(found.x).tolist()
+    return PoseNoise(scale, position, orientation, joint if np.any(by_joints) else 0.0)

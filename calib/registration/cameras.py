@@ -260,7 +260,10 @@ def _check_squares(board: Board, images: _Images, rows: Mask, measurements: Meas
     far_designed = np.linalg.norm(designed - designed.mean(axis=0), axis=1)
     given = images.points[rows]
     far = np.linalg.norm(given - given.mean(axis=0), axis=1)
-    factor = float(far @ far_designed / max(far_designed @ far_designed, _NO_EXTENT))
+    extent = float(far_designed @ far_designed)
+    if extent < _NO_EXTENT:
+        return  # always the same corner
+    factor = float(far @ far_designed) / extent
     are_alike = np.allclose(far, factor * far_designed, rtol=0.0, atol=_ALIKE * board.square)
     if are_alike and abs(factor - 1.0) > _ALIKE:
         raise MeasurementError(

@@ -9,16 +9,17 @@ import numpy as np
 
 from calib.camera.optics import board_points
 from calib.channels import Channels, channels_of, residual_unit
+from calib.data.covariances import may_have_covariance
 from calib.data.kinds import Kind
 from calib.mappings import ReadOnlyMapping
 from calib.model.kinematics import FIXED, Optics, Samples
-from calib.numerics.pose_noise import POSE, POSE_UNITS, PoseNoise, standardisers
+from calib.numerics.pose_noise import POSE, PoseNoise, standardisers
 from calib.units import Array, Integers, Mask
 
 #: Index of the kind of rows that hold no measurement themselves: the second rows of pairs.
 NONE = -1
 
-#: What the errors of measured poses have besides their stated covariance until a fit estimates it.
+#: Scale of stated covariances, and what the robot adds, until a fit estimates them.
 USUAL_POSE_NOISE = PoseNoise(
     scale=1.0,
     position=residual_unit("m").repeatability,
@@ -48,8 +49,8 @@ class _CorrelatedRows:
 
     #: (n,), their numbers
     rows: Integers
-    #: (n, 6, 6), their covariances [m^2, m rad, rad^2]
-    covariances: Array
+    #: (n, 6, 6), V: their stated covariances with the noise of poses [m^2, m rad, rad^2]
+    V: Array
     #: (n, 6, 6), transformations that make their errors independent, of variance 1
     W: Array
     #: (n, 6, 6), the inverse of these
@@ -75,7 +76,7 @@ class Rows:
     #: (N,), number of the second row of a pair, at its first row; -1 elsewhere
     partner: Integers
     #: (N,), standard deviation of one scalar in each unit of `calib.channels.RESIDUAL_UNITS`, by its symbol, as given
-    #: or assumed before the fit
+    #: or assumed before the fit; of rows with a covariance that of C, rms over the axes
     sigma: Mapping[str, Array]
     #: (N,), rows of one number are repeats: one pose, target, frame and kind
     poses: Integers
@@ -88,7 +89,7 @@ class Rows:
     #: (N, 6, 6), stated covariance of a measured pose's error: position [m] and rotation vector [rad], along the axes
     #: of the frame; NaN in rows without one, whose scalars are independent; None: no row has one
     covariances: Array | None = None
-    #: What the errors of rows with a covariance have besides
+    #: Scale of these covariances, and what the robot adds to them
     pose_noise: PoseNoise = USUAL_POSE_NOISE
     #: (N, 6, 6), J_q J_q^T with the Jacobian J_q of the target's pose by the joints that turn, likewise along the axes
     #: of the frame [m^2, m, 1]; None: errors of joints do not count
@@ -107,7 +108,7 @@ class Rows:
         vector_units = [kind.vector_units for kind in self.kinds]
         object.__setattr__(self, "channels", channels_of(units, vector_units, self.kind))
         object.__setattr__(self, "_by_kind", _rows_by_kind(self.kinds, self.kind))
-        poses = self.where(lambda kind: kind.units == POSE_UNITS)
+        poses = self.where(may_have_covariance)
         correlated = _correlated_rows(self, poses)
         object.__setattr__(self, "_correlated", correlated)
 
@@ -156,20 +157,20 @@ class Rows:
     def scales(self) -> Array:
         """Standard deviation of each entry as given or assumed before the fit, shape (N, D), in its unit.
 
-        Of rows with a covariance it is with what the robot adds, by ``pose_noise``.
+        Of rows with a covariance it is the root of the diagonal of V, with ``pose_noise``, which the fit estimates.
         """
         result = np.repeat(self.sigma["m"][:, None], self.width, axis=1)
         for unit in self.channels.present:
             result = np.where(self.channels.where(unit), self.sigma[unit][:, None], result)
         if self._correlated is not None:
-            variances = np.diagonal(self._correlated.covariances, axis1=1, axis2=2)
+            variances = np.diagonal(self._correlated.V, axis1=1, axis2=2)
             result[self._correlated.rows, :POSE] = np.sqrt(variances)
         return result
 
     def standardised(self, values: Array) -> Array:
         """Return values of the scalars in units of their standard deviations as given or assumed.
 
-        Those of rows with a covariance are transformed by W besides, so that errors are independent; see
+        Those of rows with a covariance are multiplied by W instead, which makes their errors independent; see
         `calib.numerics.pose_noise`.
 
         Args:
@@ -467,7 +468,7 @@ def _correlated_rows(rows: Rows, poses: Mask) -> _CorrelatedRows | None:
 
     Args:
         rows: N rows: their stated covariances, and what errors have besides.
-        poses: Rows of which position and orientation count, shape (N,).
+        poses: Rows of kinds that may have one, shape (N,).
     """
     stated = rows.covariances
     if stated is None:
@@ -476,9 +477,9 @@ def _correlated_rows(rows: Rows, poses: Mask) -> _CorrelatedRows | None:
     if not len(chosen):
         return None
     by_joints = np.zeros(stated.shape) if rows.by_joints is None else rows.by_joints
-    covariances = rows.pose_noise.covariances(stated[chosen], by_joints[chosen])
-    W = standardisers(covariances)
-    return _CorrelatedRows(chosen, covariances, W, np.asarray(np.linalg.inv(W)))
+    V = rows.pose_noise.covariances(stated[chosen], by_joints[chosen])
+    W = standardisers(V)
+    return _CorrelatedRows(chosen, V, W, np.asarray(np.linalg.inv(W)))
 
 
 def _drawn_of_groups(group: Integers, count: Integers, quota: Integers) -> Integers:

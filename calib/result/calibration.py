@@ -213,7 +213,7 @@ class CalibrationValues(FittedModel):
     nominal_boards: Mapping[str, Board] = field(default_factory=ReadOnlyMapping)
     #: The best joint zeros alone; None where they cannot be fitted, or where an earlier version wrote the file
     zeros: JointZeros | None = None
-    #: What the errors of measured poses have besides their stated covariances; None where none was stated
+    #: Scale of the stated covariances of poses, and what the robot adds to them; None where none was stated
     pose_noise: PoseNoise | None = None
     #: Who measured what for whom, where, when and with what, as the cell says
     record: Record = BLANK

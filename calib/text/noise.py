@@ -6,6 +6,7 @@ import numpy as np
 
 from calib.channels import RESIDUAL_UNITS, Channels
 from calib.numerics.pose_noise import PoseNoise
+from calib.registration.rows import USUAL_POSE_NOISE
 from calib.result.calibration import CalibrationValues
 from calib.text.layout.lines import listed
 from calib.text.layout.sizes import with_unit
@@ -26,12 +27,14 @@ def noise_text(c: CalibrationValues) -> str:
 
 
 def pose_noise_text(noise: PoseNoise) -> str:
-    """Word what the errors of poses have besides their stated covariances."""
-    of_joints = with_unit(noise.joint, "rad")
+    """Word the scale of stated covariances, and what the robot adds to them."""
     along, about = with_unit(noise.position, "m"), with_unit(noise.orientation, "rad")
+    added = f"{along} along and {about} about each axis of the measurement frame"
+    if noise.joint > 0.0:
+        added = f"{with_unit(noise.joint, 'rad')} at each joint, {added}"
+    source = " (assumed: too few rows)" if noise == USUAL_POSE_NOISE else ""
     return (
-        f"the stated standard deviations times {noise.scale:.2g}; besides, of the robot, {of_joints} at each joint, "
-        f"and {along} along and {about} about each axis."
+        f"the stated standard deviations times {noise.scale:.2g}; the robot adds {added}{source}."
     )
 
 

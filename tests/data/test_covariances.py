@@ -163,9 +163,28 @@ def test_tables_of_other_kinds_do_not_use_them(tmp_path):
     assert set(COVARIANCE) <= set(m.ignored)
 
 
-def test_another_shape_is_refused():
-    with pytest.raises(MeasurementError, match="shape"):
-        poses(3, covariances=np.tile(np.eye(3), (3, 1, 1)))
+@pytest.mark.parametrize("shape", [(3, 3, 3), (6, 6), (4, 6, 6), (3, 36), ()])
+def test_another_shape_is_refused(shape):
+    for value in (1e-8, np.nan):
+        with pytest.raises(MeasurementError, match="shape"):
+            poses(3, covariances=np.full(shape, value))
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_a_matrix_that_lacks_a_number_is_refused(value):
+    C = random_covariances(np.random.default_rng(16), 3)
+    C[1, 2, 3] = value
+    with pytest.raises(MeasurementError, match="row 2"):
+        poses(3, covariances=C)
+
+
+def test_digits_that_differ_between_both_halves_are_averaged():
+    C = random_covariances(np.random.default_rng(17), 2)
+    other = C.copy()
+    other[0, 4, 1] *= 1.0 + 1e-6
+    kept = poses(2, covariances=other).covariances
+    np.testing.assert_array_equal(kept, kept.transpose(0, 2, 1))
+    assert kept[0, 1, 4] == pytest.approx((1.0 + 5e-7) * C[0, 1, 4], rel=1e-9)
 
 
 def test_the_covariance_that_data_format_md_computes_is_that_of_the_pose():

@@ -211,6 +211,18 @@ def test_a_reference_hands_its_noise_on(make_scene):
     assert astuple(noises[0]) == astuple(noises[1])
 
 
+def test_noise_over_the_stated_one_is_of_whole_positions_and_orientations(make_scene):
+    """However different the axes are: the root of the mean variance over that of the stated covariance."""
+    rng = np.random.default_rng(15)
+    scene = make_scene(15)
+    std = np.array([1e-5, 1e-5, 1e-4, 2e-4, 2e-4, 2e-5])
+    stated = np.tile(np.diag(std**2), (60, 1, 1))
+    table = table_with(scene, 60, stated, 4.0 * stated, rng)
+    for noise in (NOTHING, None):
+        ratio = fitted(scene, table, noise).estimate.problem.noise_over_sigma
+        np.testing.assert_allclose(ratio, 2.0, rtol=0.15)
+
+
 def test_exact_poses_are_fitted_exactly(make_scene):
     scene = make_scene(11)
     stated = random_covariances(np.random.default_rng(11), 40)

@@ -92,3 +92,13 @@ def test_rows_without_weight_do_not_count():
     found = likeliest_noise(stated, of_joints, wrong, weights, START)
     same = likeliest_noise(stated[:25], of_joints[:25], squares[:25], np.ones(25), START)
     assert astuple(found) == pytest.approx(astuple(same), rel=1e-6)
+
+
+def test_a_robot_without_turning_joints_has_no_noise_of_theirs():
+    rng = np.random.default_rng(6)
+    stated, none = random_covariances(rng, 500), np.zeros((500, 6, 6))
+    true = replace(TRUE, joint=0.0)
+    e = draw(rng, true.covariances(stated, none))
+    found = likeliest_noise(stated, none, e[:, :, None] * e[:, None], np.ones(500), START)
+    assert found.joint == 0.0
+    assert astuple(found)[:3] == pytest.approx(astuple(true)[:3], rel=0.15)

@@ -119,6 +119,12 @@ def test_a_table_made_with_another_square_is_refused(factor):
     rows_and_setup(arm(), table(poses(3)), cell(boards={"": same}))
 
 
+def test_a_single_corner_tells_no_square():
+    m = table(poses(8))
+    one = m.select([name == "2" for name in m.corners])
+    rows_and_setup(arm(), one, cell())
+
+
 def test_corners_by_other_names_or_at_other_places_are_not_compared():
     m = table(poses(3))
     other = replace(BOARD, square=0.5 * BOARD.square, marker=0.5 * BOARD.marker)

@@ -11,6 +11,7 @@ import pytest
 from calib.channels import channels_of
 from calib.data.kinds import get
 from calib.numerics.pose_noise import PoseNoise
+from calib.registration.rows import USUAL_POSE_NOISE
 from calib.text.noise import ENOUGH_FREEDOM, measured_lengths, noise_text, pose_noise_text
 from calib.text.summary import POSE_NOISE, facts
 
@@ -43,5 +44,8 @@ def test_the_noise_of_poses_is_told_in_common_units(default_result):
     )
     numbers = [float(word) for word in re.findall(r"\d+\.\d+", pose_noise_text(noise))]
     assert numbers == pytest.approx([0.37, 0.013, 0.125, 0.02])
+    assert "at each joint" not in pose_noise_text(replace(noise, joint=0.0))
+    assert "assumed" in pose_noise_text(USUAL_POSE_NOISE)
+    assert "assumed" not in pose_noise_text(noise)
     assert POSE_NOISE not in facts(default_result)
     assert facts(replace(default_result, pose_noise=noise))[POSE_NOISE] == pose_noise_text(noise)

@@ -1,6 +1,8 @@
 """Intrinsics and boards against what was stated of them.
 
-Each is estimated once more, without a prior, jointly with the fit, whose prior standard deviations are estimated anew.
+A relative error of each, of all focal lengths of a camera or of a board along x and y alike, is estimated jointly with
+the fit, whose prior standard deviations are estimated anew. It has no prior itself, and is besides what the fit changes
+under the stated prior, so that its standard deviation includes the stated one.
 A lens or a print that is wrong can fit well: the arm's lengths and the mounts make up for it. Where a board of another
 size has made all lengths of the arm grow alike, these priors are wide; with the board's size free they are not.
 """
@@ -40,7 +42,7 @@ class _Question:
 
     #: Code of the reason if it is wrong
     why: Why
-    #: Column that tells its rows, and its value there
+    #: Column of the optics with the number of the camera, or of the board, and that number
     owner: tuple[int, int]
     #: Columns of the optics
     columns: tuple[int, ...]
@@ -55,7 +57,7 @@ def contradicted_statements(fitted: Fitted) -> Iterator[Reason]:
         fitted: A fit with priors of the robot's errors from the data.
 
     Yields:
-        A reason for each, with its relative error and the standard deviation of that.
+        A reason for each, with its relative error, actual over stated less 1, and the standard deviation of that.
     """
     if fitted.estimate.problem.rows.samples.optics is None:
         return

@@ -69,9 +69,11 @@ def outliers_text(c: CalibrationValues, outliers: Sequence[Outlier]) -> str:
         return _outliers_by_image(c, outliers)
     rows = []
     for outlier in outliers[:_LISTED]:
-        unit, residual = next(iter(outlier.residual.items()))
-        size = f"{shown(residual, unit, 2)} {RESIDUAL_UNITS[unit].shown}"
-        rows.append(f"row {outlier.row} ({size}, {outlier.score:.1f} sigma)")
+        sizes = [
+            f"{shown(residual, unit, 2)} {RESIDUAL_UNITS[unit].shown}"
+            for unit, residual in outlier.residual.items()
+        ]
+        rows.append(f"row {outlier.row} ({', '.join(sizes)}, {outlier.score:.1f} sigma)")
     more = len(outliers) - _LISTED
     if more > 0:
         rows.append(f"and {more} more")
