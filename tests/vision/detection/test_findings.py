@@ -4,8 +4,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+import pytest
+
+from calib.vision.corners.layouts import marker_outlines
+from calib.vision.corners.markers import Markers
 from calib.vision.detection.findings import (
     Finding,
+    board_findings,
     is_wrong_description,
     picture_findings,
     usual_sizes,
@@ -53,3 +59,18 @@ def test_a_description_is_wrong_if_no_fewer_pictures_say_so():
     # Where the corners are does not hang on the size of the markers.
     assert not wrong("ratio", 0, 1, 2, 3, 4, 5)
     assert not wrong("unseen_row")
+
+
+@pytest.mark.parametrize(("count", "codes"), [(5, []), (9, ["ratio"])])
+def test_a_ratio_of_marker_and_square_is_told_where_it_can_be_measured(count, codes):
+    """By five markers another ratio may fit better, but what it is they do not tell."""
+    board = CHARUCO_BOARD
+    outlines = marker_outlines(replace(board, marker=0.5 * board.square))[:count, :, :2]
+    markers = Markers(np.arange(count), 40.0 + 2500.0 * outlines)
+    seen = replace(
+        picture("a.png", replace(view(board.name), misread=2)),
+        markers={board.dictionary: markers},
+    )
+    found = list(board_findings(board, [seen]))
+    assert [finding.code for finding in found] == codes
+    assert [finding.value for finding in found] == pytest.approx([0.5] * len(codes))
