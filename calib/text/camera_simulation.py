@@ -118,7 +118,7 @@ def _board(pictures: Pictures) -> Iterator[tuple[str, str]]:
 def _disturbances(pictures: Pictures) -> Iterator[tuple[str, str]]:
     """Yield label and text of noise, repeatability, encoder steps and outliers; the text is empty without one."""
     scenario = pictures.cell.scenario
-    yield "Noise of a corner", f"{pictures.sigma:g} px along u and along v"
+    yield "Noise of a corner", f"{pictures.sigma:g} px along u and along v, in a table (-o)"
     if scenario.noise is not None and scenario.noise.repeatability:
         yield "Repeatability", f"{1e6 * scenario.noise.repeatability:g} um per coordinate"
     yield "Encoder steps", encoder_steps(scenario)

@@ -40,6 +40,9 @@ _MOST_ROWS = 12
 #: Parameters of a combination that are named; the others are counted.
 _MOST_NAMES = 6
 
+#: Columns of a table of errors besides the count, without those of the span: maximum, mean, rms.
+_WITHOUT_SPAN = 3
+
 #: Labels of `facts` that tests and the report ask for.
 EXPECTED = "Expected error at a new point"
 POSE_NOISE = "Noise of poses"
@@ -236,18 +239,23 @@ def error_table(title: str, unit: str, rows: Iterable[tuple[str, Errors] | str])
         rows: Label and errors of each row; a text is a line of its own.
 
     Returns:
-        Its lines: rows, maximum, mean, rms, and of lengths the span of the error along each axis.
+        Its lines: rows, maximum, mean, rms, and of positions the span of the error along each axis.
     """
+    listed = list(rows)
+    of_errors = [row[1][unit] for row in listed if not isinstance(row, str)]
+    has_span = any(np.isfinite(figures.span_axis).any() for figures in of_errors)
     count, *heads = error_heads(unit)
+    if not has_span:
+        heads = heads[:_WITHOUT_SPAN]
     columns = [name_column(f"{title} [{RESIDUAL_UNITS[unit].shown}]", 33), Column(count, 4)]
     columns += [Column(head, 9) for head in heads]
     cells: list[Sequence[str] | str] = []
-    for row in rows:
+    for row in listed:
         if isinstance(row, str):
             cells.append(row)
             continue
         label, errors = row
-        cells.append((label, *error_cells(errors[unit])))
+        cells.append((label, *error_cells(errors[unit])[: len(heads) + 1]))
     return table_lines(columns, cells)
 
 

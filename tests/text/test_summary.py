@@ -11,8 +11,10 @@ from calib.calibration import Calibration, calibrate
 from calib.channels import channels_of
 from calib.data.cell import Cell
 from calib.data.kinds import get
+from calib.numerics.errors import Errors
 from calib.text.summary import (
     EXPECTED,
+    error_table,
     error_title,
     facts,
 )
@@ -117,3 +119,15 @@ def test_what_too_few_rows_do_not_tell_is_not_expected(ur3, table):
     assert facts(turned)[EXPECTED].startswith("not known")
     some = calibrate(ur3, table.select(np.arange(35) < 20), model="zeros", validate=False)
     assert " mm over the joint limits" in facts(some)[EXPECTED]
+
+
+def test_errors_have_a_span_where_positions_were_measured():
+    rng = np.random.default_rng(1)
+    positions, lengths = (Errors.of(1e-3 * rng.normal(size=(5, n))) for n in (3, 1))
+    for errors, columns in ((positions, 7), (lengths, 4)):
+        head, row = error_table("Error", "m", [("rows", errors)])
+        assert ("span" in head) is (columns == 7)
+        assert len(row.split()) == 1 + columns
+    both = error_table("Error", "m", [("a", lengths), "text", ("b", positions)])
+    assert "span" in both[0]
+    assert both[1].split()[-3:] == ["-"] * 3
