@@ -30,7 +30,7 @@ def said(text: str) -> str:
 def test_the_examples_of_the_command_line(examples):
     done = examples.starting("calib convert calibration.conf")
     assert done.lines[0].startswith("Read: calibration.conf, ur-conf, UR3, calib_44555739735307312")
-    assert "'tool0', as 'base' sees it, lies 1.7" in " ".join(done.out.split())
+    assert "'tool0' lies 1.7" in " ".join(done.out.split())
     assert done.lines[-2:] == [
         "  ros2 launch ur_robot_driver ur_control.launch.py ur_type:=ur3 robot_ip:=ADDRESS \\",
         '    kinematics_params_file:="$PWD"/kinematics.yaml',
