@@ -162,8 +162,8 @@ def _displacement(conversion: Conversion) -> str:
     far = f"{mm(lengths.mean())} mm (mean) and at most {mm(lengths.max())} mm"
     turned = f"{deg(angles.mean())} deg (mean) and at most {deg(angles.max())} deg"
     return (
-        f"In '{source.robot.base}', over the joint limits, '{source.robot.tip}' lies {far} from where the nominal robot "
-        f"has it, turned by {turned}."
+        f"In '{source.robot.base}', over the joint limits, '{source.robot.tip}' lies {far} from where the nominal "
+        f"robot has it, turned by {turned}."
     )
 
 
