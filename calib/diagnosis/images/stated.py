@@ -3,6 +3,7 @@
 A relative error of each, of all focal lengths of a camera or of a board along x and y alike, is estimated jointly with
 the fit, whose prior standard deviations are estimated anew. It has no prior itself, and is besides what the fit changes
 under the stated prior, so that its standard deviation includes the stated one.
+
 A lens or a print that is wrong can fit well: the arm's lengths and the mounts make up for it. Where a board of another
 size has made all lengths of the arm grow alike, these priors are wide; with the board's size free they are not.
 """
