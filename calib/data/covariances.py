@@ -71,13 +71,19 @@ def _check(labels: RowLabels, index: int, C: Array) -> None:
     if not np.all((std >= SIGMAS[0]) & (std <= SIGMAS[1])):
         allowed = f"{SIGMAS[0]:g} to {SIGMAS[1]:g}, in SI units"
         labels.fail(
-            index, f"a standard deviation of the covariance is not from {allowed}. {_ENTRIES_ARE}"
+            index,
+            f"a standard deviation of the covariance is not from {allowed}. {_ENTRIES_ARE} Write numbers with an "
+            "exponent, 1.234567e-08.",
         )
     correlation = C / np.outer(std, std)
     if np.max(np.abs(correlation - correlation.T)) > _SYMMETRIC:
         labels.fail(index, f"the covariance is not symmetric. {_ENTRIES_ARE}")
     if np.linalg.eigvalsh(0.5 * (correlation + correlation.T))[0] <= 0.0:
-        labels.fail(index, f"the covariance is not positive definite. {_ENTRIES_ARE}")
+        labels.fail(
+            index,
+            f"the covariance is not positive definite. {_ENTRIES_ARE} Are all entries in this order, and written with "
+            "six digits or more?",
+        )
 
 
 def sigma_with_covariances(

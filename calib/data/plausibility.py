@@ -182,7 +182,8 @@ def _check_covariances(table: Table, values: Array) -> None:
     if std > RESIDUAL_UNITS["m"].absurd:
         raise MeasurementError(
             f"{table.source}: by half of the covariances a coordinate has a standard deviation of {std:.2g} m or more. "
-            "They are in m^2, m rad and rad^2; of lengths in mm, divide the first three rows and columns by 1000."
+            "They are variances, in m^2, m rad and rad^2. Where lengths are in mm, divide the first three rows by 1000 "
+            "and then the first three columns; where these are standard deviations, square them."
         )
 
 

@@ -48,7 +48,7 @@ class Why(Enum):
     SOLE_POSTURE = 57
     # Gains, and information
     GAIN, LARGER_MODEL, VALIDATION_GAIN, OUTSIDE, LARGER_NO_CLOSER, ROWS_COPIED = range(60, 66)
-    SCALE_HIDDEN = 66
+    SCALE_HIDDEN, COVARIANCES_IDLE = 66, 67
     # Images of a board
     SENSE_REVERSED, SENSE_UNKNOWN, FOCAL_LENGTH_OFF, BOARD_SCALE_OFF = range(100, 104)
     BOARD_HEAD_ON, FEW_CORNERS, ONE_AXIS, CAMERA_TOO_ROUGH = range(104, 108)
@@ -69,7 +69,7 @@ REMAINING = (
 )
 
 #: Reasons that are stated and decide nothing.
-INFORMATION = (Why.SCALE_HIDDEN,)
+INFORMATION = (Why.SCALE_HIDDEN, Why.COVARIANCES_IDLE)
 
 #: Doubts about given values, which come before all others.
 GIVEN = (Why.TARGET_FAR, Why.BASE_MOVED, Why.FOCAL_LENGTH_OFF, Why.BOARD_SCALE_OFF)

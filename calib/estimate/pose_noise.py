@@ -18,8 +18,15 @@ from calib.estimate.stages import FEWEST_FREEDOM
 from calib.estimate.stop_bodies import twists_of_joints
 from calib.estimate.task import Task
 from calib.model.kinematics import Kinematics
-from calib.numerics.pose_noise import POSE, PoseNoise, likeliest_noise, standardisers
+from calib.numerics.pose_noise import (
+    POSE,
+    PoseNoise,
+    likeliest_noise,
+    standardisers,
+    support,
+)
 from calib.registration.rows import USUAL_POSE_NOISE, Rows
+from calib.units import Array
 
 #: The most rounds of noise and fit.
 _ROUNDS = 8
@@ -71,26 +78,50 @@ def estimate_with_pose_noise(problem: Problem, task: Task, prior: PriorTerms) ->
     return estimate
 
 
+def covariance_support(estimate: Estimate) -> tuple[float, float] | None:
+    """Return what a fit's residuals say for the stated covariances of its poses; see `calib.numerics.pose_noise`.
+
+    Args:
+        estimate: The estimate of a fit.
+
+    Returns:
+        What `support` gives, and what it would give if residuals were as the covariances and a usual robot say; None
+        where no pose has a covariance, or too few degrees of freedom are left.
+    """
+    evidence = _evidence(estimate)
+    if evidence is None:
+        return None
+    stated, by_joints, squares, weights = evidence
+    as_stated = USUAL_POSE_NOISE.covariances(stated, by_joints)
+    return (
+        support(stated, by_joints, squares, weights, USUAL_POSE_NOISE),
+        support(stated, by_joints, as_stated, weights, USUAL_POSE_NOISE),
+    )
+
+
 def _noise_of(estimate: Estimate) -> PoseNoise | None:
     """Return the noise of poses that a fit's residuals tell; None where too few degrees of freedom are left."""
+    evidence = _evidence(estimate)
+    return None if evidence is None else likeliest_noise(*evidence, USUAL_POSE_NOISE)
+
+
+def _evidence(estimate: Estimate) -> tuple[Array, Array, Array, Array] | None:
+    """Return C, J_q J_q^T, S and weights of the poses with a covariance, see `calib.numerics.pose_noise`.
+
+    None where there are none, or too few degrees of freedom are left.
+    """
     problem = estimate.problem
     rows = problem.rows
-    assert rows.covariances is not None
-    assert rows.by_joints is not None
     chosen = rows.correlated & rows.checked & (problem.weights > 0.0)
     if estimate.freedom < FEWEST_FREEDOM or not np.any(chosen):
         return None
+    assert rows.covariances is not None
+    assert rows.by_joints is not None
     J = problem.jacobian(estimate.x)[chosen, :POSE]
     r = problem.residual(estimate.x)[chosen, :POSE]
     spread = J @ estimate.covariance @ J.transpose(0, 2, 1)
     squares = r[:, :, None] * r[:, None] + spread
-    return likeliest_noise(
-        rows.covariances[chosen],
-        rows.by_joints[chosen],
-        squares,
-        problem.weights[chosen],
-        USUAL_POSE_NOISE,
-    )
+    return rows.covariances[chosen], rows.by_joints[chosen], squares, problem.weights[chosen]
 
 
 def _is_settled(rows: Rows, noise: PoseNoise) -> bool:

@@ -40,8 +40,8 @@ POSE = len(POSE_UNITS)
 #: The orientation first.
 _ORDER = [3, 4, 5, 0, 1, 2]
 
-#: Lowest s, t, a and g: less is no instrument's and no robot's.
-_LOWEST = (1e-4, 1e-9, 1e-9, 1e-9)
+#: Lowest and highest s, t, a and g: less, or more, is no instrument's and no robot's.
+_BOUNDS = ((1e-4, 1e4), (1e-9, 10.0), (1e-9, 10.0), (1e-9, 10.0))
 
 #: Standard deviation of the prior of log s: a factor of ten either way, as of the noise of other measurements.
 _SCALE_SPREAD = float(np.log(10.0))
@@ -108,6 +108,38 @@ def likeliest_noise(
     Returns:
         The scale s, and the standard deviations t, a and g, the last 0 where no joint turns.
     """
+    noise, _ = _likeliest(stated, by_joints, squares, weights, start)
+    return noise
+
+
+def support(
+    stated: Array, by_joints: Array, squares: Array, weights: Array, start: PoseNoise
+) -> float:
+    """Compare the likelihood of stated covariances with that of equal ones, each at its likeliest noise.
+
+    Args:
+        stated: C, shape (n, 6, 6) [m^2, m rad, rad^2]; and the others as `likeliest_noise` takes them.
+        by_joints: See `likeliest_noise`.
+        squares: See `likeliest_noise`.
+        weights: See `likeliest_noise`.
+        start: See `likeliest_noise`.
+
+    Returns:
+        Log-likelihood with C less that with uncorrelated errors of equal variances in all rows. It is positive where C
+        tells of the errors of a row; clearly negative where it contradicts them, such as in another order or frame.
+    """
+    variances = np.mean(np.diagonal(stated, axis1=1, axis2=2), axis=0)
+    by_unit = np.repeat(variances.reshape(2, -1).mean(axis=1), POSE // 2)
+    equal = np.broadcast_to(np.diag(by_unit), stated.shape)
+    _, cost = _likeliest(stated, by_joints, squares, weights, start)
+    _, cost_of_equal = _likeliest(equal, by_joints, squares, weights, start)
+    return 0.5 * (cost_of_equal - cost)
+
+
+def _likeliest(
+    stated: Array, by_joints: Array, squares: Array, weights: Array, start: PoseNoise
+) -> tuple[PoseNoise, float]:
+    """Return the noise of poses of the highest likelihood, see `likeliest_noise`, and its sum at the module's head."""
     begin = [start.scale, start.position, start.orientation, start.joint]
     of_position = np.diag([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
     of_orientation = np.eye(POSE) - of_position
@@ -129,7 +161,7 @@ def likeliest_noise(
         slopes[0] += 2.0 * prior / _SCALE_SPREAD
         return float(weights @ misfits + prior**2), np.array(slopes)
 
-    bounds = [(np.log(least), None) for least in _LOWEST]
-    found = minimize(cost, np.log(begin), jac=True, method="L-BFGS-B", bounds=bounds)
+    found = minimize(cost, np.log(begin), jac=True, method="L-BFGS-B", bounds=np.log(_BOUNDS))
     scale, position, orientation, joint = np.exp(found.x).tolist()
-    return PoseNoise(scale, position, orientation, joint if np.any(by_joints) else 0.0)
+    noise = PoseNoise(scale, position, orientation, joint if np.any(by_joints) else 0.0)
+    return noise, float(found.fun)

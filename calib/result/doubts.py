@@ -26,6 +26,7 @@ from calib.diagnosis.residual_patterns import (
     Order,
     residual_patterns,
 )
+from calib.diagnosis.stated_covariances import idle_covariances
 from calib.diagnosis.stations import disagreeing_stations, flagged_station
 from calib.estimate.fitting import Fitted, fit
 from calib.estimate.gauge import measures_length
@@ -108,6 +109,7 @@ def _doubts(result: CalibrationValues, fitted: Fitted, rows: Rows) -> Iterator[R
         yield from _given_frame(few)
         yield from _scale(few, certified=result.cell.scale_certified)
         yield from contradicted_statements(few)
+    yield from idle_covariances(few)
     yield from doubtful_views(few)
     m = result.measurements
     yield from doubtful_senses(result.nominal, result.cell, m.select(m.estimation))

@@ -21,6 +21,9 @@ OF_IMAGES: Mapping[Why, str] = {
     Why.BOARD_SCALE_OFF: "The board seems to be {share:%+.2f} % off its stated size (standard deviation "
     "{std:%.2f} %), and all lengths of the arm with it: {if_exact}measure the printed squares, many of them at once, "
     "correct square_mm, and run calib detect again.",
+    Why.COVARIANCES_IDLE: "The stated covariances tell nothing of the errors of the poses (their scale is "
+    "{scale:.2g}): are they of these rows, in the order x, y, z, turns about x, y, z, in m and rad, along the axes of "
+    "the measurement frame? Or does the robot miss its stops by far more?",
     Why.BOARD_HEAD_ON: "The board was always seen head on, tilted by {tilt_rad:deg.0f} deg at most: such "
     "images hardly tell focal length from distance. Add images with the board tilted by 30 to 45 deg, to all sides.",
     Why.FEW_CORNERS: "{images} of {all} images show fewer than {corners} corners: their poses are rough, "
