@@ -11,6 +11,7 @@ from calib.text.layout.lines import fill, row_ranges
 from calib.text.readings import coupling_sentence
 
 if TYPE_CHECKING:
+    from calib.data.cell import Cell
     from calib.data.measurements import Measurements
     from calib.robot.robot import Robot
 
@@ -70,6 +71,16 @@ def _joints_outside(measurements: Measurements, robot: Robot) -> list[str]:
     outside = moving - {*robot.held, *(joint.name for joint in robot.joints)}
     names = [split_header(label)[0] for label in measurements.ignored]
     return [name for name in names if name in outside]
+
+
+def say_unused_camera(measurements: Measurements, cell: Cell) -> None:
+    """Say that a camera or a board is given and no row is an image; nothing where one is."""
+    names = [name for name in ("camera", "board") if getattr(cell, f"{name}s")]
+    if not names or measurements.where(lambda kind: kind.optical).any():
+        return
+    given = " and ".join(f"--{name}" for name in names)
+    text = f"Not used: {given}; no row is an image. Poses take the camera and its board as exact."
+    typer.echo(fill(text) + "\n")
 
 
 def say_coupled(robot: Robot) -> None:

@@ -6,7 +6,11 @@ from dataclasses import replace
 
 import pytest
 
-from calib.cli.notices import say_accepted, say_ignored
+from calib.camera.board import Board
+from calib.camera.camera import Camera
+from calib.cli.notices import say_accepted, say_ignored, say_unused_camera
+from calib.data.cell import Cell
+from tests.images import poses, table
 
 
 def test_an_accepted_verdict_is_said_on_stderr_alone(capsys: pytest.CaptureFixture[str]):
@@ -46,4 +50,19 @@ def test_how_orientations_were_read_is_said_unless_as_quaternions(ur3, paper_tab
     say_ignored(replace(plain, orientation="kuka"), ur3)
     assert "--orientation kuka" in capsys.readouterr().out
     say_ignored(replace(plain, orientation="quaternion"), ur3)
+    assert capsys.readouterr().out == ""
+
+
+def test_a_camera_without_images_is_said_not_to_be_used(paper_table, capsys):
+    boards = {"": Board(pattern="chessboard", columns=6, rows=5, square=0.03)}
+    cell = Cell(cameras={"": Camera(width=640, height=480)}, boards=boards)
+    say_unused_camera(paper_table, Cell())
+    assert capsys.readouterr().out == ""
+    say_unused_camera(paper_table, replace(cell, cameras={}))
+    said = capsys.readouterr().out
+    assert "--board" in said
+    assert "--camera" not in said
+    say_unused_camera(paper_table, cell)
+    assert "--camera and --board" in capsys.readouterr().out
+    say_unused_camera(table(poses(2)), cell)
     assert capsys.readouterr().out == ""

@@ -11,7 +11,7 @@ import typer
 
 from calib.cli.executor import executor_of
 from calib.cli.intervals import Intervals
-from calib.cli.notices import say_accepted, say_ignored
+from calib.cli.notices import say_accepted, say_ignored, say_unused_camera
 from calib.cli.options import (
     DataFile,
     FitOptions,
@@ -83,6 +83,7 @@ def calibrate(
     written = list(outputs.write(result, tables, quiet=quiet))
     if not quiet:
         say_ignored(measurements, arm)
+        say_unused_camera(measurements, cell)
         say("\n\n".join([result.summary(), *interval_texts]) + "\n")
         _say_written(result, outputs, written)
     _obey_verdict(result, outputs)
