@@ -63,6 +63,9 @@ _NOISE_OF_OTHERS = 0.05
 #: A direction is open where the standard deviation of its prediction is at least this share of the largest one.
 _OPEN = 1.0 / 3.0
 
+#: A rise of the residual's norm by less, as a share of it, is rounding: the order of the rows would decide on a step.
+_ROUNDING = 1e-12
+
 #: The most Gauss-Newton steps of an update.
 _UPDATES = 20
 
@@ -362,7 +365,7 @@ class _Update:
             norm = np.linalg.norm(residual)
             while np.linalg.norm(step) >= _SETTLED:
                 trial = self.residual(linear_at(linear.x + step))
-                if not np.linalg.norm(trial) > norm:
+                if not np.linalg.norm(trial) > (1.0 + _ROUNDING) * norm:
                     break
                 step = 0.5 * step
             if np.linalg.norm(step) < _SETTLED:

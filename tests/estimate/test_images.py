@@ -120,7 +120,7 @@ def test_the_order_of_images_and_corners_does_not_matter():
     first, second = results
     assert first.kinematics.model.names == second.kinematics.model.names
     scale = np.where(np.array(first.kinematics.model.units) == "px", 700.0, 1.0)
-    np.testing.assert_allclose(second.estimate.x / scale, first.estimate.x / scale, atol=1e-9)
+    np.testing.assert_allclose(second.estimate.x / scale, first.estimate.x / scale, atol=1e-10)
     placed, again = first.placed(), second.placed()
     np.testing.assert_allclose(again.T_frame_base, placed.T_frame_base, atol=1e-11)
     np.testing.assert_allclose(again.T_tip_target, placed.T_tip_target, atol=1e-11)
