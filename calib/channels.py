@@ -13,9 +13,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.arrays import Array, Integers, Mask
 from calib.errors import CalibError, choices
 from calib.mappings import ReadOnlyMapping
-from calib.units import UNITS, Array, Integers, Mask, Quantity
+from calib.units import UNITS, Quantity
 
 #: Index in `Channels.index` of an entry without a scalar.
 NOT_MEASURED = -1

@@ -7,21 +7,11 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Literal, TypeAlias, TypeGuard, get_args
+from typing import Literal, TypeGuard, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calib.errors import CalibError, choices
-
-#: Array of numbers.
-Array: TypeAlias = NDArray[np.float64]
-
-#: Array of truth values.
-Mask: TypeAlias = NDArray[np.bool_]
-
-#: Array of whole numbers.
-Integers: TypeAlias = NDArray[np.int_]
 
 Quantity = Literal["length", "angle", "torque", "force", "mass", "pixel"]
 

@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from studies import add_noise, draw_errors, print_table, show_progress, study_parser
 
+from calib.arrays import Array
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.example import PAPER_TARGET, paper_urdf
@@ -23,7 +24,6 @@ from calib.result.accuracy import Accuracy, accuracy
 from calib.result.evaluation import evaluate
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
-from calib.units import Array
 
 #: Points that a robot reaches at joint values, shape (N, m), with errors from random numbers: shape (N, 3), [m].
 DrawPoints = Callable[[Kinematics, Array, np.random.Generator], Array]

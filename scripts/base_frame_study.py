@@ -23,6 +23,7 @@ from arms import load_arm
 from numpy.typing import NDArray
 from studies import add_noise, draw_errors, print_table, rms, rms_length, run_jobs, study_parser
 
+from calib.arrays import Array, read_only, rigid_inverse
 from calib.calibration import calibrate
 from calib.circle_points.findings import with_positive_sense
 from calib.circle_points.fits import fit_circle, fit_plane
@@ -34,8 +35,7 @@ from calib.data.measurements import Measurements
 from calib.errors import CalibError
 from calib.model.error_model import error_model
 from calib.robot.ranges import random_joint_values
-from calib.robot.robot import Robot, read_only, rigid_inverse
-from calib.units import Array
+from calib.robot.robot import Robot
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from tests.circle_points.virtual_sweeps import virtual_sweeps

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from studies import add_noise, draw_errors
 
+from calib.arrays import Array, rigid_inverse
 from calib.calibration import calibrate
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
@@ -33,9 +34,8 @@ from calib.model.kinematics import Kinematics
 from calib.numerics.geometry import pose_of
 from calib.registration.rows import Rows
 from calib.registration.table_rows import rows_and_setup
-from calib.robot.chain import pinocchio_chain, rigid_inverse
+from calib.robot.chain import pinocchio_chain
 from calib.robot.robot import Robot
-from calib.units import Array
 
 #: Position of the target in the tip [m].
 TARGET = np.array([0.05, 0.05, 0.05])

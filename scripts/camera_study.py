@@ -24,6 +24,7 @@ from itertools import count, islice
 
 import numpy as np
 
+from calib.arrays import Array, read_only
 from calib.camera.board import Board
 from calib.camera.camera import Camera
 from calib.camera.optics import CORNER, INTRINSICS
@@ -38,12 +39,11 @@ from calib.model.families import FAMILIES
 from calib.model.kinematics import Samples
 from calib.registration.rows import Rows
 from calib.registration.table_rows import rows_and_setup
-from calib.robot.robot import Robot, read_only
+from calib.robot.robot import Robot
 from calib.simulation.camera.cell import CameraCell, draw_camera_cell
 from calib.simulation.camera.pictures import Pictures, take_pictures
 from calib.simulation.disturbances import Encoder
 from calib.simulation.scenario import Scenario
-from calib.units import Array
 
 BOARD = Board(
     pattern="charuco", columns=7, rows=5, square=0.03, marker=0.022, dictionary="DICT_5X5_100"

@@ -15,6 +15,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from studies import add_noise, draw_errors, print_table, rms, run_cases, study_parser
 
+from calib.arrays import Array
 from calib.calibration import Calibration, calibrate
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
@@ -25,7 +26,6 @@ from calib.model.parameters import ErrorModel
 from calib.numerics.geometry import pose_of
 from calib.result.comparison import ComparisonValues, compare
 from calib.robot.robot import Robot
-from calib.units import Array
 
 #: Outcomes of a comparison that are counted: a drift, and too little in common to tell.
 DRIFT = "drift"

@@ -16,6 +16,7 @@ from arms import load_arm, without_masses
 from scipy.special import chdtr
 from studies import TYPICAL_ERRORS, add_noise, draw_seed, log_uniform, print_table, run_jobs
 
+from calib.arrays import Array
 from calib.calibration import Calibration, calibrate
 from calib.compensation.commands import compensate
 from calib.compensation.expected import mean_of_chi
@@ -27,7 +28,6 @@ from calib.robot.payload import Payload
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 from calib.simulation.truth import Truth, draw_truth
-from calib.units import Array
 
 ARMS = ("ur3", "ur5", "ur10", "panda")
 

@@ -22,6 +22,7 @@ from compensation_cells import print_cells
 from numpy.typing import NDArray
 from studies import print_table, study_parser
 
+from calib.arrays import Array, read_only
 from calib.calibration import Calibration, calibrate
 from calib.compensation.commands import Commands, compensate
 from calib.compensation.inverse import Matching, solve
@@ -31,9 +32,8 @@ from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.example import PAPER_TARGET, paper_measurements, paper_urdf
 from calib.robot.ranges import column_limits, random_joint_values
-from calib.robot.robot import Robot, read_only
+from calib.robot.robot import Robot
 from calib.simulation.scenario import Scenario
-from calib.units import Array
 
 #: Whole poses are matched; the length that weighs angles is 0.01 m.
 POSE = Matching("pose", 0.01)

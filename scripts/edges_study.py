@@ -26,6 +26,7 @@ from studies import (
     verdict_text,
 )
 
+from calib.arrays import Array
 from calib.calibration import Calibration, calibrate
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
@@ -34,7 +35,6 @@ from calib.numerics.geometry import pose_of
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 from calib.simulation.truth import draw_truth
-from calib.units import Array
 
 ARMS = ("ur3", "ur5", "panda")
 

@@ -19,6 +19,7 @@ import cv2
 import numpy as np
 from studies import print_table, rms_length, study_parser
 
+from calib.arrays import Array, Mask
 from calib.calibration import calibrate
 from calib.camera import optics
 from calib.camera.board_file import read_board
@@ -30,7 +31,6 @@ from calib.example import franka_file
 from calib.numerics.geometry import pose_of
 from calib.registration.table_rows import rows_and_setup
 from calib.robot.robot import Robot
-from calib.units import Array, Mask
 
 #: Names of OpenCV's methods.
 METHODS = ("TSAI", "PARK", "HORAUD", "ANDREFF", "DANIILIDIS")

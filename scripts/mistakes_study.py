@@ -18,6 +18,7 @@ from arms import load_arm
 from scipy.spatial.transform import Rotation
 from studies import add_noise, print_table, run_jobs, study_parser, unchanged, verdict_of
 
+from calib.arrays import Array
 from calib.calibration import calibrate
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
@@ -25,7 +26,6 @@ from calib.diagnosis.reasons import USE
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 from calib.simulation.truth import draw_truth
-from calib.units import Array
 
 Change = Callable[[Measurements], Measurements]
 

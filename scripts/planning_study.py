@@ -17,6 +17,7 @@ from dataclasses import replace
 import numpy as np
 from studies import core_count, print_table, process_pool, study_parser
 
+from calib.arrays import Array
 from calib.data.cell import Box, Cell, Reflector, Tracker
 from calib.data.measurements import Measurements
 from calib.design.candidates import draw, planning_ranges
@@ -30,7 +31,6 @@ from calib.robot.robot import Robot
 from calib.simulation.scenario import Scenario
 from calib.simulation.study import Study, study
 from calib.simulation.trial import Trials
-from calib.units import Array
 
 
 def ur3() -> Robot:

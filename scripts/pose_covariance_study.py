@@ -20,6 +20,7 @@ import numpy as np
 from camera_study import ARMS, BOARD, FRESH, MODEL, STATED
 from studies import print_table, rms_length, run_cases, study_parser
 
+from calib.arrays import Array
 from calib.camera.lenses import LENSES
 from calib.camera.planar_pose import planar_poses
 from calib.data.cell import Cell
@@ -36,7 +37,6 @@ from calib.simulation.camera.cell import CameraCell, draw_camera_cell
 from calib.simulation.camera.pictures import Pictures, take_pictures
 from calib.simulation.disturbances import Encoder
 from calib.simulation.scenario import Scenario
-from calib.units import Array
 
 #: Steps of the encoders [deg].
 STEPS = (0.0, 0.005, 0.02, 0.1)

@@ -37,6 +37,7 @@ from studies import (
     study_parser,
 )
 
+from calib.arrays import Array
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.estimate.fitting import Fitted, fit
@@ -49,7 +50,6 @@ from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 from calib.selection.reference_fit import with_better_weights
 from calib.simulation.truth import Truth, draw_truth
-from calib.units import Array
 
 ARMS = ("ur5", "panda")
 

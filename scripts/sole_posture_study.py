@@ -17,11 +17,11 @@ import numpy as np
 from arms import load_arm
 from studies import add_noise, print_table, rms_length, run_jobs, study_parser, verdict_of
 
+from calib.arrays import Array
 from calib.calibration import Calibration, calibrate
 from calib.data.measurements import Measurements
 from calib.robot.ranges import random_joint_values
 from calib.simulation.truth import Truth, draw_truth
-from calib.units import Array
 
 ARMS = ("ur3", "ur5", "panda")
 

@@ -19,6 +19,7 @@ from arms import load_arm
 from scipy.spatial.transform import Rotation
 from studies import add_noise, draw_errors, print_table, rms, run_cases, study_parser
 
+from calib.arrays import Array
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.estimate.fitting import Fitted
@@ -28,7 +29,6 @@ from calib.numerics.geometry import pose_of
 from calib.result.fits import fit_table
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
-from calib.units import Array
 
 #: Noise of a coordinate [m].
 NOISE = 5e-5

@@ -19,12 +19,12 @@ import numpy as np
 from rich.console import Console
 from rich.progress import Progress
 
+from calib.arrays import Array
 from calib.calibration import Calibration
 from calib.diagnosis.reasons import Verdict
 from calib.model.parameters import ErrorModel
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
-from calib.units import Array
 
 Case = TypeVar("Case")
 Item = TypeVar("Item")

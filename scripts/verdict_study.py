@@ -31,6 +31,7 @@ from studies import (
     verdict_of,
 )
 
+from calib.arrays import Array
 from calib.calibration import Calibration, calibrate
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
@@ -40,7 +41,6 @@ from calib.robot.payload import Payload
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 from calib.simulation.truth import Truth, draw_truth
-from calib.units import Array
 
 #: Numbers of points.
 COUNTS = (5, 6, 8, 10, 12, 15, 20, 30, 50, 100)

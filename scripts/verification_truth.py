@@ -14,12 +14,12 @@ import pinocchio as pin
 from numpy.typing import NDArray
 from studies import draw_errors
 
+from calib.arrays import Array
 from calib.model.error_model import error_model
 from calib.numerics.geometry import pose_of
 from calib.robot.payload import Payload
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
-from calib.units import Array
 
 #: Position of the target in the tip [m].
 TARGET = (-0.06, 0.07, 0.03)

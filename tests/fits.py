@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from calib.arrays import read_only
 from calib.calibration import Calibration, calibrate
 from calib.data.cell import Cell, GroupDistance
 from calib.data.kinds import get
@@ -22,7 +23,7 @@ from calib.registration.rows import Rows
 from calib.robot.gravity import GRAVITY, gravity_loads
 from calib.robot.payload import Payload
 from calib.robot.ranges import random_joint_values
-from calib.robot.robot import Robot, read_only
+from calib.robot.robot import Robot
 
 #: Numbers of kinds in the registry.
 

@@ -12,13 +12,14 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
+from calib.arrays import read_only
 from calib.calibration import calibrate
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.example import PAPER_TARGET, paper_measurements, paper_urdf
 from calib.result.calibration import CalibrationValues, RowNames
 from calib.robot.payload import Payload
-from calib.robot.robot import Robot, read_only
+from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
 from calib.simulation.disturbances import Outliers
 from calib.simulation.scenario import Scenario

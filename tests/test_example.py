@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from calib.arrays import read_only
 from calib.calibration import calibrate
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
@@ -16,7 +17,7 @@ from calib.example import (
     paper_measurements,
     paper_urdf,
 )
-from calib.robot.robot import Robot, read_only
+from calib.robot.robot import Robot
 
 ROOT = Path(__file__).parents[1]
 

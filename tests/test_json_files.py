@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
+from calib.arrays import Array
 from calib.errors import FileError, MeasurementError
 from calib.json_files import JsonLayout, Key, damage, json_bytes, nested, plain, read_json
-from calib.units import Array
 
 
 def read(path, schema="thing 1"):

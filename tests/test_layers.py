@@ -18,6 +18,7 @@ ORDER = (
     "errors",
     "values",
     "mappings",
+    "arrays",
     "units",
     "channels",
     "files",

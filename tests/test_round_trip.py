@@ -13,9 +13,10 @@ import pinocchio as pin
 import pytest
 import yourdfpy
 
+from calib.arrays import rigid_inverse
 from calib.errors import UrdfError
 from calib.robot.ranges import random_joint_values
-from calib.robot.robot import Robot, rigid_inverse
+from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
 
 FILES = sorted(

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib.arrays import Array, Integers
 from calib.camera.dictionaries import check_markers
 from calib.errors import CalibError, choices, did_you_mean
 from calib.mappings import ReadOnlyMapping
-from calib.units import Array, Integers
 from calib.values.pickling import Value
 
 #: A chessboard whose white squares hold markers: corners are known even where a part of the board is seen.

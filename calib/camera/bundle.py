@@ -12,9 +12,9 @@ from itertools import compress
 
 import numpy as np
 
+from calib.arrays import Array, Integers, Mask
 from calib.camera.lenses import Lens
 from calib.camera.planar_pose import View, moved, view_system
-from calib.units import Array, Integers, Mask
 
 #: A view whose rms error is so many times that of most is left out.
 _FAR_OFF = 10.0

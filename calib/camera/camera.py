@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calib.arrays import Array
 from calib.camera.lenses import LENSES
 from calib.errors import CalibError, choices, did_you_mean
-from calib.units import Array
 from calib.values.pickling import Value
 
 #: Standard deviation of a number of which nothing is known.

@@ -15,6 +15,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from calib.arrays import Array
 from calib.camera.bundle import Bundle, Refined, refine_bundle
 from calib.camera.camera import Camera
 from calib.camera.lenses import LENSES
@@ -26,7 +27,6 @@ from calib.camera.planar_pose import (
     tells_pose,
 )
 from calib.errors import MeasurementError
-from calib.units import Array
 
 #: Focal lengths that are tried, over the image's width: wide angles to telephoto lenses.
 _TRIED = (0.3, 0.5, 0.8, 1.4, 2.5)

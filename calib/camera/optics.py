@@ -17,8 +17,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from calib.arrays import Array, Integers
 from calib.camera.lenses import LENSES, Lens
-from calib.units import Array, Integers
 
 #: The lens's numbers; a lens that has fewer leaves the last ones at zero.
 INTRINSICS = slice(0, 9)

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from calib.arrays import Array
 from calib.camera.lenses import Lens
-from calib.units import Array
 from calib.values.pickling import Value
 
 #: A view: points on the board, shape (k, 3) [m], and their images, shape (k, 2) [px].

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import ndtr
 
+from calib.arrays import Array
 from calib.circle_points.fits import LEVEL, Circle, Plane
 from calib.circle_points.sweeps import Sweep
 from calib.errors import CalibError
-from calib.units import Array
 
 #: Beside the joint that turns, no other may turn by more than this in a sweep [rad].
 STILL_RAD = float(np.radians(0.1))

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from scipy.special import chdtrc, fdtrc
 
+from calib.arrays import Array, Mask, read_only
 from calib.circle_points.orthogonal_distances import (
     TOO_SHORT,
     FittedFigure,
@@ -26,8 +27,6 @@ from calib.circle_points.orthogonal_distances import (
     nearest_plane,
 )
 from calib.errors import CalibError
-from calib.robot.robot import read_only
-from calib.units import Array, Mask
 from calib.values.pickling import Value
 
 #: Fewest points: those that determine the figure and one more, or there is nothing to tell the noise from.

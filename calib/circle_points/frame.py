@@ -25,11 +25,11 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import stdtrit
 
+from calib.arrays import Array, read_only, rigid_inverse
 from calib.circle_points.fits import Circle, Plane
 from calib.errors import CalibError, UrdfError
 from calib.model.dh_table import zero_poses
-from calib.robot.robot import Robot, read_only, rigid_inverse
-from calib.units import Array
+from calib.robot.robot import Robot
 from calib.values.pickling import Value
 
 #: Axis 1 at a smaller angle than this to the plane does not meet it anywhere near [rad].

@@ -16,8 +16,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import least_squares
 
+from calib.arrays import Array, Mask
 from calib.errors import CalibError
-from calib.units import Array, Mask
 
 #: Points that stay within this do not move, rms about their mean [m].
 STILL_M = 1e-3

@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from calib.arrays import Array, read_only, rigid_inverse
 from calib.circle_points.findings import ORDER, SweepFinding, findings, with_positive_sense
 from calib.circle_points.fits import Circle, Plane, fit_circle, fit_plane
 from calib.circle_points.frame import (
@@ -38,8 +39,7 @@ from calib.circle_points.sweeps import Sweeps
 from calib.errors import CalibError, MeasurementError, choices
 from calib.inputs import RobotInput, robot_of
 from calib.json_files import JsonLayout
-from calib.robot.robot import Robot, read_only, rigid_inverse
-from calib.units import Array
+from calib.robot.robot import Robot
 from calib.values.arguments import check_flags, check_number, check_type
 from calib.values.pickling import Value
 

@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from calib.arrays import Array, read_only
 from calib.data.columns import ORIENTATION, list_columns, name_columns, reserved
 from calib.data.forms.column_options import ColumnsInput
 from calib.data.forms.points import PARTS, Points
@@ -20,9 +21,7 @@ from calib.data.measurements import Measurements
 from calib.data.points_file import read_points
 from calib.data.values import read_values
 from calib.errors import MeasurementError, choices
-from calib.robot.robot import read_only
 from calib.tables.table import Column, Table
-from calib.units import Array
 from calib.values.pickling import Value
 
 #: Name of the points on the mounting plane.

@@ -13,11 +13,11 @@ from calib.errors import CalibError
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from calib.arrays import Array, Integers
     from calib.camera.board import Board
     from calib.compensation.touch import Pointer
     from calib.data.cell import Cell
     from calib.design.images.plan import ImageRequest
-    from calib.units import Array, Integers
 
 #: Columns of the option's text in the help.
 _POSE = '"X Y Z UNIT RX RY RZ UNIT"'

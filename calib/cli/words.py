@@ -37,7 +37,7 @@ def parse_point(text: str, option: str, example: str = "70 -70 22.5 mm") -> NDAr
     Raises:
         CalibError: It is no such text.
     """
-    from calib.robot.robot import read_only
+    from calib.arrays import read_only
     from calib.units import LENGTH, parse_quantities
 
     return read_only(parse_quantities(text, option, {LENGTH: 3}, example)[LENGTH])

@@ -13,10 +13,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from calib.arrays import Array
 from calib.camera.board import Board
 from calib.camera.optics import across
 from calib.result.prediction import FittedModel
-from calib.units import Array
 
 
 class PrintedCorners(NamedTuple):

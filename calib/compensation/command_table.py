@@ -9,12 +9,12 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from calib.arrays import Array
 from calib.compensation.commands import Commands
 from calib.compensation.program import CORRECTION, EXPECTED
 from calib.data.columns import POINT, STATUS
 from calib.data.forms.orientations import ROTATION_VECTOR, Convention, find_convention
 from calib.files import csv_bytes, write_atomically
-from calib.units import Array
 
 
 class _Unit(NamedTuple):

@@ -20,6 +20,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
+from calib.arrays import Array, Mask, read_only, rigid_inverse
 from calib.compensation.expected import ExpectedErrors, expected_errors
 from calib.compensation.inverse import (
     AXIS,
@@ -47,8 +48,7 @@ from calib.result.calibration import CalibrationValues
 from calib.result.comparison import RESULT, is_result_file, result_of
 from calib.robot.payload import Payload
 from calib.robot.ranges import column_limits
-from calib.robot.robot import Robot, read_only, rigid_inverse
-from calib.units import Array, Mask
+from calib.robot.robot import Robot
 from calib.values.arguments import check_type, finite_numbers
 from calib.values.pickling import Value
 from calib.values.short import one_line

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import chdtri, fdtri, gammaln
 
+from calib.arrays import Array, read_only
 from calib.compensation.nominal_actual import Pair
 from calib.compensation.pose_covariance import (
     PoseCovariance,
@@ -34,8 +35,6 @@ from calib.model.kinematics import Samples
 from calib.numerics.errors import CrossValidation
 from calib.result.calibration import CalibrationValues
 from calib.result.prediction import FittedModel
-from calib.robot.robot import read_only
-from calib.units import Array
 from calib.values.pickling import Value
 
 Source = Literal["model", "parameters", "poses", "tool", "base"]

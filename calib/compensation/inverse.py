@@ -22,11 +22,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from calib.arrays import Array, Mask, read_only, rigid_inverse
 from calib.compensation.nominal_actual import Arm
 from calib.errors import ModelError, choices
 from calib.robot.ranges import column_limits, full_ranges, spread_between
-from calib.robot.robot import Robot, read_only, rigid_inverse
-from calib.units import Array, Mask, unit_fault
+from calib.robot.robot import Robot
+from calib.units import unit_fault
 
 Indices = NDArray[np.int_]
 

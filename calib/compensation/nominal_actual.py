@@ -19,6 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from calib.arrays import Array, read_only
 from calib.errors import ModelError, choices
 from calib.model.error_model import error_model
 from calib.model.families import Factor, JointState
@@ -30,8 +31,7 @@ from calib.result.calibration import CalibrationValues, check_same_coupling
 from calib.result.prediction import NonGeometric
 from calib.robot.payload import Payload
 from calib.robot.ranges import spread_poses
-from calib.robot.robot import Robot, read_only
-from calib.units import Array
+from calib.robot.robot import Robot
 from calib.values.arguments import numbers
 from calib.values.pickling import Value
 

@@ -21,6 +21,7 @@ import numpy as np
 import pinocchio as pin
 
 import calib.data.kinds as registry
+from calib.arrays import Array, rigid_inverse
 from calib.model.error_model import DIRECTIONS, OWN, error_model, split_name
 from calib.model.families import FAMILIES
 from calib.model.kinematics import Samples
@@ -28,8 +29,6 @@ from calib.model.parameters import TARGET, Parameter
 from calib.numerics.rigid_motion import displacements_by
 from calib.result.calibration import CalibrationValues
 from calib.result.prediction import FittedModel, twists_in_base
-from calib.robot.robot import rigid_inverse
-from calib.units import Array
 
 #: Rows whose derivatives are held at a time.
 _AT_A_TIME = 2048

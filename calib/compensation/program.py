@@ -8,12 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from calib.arrays import Array, read_only
 from calib.compensation.inverse import MATCHES, POSITION
 from calib.errors import ModelError, choices
 from calib.mappings import keep_read_only
 from calib.numerics.geometry import not_rotations
-from calib.robot.robot import read_only
-from calib.units import Array
 from calib.values.arguments import check_mapping, check_names, check_type, finite_numbers, numbers
 from calib.values.pickling import Value
 from calib.values.short import one_line

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
+from calib.arrays import Array
 from calib.compensation.program import CORRECTION, EXPECTED, Program, poses_at
 from calib.data.columns import (
     POINT,
@@ -32,7 +33,6 @@ from calib.data.values import read_values
 from calib.errors import MeasurementError, choices
 from calib.robot.robot import Robot
 from calib.tables.table import Table
-from calib.units import Array
 
 
 def read_program(

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from calib.arrays import Array
 from calib.compensation.inverse import POSE, Matching, solve
 from calib.compensation.nominal_actual import Arm
 from calib.robot.robot import Robot
-from calib.units import Array
 
 #: Length that one radian weighs as [m].
 _RADIAN = 0.3

@@ -21,6 +21,7 @@ import numpy as np
 import pinocchio as pin
 from scipy.special import chdtri
 
+from calib.arrays import Array, Integers, Mask, read_only
 from calib.camera.board import Board
 from calib.compensation.board_print import PrintedCorners, printed_corners
 from calib.compensation.expected import arrival_covariance
@@ -33,8 +34,7 @@ from calib.errors import ModelError, choices
 from calib.result.calibration import CalibrationValues
 from calib.robot.full_model import full_configurations, full_model, link_frame
 from calib.robot.ranges import column_limits, full_ranges, spread_between
-from calib.robot.robot import Robot, read_only
-from calib.units import Array, Integers, Mask
+from calib.robot.robot import Robot
 from calib.values.pickling import Value
 
 #: Share of robots whose error at a corner is below the one that is stated.

@@ -7,10 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
+from calib.arrays import Array
 from calib.compensation.touch import TouchPlan
 from calib.files import csv_bytes, write_atomically
 from calib.robot.robot import Robot
-from calib.units import UNITS, Array
+from calib.units import UNITS
 
 #: Steps of each corner, in the order to drive.
 ABOVE, TOUCH = "above", "touch"

@@ -9,11 +9,11 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.arrays import Array, Mask
 from calib.compensation.inverse import POSE, Matching, Solution
 from calib.compensation.nominal_actual import Pair
 from calib.robot.ranges import column_limits
 from calib.robot.robot import Robot
-from calib.units import Array, Mask
 
 Code = Literal[
     "unreachable",

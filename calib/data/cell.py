@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 import calib.data.kinds as registry
+from calib.arrays import Array, read_only
 from calib.camera.board import Board
 from calib.camera.camera import Camera
 from calib.channels import RESIDUAL_UNITS
@@ -45,8 +46,7 @@ from calib.numerics.geometry import (
 )
 from calib.robot.gravity import GRAVITY
 from calib.robot.payload import Payload
-from calib.robot.robot import read_only
-from calib.units import Array, is_number
+from calib.units import is_number
 from calib.values.arguments import check_mapping, check_path, check_type
 from calib.values.pickling import Value
 from calib.values.short import one_line

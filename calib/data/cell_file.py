@@ -18,6 +18,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 import calib.plugins as plugins
+from calib.arrays import Array
 from calib.channels import RESIDUAL_UNITS
 from calib.data.optics_tables import boards_of_tables, cameras_of_tables
 from calib.data.record import TEXTS
@@ -32,7 +33,6 @@ from calib.units import (
     LENGTH,
     PLAIN,
     UNITS,
-    Array,
     is_number,
     parse_joint_range,
     parse_joint_value,

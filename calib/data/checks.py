@@ -12,13 +12,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 import calib.data.kinds as registry
+from calib.arrays import Array, Integers, Mask, read_only
 from calib.data.columns import SETS, reserved
 from calib.data.forms.column_options import ColumnOptions
 from calib.errors import MeasurementError, choices
 from calib.numerics.geometry import FARTHEST, not_rotations
-from calib.robot.robot import read_only
 from calib.tables.table import Table
-from calib.units import Array, Integers, Mask
 from calib.values.arguments import (
     check_mapping,
     check_names,

@@ -12,10 +12,10 @@ from typing import Any, Protocol
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from calib.arrays import Array
 from calib.errors import CalibError
 from calib.model.error_model import DIRECTIONS
 from calib.numerics.differences import disagreement
-from calib.units import Array
 
 #: Number of poses n: many, as a camera sees few of them.
 _COUNT = 64

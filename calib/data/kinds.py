@@ -26,6 +26,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 import calib.plugins as plugins
+from calib.arrays import Array
 from calib.camera.optics import image_derivatives, images
 from calib.channels import RESIDUAL_UNITS
 from calib.data.kind_check import check_functions
@@ -33,7 +34,6 @@ from calib.data.reading import Reading as Reading
 from calib.errors import CalibError, MeasurementError, choices
 from calib.model.error_model import DIRECTIONS
 from calib.numerics.geometry import inverse_right_jacobian
-from calib.units import Array
 from calib.values.arguments import check_type
 from calib.values.pickling import Value
 

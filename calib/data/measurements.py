@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 import calib.data.kinds as registry
+from calib.arrays import Array, Mask, read_only
 from calib.channels import RESIDUAL_UNITS, residual_unit
 from calib.data.checks import (
     RowLabels,
@@ -55,9 +56,8 @@ from calib.errors import MeasurementError, choices
 from calib.files import csv_bytes, write_atomically
 from calib.mappings import ReadOnlyMapping
 from calib.numerics.geometry import FARTHEST, to_quaternions
-from calib.robot.robot import read_only
 from calib.tables.table import Table
-from calib.units import Array, Mask, Quantity
+from calib.units import Quantity
 from calib.values.arguments import check_names, mask_of_rows, numbers
 from calib.values.pickling import Value
 from calib.values.short import one_line

@@ -9,11 +9,10 @@ from typing import TypeVar
 
 import numpy as np
 
+from calib.arrays import Array, read_only
 from calib.data.cell_file import checked
 from calib.errors import CalibError, choices
 from calib.numerics.geometry import pose_or_none, vector
-from calib.robot.robot import read_only
-from calib.units import Array
 from calib.values.pickling import Value
 
 Distance = TypeVar("Distance", float, Array)

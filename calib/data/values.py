@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import calib.data.kinds as registry
+from calib.arrays import Array, Mask
 from calib.channels import RESIDUAL_UNITS
 from calib.data.columns import SETS, STATUS, TORQUE
 from calib.data.covariances import may_have_covariance
@@ -20,7 +21,6 @@ from calib.data.layout import Layout, slides
 from calib.data.plausibility import check_units
 from calib.errors import MeasurementError, choices
 from calib.tables.table import Column, Table
-from calib.units import Array, Mask
 
 #: Numbers of a layout's blocks by name, shape (rows, columns) each.
 Blocks = Mapping[str, Array]

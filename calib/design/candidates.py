@@ -13,11 +13,12 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.arrays import Array, read_only
 from calib.errors import ModelError
 from calib.jobs import Progress
 from calib.robot.ranges import column_limits, joint_ranges
-from calib.robot.robot import Robot, read_only
-from calib.units import UNITS, Array
+from calib.robot.robot import Robot
+from calib.units import UNITS
 
 Reason = Literal[
     "region",

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 import calib.data.kinds as registry
+from calib.arrays import Array, read_only
 from calib.design.candidates import Pool
 from calib.design.forecast import Forecast, Workspace, information
 from calib.design.optimal import RESTARTS, Basis, Indices, choose, exchange, ranking, short_list
@@ -17,8 +18,6 @@ from calib.design.sensitivity import Sensitivity
 from calib.errors import ModelError
 from calib.jobs import Progress
 from calib.model.observability import steps
-from calib.robot.robot import read_only
-from calib.units import Array
 from calib.values.arguments import (
     check_flags,
     check_number,

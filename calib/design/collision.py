@@ -22,6 +22,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 from pinocchio import hppfcl
 
+from calib.arrays import Array, Mask
 from calib.data.cell import Box
 from calib.design.notes import Code, Note
 from calib.design.solids import (
@@ -37,7 +38,6 @@ from calib.robot.full_model import full_configurations, full_model, link_frame
 from calib.robot.ranges import spread_poses
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
-from calib.units import Array, Mask
 
 Names = tuple[tuple[str, str], ...]
 

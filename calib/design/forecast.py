@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import solve_triangular
 
 import calib.data.kinds as registry
+from calib.arrays import Array, read_only
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.design.candidates import planning_ranges
@@ -30,8 +31,7 @@ from calib.registration.registration import register
 from calib.registration.table_rows import rows_and_setup
 from calib.robot.kernel import over_blocks
 from calib.robot.ranges import spread_between
-from calib.robot.robot import Robot, read_only
-from calib.units import Array
+from calib.robot.robot import Robot
 from calib.values.pickling import Value
 
 #: Poses over which a forecast without a plan is made.

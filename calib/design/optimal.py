@@ -22,9 +22,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.arrays import Array
 from calib.design.forecast import information
 from calib.robot.kernel import over_blocks
-from calib.units import Array
 
 Indices = NDArray[np.int_]
 

@@ -15,8 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.robot.robot import read_only
-from calib.units import Array
+from calib.arrays import Array, read_only
 
 Indices = NDArray[np.intp]
 

@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from calib.arrays import Array, read_only
 from calib.data.cell import Cell
 from calib.design.candidates import Condition, Pool, draw, planning_ranges
 from calib.design.choice import Choice, PlanRequest, choose_poses
@@ -28,8 +29,7 @@ from calib.design.sight import in_cone, in_range, target_positions
 from calib.inputs import CellInput, RobotInput, cell_of, robot_of
 from calib.mappings import keep_read_only
 from calib.regions.region import Region
-from calib.robot.robot import Robot, read_only
-from calib.units import Array
+from calib.robot.robot import Robot
 from calib.values.arguments import check_callable, check_type
 from calib.values.pickling import Value
 

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import calib.data.kinds as registry
+from calib.arrays import Array, Mask, read_only
 from calib.channels import RESIDUAL_UNITS
 from calib.data.columns import DEFAULT_TARGET, EXPECTED, POINT, name_columns
 from calib.data.forms.column_options import ColumnsInput
@@ -28,9 +29,9 @@ from calib.design.plan import PlanValues
 from calib.errors import MeasurementError
 from calib.files import csv_bytes, write_atomically
 from calib.robot.readings import coupling_table
-from calib.robot.robot import Robot, read_only
+from calib.robot.robot import Robot
 from calib.tables.table import Table
-from calib.units import Array, Mask, Quantity
+from calib.units import Quantity
 from calib.version import __version__
 
 SCHEMA = "plan 2"

@@ -12,10 +12,10 @@ from itertools import combinations, product
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.arrays import Array, read_only
 from calib.design.candidates import rounded
 from calib.design.ordering import Blocked, FreePath, Indices, Route, order
-from calib.robot.robot import Robot, read_only
-from calib.units import Array
+from calib.robot.robot import Robot
 
 #: Whole turns are tried of at most this many joints at once.
 _MOST_JOINTS = 2

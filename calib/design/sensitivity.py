@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 import calib.data.kinds as registry
+from calib.arrays import Array, read_only
 from calib.channels import RESIDUAL_UNITS, VECTOR
 from calib.data.cell import AUTO, Cell, Tracker
 from calib.data.columns import DEFAULT_TARGET
@@ -28,8 +29,7 @@ from calib.registration.rows import Rows
 from calib.registration.setup import Setup
 from calib.registration.table_setup import measurement_setup
 from calib.robot.gravity import gravity_loads
-from calib.robot.robot import Robot, read_only
-from calib.units import Array
+from calib.robot.robot import Robot
 
 #: What `auto` is planned for: the largest geometry, so that every smaller one is covered.
 PLANNED_FOR_AUTO = "placement"

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from calib.arrays import Array, Mask
 from calib.data.cell import Reflector, Tracker
 from calib.robot.robot import Robot
-from calib.units import Array, Mask
 
 
 def target_positions(robot: Robot, T_tip_target: Array, q: Array) -> Array:

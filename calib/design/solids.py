@@ -15,6 +15,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 from pinocchio import hppfcl
 
+from calib.arrays import Array
 from calib.data.cell import Box
 from calib.errors import UrdfError
 from calib.robot.full_model import full_model, link_frame
@@ -22,7 +23,6 @@ from calib.robot.kernel import turns_to
 from calib.robot.meshes import LinkShape, find_mesh, link_shapes, load_mesh, mesh_folders
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf, UrdfJoint
-from calib.units import Array
 
 #: Thickness of the box that stands for all below the mounting plane; it is twice as wide [m].
 _GROUND = 20.0

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import stdtr
 
+from calib.arrays import Array, Integers, Mask
 from calib.diagnosis.reasons import Reason
 from calib.numerics.errors import CrossValidation, Errors
-from calib.units import Array, Integers, Mask
 
 #: A nominal robot is at its noise where its error is below so many standard deviations, rms over all scalars.
 _AT_THE_NOISE = 1.45

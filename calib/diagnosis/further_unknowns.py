@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import fdtrc, stdtr
 
+from calib.arrays import Array, Mask
 from calib.camera.optics import SCALE
 from calib.estimate.fitting import Fitted
 from calib.estimate.linear import LinearProblem
@@ -27,7 +28,6 @@ from calib.model.families import ANGLE, LENGTH, ZERO
 from calib.numerics.errors import rms
 from calib.numerics.likelihood import GaussianPriors
 from calib.registration.rows import Rows
-from calib.units import Array, Mask
 
 #: A p-value below which a finding is not taken for chance.
 UNLIKELY = 1e-3

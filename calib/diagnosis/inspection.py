@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 import calib.data.kinds as registry
+from calib.arrays import Array
 from calib.data.cell import AUTO, Cell
 from calib.data.measurements import Measurements
 from calib.errors import ModelError
@@ -23,7 +24,6 @@ from calib.registration.setup import Setup
 from calib.registration.table_rows import rows_and_setup
 from calib.robot.ranges import spread_poses
 from calib.robot.robot import Robot
-from calib.units import Array
 
 #: Place in the tip of a target that was not given: off every axis of the tip [m].
 GENERIC_TARGET = (0.05, 0.07, 0.03)

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from calib.arrays import Array
 from calib.diagnosis.reasons import Why
 from calib.robot.robot import Robot
-from calib.units import Array
 
 #: Factors where angles are in one unit and their header says another.
 _ANGLES = {("rad", "deg"): np.degrees(1.0), ("deg", "rad"): np.radians(1.0)}

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from calib.arrays import Array
 from calib.numerics.errors import Errors
 from calib.registration.registration import register
 from calib.registration.rows import Rows
 from calib.registration.setup import Setup
 from calib.robot.robot import Robot
-from calib.units import Array
 
 TOLERANCE = 1e-6
 """Tolerance of a registration: five digits are enough to compare."""

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from calib.arrays import Array
 from calib.diagnosis.joint_mistakes import shifted_zeros
 from calib.diagnosis.misfit import misfit, with_joints
 from calib.diagnosis.reasons import Reason, Why
 from calib.registration.rows import Rows
 from calib.registration.setup import Setup
 from calib.robot.robot import Robot
-from calib.units import Array
 
 PLAUSIBLE = 0.02
 """Nominal errors below this need no other explanation than an uncalibrated arm [m]."""

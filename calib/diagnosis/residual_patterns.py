@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib.arrays import Array, Integers, Mask
 from calib.diagnosis.further_unknowns import PREDICTS, gain_on_blocks
 from calib.diagnosis.patterns import (
     Explained,
@@ -28,7 +29,6 @@ from calib.estimate.fitting import Fitted
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics
 from calib.model.parameters import ErrorModel
-from calib.units import Array, Integers, Mask
 
 #: Noise below this is rounding, in which any test finds patterns [m, rad].
 ROUNDING_NOISE = 1e-6

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 import calib.data.kinds as registry
+from calib.arrays import Array
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.diagnosis.images.poses import as_poses
@@ -32,7 +33,6 @@ from calib.registration.rows import Rows
 from calib.registration.setup import Setup
 from calib.registration.table_rows import rows_and_setup
 from calib.robot.robot import Robot
-from calib.units import Array
 
 #: And to no more than this [m].
 _EXPLAINED = 0.05

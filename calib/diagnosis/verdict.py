@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from calib.arrays import Mask
 from calib.channels import RESIDUAL_UNITS
 from calib.diagnosis.evidence import ALIKE, CHANCE, ROUNDING, Evidence
 from calib.diagnosis.further_unknowns import PREDICTS
@@ -26,7 +27,6 @@ from calib.diagnosis.reasons import (
 )
 from calib.mappings import ReadOnlyMapping
 from calib.numerics.errors import Errors
-from calib.units import Mask
 
 #: Units with rules of their own.
 _LENGTH, _ANGLE = RESIDUAL_UNITS["m"], RESIDUAL_UNITS["rad"]

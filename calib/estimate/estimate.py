@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calib.arrays import Array, Mask, read_only
 from calib.estimate.linear import LinearProblem
 from calib.estimate.problem import Problem
 from calib.estimate.stages import Stage
@@ -15,8 +16,6 @@ from calib.model.parameters import FRAME, TARGET
 from calib.numerics.pose_noise import PoseNoise
 from calib.numerics.scores import Limits
 from calib.numerics.solvers import Solution
-from calib.robot.robot import read_only
-from calib.units import Array, Mask
 from calib.values.pickling import Value
 
 #: A change below this is set to zero: weak priors leave such traces on parameters that the target can replace [m, rad].

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calib.arrays import Array, read_only
 from calib.blas import one_blas_thread
 from calib.errors import MeasurementError, ModelError
 from calib.estimate.estimate import Estimate
@@ -24,8 +25,6 @@ from calib.model.parameters import ErrorModel
 from calib.registration.registration import register, register_held_out
 from calib.registration.rows import Rows
 from calib.registration.setup import Setup
-from calib.robot.robot import read_only
-from calib.units import Array
 from calib.values.pickling import Value
 
 

@@ -17,13 +17,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib.arrays import Array, Mask, read_only
 from calib.model.kinematics import Kinematics
 from calib.numerics.errors import rms
 from calib.registration.known_distances import KnownDistance
 from calib.registration.rows import Rows
 from calib.robot.ranges import spread_poses
-from calib.robot.robot import read_only
-from calib.units import Array, Mask
 
 #: Poses over which the growth of an arm is found; a tip is moved by a combination of lengths at any of them.
 _POSES = 60

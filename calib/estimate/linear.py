@@ -15,12 +15,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.arrays import Array, Mask
 from calib.channels import Channels
 from calib.estimate.stop_errors import Stops
 from calib.numerics.likelihood import GaussianPriors, NormalEquations
 from calib.numerics.scores import deleted_norms, point_scores
 from calib.robot.kernel import over_blocks
-from calib.units import Array, Mask
 from calib.values.pickling import Value
 
 #: Normal equations that are kept, because stages ask for the same ones again.

@@ -11,6 +11,7 @@ from functools import partial
 
 import numpy as np
 
+from calib.arrays import Array
 from calib.data.cell import Priors
 from calib.errors import ModelError
 from calib.estimate.estimate import Estimate, estimate_at_stage
@@ -22,7 +23,6 @@ from calib.estimate.task import Task
 from calib.model.parameters import ErrorModel
 from calib.numerics.solvers import Solution, paper_levenberg_marquardt
 from calib.registration.setup import Setup
-from calib.units import Array
 
 #: Covariance of the estimator that minimises fourth powers over that of least squares, for normal noise in 3-D.
 _FOURTH_POWERS = 1.4

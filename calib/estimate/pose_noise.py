@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from calib.arrays import Array
 from calib.estimate.bounds import estimate_within_bounds
 from calib.estimate.estimate import Estimate
 from calib.estimate.prior_terms import PriorTerms
@@ -26,7 +27,6 @@ from calib.numerics.pose_noise import (
     support,
 )
 from calib.registration.rows import USUAL_POSE_NOISE, Rows
-from calib.units import Array
 
 #: The most rounds of noise and fit.
 _ROUNDS = 8

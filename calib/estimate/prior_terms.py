@@ -13,13 +13,12 @@ from itertools import chain
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from calib.arrays import Array, Mask, rigid_inverse
 from calib.data.priors import Priors
 from calib.errors import ModelError
 from calib.estimate.task import Task
 from calib.model.parameters import FRAME, TARGET, ErrorModel
 from calib.registration.setup import Setup
-from calib.robot.robot import rigid_inverse
-from calib.units import Array, Mask
 
 #: Standard deviation of the weak prior of frames and targets about where they are registered, and of all parameters
 #: where priors are off [m and rad].

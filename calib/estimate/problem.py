@@ -26,6 +26,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from calib.arrays import Array
 from calib.estimate.gauge import TOLERANCE, SizeGauge, measures_length, size_gauge
 from calib.estimate.linear import LinearProblem
 from calib.estimate.stop_errors import Stops
@@ -36,7 +37,6 @@ from calib.numerics.solvers import triangle
 from calib.registration.known_distances import KnownDistance
 from calib.registration.rows import Rows
 from calib.robot.kernel import over_blocks
-from calib.units import Array
 from calib.values.pickling import Value
 
 #: Noise below this is no instrument's but rounding [m, rad].

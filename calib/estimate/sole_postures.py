@@ -32,12 +32,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calib.arrays import Array, Integers, Mask
 from calib.estimate.linear import LinearProblem
 from calib.estimate.stages import Stage
 from calib.numerics.scores import point_scores
 from calib.registration.rows import Rows
 from calib.robot.kernel import over_blocks
-from calib.units import Array, Integers, Mask
 
 #: A pose is a sole posture where the standard deviation of its prediction from the others is so many times the noise,
 _UNPREDICTED = 10.0

@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from calib.arrays import Array, read_only
 from calib.errors import ArgumentError
 from calib.estimate.estimate import Estimate, estimate_at_stage, problem_at_stage
 from calib.estimate.linear import LinearProblem
@@ -26,8 +27,6 @@ from calib.estimate.task import Task
 from calib.model.observability import steps
 from calib.numerics.scores import Limits
 from calib.numerics.solvers import SOLVERS, Solution
-from calib.robot.robot import read_only
-from calib.units import Array
 
 #: Tolerance of a solve between stages, whose weights and priors change far more, in steps of 1 mm and 1 mrad.
 _ROUGH = 0.1

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calib.arrays import Array, Integers, Mask
 from calib.estimate.linear import LinearProblem
 from calib.estimate.prior_terms import PriorTerms
 from calib.estimate.stop_shares import PARTS
@@ -21,7 +22,6 @@ from calib.numerics.reml import VarianceLimits, prior_std_by_reml
 from calib.numerics.repeats import scatter_of_repeats
 from calib.numerics.scores import Limits, median_noise
 from calib.registration.rows import Rows
-from calib.units import Array, Integers, Mask
 
 #: Prior standard deviation of the logarithm of the noise: a factor of ten either way from the one given or assumed.
 _NOISE_SPREAD = float(np.log(10.0))

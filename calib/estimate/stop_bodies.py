@@ -11,12 +11,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.arrays import Array, Integers
 from calib.estimate.stop_shares import PARTS, transposed
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics, Samples
 from calib.registration.rows import Rows
 from calib.registration.same_poses import same_poses
-from calib.units import Array, Integers
 
 
 def stop_of_rows(rows: Rows) -> Integers | None:

@@ -28,6 +28,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.arrays import Array, Integers, Mask
 from calib.estimate.stop_bodies import (
     of_unit_size,
     stop_of_rows,
@@ -37,7 +38,6 @@ from calib.estimate.stop_bodies import (
 from calib.estimate.stop_shares import TINY, Moments, root_shares, transposed, unshared
 from calib.model.kinematics import Kinematics
 from calib.registration.rows import Rows
-from calib.units import Array, Integers, Mask
 
 #: Rows whose columns are copied at a time.
 _PART = 16_384

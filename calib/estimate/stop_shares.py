@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.units import Array
+from calib.arrays import Array
 
 #: Columns of a body's translation.
 TRANSLATION = slice(0, 3)

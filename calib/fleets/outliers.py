@@ -25,10 +25,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import stdtrit
 
+from calib.arrays import Array, Mask
 from calib.channels import RESIDUAL_UNITS
 from calib.fleets.record import DONE, FleetParameter, FleetRow
 from calib.text.fleet import data_text, few_text, figure_text
-from calib.units import Array, Mask
 
 #: Robots of a kind that are needed to compare them.
 FEWEST = 5

@@ -13,8 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 import pinocchio as pin
 
-from calib.robot.robot import read_only, rigid_inverse
-from calib.units import Array
+from calib.arrays import Array, read_only, rigid_inverse
 
 #: Two axes of a link closer to parallel than this do not say how far along them a frame is [rad].
 PARALLEL_RAD = np.radians(30.0)

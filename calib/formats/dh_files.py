@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
+from calib.arrays import Array, rigid_inverse
 from calib.errors import FileError, ModelError, choices
 from calib.files import write_atomically
 from calib.formats.notes import Note
@@ -25,8 +26,7 @@ from calib.robot.dh.json_file import NUMBERS, equation, file_content, joint_json
 from calib.robot.dh.rows import HAYATI, MODIFIED, STANDARD, DHRow, DHTable
 from calib.robot.ranges import spread_poses
 from calib.robot.readback import TOLERANCE
-from calib.robot.robot import Robot, rigid_inverse
-from calib.units import Array
+from calib.robot.robot import Robot
 
 ENDINGS = (".csv", ".json")
 """What the name of a DH table may end in."""

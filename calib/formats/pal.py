@@ -17,11 +17,11 @@ from pathlib import Path
 import numpy as np
 import yaml
 
+from calib.arrays import Array
 from calib.errors import CalibError, FileError
 from calib.files import write_atomically
 from calib.formats.origins import JointOrigin, origins_of, parse_yaml
 from calib.formats.source import Source
-from calib.units import Array
 
 #: Names of the numbers of a joint, in the order of xyz and rpy.
 _ENDINGS = ("dx", "dy", "dz", "droll", "dpitch", "dyaw")

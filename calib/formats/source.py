@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from calib.arrays import Array
 from calib.data.cell import Cell
 from calib.diagnosis.reasons import Verdict
 from calib.formats.camera.options import NOTHING_NAMED, CameraOptions
@@ -16,7 +17,6 @@ from calib.mappings import keep_read_only
 from calib.result.calibration import CalibrationValues
 from calib.robot.generated.universal_robots import UrModel
 from calib.robot.robot import Robot
-from calib.units import Array
 from calib.values.pickling import Value
 
 

@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 
+from calib.arrays import Array, read_only
 from calib.compensation.nominal_actual import check_same_joints
 from calib.errors import FileError, ModelError, choices
 from calib.files import write_atomically
@@ -31,8 +32,7 @@ from calib.model.dh_table import dh_table
 from calib.robot.dh.rows import STANDARD
 from calib.robot.generated.universal_robots import MODELS, UrModel, chain_of_rows, ur_model
 from calib.robot.ranges import random_joint_values
-from calib.robot.robot import Robot, read_only
-from calib.units import Array
+from calib.robot.robot import Robot
 
 PathLike = str | os.PathLike[str]
 

@@ -17,11 +17,11 @@ import struct
 import numpy as np
 from numpy.typing import ArrayLike
 
+from calib.arrays import Array, read_only, rigid_inverse
 from calib.robot.dh.rows import screw
 from calib.robot.generated.universal_robots import UrModel, ur_model, ur_urdf
-from calib.robot.robot import Robot, read_only, rigid_inverse
+from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
-from calib.units import Array
 
 SPREAD = read_only(np.random.default_rng(20170401).uniform(-np.pi, np.pi, (200, 6)))
 """Joint values within one turn at which arms are compared, shape (200, 6) [rad], the same every time."""

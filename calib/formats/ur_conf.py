@@ -14,11 +14,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from calib.arrays import Array, read_only
 from calib.errors import FileError, choices
 from calib.files import read_bytes
 from calib.robot.generated.universal_robots import COLUMNS
-from calib.robot.robot import read_only
-from calib.units import NUMBER, Array
+from calib.units import NUMBER
 
 PathLike = str | os.PathLike[str]
 

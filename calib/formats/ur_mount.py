@@ -13,12 +13,12 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
+from calib.arrays import Array, read_only, rigid_inverse
 from calib.errors import ModelError, UrdfError, choices
 from calib.formats.ur_arms import SPREAD, chain_poses
 from calib.model.dh_table import zero_poses
 from calib.robot.generated.universal_robots import JOINTS, MODELS, UrModel
-from calib.robot.robot import Robot, read_only, rigid_inverse
-from calib.units import Array
+from calib.robot.robot import Robot
 
 #: A robot within this of a nominal arm is nominal [m and rad].
 _SAME = 1e-6

@@ -14,13 +14,12 @@ import numpy as np
 import pinocchio as pin
 import yaml
 
+from calib.arrays import Array, read_only
 from calib.errors import FileError, choices
 from calib.files import read_bytes
 from calib.formats.origins import parse_yaml
 from calib.formats.ur_conf import robot_number
 from calib.robot.generated.universal_robots import LINKS
-from calib.robot.robot import read_only
-from calib.units import Array
 
 PathLike = str | os.PathLike[str]
 

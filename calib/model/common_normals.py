@@ -12,9 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from calib.arrays import Array, rigid_inverse
 from calib.robot.dh.rows import HAYATI, MODIFIED, NEARLY_PARALLEL_RAD, DHRow
-from calib.robot.robot import rigid_inverse
-from calib.units import Array
 
 #: An offset between parallel axes below this is rounding [m].
 _COINCIDENT = 1e-13

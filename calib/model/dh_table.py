@@ -8,6 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from calib.arrays import Array, read_only, rigid_inverse
 from calib.model.common_normals import (
     TOLERANCE,
     Reference,
@@ -28,8 +29,7 @@ from calib.robot.dh.rows import (
     dh_frames,
     screw,
 )
-from calib.robot.robot import Robot, read_only, rigid_inverse
-from calib.units import Array
+from calib.robot.robot import Robot
 
 #: Axes closer to parallel than the first of these [rad] are rounding of a URDF's text: the common normal would be of
 #: noise. Behind a common normal that lies far away even such an angle is metres: there the first that holds is taken.

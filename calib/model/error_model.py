@@ -19,6 +19,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 import calib.plugins as plugins
+from calib.arrays import Array, read_only, rigid_inverse
 from calib.errors import ModelError, choices, did_you_mean
 from calib.model.dh_table import dh_table, zero_poses
 from calib.model.families import ANGLE, LENGTH, ZERO, joint_families
@@ -33,9 +34,8 @@ from calib.model.parameters import (
 )
 from calib.robot.dh.rows import DHRow, dh_frames, screw
 from calib.robot.gravity import GRAVITY
-from calib.robot.robot import Robot, read_only, rigid_inverse
+from calib.robot.robot import Robot
 from calib.robot.urdf import UrdfJoint
-from calib.units import Array
 from calib.values.arguments import check_type
 
 #: The six directions of a frame or a placement: along, then about its axes.

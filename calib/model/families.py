@@ -26,9 +26,9 @@ from typing import Any
 import numpy as np
 
 import calib.plugins as plugins
+from calib.arrays import Array
 from calib.errors import ArgumentError, ModelError, choices
 from calib.numerics.differences import disagreement, mostly_without_value
-from calib.units import Array
 from calib.values.arguments import check_type
 from calib.values.pickling import Value
 

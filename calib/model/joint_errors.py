@@ -12,13 +12,13 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike
 
+from calib.arrays import Array, read_only
 from calib.model.families import ENDS, Factor, Family, JointState, Unit, factor_of, family_of
 from calib.model.parameters import Parameter, twist_of
 from calib.robot.gravity import GRAVITY, gravity_loads
 from calib.robot.ranges import spread_poses
-from calib.robot.robot import Robot, read_only
+from calib.robot.robot import Robot
 from calib.robot.urdf import UrdfJoint
-from calib.units import Array
 
 #: Lever arms that differ by no more than this in all poses are one [m].
 _SAME_LEVER = 1e-6

@@ -12,10 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.arrays import Array, read_only
 from calib.mappings import keep_read_only
 from calib.model.families import unit_of
-from calib.robot.robot import read_only
-from calib.units import Array
 from calib.values.pickling import Value
 
 #: Directions with less than this share of the strongest one's effect cannot be identified: 1 mm moves points by < 1 um.

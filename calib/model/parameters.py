@@ -12,10 +12,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import pinocchio as pin
 
+from calib.arrays import Array, Mask, read_only
 from calib.errors import ModelError, choices
 from calib.model.families import FAMILIES, Factor
-from calib.robot.robot import Robot, read_only
-from calib.units import Array, Mask
+from calib.robot.robot import Robot
 from calib.values.pickling import Value
 
 #: Place of a measurement frame, with the frame's name behind it: ``"(frame)left"``. No URDF calls a joint so.

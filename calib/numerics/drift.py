@@ -24,7 +24,7 @@ import numpy as np
 from scipy.linalg import block_diag, eigh
 from scipy.special import fdtrc, ndtri
 
-from calib.units import Array, Mask
+from calib.arrays import Array, Mask
 
 #: A difference is called a drift below this p-value: one comparison in a hundred of an unchanged robot is.
 LEVEL = 0.01

@@ -7,10 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calib.arrays import Array, Integers, read_only
 from calib.channels import RESIDUAL_UNITS, Channels, residual_unit
 from calib.mappings import ReadOnlyMapping
-from calib.robot.robot import read_only
-from calib.units import Array, Integers
 
 
 def rms(values: Array) -> float:

@@ -6,9 +6,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
+from calib.arrays import Array, Mask, read_only
 from calib.errors import CalibError
-from calib.robot.robot import read_only
-from calib.units import Array, Mask
 from calib.values.arguments import numbers
 
 #: Largest coordinate [m] or joint value [m or rad] accepted: no robot gets there, and beyond it

@@ -17,8 +17,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calib.arrays import Array, Integers, Mask
 from calib.numerics.likelihood import GaussianPriors, NormalEquations, diagonals
-from calib.units import Array, Integers, Mask
 
 #: The most scoring steps.
 _ITERATIONS = 30

@@ -17,9 +17,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from calib.arrays import Array, Integers
 from calib.channels import Channels
 from calib.mappings import ReadOnlyMapping
-from calib.units import Array, Integers
 from calib.values.pickling import Value
 
 #: Degrees of freedom below this are rounding: no pose was repeated.

@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import chdtrc, chdtri, fdtri
 
+from calib.arrays import Array, Mask
 from calib.robot.kernel import over_blocks
-from calib.units import Array, Mask
 
 #: A good row keeps its full weight with this probability.
 _FULL_WEIGHT = 0.99

@@ -13,8 +13,8 @@ import numpy as np
 from scipy.linalg.lapack import dgeqrf, dtrtrs
 
 import calib.plugins as plugins
+from calib.arrays import Array
 from calib.errors import ModelError, SolverError, choices
-from calib.units import Array
 from calib.values.pickling import Value
 
 #: Name of the paper's algorithm, which is no weighted least-squares solver: it has neither weights nor priors.

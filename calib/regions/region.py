@@ -21,9 +21,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
+from calib.arrays import Array, Mask
 from calib.errors import CalibError, ModelError
 from calib.numerics.geometry import vector
-from calib.units import Array, Mask
 from calib.values.arguments import check_number, check_type, finite_numbers, numbers, wrong_type
 from calib.values.pickling import Value
 from calib.values.short import one_line

@@ -11,13 +11,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from calib.arrays import Array, Mask, read_only
 from calib.errors import CalibError, FileError
 from calib.files import write_atomically
 from calib.json_files import damage, json_bytes, read_json
 from calib.regions.region import Region
 from calib.regions.region_rows import RegionView
-from calib.robot.robot import Robot, read_only
-from calib.units import Array, Mask
+from calib.robot.robot import Robot
 from calib.version import __version__
 
 SCHEMA = "region 1"

@@ -8,15 +8,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from calib.arrays import Array, Mask, rigid_inverse
 from calib.data.cell import Cell
 from calib.data.columns import POINT, name_columns
 from calib.data.forms.column_options import ColumnsInput
 from calib.data.measurements import Measurements
 from calib.regions.region import Density, Region
-from calib.robot.chain import rigid_inverse
 from calib.robot.robot import Robot
 from calib.tables.table import Table
-from calib.units import Array, Mask
 from calib.values.pickling import Value
 
 

@@ -10,12 +10,12 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from numpy.typing import ArrayLike
 
+from calib.arrays import Array
 from calib.inputs import RobotInput, robot_of
 from calib.numerics.geometry import position_in_tip
 from calib.regions.region import Region
 from calib.robot.ranges import joint_ranges
 from calib.robot.robot import Robot
-from calib.units import Array
 from calib.values.arguments import check_whole, finite_numbers
 
 #: Samples by default, a power of two.

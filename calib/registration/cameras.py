@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calib.arrays import Array, Integers, Mask, read_only
 from calib.camera import optics
 from calib.camera.board import Board
 from calib.camera.camera import Camera
@@ -18,8 +19,6 @@ from calib.errors import MeasurementError
 from calib.model.parameters import BOARD, CAMERA, Parameter
 from calib.registration.labels import numbered
 from calib.registration.setup import OpticalUnknown, Setup
-from calib.robot.robot import read_only
-from calib.units import Array, Integers, Mask
 
 #: Standard deviation of what is not known of a lens: of a focal length or the centre [px], and of a distortion.
 _WIDE = {"px": 1e4, "1": 10.0}

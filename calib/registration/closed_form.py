@@ -12,12 +12,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from calib.arrays import Array, Integers, Mask
 from calib.data.kinds import Kind
 from calib.model.error_model import DIRECTIONS
 from calib.model.kinematics import Samples
 from calib.registration.rows import Rows
 from calib.registration.setup import Setup
-from calib.units import Array, Integers, Mask
 
 #: Directions of a frame's translation.
 _TRANSLATIONS = ("x", "y", "z")

@@ -13,6 +13,7 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from calib.arrays import Array, Mask
 from calib.channels import RESIDUAL_UNITS
 from calib.data.kinds import Kind
 from calib.errors import SolverError
@@ -21,7 +22,6 @@ from calib.registration.refinement import refined
 from calib.registration.rows import NONE, Rows
 from calib.registration.setup import Setup
 from calib.registration.starts import target_poses
-from calib.units import Array, Mask
 
 #: The most starts of a frame. One in eight leads to the lowest minimum where a tool is 0.6 m long and nothing is known
 #: of it, nearly all do where the target's place is known.

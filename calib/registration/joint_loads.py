@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from calib.arrays import Array
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.robot.gravity import gravity_loads
 from calib.robot.robot import Robot
-from calib.units import Array
 
 
 def joint_loads(robot: Robot, measurements: Measurements, cell: Cell, q: Array) -> Array:

@@ -7,12 +7,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from calib.arrays import Integers
 from calib.data.cell import Cell
 from calib.errors import ModelError, choices
 from calib.registration.labels import joined_labels
 from calib.registration.rows import Rows
 from calib.registration.setup import Setup
-from calib.units import Integers
 
 
 class KnownDistance(NamedTuple):

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from calib.units import Integers
+from calib.arrays import Integers
 
 
 def numbered(words: Sequence[str], names: Sequence[str]) -> Integers:

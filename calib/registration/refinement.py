@@ -6,6 +6,7 @@ from functools import partial
 
 import numpy as np
 
+from calib.arrays import Array
 from calib.model.error_model import frame_and_target_model
 from calib.model.observability import steps
 from calib.model.parameters import ErrorModel
@@ -13,7 +14,6 @@ from calib.numerics.solvers import levenberg_marquardt
 from calib.registration.rows import Rows
 from calib.registration.setup import Setup
 from calib.robot import kernel
-from calib.units import Array
 
 
 def sum_of_squares(setup: Setup, T_base_tip: Array, rows: Rows) -> float:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from calib.arrays import Array, Integers, Mask
 from calib.errors import MeasurementError
 from calib.model.error_model import DIRECTIONS
 from calib.registration.closed_form import linear_setup, with_measured_target_rotations
@@ -18,7 +19,6 @@ from calib.registration.rows import NONE, Rows
 from calib.registration.setup import Setup
 from calib.registration.starts import starts_of
 from calib.registration.views import views_of
-from calib.units import Array, Integers, Mask
 
 #: The most starts that are refined: those with the lowest cost.
 _REFINED = 5

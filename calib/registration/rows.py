@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from calib.arrays import Array, Integers, Mask
 from calib.camera.optics import board_points
 from calib.channels import Channels, channels_of, residual_unit
 from calib.data.covariances import may_have_covariance
@@ -14,7 +15,6 @@ from calib.data.kinds import Kind
 from calib.mappings import ReadOnlyMapping
 from calib.model.kinematics import FIXED, Optics, Samples
 from calib.numerics.pose_noise import POSE, PoseNoise, standardisers
-from calib.units import Array, Integers, Mask
 
 #: Index of the kind of rows that hold no measurement themselves: the second rows of pairs.
 NONE = -1

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
-from calib.units import Array, Integers, Mask
+from calib.arrays import Array, Integers, Mask
 
 #: Rows whose joint values differ by no more than this are repeats of a pose [rad or m].
 _SAME_POSE = 1e-3

@@ -12,10 +12,9 @@ from itertools import compress
 
 import numpy as np
 
+from calib.arrays import Array, Mask, read_only
 from calib.model.kinematics import FIXED, Optics, Samples, changed_optics
 from calib.model.parameters import FRAME, TARGET, ErrorModel, Parameter
-from calib.robot.robot import read_only
-from calib.units import Array, Mask
 from calib.values.pickling import Value
 
 

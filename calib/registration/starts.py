@@ -7,11 +7,11 @@ import itertools
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from calib.arrays import Array
 from calib.model.error_model import DIRECTIONS
 from calib.registration.closed_form import orientation_setup, with_frames_fitted
 from calib.registration.rows import Rows
 from calib.registration.setup import Setup
-from calib.units import Array
 
 #: Distances from the tip at which a target is tried when its place was not given [m]: a flange and a long tool.
 _REACHES = (0.15, 0.7)

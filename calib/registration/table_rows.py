@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 import calib.data.kinds as registry
+from calib.arrays import Array, Integers
 from calib.camera.optics import CORNER
 from calib.channels import RESIDUAL_UNITS
 from calib.data.cell import AUTO, Cell
@@ -24,7 +25,6 @@ from calib.registration.same_poses import same_poses
 from calib.registration.setup import Setup
 from calib.registration.table_setup import measurement_setup
 from calib.robot.robot import Robot
-from calib.units import Array, Integers
 
 
 def rows_and_setup(robot: Robot, measurements: Measurements, cell: Cell) -> tuple[Rows, Setup]:

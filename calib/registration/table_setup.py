@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib.arrays import Array, Integers, read_only
 from calib.data.cell import Cell
 from calib.data.kinds import Kind
 from calib.data.measurements import Measurements
@@ -14,8 +15,6 @@ from calib.errors import ModelError, choices
 from calib.model.error_model import DIRECTIONS
 from calib.registration.rows import NONE
 from calib.registration.setup import Setup
-from calib.robot.robot import read_only
-from calib.units import Array, Integers
 
 
 @dataclass(frozen=True, slots=True, eq=False)

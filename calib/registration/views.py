@@ -13,12 +13,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 import calib.data.kinds as registry
+from calib.arrays import Array, Integers, Mask
 from calib.camera import optics
 from calib.camera.lenses import LENSES
 from calib.camera.planar_pose import planar_poses
 from calib.errors import MeasurementError
 from calib.registration.rows import Rows
-from calib.units import Array, Integers, Mask
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from calib.arrays import Array, Mask
 from calib.errors import FileError, choices
 from calib.report.row_values import flagged_rows
 from calib.result.calibration import CalibrationValues
-from calib.units import Array, Mask
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

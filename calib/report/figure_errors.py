@@ -10,11 +10,11 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 import calib.report.figure_base as base
+from calib.arrays import Array, Mask
 from calib.channels import RESIDUAL_UNITS, VECTOR, Channels
 from calib.numerics.errors import CrossValidation
 from calib.report.row_values import flagged_rows
 from calib.result.calibration import CalibrationValues
-from calib.units import Array, Mask
 
 #: Curves over more rows than this have no markers: they would overlap.
 _MOST_MARKERS = 80

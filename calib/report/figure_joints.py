@@ -10,10 +10,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import calib.report.figure_base as base
+from calib.arrays import Array, Mask
 from calib.registration.table_rows import rows_and_setup
 from calib.report.row_values import flagged_rows, setup_of_rows
 from calib.result.calibration import CalibrationValues
-from calib.units import Array, Mask
 
 #: Step of the central differences in a joint's value [rad or m].
 _STEP = 1e-6

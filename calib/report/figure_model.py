@@ -11,13 +11,13 @@ from matplotlib.figure import Figure
 
 import calib.report.figure_base as base
 import calib.text.summary as texts
+from calib.arrays import Array, Mask
 from calib.camera.optics import CORNER
 from calib.channels import RESIDUAL_UNITS
 from calib.model.families import unit_of
 from calib.report.figure_base import CALIBRATED, INK, NOMINAL, OUTLIER, SOFT
 from calib.result.calibration import CalibrationValues
 from calib.result.prediction import ParameterEstimate
-from calib.units import Array, Mask
 
 #: Title of the panel of the parameters of each unit.
 _TITLES = {"m": "Lengths", "rad": "Angles", "1": "Gear ratios and sines", "rad/Nm": "Compliances"}

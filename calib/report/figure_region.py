@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import calib.report.figure_base as base
+from calib.arrays import Array, Mask
 from calib.files import write_atomically
 from calib.regions.region import Density
 from calib.regions.region_rows import RegionView
 from calib.report.figure_space import VIEWS, flat, limits_of
-from calib.units import Array, Mask
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -10,10 +10,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import calib.report.figure_base as base
+from calib.arrays import Array
 from calib.report.row_values import flagged_rows, measured_in_base, setup_of_rows
 from calib.result.calibration import CalibrationValues
 from calib.robot.ranges import spread_poses
-from calib.units import Array
 
 #: Each view: indices of its horizontal and vertical axis of the base frame, and its name.
 VIEWS = ((0, 1, "from above"), (0, 2, "from the front"), (1, 2, "from the side"))

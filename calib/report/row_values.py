@@ -6,12 +6,11 @@ from collections import Counter
 
 import numpy as np
 
+from calib.arrays import Array, Mask, rigid_inverse
 from calib.data.kinds import get as kind_named
 from calib.data.measurements import Measurements
 from calib.registration.setup import Setup
 from calib.result.calibration import CalibrationValues
-from calib.robot.robot import rigid_inverse
-from calib.units import Array, Mask
 
 
 def kinds_text(m: Measurements) -> str:

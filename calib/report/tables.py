@@ -14,6 +14,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 import calib.text.summary as texts
+from calib.arrays import Array, rigid_inverse
 from calib.channels import RESIDUAL_UNITS, Channels
 from calib.model.dh_table import dh_table
 from calib.numerics.errors import Errors, UnitErrors
@@ -21,10 +22,8 @@ from calib.report.table import MOST_LISTED, Table
 from calib.result.calibration import CalibrationValues
 from calib.result.prediction import ParameterEstimate
 from calib.robot.dh.rows import DHRow
-from calib.robot.robot import rigid_inverse
 from calib.text.layout.lines import number
 from calib.text.layout.sizes import shown
-from calib.units import Array
 
 #: Number of validation rows listed where there are more than `MOST_LISTED`: those with the largest errors.
 MOST_WORST = 20

@@ -19,6 +19,7 @@ from typing import Any, Literal, NoReturn
 import numpy as np
 from scipy.special import betaincinv
 
+from calib.arrays import Array, Mask
 from calib.channels import RESIDUAL_UNITS, residual_unit
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
@@ -32,7 +33,7 @@ from calib.result.calibration import CalibrationValues
 from calib.result.characteristics import Characteristic, characteristics
 from calib.result.evaluation import EvaluationValues, evaluate, moved_place, registration_rows
 from calib.robot.robot import Robot
-from calib.units import Array, Mask, split_header
+from calib.units import split_header
 from calib.values.arguments import check_mapping, check_type
 from calib.values.pickling import Value
 from calib.values.short import one_line

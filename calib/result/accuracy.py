@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from calib.arrays import Array, Integers, Mask, read_only
 from calib.channels import RESIDUAL_UNITS, Channels
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
@@ -33,8 +34,7 @@ from calib.registration.setup import Setup
 from calib.registration.table_rows import rows_and_setup
 from calib.result.calibration import CalibrationValues
 from calib.result.evaluation import EvaluationValues, evaluate, registration_rows
-from calib.robot.robot import Robot, read_only
-from calib.units import Array, Integers, Mask
+from calib.robot.robot import Robot
 from calib.values.pickling import Value
 
 #: Rows that are judged: all of a table, its validation rows, or those that nothing was fitted or registered to.

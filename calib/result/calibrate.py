@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from calib.arrays import Array, Mask, read_only
 from calib.blas import one_blas_thread
 from calib.channels import RESIDUAL_UNITS
 from calib.data.cell import Cell
@@ -50,11 +51,9 @@ from calib.result.prediction import (
 )
 from calib.robot.gravity import gravity_loads
 from calib.robot.ranges import spread_poses
-from calib.robot.robot import read_only
 from calib.selection.candidates import Candidate, alternative_models, mark_chosen
 from calib.selection.cross_validation import cross_validation, nominal_cross_validation
 from calib.selection.robustness import Robustness, compare_weights
-from calib.units import Array, Mask
 from calib.values.arguments import check_callable, check_flags
 
 

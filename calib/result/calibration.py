@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from calib.arrays import Array, Mask, rigid_inverse
 from calib.camera.board import Board
 from calib.camera.camera import Camera
 from calib.channels import Channels
@@ -42,10 +43,9 @@ from calib.result.prediction import (
     tells_place,
 )
 from calib.robot.payload import Payload
-from calib.robot.robot import Robot, rigid_inverse
+from calib.robot.robot import Robot
 from calib.selection.candidates import Candidate
 from calib.selection.robustness import Robustness
-from calib.units import Array, Mask
 from calib.values.arguments import check_type
 from calib.values.pickling import Value
 

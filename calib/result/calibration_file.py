@@ -17,6 +17,7 @@ import numpy as np
 import pinocchio as pin
 
 import calib.plugins as plugins
+from calib.arrays import Array, read_only
 from calib.channels import Channels, residual_unit
 from calib.diagnosis.coverage import OutsideRow
 from calib.diagnosis.reasons import Reason
@@ -36,11 +37,10 @@ from calib.result.cameras_file import boards_table, cameras_table, read_boards, 
 from calib.result.prediction import FittedModel, NonGeometric
 from calib.robot.payload import Payload
 from calib.robot.readings import coupling_of_table, coupling_table
-from calib.robot.robot import Robot, read_only
+from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
 from calib.selection.candidates import Candidate
 from calib.selection.robustness import Robustness
-from calib.units import Array
 from calib.version import __version__
 
 #: The layout of a result.

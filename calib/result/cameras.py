@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from calib.arrays import Array
 from calib.camera import optics
 from calib.camera.board import Board
 from calib.camera.camera import UNKNOWN, Camera
@@ -24,7 +25,6 @@ from calib.registration.rows import Rows
 from calib.registration.setup import Setup
 from calib.result.image_errors import metres_per_pixel
 from calib.result.prediction import FittedModel
-from calib.units import Array
 
 
 def image_values(fitted: Fitted, rows: Rows) -> dict[str, Any]:

@@ -23,9 +23,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.distance import pdist
 
+from calib.arrays import Array
 from calib.result.accuracy import FEWEST_REPEATS, Accuracy, PoseAccuracy, repeatability
 from calib.result.evaluation import EvaluationValues
-from calib.units import Array
 
 #: Repeats of a pose that each AP and RP of a drift is computed from, as in ISO 9283.
 DRIFT_REPEATS = 10

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from calib.arrays import Array, Mask
 from calib.model.error_model import DIRECTIONS
 from calib.model.kinematics import Kinematics
 from calib.model.observability import steps
@@ -28,7 +29,6 @@ from calib.numerics.drift import (
 )
 from calib.result.calibration import CalibrationValues
 from calib.robot.ranges import spread_between, spread_poses
-from calib.units import Array, Mask
 
 #: Joint values over which a displacement is averaged.
 Where = Literal["measured ranges", "joint limits"]

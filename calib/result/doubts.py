@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from calib.arrays import Array, Integers, Mask
 from calib.channels import RESIDUAL_UNITS
 from calib.diagnosis.coverage import shares_of_ranges, spread_of
 from calib.diagnosis.further_unknowns import (
@@ -38,7 +39,6 @@ from calib.registration.rows import Rows
 from calib.result.calibration import CalibrationValues
 from calib.robot.ranges import column_ranges, spread_poses
 from calib.robot.robot import Robot
-from calib.units import Array, Integers, Mask
 
 #: The rows hardly determine the errors of a turning joint that moves less than this [rad].
 _STILL_RAD = 0.35

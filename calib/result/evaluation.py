@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from calib.arrays import Array, Mask, read_only
 from calib.blas import one_blas_thread
 from calib.camera.board import Board
 from calib.camera.camera import Camera
@@ -28,8 +29,7 @@ from calib.registration.setup import Setup
 from calib.registration.table_rows import rows_and_setup
 from calib.result.image_errors import ImageFigures, length_of_pixels
 from calib.result.prediction import NonGeometric
-from calib.robot.robot import Robot, read_only
-from calib.units import Array, Mask
+from calib.robot.robot import Robot
 from calib.values.arguments import check_names, check_type
 from calib.values.pickling import Value
 

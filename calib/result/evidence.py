@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
+from calib.arrays import Array, Integers, Mask
 from calib.channels import Channels
 from calib.diagnosis.evidence import Evidence
 from calib.diagnosis.reasons import NO, Reason, Why
@@ -17,7 +18,6 @@ from calib.result.calibration import CalibrationValues
 from calib.result.doubts import noise_doubts
 from calib.result.prediction import FittedModel, NonGeometric
 from calib.robot.ranges import spread_poses
-from calib.units import Array, Integers, Mask
 
 #: A share of validation rows up to which those that do not fit are set aside as accidents.
 _FEW_SUSPECTS = 0.15

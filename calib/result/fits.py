@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calib.arrays import Mask
 from calib.blas import one_blas_thread
 from calib.data.cell import AUTO, Cell
 from calib.data.measurements import Measurements
@@ -34,7 +35,6 @@ from calib.selection.candidates import Candidate
 from calib.selection.ladder import check_parameter_names
 from calib.selection.reference_fit import fit_with_all_families, with_better_weights
 from calib.selection.selection import select
-from calib.units import Mask
 
 #: A smaller share of outliers is not worth the time that a non-geometric model takes.
 _FEW_OUTLIERS = 0.01

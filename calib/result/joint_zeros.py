@@ -16,15 +16,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calib.arrays import Array, Mask, read_only
 from calib.errors import CalibError
 from calib.estimate.fitting import Fitted, fit
 from calib.estimate.task import PAPER
 from calib.mappings import keep_read_only
 from calib.registration.rows import Rows
 from calib.result.fits import TableFits
-from calib.robot.robot import Robot, read_only
+from calib.robot.robot import Robot
 from calib.selection.linear_folds import linear_cross_validation
-from calib.units import Array, Mask
 from calib.values.pickling import Value
 
 #: Names of the rows whose errors count: predicted by fits without them, of the set ``validate``, or fitted.

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 import calib.data.kinds as registry
+from calib.arrays import Array, read_only
 from calib.diagnosis.reasons import Verdict
 from calib.estimate.fitting import Fitted
 from calib.estimate.task import PAPER
@@ -28,8 +29,7 @@ from calib.numerics.rigid_motion import best_motion, displacements_by
 from calib.registration.setup import Setup
 from calib.robot.gravity import gravity_loads
 from calib.robot.payload import Payload
-from calib.robot.robot import Robot, read_only
-from calib.units import Array
+from calib.robot.robot import Robot
 from calib.values.pickling import Value
 
 #: The most poses over which an expected error is averaged.

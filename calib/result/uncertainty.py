@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import fdtri, gammaincinv
 
+from calib.arrays import Array, Integers, read_only
 from calib.blas import one_blas_thread
 from calib.errors import CalibError, ModelError
 from calib.estimate.fitting import Fitted
@@ -33,8 +34,6 @@ from calib.numerics.solvers import levenberg_marquardt
 from calib.result.calibration import CalibrationValues
 from calib.result.prediction import ParameterEstimate
 from calib.robot.ranges import spread_poses
-from calib.robot.robot import read_only
-from calib.units import Array, Integers
 from calib.values.arguments import check_callable, check_executor, check_type
 from calib.values.pickling import Value
 

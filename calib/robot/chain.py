@@ -20,10 +20,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pinocchio as pin
 
+from calib.arrays import Array, read_only, rigid_inverse
 from calib.errors import UrdfError, choices, did_you_mean
 from calib.robot.full_model import full_model
-from calib.robot.urdf import Urdf, UrdfJoint, read_only
-from calib.units import Array, unit_fault
+from calib.robot.urdf import Urdf, UrdfJoint
+from calib.units import unit_fault
 from calib.values.pickling import Value
 
 MOVING = ("revolute", "continuous", "prismatic")
@@ -119,16 +120,6 @@ def chain_between(urdf: Urdf, base: str, tip: str) -> SerialChain:
         factors=tuple(factors),
         base_moves=moving[0].up,
     )
-
-
-def rigid_inverse(T: Array) -> Array:
-    """Return the inverses (R^T, -R^T p) of poses (R, p), shape (..., 4, 4), [m]."""
-    result = np.zeros_like(T)
-    R_T = np.swapaxes(T[..., :3, :3], -1, -2)
-    result[..., :3, :3] = R_T
-    result[..., :3, 3] = -(R_T @ T[..., :3, 3, None])[..., 0]
-    result[..., 3, 3] = 1.0
-    return result
 
 
 @dataclass(frozen=True, slots=True, eq=False)

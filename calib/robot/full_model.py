@@ -9,9 +9,9 @@ import numpy as np
 import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
+from calib.arrays import Array
 from calib.errors import UrdfError, choices
 from calib.robot.urdf import Urdf
-from calib.units import Array
 
 #: Prefix of the links' names in the Pinocchio model.
 _LINK = "link:"

@@ -16,11 +16,11 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
+from calib.arrays import Array, Mask
 from calib.robot import kernel
 from calib.robot.full_model import full_configurations, full_model, joint_frames, link_frame
 from calib.robot.payload import Payload, finite_vector
 from calib.robot.robot import Robot
-from calib.units import Array, Mask
 
 GRAVITY = (0.0, 0.0, -9.81)
 """The acceleration of gravity where the URDF's root link has z up, [m/s^2]."""

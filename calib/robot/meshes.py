@@ -18,9 +18,9 @@ import pinocchio as pin
 from numpy.typing import NDArray
 from pinocchio import hppfcl
 
+from calib.arrays import Array
 from calib.robot.urdf import Urdf, robot_data_urdfs
 from calib.robot.xacro_file import listed_folders, packages_in
-from calib.units import Array
 
 #: Indices of the three vertices of each triangle, shape (F, 3), from 0.
 Faces = NDArray[np.int64]

@@ -7,9 +7,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike
 
+from calib.arrays import Array, read_only
 from calib.errors import ModelError
-from calib.robot.urdf import read_only
-from calib.units import Array
 from calib.values.pickling import Value
 
 

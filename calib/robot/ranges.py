@@ -13,10 +13,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
+from calib.arrays import Array, read_only
 from calib.errors import CalibError, choices
-from calib.robot.robot import Robot, read_only
+from calib.robot.robot import Robot
 from calib.robot.urdf import UrdfJoint
-from calib.units import Array, unit_fault
+from calib.units import unit_fault
 
 #: Number of joint values that `spread_poses` spreads over the ranges, unless another is given.
 SPREAD = 200

@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
+from calib.arrays import Array, rigid_inverse
 from calib.errors import UrdfError
-from calib.robot.robot import Robot, rigid_inverse
+from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
-from calib.units import Array
 
 TOLERANCE = 1e-9  #: A pose read back may differ from the model's by this [m and rad].
 

@@ -16,6 +16,7 @@ from xml.etree.ElementTree import Element as AnyElement
 import numpy as np
 import pinocchio as pin
 
+from calib.arrays import Array, read_only
 from calib.errors import CalibError, UrdfError, choices, did_you_mean
 from calib.files import check_no_xacro, read_bytes, write_atomically
 from calib.json_files import parsed_json
@@ -24,10 +25,9 @@ from calib.robot.dh.file import ENDINGS, read_dh_robot
 from calib.robot.dh.json_file import robot_of_json
 from calib.robot.generated.dh_urdf import REMARK, dh_urdf
 from calib.robot.generated.universal_robots import MODELS, named_ur_urdf, ur_model
-from calib.robot.urdf_tree import UrdfJoint, read_only, read_tree
+from calib.robot.urdf_tree import UrdfJoint, read_tree
 from calib.robot.urdf_xml import Document
 from calib.robot.xacro_file import XacroCall, flattened, is_xacro
-from calib.units import Array
 from calib.values.pickling import Value
 
 __all__ = ["Urdf", "UrdfJoint", "find_urdf", "read_only", "read_urdf", "robot_data_urdfs"]

@@ -12,11 +12,11 @@ from functools import partial
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike
 
+from calib.arrays import Array, read_only
 from calib.errors import UrdfError, choices, did_you_mean
 from calib.robot.urdf_xml import XACRO_FIX, Document, Element
-from calib.units import NUMBER, Array
+from calib.units import NUMBER
 from calib.values.pickling import Value
 
 #: The types of joints of URDF.
@@ -45,13 +45,6 @@ _LIMITS = {
     "revolute": 'lower="-3.14" upper="3.14" effort="0" velocity="0"/>, in rad, or the type "continuous"',
     "prismatic": 'lower="0" upper="1" effort="0" velocity="0"/>, in m',
 }
-
-
-def read_only(values: ArrayLike) -> Array:
-    """Return a copy of the values as a float64 array that cannot be written to."""
-    array = np.array(values, dtype=np.float64)
-    array.setflags(write=False)
-    return array
 
 
 @dataclass(frozen=True, slots=True, eq=False)

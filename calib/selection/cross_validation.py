@@ -6,6 +6,7 @@ the fit estimates of frames and targets is registered for it, without the fold.
 
 from __future__ import annotations
 
+from calib.arrays import Mask
 from calib.estimate.fitting import Fitted, fit
 from calib.estimate.task import Task
 from calib.jobs import Progress
@@ -15,7 +16,6 @@ from calib.registration.rows import Rows
 from calib.selection.folds import Folds
 from calib.selection.held_out import held_out_residual, residual_after_registration
 from calib.selection.linear_folds import held_out_residuals_linear
-from calib.units import Mask
 
 
 def cross_validation(

@@ -11,14 +11,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib.arrays import Array, Integers, Mask, read_only
 from calib.errors import MeasurementError
 from calib.estimate.task import Task
 from calib.model.error_model import DIRECTIONS
 from calib.numerics.errors import CrossValidation, Errors
 from calib.registration.known_distances import joined_stations
 from calib.registration.rows import Rows
-from calib.robot.urdf_tree import read_only
-from calib.units import Array, Integers, Mask
 
 #: Largest number of folds: up to as many poses or stations are held out one at a time.
 _MOST_FOLDS = 60

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from calib.arrays import Array
 from calib.selection.candidates import CLEARLY, Candidate
 from calib.selection.pose_errors import p_value_of_improvement
-from calib.units import Array
 
 #: Strong evidence: odds of 20 to 1, in log-likelihood.
 _STRONG = float(np.log(20.0))

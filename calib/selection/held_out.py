@@ -6,11 +6,11 @@ from itertools import compress
 
 import numpy as np
 
+from calib.arrays import Array, Mask
 from calib.estimate.fitting import Fitted
 from calib.registration.registration import register_all_rows
 from calib.registration.rows import Rows
 from calib.registration.setup import Setup
-from calib.units import Array, Mask
 
 
 def held_out_residual(fitted: Fitted, rows: Rows, held_out: Mask, outliers: Mask) -> Array:

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from calib.arrays import read_only
 from calib.camera.optics import OFFSET
 from calib.estimate.fitting import Fitted
 from calib.estimate.task import Task
 from calib.registration.rows import Rows
-from calib.robot.robot import read_only
 
 
 def with_known_corners(task: Task, fitted: Fitted, rows: Rows) -> tuple[Task, Rows]:

@@ -12,6 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from calib.arrays import Array, Mask
 from calib.estimate.fitting import Fitted
 from calib.estimate.linear import LinearProblem
 from calib.estimate.prior_terms import PriorTerms
@@ -22,7 +23,6 @@ from calib.numerics.likelihood import GaussianPriors
 from calib.registration.rows import Rows
 from calib.selection.folds import Folds
 from calib.selection.held_out import held_out_residual, seen_only_by
-from calib.units import Array, Mask
 
 #: The linear problem is accurate where its residuals differ from the robot's by less than this share of the noise, rms.
 _LINEAR = 1e-3

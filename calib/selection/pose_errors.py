@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import stdtr
 
+from calib.arrays import Array, Mask
 from calib.numerics.errors import CrossValidation
-from calib.units import Array, Mask
 
 
 def pose_errors(validation: CrossValidation, scales: Array, kept: Mask) -> Array:

@@ -11,13 +11,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from calib.arrays import Array, Mask, read_only
 from calib.estimate.fitting import Fitted, fit
 from calib.registration.rows import Rows
-from calib.robot.urdf_tree import read_only
 from calib.selection.candidates import held_out_rms
 from calib.selection.ladder import determinable_families, model_name
 from calib.selection.linear_folds import linear_cross_validation
-from calib.units import Array, Mask
 
 
 def explains_more_rows(reference: Fitted, fitted: Fitted) -> bool:

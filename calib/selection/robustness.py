@@ -9,12 +9,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calib.arrays import Array
 from calib.errors import MeasurementError
 from calib.estimate.fitting import Fitted, fit
 from calib.numerics.errors import Errors
 from calib.numerics.rigid_motion import without_rigid_motion
 from calib.selection.linear_folds import linear_cross_validation
-from calib.units import Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -8,10 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib.arrays import Array, Mask, read_only
 from calib.errors import CalibError, choices
-from calib.robot.robot import read_only
 from calib.simulation.random_streams import stream
-from calib.units import Array, Mask
 from calib.values.pickling import Value
 
 

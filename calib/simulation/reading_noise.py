@@ -7,9 +7,9 @@ from collections.abc import Mapping
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from calib.arrays import Array
 from calib.channels import VECTOR
 from calib.data.kinds import Kind
-from calib.units import Array
 
 
 def with_pose_noise(kind: Kind, readings: Array, R: Array, noise: Mapping[str, Array]) -> Array:

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 import calib.data.kinds as registry
+from calib.arrays import Array, Mask, read_only
 from calib.channels import RESIDUAL_UNITS, VECTOR
 from calib.data.cell import Cell, TrackerNoise
 from calib.data.columns import SETS
@@ -26,7 +27,7 @@ from calib.inputs import ROBOT, RobotInput, cell_of, robot_of
 from calib.mappings import keep_read_only
 from calib.numerics.geometry import vector
 from calib.robot.ranges import joint_ranges
-from calib.robot.robot import Robot, read_only
+from calib.robot.robot import Robot
 from calib.simulation.cell_noise import USUAL_NOISE, cell_noise, further_noise
 from calib.simulation.disturbances import Encoder, MovedTarget, Outliers
 from calib.simulation.random_streams import stream
@@ -34,7 +35,6 @@ from calib.simulation.reading_noise import with_pose_noise, with_reading_noise
 from calib.simulation.scenario_checks import check_scenario
 from calib.simulation.tour import Tour
 from calib.simulation.truth import TARGET_ERROR, Truth, draw_truth
-from calib.units import Array, Mask
 from calib.values.arguments import check_names, check_type, check_whole
 from calib.values.pickling import Value
 from calib.values.short import one_line

@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
+from calib.arrays import Array
 from calib.design.forecast import Forecast
 from calib.errors import CalibError
 from calib.jobs import Progress, batch_size, run
 from calib.numerics.errors import rms
 from calib.simulation.trial import Trial, Trials, forecast_of_trial, one_trial
-from calib.units import Array
 
 #: Kind and version of the file.
 SCHEMA = "study 1"

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.arrays import Array
 from calib.data.columns import SETS
 from calib.errors import CalibError
 from calib.simulation.truth import Truth
-from calib.units import Array
 
 Indices = NDArray[np.int_]
 

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import fdtri
 
+from calib.arrays import Array, Mask, rigid_inverse
 from calib.data.cell import Cell, Tracker
 from calib.data.measurements import Measurements
 from calib.design.candidates import draw, planning_ranges
@@ -27,11 +28,9 @@ from calib.numerics.rigid_motion import without_rigid_motion
 from calib.result.calibrate import calibrate
 from calib.result.fits import fit_table
 from calib.robot.gravity import gravity_loads
-from calib.robot.robot import rigid_inverse
 from calib.simulation.camera.simulate import simulate_pictures
 from calib.simulation.scenario import DEFAULT_TRACKER, Scenario
 from calib.simulation.truth import Truth
-from calib.units import Array, Mask
 
 #: Poses at which a trial is verified.
 VERIFIED = 500

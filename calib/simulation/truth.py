@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 import calib.data.kinds as registry
+from calib.arrays import Array, read_only, rigid_inverse
 from calib.data.cell import Cell
 from calib.data.columns import DEFAULT_TARGET
 from calib.errors import CalibError, ModelError, choices
@@ -30,9 +31,9 @@ from calib.robot.gravity import gravity_loads
 from calib.robot.payload import Payload
 from calib.robot.ranges import random_joint_values
 from calib.robot.readback import check_written
-from calib.robot.robot import Robot, read_only, rigid_inverse
+from calib.robot.robot import Robot
 from calib.simulation.random_streams import stream
-from calib.units import Array, parse_amount
+from calib.units import parse_amount
 from calib.values.pickling import Value
 
 #: Stated place of the target in the tip, if nothing else is given [m]: off the last axis, so that all is seen.

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from calib.arrays import Array
 from calib.files import write_atomically
 from calib.json_files import json_bytes
 from calib.model.parameters import ErrorModel
@@ -17,7 +18,6 @@ from calib.robot.readings import coupling_table
 from calib.robot.robot import Robot
 from calib.simulation.scenario import Scenario, Simulated
 from calib.simulation.truth import Truth
-from calib.units import Array
 
 #: Kind and version of the file.
 SCHEMA = "truth 2"

@@ -18,10 +18,11 @@ from typing import NoReturn
 
 import numpy as np
 
+from calib.arrays import Array
 from calib.errors import CalibError, FileError, MeasurementError
 from calib.files import read_bytes
 from calib.tables.workbook import read_sheet, split_sheet
-from calib.units import NUMBER, Array, Unit, find_unit
+from calib.units import NUMBER, Unit, find_unit
 
 #: What may separate cells; in a tie the first wins.
 SEPARATORS = (",", ";", "\t")

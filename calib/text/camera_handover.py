@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pinocchio as pin
 
+from calib.arrays import Array
 from calib.camera.lenses import LENSES
 from calib.errors import choices
 from calib.formats.camera.handover import Handover, PlacedFrame, calibration_of
@@ -17,7 +18,6 @@ from calib.formats.camera.mount import moved_along
 from calib.formats.camera.static_transform import LAUNCH
 from calib.formats.camera.write import transform_of
 from calib.text.layout.lines import deg, fill, mm, number
-from calib.units import Array
 
 if TYPE_CHECKING:
     from calib.formats.convert import Conversion

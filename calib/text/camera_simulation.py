@@ -6,9 +6,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from calib.arrays import rigid_inverse
 from calib.camera.lenses import LENSES
 from calib.numerics.errors import rms
-from calib.robot.robot import rigid_inverse
 from calib.simulation.camera.pictures import OUTLIER, Pictures
 from calib.simulation.camera.scene import view
 from calib.text.layout.lines import fill, plural, row_ranges

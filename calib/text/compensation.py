@@ -9,14 +9,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from calib.arrays import Array, rigid_inverse
 from calib.compensation.expected import BAND
 from calib.data.forms.orientations import find_convention
-from calib.robot.robot import rigid_inverse
 from calib.text.layout.lines import fill
 from calib.text.layout.tables import Column, name_column, table_lines
 from calib.text.readings import coupling_sentence
 from calib.text.verdict import reason_text
-from calib.units import Array
 
 if TYPE_CHECKING:
     from calib.compensation.commands import Commands

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from calib.arrays import Array
 from calib.robot.ranges import spread_poses
 from calib.text.layout.lines import deg, fill, mm
 from calib.text.readings import coupling_sentence
-from calib.units import Array
 
 if TYPE_CHECKING:
     from calib.formats.convert import Conversion

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 import pinocchio as pin
 
+from calib.arrays import Array, Mask
 from calib.channels import RESIDUAL_UNITS
 from calib.design.forecast import Forecast
 from calib.diagnosis.inspection import GENERIC_ANCHOR, GENERIC_TARGET, Inspection
@@ -19,7 +20,6 @@ from calib.text.layout.sizes import with_unit
 from calib.text.layout.tables import Column, name_column, table_lines
 from calib.text.readings import coupling_sentence, rows_sentence
 from calib.text.summary import combination_text
-from calib.units import Array, Mask
 
 _DEG = float(np.degrees(1.0))
 

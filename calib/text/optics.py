@@ -6,12 +6,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from calib.arrays import Array
 from calib.camera import optics
 from calib.model.parameters import BOARD, CAMERA, Parameter
 from calib.result.calibration import CalibrationValues
 from calib.result.prediction import ParameterEstimate
 from calib.text.layout.lines import number, plural
-from calib.units import Array
 
 #: Decimals of a number of a lens, by its unit.
 _DECIMALS = {"px": 1, "1": 4}

@@ -9,11 +9,11 @@ import numpy as np
 import pinocchio as pin
 
 import calib.data.kinds as registry
+from calib.arrays import Array
 from calib.data.kinds import Kind
 from calib.model.error_model import placed_name
 from calib.result.calibration import CalibrationValues
 from calib.text.layout.lines import deg, mm
-from calib.units import Array
 
 #: Targets, or measurement frames, that are listed; the others are counted.
 _MOST_PLACES = 6

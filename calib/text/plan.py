@@ -16,13 +16,13 @@ from calib.text.layout.tables import Column, labelled, name_column, table_lines
 from calib.text.readings import coupling_sentence
 
 if TYPE_CHECKING:
+    from calib.arrays import Array
     from calib.design.forecast import Forecast
     from calib.design.notes import Code, Note
     from calib.design.ordering import Blocked
     from calib.design.plan import PlanValues
     from calib.regions.region_rows import Checked, RegionView
     from calib.robot.robot import Robot
-    from calib.units import Array
 
 _CRITERIA = {
     "V": "least mean error over the workspace (V-optimal)",

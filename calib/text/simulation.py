@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
+from calib.arrays import Array
 from calib.model.families import FAMILIES, unit_of
 from calib.numerics.errors import rms
 from calib.simulation.scenario import Scenario, Simulated
@@ -14,7 +15,6 @@ from calib.simulation.trial import VERIFIED, Trials
 from calib.simulation.truth import Truth
 from calib.text.layout.lines import fill, mm, plural, row_ranges
 from calib.text.layout.tables import Column, labelled, name_column, table_lines
-from calib.units import Array
 
 #: Columns from a label to its text.
 _LABEL = 26

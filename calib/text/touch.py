@@ -11,8 +11,8 @@ from calib.text.layout.lines import fill
 from calib.text.layout.tables import Column, name_column, table_lines
 
 if TYPE_CHECKING:
+    from calib.arrays import Array
     from calib.compensation.touch import TouchPlan
-    from calib.units import Array
 
 _NOT_REACHED = "out of reach"
 _COLLIDES = "the robot collides"

@@ -15,6 +15,7 @@ import meshcat
 import numpy as np
 from meshcat import geometry as mc
 
+from calib.arrays import Array
 from calib.design.forecast import position_std
 from calib.design.images.plan_file import distances_and_tilts, image_name
 from calib.design.images.sensitivity import sensitivity_of
@@ -22,7 +23,6 @@ from calib.design.plan import PlanValues
 from calib.regions.region_rows import RegionView
 from calib.report.figure_base import BEAM, ESTIMATION, LITTLE_TO_MUCH, NOMINAL, VALIDATION
 from calib.report.figure_region import headings
-from calib.units import Array
 from calib.viewer.html_page import Key, Page
 from calib.viewer.image_view import shown
 from calib.viewer.page import WAY_COLOUR, About, view_page

@@ -10,7 +10,7 @@ import numpy as np
 from meshcat import geometry as mc
 
 import calib.report.figure_base as look
-from calib.units import Array
+from calib.arrays import Array
 from calib.viewer.html_page import COLOURS, Key, floats
 from calib.viewer.puppet import Puppet
 from calib.viewer.scene import SCENE as ROBOTS, Scene, draw_cloud, draw_lines

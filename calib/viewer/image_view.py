@@ -6,10 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from calib.arrays import Array, read_only, rigid_inverse
 from calib.data.cell import Box
 from calib.design.plan import PlanValues
-from calib.robot.robot import read_only, rigid_inverse
-from calib.units import Array
 
 #: A board is shown this thick, and a camera this large [m].
 _THICKNESS = 0.004

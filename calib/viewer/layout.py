@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 import calib.viewer.scene as stage
-from calib.units import Array
+from calib.arrays import Array
 from calib.viewer.puppet import BASE_MOVER, Puppet
 from calib.viewer.scene import Camera
 

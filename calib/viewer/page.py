@@ -17,9 +17,9 @@ import numpy as np
 
 import calib.report.figure_base as look
 import calib.viewer.scene as stage
+from calib.arrays import Array
 from calib.channels import RESIDUAL_UNITS
 from calib.result.calibration import CalibrationValues
-from calib.units import Array
 from calib.viewer.draw_sight import draw_sight, images_table
 from calib.viewer.html_page import COLOURS, Key, Page, filled_page, floats
 from calib.viewer.layout import Layout, layout_of, outline_of

@@ -17,11 +17,11 @@ import trimesh
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
+from calib.arrays import Array, rigid_inverse
 from calib.robot.full_model import full_configurations, full_model, link_frame
 from calib.robot.meshes import LinkShape, find_mesh, link_shapes, mesh_folders, read_mesh
-from calib.robot.robot import Robot, rigid_inverse
+from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
-from calib.units import Array
 
 #: Vertices, shape (V, 3), [m], and faces, shape (F, 3), indices of vertices.
 Mesh = tuple[NDArray[np.floating], NDArray[np.int64]]

@@ -19,8 +19,8 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 import calib.report.figure_base as look
+from calib.arrays import Array
 from calib.robot.robot import Robot
-from calib.units import Array
 from calib.viewer.html_page import Key, Page, filled_page
 from calib.viewer.puppet import Mesh, Puppet, read_visuals, translation
 

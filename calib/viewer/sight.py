@@ -10,11 +10,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from calib.arrays import Array, Integers, rigid_inverse
 from calib.camera.camera import Camera
 from calib.camera.lenses import LENSES
 from calib.result.evaluation import EvaluationValues
-from calib.robot.robot import rigid_inverse
-from calib.units import Array, Integers
 from calib.viewer.puppet import translation
 from calib.viewer.steps import Steps
 

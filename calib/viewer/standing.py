@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from calib.arrays import Array, read_only, rigid_inverse
 from calib.registration.setup import Setup
 from calib.result.evaluation import EvaluationValues
-from calib.robot.robot import Robot, read_only, rigid_inverse
-from calib.units import Array
+from calib.robot.robot import Robot
 from calib.viewer.puppet import root_poses
 
 #: A base whose pose in the root differs by less at two poses of the robot does not move.

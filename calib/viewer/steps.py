@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib.arrays import Array, Integers, Mask
 from calib.data.measurements import Measurements
 from calib.registration.same_poses import same_poses
 from calib.result.evaluation import EvaluationValues
-from calib.units import Array, Integers, Mask
 
 #: Rows that are shown at most: the page stays quick.
 MOST_ROWS = 400

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from calib.arrays import Array, Integers, Mask, rigid_inverse
 from calib.camera.camera import Camera
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
@@ -25,10 +26,9 @@ from calib.result.calibration import CalibrationValues
 from calib.result.comparison import ComparisonValues
 from calib.result.evaluation import PLACES, EvaluationValues, evaluate
 from calib.robot.ranges import column_ranges, spread_poses
-from calib.robot.robot import Robot, rigid_inverse
+from calib.robot.robot import Robot
 from calib.text.comparison import sentence
 from calib.text.verdict import against, reason_text
-from calib.units import Array, Integers, Mask
 from calib.viewer.puppet import translation
 from calib.viewer.sight import Sight, sight_of
 from calib.viewer.standing import standing

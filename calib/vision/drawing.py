@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from calib.arrays import Array, Mask
 from calib.camera.board import APRILTAG, CHARUCO, CHESSBOARD, Board
 from calib.camera.dictionaries import DICTIONARIES
-from calib.units import Array, Mask
 from calib.vision.opencv import opencv
 
 

@@ -14,12 +14,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.arrays import Array
 from calib.camera.board import CHARUCO, CHESSBOARD, Board
 from calib.camera.board_file import shifted
 from calib.camera.dictionaries import DICTIONARIES
 from calib.errors import FileError
 from calib.files import read_bytes
-from calib.units import Array
 from calib.vision.marker_grids import Grid, grid_of
 from calib.vision.markers import Markers, find_high_ids, find_markers, smallest_dictionary
 from calib.vision.opencv import opencv

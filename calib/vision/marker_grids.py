@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib.arrays import Array, Integers, Mask
 from calib.camera.board import APRILTAG, CHARUCO
-from calib.units import Array, Integers, Mask
 from calib.values.pickling import Value
 from calib.vision.markers import Markers
 from calib.vision.opencv import opencv

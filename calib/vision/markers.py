@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
+from calib.arrays import Array, Integers
 from calib.camera.dictionaries import DICTIONARIES
-from calib.units import Array, Integers
 from calib.values.pickling import Value
 from calib.vision.opencv import opencv
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib.arrays import Array
 from calib.camera.board import Board
 from calib.camera.paper import EDGE, SIDE_BAND, Sheet
-from calib.units import Array
 from calib.values.pickling import Value
 from calib.vision.drawing import black_rectangles
 

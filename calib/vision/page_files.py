@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from xml.sax.saxutils import escape
 
-from calib.units import Array
+from calib.arrays import Array
 from calib.vision.page import TEXT_SIZE, Page
 
 #: Points of PDF in a millimetre.

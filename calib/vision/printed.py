@@ -14,9 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import map_coordinates
 
+from calib.arrays import Array, read_only
 from calib.camera.board import Board
-from calib.robot.robot import read_only
-from calib.units import Array
 from calib.values.pickling import Value
 
 #: Corners whose coordinates [m] agree to so many digits behind the point are in one row or column.

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from calib.arrays import Array, Mask
 from calib.camera.camera import Camera
 from calib.errors import CalibError
-from calib.units import Array, Mask
 from calib.values.pickling import Value
 from calib.vision.opencv import opencv
 

@@ -15,11 +15,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.arrays import Array, rigid_inverse
 from calib.camera.camera import Camera
 from calib.errors import CalibError
 from calib.files import write_atomically
-from calib.robot.robot import rigid_inverse
-from calib.units import Array
 from calib.values.pickling import Value
 from calib.vision.opencv import opencv
 from calib.vision.printed import Print

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib.arrays import Array
 from calib.camera.board import Board
-from calib.units import Array
 from calib.vision.drawing import black_rectangles
 
 #: A length that is longer than whole pixels by this [px] has as many.

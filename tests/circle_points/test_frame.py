@@ -6,6 +6,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from calib.arrays import rigid_inverse
 from calib.circle_points.fits import Circle, Plane, fit_circle, fit_plane
 from calib.circle_points.frame import (
     BaseFrame,
@@ -15,7 +16,7 @@ from calib.circle_points.frame import (
     nominal_axes_frame,
 )
 from calib.errors import UrdfError
-from calib.robot.robot import Robot, rigid_inverse
+from calib.robot.robot import Robot
 
 SIGMA = 33e-6
 T_TRUE = pin.exp6(np.array([2.0, 1.0, -0.5, 0.3, -0.8, 1.2])).homogeneous

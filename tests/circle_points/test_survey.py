@@ -8,12 +8,13 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from calib.arrays import rigid_inverse
 from calib.circle_points.frame import nominal_axes
 from calib.circle_points.survey import base_frame, between
 from calib.circle_points.sweeps import Sweep, Sweeps
 from calib.errors import MeasurementError
 from calib.json_files import json_bytes
-from calib.robot.robot import Robot, rigid_inverse
+from calib.robot.robot import Robot
 from tests.circle_points.virtual_sweeps import virtual_sweeps
 
 T_TRUE = pin.exp6(np.array([2.0, 1.0, -0.5, 0.3, -0.8, 1.2])).homogeneous

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from calib.arrays import read_only, rigid_inverse
 from calib.circle_points.sweeps import PLANE, Sweep, Sweeps
-from calib.robot.robot import Robot, read_only, rigid_inverse
+from calib.robot.robot import Robot
 
 Array = NDArray[np.float64]
 

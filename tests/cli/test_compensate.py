@@ -102,6 +102,7 @@ def test_the_document_s_examples_print_what_it_says(call, examples, tmp_path: Pa
 @pytest.fixture(scope="module")
 def large(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A virtual UR3 with compliances and a target that is turned, seen in two frames that were estimated."""
+    from calib.arrays import read_only
     from calib.calibration import calibrate
     from calib.data.cell import Cell
     from calib.data.measurements import Measurements
@@ -109,7 +110,7 @@ def large(tmp_path_factory: pytest.TempPathFactory) -> Path:
     from calib.result.calibration_file import write_result
     from calib.robot.gravity import gravity_loads
     from calib.robot.payload import Payload
-    from calib.robot.robot import Robot, read_only
+    from calib.robot.robot import Robot
 
     folder = tmp_path_factory.mktemp("large")
     shutil.copy(paper_urdf(), folder / "robot.urdf")

@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import pytest
 
+from calib.arrays import read_only
 from calib.calibration import Calibration, calibrate
 from calib.data.cell import Cell
 from calib.example import PAPER_TARGET
 from calib.result.uncertainty import Profile, bootstrap
-from calib.robot.robot import read_only
 from calib.text.intervals import bootstrap_text, profile_text
 
 

@@ -3,6 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from calib.arrays import read_only
 from calib.compensation.inverse import Matching
 from calib.compensation.nominal_actual import Arm, pair_of
 from calib.errors import ModelError
@@ -12,7 +13,7 @@ from calib.result.prediction import NonGeometric
 from calib.robot.gravity import GRAVITY, gravity_loads
 from calib.robot.payload import Payload
 from calib.robot.ranges import random_joint_values
-from calib.robot.robot import Robot, read_only
+from calib.robot.robot import Robot
 from tests.compensation.arms import off, turned
 from tests.hard_cases import made
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from calib.arrays import read_only
 from calib.data.cell import Cell
 from calib.diagnosis.inspection import inspect
-from calib.robot.robot import read_only
 from tests import images
 from tests.fits import place
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from calib.arrays import read_only
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.diagnosis.reasons import Reason, Why
@@ -28,7 +29,7 @@ from calib.registration.rows import Rows
 from calib.registration.table_rows import rows_and_setup
 from calib.result.calibrate import calibrate
 from calib.robot.ranges import random_joint_values
-from calib.robot.robot import Robot, read_only
+from calib.robot.robot import Robot
 from calib.simulation.truth import draw_truth
 
 TURN = np.array([[0.36, 0.48, -0.8], [-0.8, 0.6, 0.0], [0.48, 0.64, 0.6]])

@@ -5,8 +5,8 @@ import pinocchio as pin
 import pytest
 from hypothesis import given, settings, strategies as st
 
+from calib.arrays import rigid_inverse
 from calib.formats.anchored_placements import anchored_placements
-from calib.robot.chain import rigid_inverse
 from calib.robot.robot import Robot
 
 Z, Y = (0, 0, 1), (0, 1, 0)

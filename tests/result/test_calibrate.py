@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from calib.arrays import rigid_inverse
 from calib.calibration import calibrate
 from calib.data.cell import Cell, GroupDistance, Priors
 from calib.data.measurements import Measurements
@@ -25,7 +26,7 @@ from calib.result.fits import fit_table
 from calib.robot.gravity import gravity_loads
 from calib.robot.payload import Payload
 from calib.robot.ranges import random_joint_values
-from calib.robot.robot import Robot, rigid_inverse
+from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
 from calib.selection.candidates import mark_chosen
 from tests.fits import FREE, SOCKETS, TARGETS, TRACKERS, gaps, in_each, two_targets

@@ -6,12 +6,13 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from calib.arrays import rigid_inverse
 from calib.model.error_model import error_model
 from calib.model.joint_errors import axis_twists, joint_displacements
 from calib.model.kinematics import Kinematics, Samples
 from calib.robot import kernel
 from calib.robot.chain import pinocchio_chain
-from calib.robot.robot import Robot, rigid_inverse
+from calib.robot.robot import Robot
 from tests.model.test_kinematics import CHAINS, pose, robots  # noqa: F401
 
 Array = np.ndarray

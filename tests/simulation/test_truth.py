@@ -5,11 +5,12 @@ import pinocchio as pin
 import pytest
 from scipy.spatial.transform import Rotation
 
+from calib.arrays import rigid_inverse
 from calib.data.cell import Cell, Tracker
 from calib.model.error_model import error_model
 from calib.model.families import FAMILIES
 from calib.robot.ranges import random_joint_values
-from calib.robot.robot import Robot, rigid_inverse
+from calib.robot.robot import Robot
 from calib.simulation.truth import TARGET_ERROR, draw_truth, tracker_pose
 
 MANY = "placement+gain+eccentricity+compliance"

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from calib.arrays import rigid_inverse
 from calib.camera.camera import Camera
 from calib.data.cell import Cell
-from calib.robot.robot import Robot, rigid_inverse
+from calib.robot.robot import Robot
 from calib.simulation.camera.simulate import simulate_pictures
 from calib.simulation.disturbances import Encoder, Outliers
 from calib.simulation.scenario import Scenario

@@ -7,11 +7,12 @@ import re
 import numpy as np
 import pytest
 
+from calib.arrays import read_only
 from calib.calibration import Calibration, calibrate
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.example import PAPER_TARGET_AS_PRINTED
-from calib.robot.robot import Robot, read_only
+from calib.robot.robot import Robot
 from calib.text.layout.lines import mm
 from calib.text.places import frame_sentences
 

@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 
 import calib
+from calib.arrays import read_only
 from calib.calibration import Calibration, compare, evaluate
 from calib.compensation.commands import compensate
 from calib.compensation.program import Program
@@ -31,7 +32,7 @@ from calib.mappings import ReadOnlyMapping
 from calib.model.families import FAMILIES, ONE, Factor, Family, JointState, factor_of
 from calib.planning import plan
 from calib.regions.region import Density
-from calib.robot.robot import Robot, read_only
+from calib.robot.robot import Robot
 from calib.simulation.scenario import Scenario, simulate
 from calib.values.pickling import Value, packed
 

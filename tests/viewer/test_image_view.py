@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.robot.robot import rigid_inverse
+from calib.arrays import rigid_inverse
 from calib.viewer.design_view import plan_page
 from calib.viewer.image_view import shown
 from tests.design.images.test_plan import planned

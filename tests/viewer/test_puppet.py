@@ -7,8 +7,9 @@ import pinocchio as pin
 import pytest
 import trimesh
 
+from calib.arrays import rigid_inverse
 from calib.robot.meshes import mesh_folders
-from calib.robot.robot import Robot, rigid_inverse
+from calib.robot.robot import Robot
 from calib.viewer.page import puppets
 from calib.viewer.puppet import (
     Puppet,

@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
+from calib.arrays import Array
 from calib.camera.board import APRILTAG, CHESSBOARD, Board
-from calib.units import Array
 from calib.vision.drawing import is_white
 
 #: Parts of a pixel along u and v.

@@ -84,11 +84,12 @@ def demo(
 
 def _calibrate() -> tuple[Calibration, Calibration]:
     """Calibrate the paper's robot by calib, and by the paper's algorithm."""
+    from calib.arrays import read_only
     from calib.calibration import calibrate
     from calib.data.cell import Cell
     from calib.data.measurements import Measurements
     from calib.example import PAPER_TARGET, paper_measurements, paper_urdf
-    from calib.robot.robot import Robot, read_only
+    from calib.robot.robot import Robot
 
     robot = Robot.load(paper_urdf(), base="base", tip="tool0")
     measurements = Measurements.read(

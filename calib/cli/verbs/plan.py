@@ -21,13 +21,13 @@ from calib.errors import CalibError, VerdictError
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from calib.arrays import Array
     from calib.data.cell import Cell
     from calib.design.choice import PlanRequest
     from calib.design.collision import CollisionCheck
     from calib.design.plan import PlanValues
     from calib.regions.region import Region
     from calib.robot.robot import Robot
-    from calib.units import Array
 
 _File = Path | None
 

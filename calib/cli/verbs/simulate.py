@@ -20,9 +20,9 @@ from calib.errors import CalibError, choices
 if TYPE_CHECKING:
     from concurrent.futures import Executor
 
+    from calib.arrays import Array
     from calib.data.cell import Cell
     from calib.simulation.scenario import Scenario
-    from calib.units import Array
 
 _Text = str | None
 _File = Path | None

@@ -16,11 +16,11 @@ from calib.cli.terminal import progress_bar
 from calib.cli.verb import verb
 
 if TYPE_CHECKING:
+    from calib.arrays import Array
     from calib.data.cell import Cell
     from calib.data.measurements import Measurements
     from calib.regions.region_rows import Checked, RegionView
     from calib.robot.robot import Robot
-    from calib.units import Array
 
 _File = Path | None
 

@@ -15,9 +15,9 @@ from types import MappingProxyType
 
 import numpy as np
 
+from calib.arrays import Array
 from calib.errors import MeasurementError, choices, did_you_mean
 from calib.numerics.geometry import to_matrices, to_quaternions, to_rotation_vectors
-from calib.units import Array
 
 #: Order in which ABB writes the numbers x, y, z, w of a quaternion.
 _SCALAR_FIRST = [3, 0, 1, 2]

@@ -9,13 +9,13 @@ from typing import NamedTuple
 import numpy as np
 from pinocchio import hppfcl
 
+from calib.arrays import Array, Mask, rigid_inverse
 from calib.data.cell import Box
 from calib.design.collision import CollisionCheck, CollisionModel
 from calib.design.images.sight import CameraSight, outline
 from calib.design.notes import Note
 from calib.design.solids import Solid, box_solids, rods
-from calib.robot.robot import Robot, rigid_inverse
-from calib.units import Array, Mask
+from calib.robot.robot import Robot
 
 #: Thickness of a board, behind its print [m].
 _THICKNESS = 0.010

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from calib.arrays import Array, Integers, Mask, read_only
 from calib.design.candidates import Condition, Draws, Pool, collect, rounded
 from calib.design.choice import PlanRequest
 from calib.design.images.bodies import ImageBodies
@@ -20,8 +21,7 @@ from calib.design.images.viewpoints import NUMBERS, viewpoints
 from calib.errors import ModelError
 from calib.jobs import Progress
 from calib.robot.ranges import spread_between
-from calib.robot.robot import Robot, read_only
-from calib.units import Array, Integers, Mask
+from calib.robot.robot import Robot
 
 #: Inverse kinematics: function of wanted poses of the tip in the base, shape (n, 4, 4), [m], and of joint values to
 #: start at, shape (n, m), [rad] or [m], that returns joint values as near to the wanted poses as it comes.

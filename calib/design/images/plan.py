@@ -10,6 +10,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
+from calib.arrays import Array, read_only, rigid_inverse
 from calib.camera.board import Board
 from calib.camera.camera import Camera
 from calib.design.candidates import planning_ranges
@@ -24,8 +25,7 @@ from calib.design.notes import Note
 from calib.design.plan import Planned, PlanValues, Progress, planned_of, stage
 from calib.errors import CalibError
 from calib.inputs import CellInput, RobotInput, cell_of, robot_of
-from calib.robot.robot import Robot, read_only, rigid_inverse
-from calib.units import Array
+from calib.robot.robot import Robot
 from calib.values.arguments import check_callable, check_type, numbers
 from calib.values.pickling import Value
 

@@ -12,12 +12,12 @@ from pathlib import Path
 
 import numpy as np
 
+from calib.arrays import Array
 from calib.data.columns import EXPECTED, name_columns
 from calib.design.plan import PlanValues
 from calib.design.plan_file import joint_cells
 from calib.files import csv_bytes, write_atomically
 from calib.tables.table import Table
-from calib.units import Array
 
 #: A whole number in the name of an image.
 _NUMBER = re.compile(r"\d+")

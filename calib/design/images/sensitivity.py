@@ -21,6 +21,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 import calib.data.kinds as registry
+from calib.arrays import Array, read_only
 from calib.camera import optics as optics_columns
 from calib.camera.camera import UNKNOWN, Camera
 from calib.camera.lenses import LENSES
@@ -35,8 +36,7 @@ from calib.registration.cameras import optics_of_rows
 from calib.registration.setup import Setup
 from calib.registration.table_setup import measurement_setup
 from calib.robot.kernel import over_blocks
-from calib.robot.robot import Robot, read_only
-from calib.units import Array
+from calib.robot.robot import Robot
 
 #: Kind of measurement.
 PIXEL = "pixel"

@@ -11,12 +11,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calib.arrays import Array, Mask, read_only, rigid_inverse
 from calib.camera.board import CHESSBOARD, Board
 from calib.camera.camera import Camera
 from calib.camera.lenses import LENSES
 from calib.errors import CalibError
-from calib.robot.robot import Robot, read_only, rigid_inverse
-from calib.units import Array, Mask
+from calib.robot.robot import Robot
 from calib.values.pickling import Value
 
 #: Shares of the image's diagonal that the board's diagonal fills at the nearest and at the farthest distance.

@@ -9,9 +9,9 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from calib.arrays import Array
 from calib.camera.lenses import LENSES
 from calib.design.images.sight import CameraSight, intrinsics
-from calib.units import Array
 
 #: Random numbers of a viewpoint: pixel (2), distance, tilt, direction of the tilt, roll.
 NUMBERS = 6

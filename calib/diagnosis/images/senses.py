@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib.arrays import Array
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.data.priors import Priors
@@ -24,7 +25,6 @@ from calib.registration.rows import Rows
 from calib.registration.setup import Setup
 from calib.registration.table_rows import rows_and_setup
 from calib.robot.robot import Robot
-from calib.units import Array
 
 #: Reversed values fit far better where their error is less than this share of that of the values as given.
 _FAR_BETTER = 0.5

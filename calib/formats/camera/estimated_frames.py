@@ -10,11 +10,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from calib.arrays import Array, read_only, rigid_inverse
 from calib.errors import ModelError, choices, did_you_mean
 from calib.model.error_model import DIRECTIONS
 from calib.result.calibration import CalibrationValues
-from calib.robot.robot import read_only, rigid_inverse
-from calib.units import Array
 from calib.values.pickling import Value
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from calib.arrays import Array
 from calib.errors import CalibError, UrdfError, choices
 from calib.formats.camera.estimated_frames import EstimatedFrame, estimated_board, estimated_camera
 from calib.formats.camera.mount import fixed_pose, mount_joint, with_fixed_link, with_moved_mount
@@ -12,7 +13,6 @@ from calib.formats.source import Source
 from calib.result.calibration import CalibrationValues
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf, UrdfJoint
-from calib.units import Array
 from calib.values.pickling import Value
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from calib.arrays import Array
 from calib.camera.camera import Camera
 from calib.camera.camera_file import camera_info_yaml, opencv_yaml
 from calib.camera.camera_yaml import camera_of_yaml
@@ -18,7 +19,6 @@ from calib.formats.camera.options import CameraOptions
 from calib.formats.source import Options, Source
 from calib.mappings import ReadOnlyMapping
 from calib.result.calibration import CalibrationValues
-from calib.units import Array
 
 #: The text of a camera, by the name of the format.
 _TEXTS: Mapping[str, Callable[[Camera], str]] = ReadOnlyMapping(

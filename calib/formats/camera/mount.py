@@ -13,10 +13,9 @@ from functools import reduce
 
 import numpy as np
 
+from calib.arrays import Array, rigid_inverse
 from calib.errors import UrdfError, choices
-from calib.robot.robot import rigid_inverse
 from calib.robot.urdf import Urdf
-from calib.units import Array
 
 
 def with_moved_mount(urdf: Urdf, link: str, frame: str, joint: str, T_link_frame: Array) -> Urdf:

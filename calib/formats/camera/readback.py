@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 
+from calib.arrays import Array
 from calib.errors import UrdfError
 from calib.robot.full_model import full_model, link_frame
 from calib.robot.readback import TOLERANCE, yourdfpy_model
 from calib.robot.urdf import Urdf
-from calib.units import Array
 
 
 def check_fixed_frame(urdf: Urdf, link: str, frame: str, T_link_frame: Array) -> None:

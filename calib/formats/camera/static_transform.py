@@ -17,8 +17,8 @@ import numpy as np
 import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
+from calib.arrays import Array
 from calib.errors import FileError
-from calib.units import Array
 from calib.values.pickling import Value
 
 #: Ending of launch files.

@@ -15,12 +15,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from calib.arrays import Array, Mask, read_only
 from calib.errors import CalibError, ModelError, choices
 from calib.formats.source import Source
 from calib.result.calibration import CalibrationValues
 from calib.result.joint_zeros import JointZeros
-from calib.robot.robot import read_only
-from calib.units import Array, Mask
 from calib.values.pickling import Value
 
 #: Largest homing offset of a Feetech servo, which stores 11 bits and a sign [ticks].

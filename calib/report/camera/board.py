@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import calib.report.figure_base as base
+from calib.arrays import Array, Integers
 from calib.report.camera.panels import WIDTH, arrows, round_factor, times
 from calib.report.camera.seen_corners import SeenCorners
-from calib.units import Array, Integers
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

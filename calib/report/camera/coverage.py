@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import calib.report.figure_base as base
+from calib.arrays import Array
 from calib.report.camera.of_calibration import JointSpan
 from calib.report.camera.panels import WIDTH, image_panel
 from calib.report.camera.seen_corners import SeenCorners, board_views
-from calib.units import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

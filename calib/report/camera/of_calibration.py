@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib.arrays import Array, Integers, Mask
 from calib.camera import optics
 from calib.camera.lenses import LENSES
 from calib.registration.cameras import corners_of
@@ -13,7 +14,6 @@ from calib.registration.table_rows import rows_and_setup
 from calib.report.camera.seen_corners import SeenCorners
 from calib.report.row_values import flagged_rows
 from calib.result.calibration import CalibrationValues
-from calib.units import Array, Integers, Mask
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import calib.report.figure_base as base
-from calib.units import Array
+from calib.arrays import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

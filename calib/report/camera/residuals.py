@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import calib.report.figure_base as base
+from calib.arrays import Array, Integers, Mask
 from calib.report.camera.panels import (
     TYPICAL,
     WIDTH,
@@ -19,7 +20,6 @@ from calib.report.camera.panels import (
     times,
 )
 from calib.report.camera.seen_corners import SeenCorners, rms
-from calib.units import Array, Integers, Mask
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib.arrays import Array, Integers, Mask
 from calib.report.figure_base import short_names
-from calib.units import Array, Integers, Mask
 from calib.values.pickling import Value
 
 

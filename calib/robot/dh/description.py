@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike
 
+from calib.arrays import Array
 from calib.errors import ModelError, choices, did_you_mean
 from calib.mappings import ReadOnlyMapping
 from calib.robot.dh.rows import CONVENTIONS, HAYATI, DHRow, DHTable
-from calib.units import Array
 from calib.values.pickling import Value
 
 BASE = "base"

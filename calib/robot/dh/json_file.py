@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
+from calib.arrays import read_only
 from calib.errors import CalibError, ModelError
 from calib.json_files import damage
 from calib.robot.dh.description import BASE, TIP, DHRobot
 from calib.robot.dh.rows import EQUATIONS, DHRow, DHTable
-from calib.robot.urdf_tree import read_only
 
 SCHEMA = "dh 1"
 """The schema of the file."""

@@ -7,10 +7,10 @@ from itertools import pairwise
 
 import numpy as np
 
+from calib.arrays import Array
 from calib.robot import kernel
 from calib.robot.dh.rows import screw
 from calib.robot.generated.urdf_text import Cylinder
-from calib.units import Array
 
 #: Radius of the first link, in lengths of the stretched robot.
 _FIRST_RADIUS = 0.035

@@ -14,12 +14,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from calib.arrays import Array
 from calib.robot.dh.description import DHRobot, link_names
 from calib.robot.dh.json_file import robot_json
 from calib.robot.dh.rows import MODIFIED, DHRow, DHTable, screw
 from calib.robot.generated.cylinders import GREY, bar, joint_body, link_radii, rods
 from calib.robot.generated.urdf_text import Cylinder, NewJoint, urdf_bytes
-from calib.units import Array
 
 REMARK = "calib DH rows: "
 """Begins the comment of a URDF that holds the rows it was made from, as JSON."""

@@ -12,12 +12,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pinocchio as pin
 
+from calib.arrays import Array, read_only
 from calib.errors import ModelError, choices
 from calib.robot.dh.rows import screw
 from calib.robot.generated.cylinders import joint_body, link_radii, rods
 from calib.robot.generated.urdf_text import Cylinder, NewJoint, urdf_bytes
-from calib.robot.urdf_tree import read_only
-from calib.units import Array
 from calib.values.pickling import Value
 
 COLUMNS = ("theta", "a", "d", "alpha")

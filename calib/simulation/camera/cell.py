@@ -6,11 +6,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calib.arrays import Array, read_only
 from calib.camera.board import Board
 from calib.camera.camera import Camera
 from calib.data.cell import Cell
 from calib.errors import CalibError
-from calib.robot.robot import read_only
 from calib.simulation.camera.equipment import draw_camera
 from calib.simulation.camera.mounts import pose
 from calib.simulation.camera.placing import Mounts, draw_scene
@@ -19,7 +19,6 @@ from calib.simulation.camera.views import draw_views
 from calib.simulation.random_streams import stream
 from calib.simulation.scenario import Scenario
 from calib.simulation.truth import Truth, draw_truth
-from calib.units import Array
 from calib.values.pickling import Value
 from calib.values.short import one_line
 from calib.vision.printed import Print, draw_print

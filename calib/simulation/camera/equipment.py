@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from calib.arrays import Array, read_only
 from calib.camera.board import CHARUCO, Board
 from calib.camera.camera import Camera
 from calib.camera.lenses import LENSES
-from calib.robot.robot import Robot, read_only
+from calib.robot.robot import Robot
 from calib.simulation.camera.mounts import reach
-from calib.units import Array
 
 #: Numbers of the usual camera: fx, fy, cx, cy [px], k1, k2, p1, p2, k3.
 _USUAL = read_only((920.0, 920.0, 639.5, 359.5, 0.1, -0.2, 0.0, 0.0, 0.1))

@@ -8,9 +8,9 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from calib.arrays import Array
 from calib.robot.ranges import spread_poses
 from calib.robot.robot import Robot
-from calib.units import Array
 
 #: Distance of a camera from the axis of the flange that carries it [m].
 _BESIDE_FLANGE = (0.05, 0.12)

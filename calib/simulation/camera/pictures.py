@@ -15,13 +15,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 import calib.data.kinds as registry
+from calib.arrays import Array, Integers, read_only
 from calib.data.columns import SETS
 from calib.data.measurements import Measurements
 from calib.errors import CalibError
-from calib.robot.robot import read_only
 from calib.simulation.camera.cell import CameraCell
 from calib.simulation.random_streams import stream
-from calib.units import Array, Integers
 from calib.values.arguments import check_names
 from calib.values.pickling import Value
 from calib.values.short import one_line

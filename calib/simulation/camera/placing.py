@@ -6,9 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib.arrays import Array, read_only, rigid_inverse
 from calib.camera.camera import Camera
 from calib.errors import CalibError
-from calib.robot.robot import Robot, read_only, rigid_inverse
+from calib.robot.robot import Robot
 from calib.simulation.camera.mounts import (
     board_in_workspace,
     board_on_flange,
@@ -17,7 +18,6 @@ from calib.simulation.camera.mounts import (
 )
 from calib.simulation.camera.scene import USUAL_FRAMING, CameraScene, Framing, filling_distance
 from calib.simulation.camera.views import try_views
-from calib.units import Array
 from calib.values.pickling import Value
 from calib.vision.printed import Print
 

@@ -12,10 +12,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from calib.arrays import Array, Mask
 from calib.camera.board import Board
 from calib.camera.camera import Camera
 from calib.robot.robot import Robot
-from calib.units import Array, Mask
 from calib.values.pickling import Value
 from calib.vision.printed import Print
 from calib.vision.project import Sight, corner_pixels, in_camera

@@ -13,10 +13,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from calib.arrays import Array, read_only
 from calib.design.candidates import planning_ranges
 from calib.errors import CalibError
 from calib.jobs import Progress
-from calib.robot.robot import read_only
 from calib.simulation.camera.scene import (
     USUAL_FRAMING,
     CameraScene,
@@ -24,7 +24,6 @@ from calib.simulation.camera.scene import (
     filling_distance,
     is_framed,
 )
-from calib.units import Array
 from calib.vision.project import rays
 
 #: Views that are wished for at once.

@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
+from calib.arrays import Array
 from calib.camera.board import Board
 from calib.errors import CalibError
-from calib.units import Array
 from calib.vision.corners.layouts import corner_signs
 from calib.vision.corners.planar_map import PlanarMap, fit_planar_map
 from calib.vision.corners.saddles import find_saddles

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from calib.arrays import Array, Mask
 from calib.camera.board import CHARUCO, Board
-from calib.units import Array, Mask
 from calib.vision.corners.layouts import corner_signs
 from calib.vision.corners.planar_map import PlanarMap, fit_planar_map, in_image
 from calib.vision.corners.saddles import Saddles, find_saddles

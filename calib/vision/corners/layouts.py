@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from calib.arrays import Array
 from calib.camera.board import CHESSBOARD, Board
-from calib.units import Array
 from calib.vision.drawing import is_white, marker_corners
 
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.units import Array
+from calib.arrays import Array
 from calib.values.pickling import Value
 
 #: The distance at which the weights are 0, in windows: they are much like exp(-r^2 / 2).

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.units import Array, Mask
+from calib.arrays import Array, Mask
 from calib.values.pickling import Value
 from calib.vision.corners.markers import Markers
 from calib.vision.corners.planar_map import PlanarMap, fit_planar_map

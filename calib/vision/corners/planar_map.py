@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from calib.units import Array, Mask
+from calib.arrays import Array, Mask
 from calib.values.pickling import Value
 
 #: The values of lambda that are searched: from a fisheye lens's barrel to a strong pincushion.

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.units import Array, Mask
+from calib.arrays import Array, Mask
 from calib.values.pickling import Value
 from calib.vision.corners.patches import interpolated, normal_matrix, patch_at, pull
 from calib.vision.corners.uncertainty import uncertainty

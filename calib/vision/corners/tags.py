@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.units import Array
+from calib.arrays import Array
 from calib.values.pickling import Value
 from calib.vision.corners.saddles import Saddles
 from calib.vision.corners.uncertainty import FLOOR

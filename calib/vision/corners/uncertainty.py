@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.units import Array
+from calib.arrays import Array
 from calib.vision.corners.patches import (
     Patch,
     interpolated,

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from calib.arrays import Array, Integers
 from calib.camera.board import APRILTAG, CHESSBOARD, Board
-from calib.units import Array, Integers
 from calib.values.pickling import Value
 from calib.vision.corners.chessboards import find_chessboard, is_part_of_larger
 from calib.vision.corners.growth import grow, visible_corners

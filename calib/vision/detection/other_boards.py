@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calib.arrays import Array
 from calib.camera.board import CHARUCO, Board
 from calib.errors import CalibError
-from calib.units import Array
 from calib.values.pickling import Value
 from calib.vision.corners.layouts import marker_outlines
 from calib.vision.corners.markers import Markers

@@ -8,6 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 
+from calib.arrays import Array, rigid_inverse
 from calib.calibration import calibrate
 from calib.camera.camera import Camera
 from calib.camera.lenses import LENSES
@@ -19,8 +20,7 @@ from calib.design.images.plan import ImageRequest, plan_images
 from calib.design.plan import PlanValues
 from calib.errors import ArgumentError, CalibError
 from calib.robot.ranges import random_joint_values
-from calib.robot.robot import Robot, rigid_inverse
-from calib.units import Array
+from calib.robot.robot import Robot
 from tests.compensation.arms import off
 from tests.design.images.views import BOARD, in_hand, pose, standing
 

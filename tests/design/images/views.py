@@ -7,10 +7,11 @@ from functools import cache
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from calib.arrays import rigid_inverse
 from calib.camera.board import Board
 from calib.camera.camera import Camera
 from calib.design.images.sight import CameraSight, SightLimits, with_intrinsics
-from calib.robot.robot import Robot, rigid_inverse
+from calib.robot.robot import Robot
 
 BOARD = Board(
     pattern="charuco",

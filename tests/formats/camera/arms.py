@@ -10,6 +10,7 @@ import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
 import calib.example
+from calib.arrays import rigid_inverse
 from calib.calibration import Calibration, calibrate
 from calib.camera.board import Board
 from calib.camera.camera import Camera
@@ -18,7 +19,7 @@ from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.model.error_model import error_model
 from calib.robot.ranges import random_joint_values
-from calib.robot.robot import Robot, rigid_inverse
+from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
 
 #: The lines of a camera, as people write them: mixed quotes, a comment, an origin without xyz, one not at all.

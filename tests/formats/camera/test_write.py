@@ -6,6 +6,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from calib.arrays import rigid_inverse
 from calib.conversion import convert
 from calib.errors import CalibError, FileError, UrdfError
 from calib.formats.camera import readback
@@ -14,7 +15,7 @@ from calib.formats.camera.options import CameraOptions
 from calib.formats.camera.write import mounted, transform_of
 from calib.formats.convert import Options
 from calib.formats.source_kinds import result_source
-from calib.robot.robot import Robot, rigid_inverse
+from calib.robot.robot import Robot
 from tests.formats.camera.arms import T_TOOL_OPTICAL, calibration, image_calibration
 
 SOURCE = result_source(calibration(), Options(), "result")

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.robot.robot import Robot, rigid_inverse
+from calib.arrays import rigid_inverse
+from calib.robot.robot import Robot
 from calib.simulation.camera.scene import CameraScene, Framing, is_framed, view
 from calib.vision.printed import Print
 from tests.simulation.camera.cells import BOARD, CAMERA

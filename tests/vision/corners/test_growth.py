@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calib.arrays import Array
 from calib.camera.board import Board
-from calib.units import Array
 from calib.vision.corners.growth import grow, visible_corners, window_size
 from calib.vision.corners.layouts import marker_outlines
 from calib.vision.corners.markers import find_markers

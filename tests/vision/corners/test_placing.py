@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from calib.arrays import Array
 from calib.camera.board import Board
-from calib.units import Array
 from calib.vision.corners.layouts import marker_outlines
 from calib.vision.corners.markers import Markers
 from calib.vision.corners.placing import _agreeing, place

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from calib.arrays import Array
 from calib.camera.board import Board
-from calib.units import Array
 from calib.vision.corners.growth import window_size
 from calib.vision.corners.layouts import corner_signs
 from calib.vision.corners.planar_map import fit_planar_map
