@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "scripts"))
+from tests.places import ROOT
+
+sys.path.insert(0, str(ROOT / "scripts"))
 
 from base_frame_study import Case, center_bias, frame_runs, robot_errors
 

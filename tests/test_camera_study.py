@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import importlib.util
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-SCRIPT = Path(__file__).parents[1] / "scripts" / "camera_study.py"
+from tests.places import ROOT
+
+SCRIPT = ROOT / "scripts" / "camera_study.py"
 
 
 def study():

@@ -14,6 +14,7 @@ from calib.example import dh_rows
 from calib.formats.dh_files import DHTables
 from calib.robot.dh.file import read_dh_robot
 from calib.robot.dh.rows import DHRow
+from tests.places import ROOT
 
 #: Three axes that slide and a wrist; the last of the three is parallel to the first of the wrist.
 GANTRY = """# robot: gantry
@@ -239,7 +240,7 @@ def test_a_coupling_in_rows_is_that_of_the_robot():
 
 
 def test_the_tables_of_the_page_are_rows(tmp_path):
-    page = (Path(__file__).parents[1] / "docs" / "dh-rows.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "dh-rows.md").read_text(encoding="utf-8")
     tables = re.findall(r"```csv\n(.*?)```", page, re.DOTALL)
     for table, name in zip(
         tables, ("kuka_kr6_r900", "franka_panda", "epson_gx4_a351s"), strict=True

@@ -27,8 +27,8 @@ import calib
 from calib.cli.program import app
 from calib.example import paper_measurements, paper_urdf
 from tests.cli.conftest import calib_here
+from tests.places import ROOT
 
-ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 PAGES = [ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted(DOCS.glob("*.md"))]
 READER = MarkdownIt().enable("table")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from pathlib import Path
 
 import numpy as np
 
@@ -18,8 +17,7 @@ from calib.example import (
     paper_urdf,
 )
 from calib.robot.robot import Robot
-
-ROOT = Path(__file__).parents[1]
+from tests.places import ROOT
 
 
 def test_the_target_is_the_printed_one_turned_about_z():

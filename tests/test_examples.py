@@ -10,7 +10,8 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parents[1]
+from tests.places import ROOT
+
 EXAMPLES = ROOT / "scripts" / "examples"
 PROGRAMS = sorted(path.name for path in EXAMPLES.glob("*.py"))
 PAGE = (ROOT / "docs" / "examples.md").read_text(encoding="utf-8")

@@ -20,8 +20,8 @@ from calib.example import paper_measurements, paper_urdf
 from calib.formats.convert import KINDS, Options
 from calib.formats.source_kinds import source_kind
 from calib.regions.region_file import read_region
+from tests.places import ROOT
 
-ROOT = Path(__file__).parents[1]
 ARM, DATA = str(paper_urdf()), paper_measurements()
 
 #: What files are spoilt with.

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import sys
-from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "scripts"))
+from tests.places import ROOT
+
+sys.path.insert(0, str(ROOT / "scripts"))
 
 from goldens import all_cases, comparison_of, renamed, with_needed
 from goldens_compare import LOOSE, STRICT, rename

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import importlib.util
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-SCRIPTS = Path(__file__).parents[1] / "scripts"
+from tests.places import ROOT
+
+SCRIPTS = ROOT / "scripts"
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,8 @@ from collections.abc import Iterator
 from graphlib import TopologicalSorter
 from pathlib import Path
 
-ROOT = Path(__file__).parents[1]
+from tests.places import ROOT
+
 CALIB = ROOT / "calib"
 MODULES = sorted(CALIB.rglob("*.py"))
 

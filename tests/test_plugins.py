@@ -30,9 +30,8 @@ from calib.numerics.solvers import SOLVERS
 from calib.result.calibration_file import read_result, write_result
 from calib.robot.robot import Robot
 from calib.simulation.scenario import Scenario
+from tests.places import ROOT
 from tests.plugin_files import CELL, registries_kept, write_distribution, write_plugin
-
-ROOT = Path(__file__).parents[1]
 
 #: One solver.
 SOLVER = """

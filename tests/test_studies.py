@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "scripts"))
+from tests.places import ROOT
+
+sys.path.insert(0, str(ROOT / "scripts"))
 
 from arms import load_arm, without_masses
 from studies import draw_errors, joint_values_around, run_cases, run_jobs, table_lines

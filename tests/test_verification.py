@@ -5,15 +5,15 @@ from __future__ import annotations
 import functools
 import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from calib.result.fits import fit_table
 from calib.robot.payload import Payload
+from tests.places import ROOT
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "scripts"))
+sys.path.insert(0, str(ROOT / "scripts"))
 
 from arms import example_urdfs, load_arm
 from selection_study import drawn_widely, errors_by_model, table_of_truth

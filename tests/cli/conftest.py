@@ -26,8 +26,9 @@ from calib.example import paper_measurements, paper_urdf
 from calib.robot.robot import Robot
 from tests.circle_points.virtual_sweeps import virtual_sweeps, write_sweeps
 from tests.formats.ur_cases import CALIBRATIONS
+from tests.places import ROOT
 
-DOCS = Path(__file__).parents[2] / "docs"
+DOCS = ROOT / "docs"
 
 _INSTALLED = Path(sys.executable).with_name("calib")
 PROGRAM = (

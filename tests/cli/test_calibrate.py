@@ -8,7 +8,9 @@ from typing import Any
 
 import pytest
 
-DOCS = Path(__file__).parents[2] / "docs"
+from tests.places import ROOT
+
+DOCS = ROOT / "docs"
 
 
 def load(path: Path) -> Any:

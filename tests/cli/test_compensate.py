@@ -16,8 +16,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calib.cli.words import parse_tool
+from tests.places import ROOT
 
-DOC = Path(__file__).parents[2] / "docs" / "compensation.md"
+DOC = ROOT / "docs" / "compensation.md"
 JOINTS = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
 HEADER = ",".join(f"{name}_joint [deg]" for name in JOINTS)
 FILES = ("robot.urdf", "data.csv", "result.json", "corrected.urdf")
@@ -115,7 +116,7 @@ def large(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("large")
     shutil.copy(paper_urdf(), folder / "robot.urdf")
     nominal = Robot.load(folder / "robot.urdf", "base", "tool0")
-    true = Robot.load(Path(__file__).parents[2] / "urdf" / "ur3_calibrated.urdf", "base", "tool0")
+    true = Robot.load(ROOT / "urdf" / "ur3_calibrated.urdf", "base", "tool0")
     rng = np.random.default_rng(5)
     q = rng.uniform(-1.5, 1.5, (24, 6))
     T = np.eye(4)

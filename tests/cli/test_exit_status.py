@@ -18,8 +18,9 @@ from calib.robot.urdf import Urdf
 from calib.simulation.scenario import Scenario
 from tests.cli.conftest import factory
 from tests.fleets.arms import CELL
+from tests.places import ROOT
 
-DOC = Path(__file__).parents[2] / "docs" / "command-line.md"
+DOC = ROOT / "docs" / "command-line.md"
 ARM = ("--base", "base", "--tip", "tool0")
 MODEL = (*ARM, "--target", "-70 70 22.5 mm", "--model", "zeros")
 FIT = ("calibrate", "robot.urdf", "right.csv", *MODEL)

@@ -11,8 +11,9 @@ from pathlib import Path
 import pytest
 
 from tests.fleets.arms import arms
+from tests.places import ROOT
 
-DOC = Path(__file__).parents[2] / "docs" / "fleet.md"
+DOC = ROOT / "docs" / "fleet.md"
 ARM = ("--base", "base", "--tip", "tool0", "--model", "zeros", "--workers", "1")
 QUICK = (*ARM, "--no-reports", "--no-validate")
 

@@ -13,6 +13,7 @@ import pytest
 import calib
 from calib.channels import RESIDUAL_UNITS
 from calib.units import UNITS
+from tests.places import ROOT
 from tests.plugin_files import registries_kept
 
 CELL = """
@@ -37,7 +38,7 @@ KINDS = {
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("units")
     # Not imported here: that would register its kinds for all tests of this process.
-    shutil.copy(Path(__file__).parents[1] / "many_units.py", folder)
+    shutil.copy(ROOT / "tests" / "many_units.py", folder)
     (folder / "cell.toml").write_text(CELL)
     return folder
 

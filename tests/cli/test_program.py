@@ -18,8 +18,9 @@ import calib
 from calib.data.measurements import Measurements
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
+from tests.places import ROOT
 
-DOC = Path(__file__).parents[2] / "docs" / "command-line.md"
+DOC = ROOT / "docs" / "command-line.md"
 HEAVY = ("numpy", "scipy", "pinocchio", "meshcat", "yourdfpy", "rich.progress")
 
 WATCHED = f"""

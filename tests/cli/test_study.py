@@ -9,8 +9,10 @@ from pathlib import Path
 
 import pytest
 
+from tests.places import ROOT
+
 ARM = ("--base", "base", "--tip", "tool0")
-DOC = Path(__file__).parents[2] / "docs" / "simulation.md"
+DOC = ROOT / "docs" / "simulation.md"
 
 
 @pytest.fixture

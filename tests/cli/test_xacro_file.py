@@ -17,8 +17,8 @@ from calib.formats.origins import origins_of, read_origins
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 from calib.robot.urdf import read_urdf
+from tests.places import ROOT
 
-ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "xacro.md").read_text(encoding="utf-8")
 NOMINAL = "ur3_from_origins.urdf.xacro origins:=ur3_nominal_origins.yaml"
 

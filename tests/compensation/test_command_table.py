@@ -17,6 +17,7 @@ from calib.compensation.program_file import read_program
 from calib.data.forms.column_options import ColumnOptions
 from calib.data.forms.orientations import CONVENTIONS
 from calib.robot.robot import Robot
+from tests.places import ROOT
 
 JOINTS = [
     "shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint", "wrist_1_joint", "wrist_2_joint", "wrist_3_joint",
@@ -26,7 +27,7 @@ JOINTS = [
 @pytest.fixture(scope="module")
 def true() -> Robot:
     """The paper's UR3 as it was found to be."""
-    path = Path(__file__).parents[2] / "urdf" / "ur3_calibrated.urdf"
+    path = ROOT / "urdf" / "ur3_calibrated.urdf"
     return Robot.load(path, "base", "tool0")
 
 

@@ -17,6 +17,7 @@ from calib.data.record import Record
 from calib.errors import CalibError, FileError
 from calib.model.error_model import DIRECTIONS
 from calib.units import UNITS, parse_noise, parse_quantity
+from tests.places import ROOT
 
 DISTANCE = """
 [[distances]]
@@ -26,7 +27,7 @@ length_mm = 20
 sigma_mm = 0.1
 """
 
-DOC = Path(__file__).parents[2] / "docs" / "cell.md"
+DOC = ROOT / "docs" / "cell.md"
 
 
 def read(folder: Path, text: str) -> Cell:

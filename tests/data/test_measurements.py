@@ -17,6 +17,7 @@ from calib.data.forms.column_options import ColumnOptions
 from calib.data.measurements import Measurements
 from calib.errors import MeasurementError
 from tests.data.tables import assert_same, refused
+from tests.places import ROOT
 
 UR3 = Path(calib.__file__).parent / "example" / "ur3_leica.csv"
 UR3_JOINTS = (
@@ -54,7 +55,7 @@ def test_the_papers_table():
 
 def examples():
     """The tables and lists that docs/data-format.md shows, in its order."""
-    page = Path(__file__).parents[2] / "docs" / "data-format.md"
+    page = ROOT / "docs" / "data-format.md"
     blocks = page.read_text(encoding="utf-8").split("```")[1::2]
     return [block.strip() for block in blocks if not block.startswith("python")]
 

@@ -4,7 +4,6 @@ import csv
 import json
 import re
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,6 +17,7 @@ from calib.design.plan_file import SCHEMA, plan_table, read_poses, write_plan
 from calib.errors import MeasurementError
 from calib.result.calibration_file import write_table
 from calib.robot.robot import Robot
+from tests.places import ROOT
 
 CELL = Cell(target=np.array([0.05, 0.07, 0.03]), model="dh")
 
@@ -178,7 +178,7 @@ def test_the_document_has_every_key(planned):
     blocked = replace(planned, blocked=(Blocked(1, 2, None),), robot=robot)
     stored = plan_table(blocked)["robot"]["coupling"]
     assert stored == [{"joint": "elbow_joint", "reading": "shoulder_lift_joint", "factor": -1.0}]
-    lines = (Path(__file__).parents[2] / "docs" / "planning.md").read_text(encoding="utf-8")
+    lines = (ROOT / "docs" / "planning.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\| (`.*?) \|", lines.partition("## The plan as JSON")[2], re.MULTILINE)
     documented = set(re.findall(r"[A-Za-z0-9_]+", " ".join(rows))) | {"schema"}
     assert documented == set(keys(plan_table(blocked)))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib
 import sys
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -31,6 +30,7 @@ from calib.result.calibrate import calibrate
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 from calib.simulation.truth import draw_truth
+from tests.places import ROOT
 
 TURN = np.array([[0.36, 0.48, -0.8], [-0.8, 0.6, 0.0], [0.48, 0.64, 0.6]])
 WRONG = Cell(target=read_only([0.07, -0.07, 0.02252]))
@@ -279,7 +279,7 @@ def test_the_orientations_of_poses_tell_signs_apart_that_positions_do_not(ur3: R
 
 @pytest.mark.slow
 def test_every_mistake_of_the_study_is_named_by_its_cause():
-    sys.path.insert(0, str(Path(__file__).parents[2] / "scripts"))
+    sys.path.insert(0, str(ROOT / "scripts"))
     study = importlib.import_module("mistakes_study")
     tables = [(name, kind) for name in study.MISTAKES for kind in study.TABLES]
     outcomes = [study.outcome(name, kind, free=False) for name, kind in tables]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -26,8 +25,9 @@ from calib.result.uncertainty import _fit_sample
 from calib.robot.ranges import random_joint_values
 from calib.selection.linear_folds import fold_posterior_means
 from tests.fits import joined, place
+from tests.places import ROOT
 
-sys.path.append(str(Path(__file__).parents[2] / "scripts"))
+sys.path.append(str(ROOT / "scripts"))
 from stops_study import Hand, compare_fits
 
 HAND = [place([0.08, 0.0, 0.05]), place([-0.07, 0.03, 0.08]), place([0.0, -0.09, 0.06])]

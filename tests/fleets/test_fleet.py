@@ -21,6 +21,7 @@ from calib.fleets.record import ACCEPTED, DONE, FAILED, WITHHELD, WRITTEN
 from calib.robot.urdf import Urdf
 from calib.simulation.scenario import Scenario
 from tests.fleets.arms import CELL, arm, arms, files
+from tests.places import ROOT
 
 QUICK = FleetOptions(validate=False, reports=False)
 MADE = {"corrected.urdf", "made.json", "result.json", "summary.txt"}
@@ -147,7 +148,7 @@ def test_names_that_are_no_folders_are_refused(name, shop, tmp_path):
 
 @pytest.mark.slow
 def test_the_example_of_the_document_runs(shop, tmp_path):
-    page = (Path(__file__).parents[2] / "docs" / "fleet.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "fleet.md").read_text(encoding="utf-8")
     (example,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
     script = tmp_path / "example.py"
     script.write_text(example, encoding="utf-8")

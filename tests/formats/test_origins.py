@@ -11,8 +11,9 @@ from calib.formats.origins import origins_of, read_origins, with_origins, write_
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
+from tests.places import ROOT
 
-URDF = Path(__file__).parents[2] / "urdf"
+URDF = ROOT / "urdf"
 
 
 @pytest.fixture(scope="module")

@@ -15,8 +15,9 @@ from calib.errors import CalibError, FileError
 from calib.formats.origins import JointOrigin
 from calib.formats.pal import applied, origin_change
 from calib.robot.robot import Robot
+from tests.places import ROOT
 
-URDF = Path(__file__).parents[2] / "urdf"
+URDF = ROOT / "urdf"
 
 
 def test_an_independent_reader_makes_the_corrected_robot_of_the_nominal_urdf(tmp_path: Path):

@@ -18,6 +18,7 @@ from calib.formats.ur_yaml import kinematics_bytes, read_numbers
 from calib.robot.generated.universal_robots import chain_of_rows, ur_model
 from calib.robot.robot import Robot
 from tests.formats.ur_cases import WITH_DELTAS, rows, write_deltas
+from tests.places import ROOT
 
 Q = np.random.default_rng(12).uniform(-2 * np.pi, 2 * np.pi, (100, 6))
 
@@ -180,7 +181,7 @@ def test_names_that_do_not_agree(conf_of, tmp_path, ur3, panda):
 
 
 def test_the_python_of_the_page_runs(conf_of, tmp_path, monkeypatch):
-    page = Path(__file__).parents[2] / "docs" / "universal-robots.md"
+    page = ROOT / "docs" / "universal-robots.md"
     (code,) = re.findall(r"```python\n(.*?)```", page.read_text(encoding="utf-8"), flags=re.DOTALL)
     conf_of(UR3).rename(tmp_path / "calibration.conf")
     monkeypatch.chdir(tmp_path)

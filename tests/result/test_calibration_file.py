@@ -27,8 +27,9 @@ from calib.robot.payload import Payload
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 from calib.text.summary import summary
+from tests.places import ROOT
 
-DOC = Path(__file__).parents[2] / "docs" / "result-json.md"
+DOC = ROOT / "docs" / "result-json.md"
 
 
 def leaves(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:

@@ -27,8 +27,9 @@ from calib.numerics.drift import LEVEL
 from calib.robot.ranges import spread_between
 from calib.robot.robot import Robot
 from calib.text.comparison import notes
+from tests.places import ROOT
 
-DOC = Path(__file__).parents[2] / "docs" / "comparison.md"
+DOC = ROOT / "docs" / "comparison.md"
 
 
 @dataclass(frozen=True)

@@ -13,9 +13,10 @@ from hypothesis import given, strategies as st
 
 from calib.errors import FileError, UrdfError
 from calib.robot.urdf import Urdf
+from tests.places import ROOT
 from tests.robot.shared import SOME_AND_SLOWLY_ALL
 
-OUR_UR3 = Path(__file__).parents[2] / "urdf" / "ur3.urdf"
+OUR_UR3 = ROOT / "urdf" / "ur3.urdf"
 
 TWO_LINKS = (
     '<robot name="r">\n'

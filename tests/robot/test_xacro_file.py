@@ -15,8 +15,9 @@ from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 from calib.robot.urdf import find_urdf, read_urdf
 from calib.robot.xacro_file import XacroCall, package_folder
+from tests.places import ROOT
 
-URDF = Path(__file__).parents[2] / "urdf"
+URDF = ROOT / "urdf"
 EXAMPLE = URDF / "ur3_from_origins.urdf.xacro"
 NOMINAL = f"{EXAMPLE} origins:=ur3_nominal_origins.yaml"
 

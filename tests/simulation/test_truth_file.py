@@ -2,7 +2,6 @@
 
 import json
 import re
-from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
@@ -16,6 +15,7 @@ from calib.simulation.disturbances import Encoder, MovedTarget, Outliers
 from calib.simulation.scenario import Scenario
 from calib.simulation.truth import tracker_pose
 from calib.simulation.truth_file import SCHEMA, write_truth
+from tests.places import ROOT
 
 MANY = "placement+gain+eccentricity+compliance"
 FRAMES = {n: tracker_pose((2, y, 0), np.random.default_rng(1)) for n, y in (("a", 1), ("b", -1))}
@@ -133,7 +133,7 @@ def test_events_and_instrument(path, made):
     assert sigma == made.sigma.tolist()
 
 
-DOC = Path(__file__).parents[2] / "docs" / "simulation.md"
+DOC = ROOT / "docs" / "simulation.md"
 
 
 def test_the_document_has_every_key_and_no_other(path):

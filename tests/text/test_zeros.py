@@ -12,8 +12,9 @@ from calib.conversion import convert
 from calib.text.convert import text
 from calib.text.zeros import has_zeros, zeros_text
 from tests.formats.zeros.arms import servo_result, written
+from tests.places import ROOT
 
-DOCS = Path(__file__).parents[2] / "docs"
+DOCS = ROOT / "docs"
 
 
 def test_the_page_shows_what_is_printed_of_the_demo(default_result: Calibration, tmp_path: Path):

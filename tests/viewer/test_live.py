@@ -26,6 +26,7 @@ from calib.viewer.puppet import translation
 from calib.viewer.view import View
 from tests.hard_cases import made
 from tests.listening import listening
+from tests.places import ROOT
 
 TARGET = translation([0.1, 0.2, 0.3])
 
@@ -114,7 +115,7 @@ def test_robots_and_objects_are_the_same_in_every_window(browser, view):
 
 @pytest.mark.slow
 def test_the_document_s_example_runs_until_ctrl_c(tmp_path):
-    text = (Path(__file__).parents[2] / "docs" / "view.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs" / "view.md").read_text(encoding="utf-8")
     (code,) = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
     for name in ("robot.urdf", "corrected.urdf"):
         urdf = example.paper_urdf().read_text(encoding="utf-8")
