@@ -15,43 +15,39 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    import calib.formats as _formats
-    import calib.plugins as _plugins
-    from calib.calibration import (
-        Calibration as Calibration,
-        Comparison as Comparison,
-        Evaluation as Evaluation,
-        calibrate as calibrate,
-        compare as compare,
-        evaluate as evaluate,
-    )
-    from calib.camera.board import Board as Board
+    import calib.basics.plugins as _plugins
+    import calib.verbs.convert.convert as _formats
+    from calib.boards.board import Board as Board
+    from calib.boards.detection.detect import detect as detect
     from calib.camera.camera import Camera as Camera
-    from calib.circle_points.survey import base_frame as base_frame
-    from calib.compensation.commands import Commands as Commands, compensate as compensate
-    from calib.compensation.program import Program as Program
-    from calib.conversion import convert as convert
     from calib.data import kinds as kinds
     from calib.data.cell import Cell as Cell
     from calib.data.forms.column_options import ColumnOptions as ColumnOptions
     from calib.data.measurements import Measurements as Measurements
     from calib.data.surroundings import TrackerNoise as TrackerNoise
-    from calib.design.choice import PlanRequest as PlanRequest
-    from calib.diagnosis.inspection import inspect as inspect
     from calib.errors import CalibError as CalibError
-    from calib.fleets.tables import fleet as fleet
     from calib.model import error_model, families as families
     from calib.numerics import solvers as solvers
-    from calib.planning import Plan as Plan, plan as plan
-    from calib.regions.region import Region as Region
-    from calib.regions.workspace import workspace as workspace
-    from calib.result.acceptance import Acceptance as Acceptance, acceptance as acceptance
-    from calib.result.uncertainty import bootstrap as bootstrap
+    from calib.result.calibrate import calibrate as calibrate
+    from calib.result.calibration import Calibration as Calibration
     from calib.robot.dh.rows import DHRow as DHRow
     from calib.robot.robot import Robot as Robot
-    from calib.simulation.scenario import Scenario as Scenario, simulate as simulate
-    from calib.viewer.live import view as view
-    from calib.vision.detection.detect import detect as detect
+    from calib.verbs.base_frame.survey import base_frame as base_frame
+    from calib.verbs.calibrate.uncertainty import bootstrap as bootstrap
+    from calib.verbs.compare.comparison import Comparison as Comparison, compare as compare
+    from calib.verbs.compensate.commands import Commands as Commands, compensate as compensate
+    from calib.verbs.compensate.program import Program as Program
+    from calib.verbs.convert.conversion import convert as convert
+    from calib.verbs.evaluate.acceptance import Acceptance as Acceptance, acceptance as acceptance
+    from calib.verbs.evaluate.evaluation import Evaluation as Evaluation, evaluate as evaluate
+    from calib.verbs.fleet.tables import fleet as fleet
+    from calib.verbs.inspect.inspection import inspect as inspect
+    from calib.verbs.plan.choice import PlanRequest as PlanRequest
+    from calib.verbs.plan.plan import Plan as Plan, plan as plan
+    from calib.verbs.simulate.scenario import Scenario as Scenario, simulate as simulate
+    from calib.verbs.view.live import view as view
+    from calib.verbs.workspace.region import Region as Region
+    from calib.verbs.workspace.workspace import workspace as workspace
 
     formats = _formats
     models = error_model
@@ -61,39 +57,42 @@ from calib.version import __version__ as __version__
 
 #: Where each public name is defined; the functions have the names of the command line's verbs.
 _NAMES = {
-    "calib.calibration": "Calibration Comparison Evaluation calibrate compare evaluate",
-    "calib.camera.board": "Board",
+    "calib.result.calibration": "Calibration",
+    "calib.result.calibrate": "calibrate",
+    "calib.verbs.compare.comparison": "Comparison compare",
+    "calib.verbs.evaluate.evaluation": "Evaluation evaluate",
+    "calib.boards.board": "Board",
     "calib.camera.camera": "Camera",
-    "calib.circle_points.survey": "base_frame",
-    "calib.compensation.commands": "Commands compensate",
-    "calib.compensation.program": "Program",
-    "calib.conversion": "convert",
+    "calib.verbs.base_frame.survey": "base_frame",
+    "calib.verbs.compensate.commands": "Commands compensate",
+    "calib.verbs.compensate.program": "Program",
+    "calib.verbs.convert.conversion": "convert",
     "calib.data.cell": "Cell",
     "calib.data.forms.column_options": "ColumnOptions",
     "calib.data.measurements": "Measurements",
-    "calib.design.choice": "PlanRequest",
+    "calib.verbs.plan.choice": "PlanRequest",
     "calib.data.surroundings": "TrackerNoise",
-    "calib.regions.region": "Region",
-    "calib.regions.workspace": "workspace",
+    "calib.verbs.workspace.region": "Region",
+    "calib.verbs.workspace.workspace": "workspace",
     "calib.errors": "CalibError",
-    "calib.diagnosis.inspection": "inspect",
-    "calib.fleets.tables": "fleet",
-    "calib.planning": "Plan plan",
-    "calib.result.acceptance": "Acceptance acceptance",
-    "calib.result.uncertainty": "bootstrap",
+    "calib.verbs.inspect.inspection": "inspect",
+    "calib.verbs.fleet.tables": "fleet",
+    "calib.verbs.plan.plan": "Plan plan",
+    "calib.verbs.evaluate.acceptance": "Acceptance acceptance",
+    "calib.verbs.calibrate.uncertainty": "bootstrap",
     "calib.robot.dh.rows": "DHRow",
     "calib.robot.robot": "Robot",
-    "calib.simulation.scenario": "Scenario simulate",
-    "calib.viewer.live": "view",
-    "calib.vision.detection.detect": "detect",
+    "calib.verbs.simulate.scenario": "Scenario simulate",
+    "calib.verbs.view.live": "view",
+    "calib.boards.detection.detect": "detect",
 }
 #: Modules by which a user extends calib: a registry each, by its name in `calib.plugins.WORDS`, and plugins.
 _EXTENSIONS = {
     "families": "calib.model.families",
-    "formats": "calib.formats",
+    "formats": "calib.verbs.convert.convert",
     "kinds": "calib.data.kinds",
     "models": "calib.model.error_model",
-    "plugins": "calib.plugins",
+    "plugins": "calib.basics.plugins",
     "solvers": "calib.numerics.solvers",
 }
 

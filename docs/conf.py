@@ -131,7 +131,7 @@ def _read_page(_: Sphinx, _name: str, source: list[str]) -> None:
     text = re.sub(
         r"^( *)\.\. unlisted$", lambda m: _lines(m[1], _unlisted()), text, flags=re.MULTILINE
     )
-    text = re.sub(r"^\.\. modules:: (\w*)$", lambda m: _modules(m[1]), text, flags=re.MULTILINE)
+    text = re.sub(r"^\.\. modules:: ([\w/]*)$", lambda m: _modules(m[1]), text, flags=re.MULTILINE)
     # A link whose text is a file name shows the title of the page.
     text = re.sub(r"\[([\w-]+\.md)\]\((\1(?:#[\w-]+)?)\)", r"[](\2)", text)
     text = re.sub(r"\]\(\.\./CHANGELOG\.md(#[\w-]+)?\)", r"](changelog.rst\1)", text)

@@ -13,17 +13,17 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from studies import add_noise, draw_errors, print_table, show_progress, study_parser
 
-from calib.arrays import Array
+from calib.basics.arrays import Array
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.example import PAPER_TARGET, paper_urdf
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics
 from calib.numerics.geometry import pose_of
-from calib.result.accuracy import Accuracy, accuracy
-from calib.result.evaluation import evaluate
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
+from calib.verbs.evaluate.accuracy import Accuracy, accuracy
+from calib.verbs.evaluate.evaluation import evaluate
 
 #: Points that a robot reaches at joint values, shape (N, m), with errors from random numbers: shape (N, 3), [m].
 DrawPoints = Callable[[Kinematics, Array, np.random.Generator], Array]

@@ -23,22 +23,22 @@ from arms import load_arm
 from numpy.typing import NDArray
 from studies import add_noise, draw_errors, print_table, rms, rms_length, run_jobs, study_parser
 
-from calib.arrays import Array, read_only, rigid_inverse
-from calib.calibration import calibrate
-from calib.circle_points.findings import with_positive_sense
-from calib.circle_points.fits import fit_circle, fit_plane
-from calib.circle_points.frame import BaseFrame, frame_of, nominal_axes, nominal_axes_frame
-from calib.circle_points.survey import base_frame
-from calib.circle_points.sweeps import Sweeps
+from calib.basics.arrays import Array, read_only, rigid_inverse
 from calib.data.cell import Cell, TrackerNoise
 from calib.data.measurements import Measurements
 from calib.errors import CalibError
 from calib.model.error_model import error_model
+from calib.result.calibrate import calibrate
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
+from calib.verbs.base_frame.findings import with_positive_sense
+from calib.verbs.base_frame.fits import fit_circle, fit_plane
+from calib.verbs.base_frame.frame import BaseFrame, frame_of, nominal_axes, nominal_axes_frame
+from calib.verbs.base_frame.survey import base_frame
+from calib.verbs.base_frame.sweeps import Sweeps
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from tests.circle_points.virtual_sweeps import virtual_sweeps
+from tests.verbs.base_frame.virtual_sweeps import virtual_sweeps
 
 #: Noise of a coordinate, 3 m from the tracker [m].
 SIGMA = TrackerNoise(repeatability=0.0).std(3.0)

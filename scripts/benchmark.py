@@ -27,12 +27,12 @@ from benchmark_one import TARGET, best_time
 from studies import core_count, show_progress, study_parser, table_lines
 
 from calib.data.cell import Cell
-from calib.design.plan import plan
 from calib.example import paper_measurements, paper_urdf
 from calib.robot.robot import Robot
-from calib.simulation.scenario import Scenario
-from calib.simulation.study import study
-from calib.simulation.trial import Trials
+from calib.verbs.plan.plan import plan
+from calib.verbs.simulate.scenario import Scenario
+from calib.verbs.simulate.study import study
+from calib.verbs.simulate.trial import Trials
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 PAGE = DOCS / "performance.md"

@@ -21,19 +21,19 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from studies import add_noise, draw_errors
 
-from calib.arrays import Array, rigid_inverse
-from calib.calibration import calibrate
+from calib.basics.arrays import Array, rigid_inverse
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
-from calib.estimate.fitting import fit
-from calib.estimate.problem import Problem
-from calib.estimate.task import Task
 from calib.example import paper_urdf
+from calib.fit.estimate.fitting import fit
+from calib.fit.estimate.problem import Problem
+from calib.fit.estimate.task import Task
+from calib.fit.registration.rows import Rows
+from calib.fit.registration.table_rows import rows_and_setup
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics
 from calib.numerics.geometry import pose_of
-from calib.registration.rows import Rows
-from calib.registration.table_rows import rows_and_setup
+from calib.result.calibrate import calibrate
 from calib.robot.chain import pinocchio_chain
 from calib.robot.robot import Robot
 

@@ -24,26 +24,26 @@ from itertools import count, islice
 
 import numpy as np
 
-from calib.arrays import Array, read_only
-from calib.camera.board import Board
+from calib.basics.arrays import Array, read_only
+from calib.boards.board import Board
 from calib.camera.camera import Camera
 from calib.camera.optics import CORNER, INTRINSICS
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.errors import CalibError
-from calib.estimate.fitting import Fitted, fit
-from calib.estimate.prior_terms import PriorTerms
-from calib.estimate.problem import Problem
-from calib.estimate.task import Task
+from calib.fit.estimate.fitting import Fitted, fit
+from calib.fit.estimate.prior_terms import PriorTerms
+from calib.fit.estimate.problem import Problem
+from calib.fit.estimate.task import Task
+from calib.fit.registration.rows import Rows
+from calib.fit.registration.table_rows import rows_and_setup
 from calib.model.families import FAMILIES
 from calib.model.kinematics import Samples
-from calib.registration.rows import Rows
-from calib.registration.table_rows import rows_and_setup
 from calib.robot.robot import Robot
-from calib.simulation.camera.cell import CameraCell, draw_camera_cell
-from calib.simulation.camera.pictures import Pictures, take_pictures
-from calib.simulation.disturbances import Encoder
-from calib.simulation.scenario import Scenario
+from calib.verbs.simulate.camera.cell import CameraCell, draw_camera_cell
+from calib.verbs.simulate.camera.pictures import Pictures, take_pictures
+from calib.verbs.simulate.disturbances import Encoder
+from calib.verbs.simulate.scenario import Scenario
 
 BOARD = Board(
     pattern="charuco", columns=7, rows=5, square=0.03, marker=0.022, dictionary="DICT_5X5_100"

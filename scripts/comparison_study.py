@@ -15,8 +15,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from studies import add_noise, draw_errors, print_table, rms, run_cases, study_parser
 
-from calib.arrays import Array
-from calib.calibration import Calibration, calibrate
+from calib.basics.arrays import Array
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.example import PAPER_TARGET, paper_urdf
@@ -24,8 +23,10 @@ from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics
 from calib.model.parameters import ErrorModel
 from calib.numerics.geometry import pose_of
-from calib.result.comparison import ComparisonValues, compare
+from calib.result.calibrate import calibrate
+from calib.result.calibration import Calibration
 from calib.robot.robot import Robot
+from calib.verbs.compare.comparison import Comparison, compare
 
 #: Outcomes of a comparison that are counted: a drift, and too little in common to tell.
 DRIFT = "drift"
@@ -109,7 +110,7 @@ def measure(
     return Measurements(robot.joint_names, q, add_noise(points, case.noise, rng))
 
 
-def compare_twice(case: Case, seed: int) -> ComparisonValues:
+def compare_twice(case: Case, seed: int) -> Comparison:
     """Measure a robot twice, calibrate each time, and compare the two calibrations."""
     rng = np.random.default_rng([2026, seed])
     robot = Robot.load(paper_urdf(), base="base", tip="tool0")

@@ -16,18 +16,19 @@ from arms import load_arm, without_masses
 from scipy.special import chdtr
 from studies import TYPICAL_ERRORS, add_noise, draw_seed, log_uniform, print_table, run_jobs
 
-from calib.arrays import Array
-from calib.calibration import Calibration, calibrate
-from calib.compensation.commands import compensate
-from calib.compensation.expected import mean_of_chi
-from calib.compensation.program import Program
+from calib.basics.arrays import Array
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.numerics.geometry import pose_of
+from calib.result.calibrate import calibrate
+from calib.result.calibration import Calibration
 from calib.robot.payload import Payload
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
-from calib.simulation.truth import Truth, draw_truth
+from calib.verbs.compensate.commands import compensate
+from calib.verbs.compensate.expected import mean_of_chi
+from calib.verbs.compensate.program import Program
+from calib.verbs.simulate.truth import Truth, draw_truth
 
 ARMS = ("ur3", "ur5", "ur10", "panda")
 

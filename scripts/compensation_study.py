@@ -22,18 +22,19 @@ from compensation_cells import print_cells
 from numpy.typing import NDArray
 from studies import print_table, study_parser
 
-from calib.arrays import Array, read_only
-from calib.calibration import Calibration, calibrate
-from calib.compensation.commands import Commands, compensate
-from calib.compensation.inverse import Matching, solve
-from calib.compensation.nominal_actual import Arm
-from calib.compensation.program import Program
+from calib.basics.arrays import Array, read_only
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.example import PAPER_TARGET, paper_measurements, paper_urdf
+from calib.result.calibrate import calibrate
+from calib.result.calibration import Calibration
 from calib.robot.ranges import column_limits, random_joint_values
 from calib.robot.robot import Robot
-from calib.simulation.scenario import Scenario
+from calib.verbs.compensate.commands import Commands, compensate
+from calib.verbs.compensate.inverse import Matching, solve
+from calib.verbs.compensate.nominal_actual import Arm
+from calib.verbs.compensate.program import Program
+from calib.verbs.simulate.scenario import Scenario
 
 #: Whole poses are matched; the length that weighs angles is 0.01 m.
 POSE = Matching("pose", 0.01)

@@ -26,15 +26,16 @@ from studies import (
     verdict_text,
 )
 
-from calib.arrays import Array
-from calib.calibration import Calibration, calibrate
+from calib.basics.arrays import Array
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.diagnosis.reasons import USE
 from calib.numerics.geometry import pose_of
+from calib.result.calibrate import calibrate
+from calib.result.calibration import Calibration
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
-from calib.simulation.truth import draw_truth
+from calib.verbs.simulate.truth import draw_truth
 
 ARMS = ("ur3", "ur5", "panda")
 

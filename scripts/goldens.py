@@ -77,7 +77,7 @@ def api_calibrate() -> dict[str, Any]:
 def api_survey() -> dict[str, Any]:
     """Estimate a base frame from sweeps."""
     import calib
-    from calib.circle_points.sweeps import read_sweeps
+    from calib.verbs.base_frame.sweeps import read_sweeps
 
     robot = calib.Robot.load("robot.urdf", base="base", tip="tool0")
     survey = calib.base_frame(read_sweeps("sweeps.csv"), robot)
@@ -87,8 +87,8 @@ def api_survey() -> dict[str, Any]:
 def api_workspace() -> dict[str, Any]:
     """Sample a workspace and find its densest part."""
     import calib
-    from calib.regions.region import Density
-    from calib.regions.workspace import workspace_points
+    from calib.verbs.workspace.region import Density
+    from calib.verbs.workspace.workspace import workspace_points
 
     robot = calib.Robot.load("robot.urdf", base="base", tip="tool0")
     points = workspace_points(robot, [-0.07, 0.07, 0.022], count=2**13)
@@ -216,7 +216,7 @@ def run_case(name: str, words: list[str]) -> dict[str, Any]:
 
 def run_command(words: list[str]) -> dict[str, Any]:
     """Run a command of calib; return its exit status."""
-    from calib.cli import main as calib_main
+    from calib.__main__ import main as calib_main
 
     sys.argv = ["calib", *words]
     try:

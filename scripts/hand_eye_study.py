@@ -19,17 +19,17 @@ import cv2
 import numpy as np
 from studies import print_table, rms_length, study_parser
 
-from calib.arrays import Array, Mask
-from calib.calibration import calibrate
+from calib.basics.arrays import Array, Mask
+from calib.boards.board_file import read_board
 from calib.camera import optics
-from calib.camera.board_file import read_board
 from calib.camera.camera_file import read_camera
 from calib.camera.lenses import LENSES
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.example import franka_file
+from calib.fit.registration.table_rows import rows_and_setup
 from calib.numerics.geometry import pose_of
-from calib.registration.table_rows import rows_and_setup
+from calib.result.calibrate import calibrate
 from calib.robot.robot import Robot
 
 #: Names of OpenCV's methods.

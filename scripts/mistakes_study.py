@@ -18,14 +18,14 @@ from arms import load_arm
 from scipy.spatial.transform import Rotation
 from studies import add_noise, print_table, run_jobs, study_parser, unchanged, verdict_of
 
-from calib.arrays import Array
-from calib.calibration import calibrate
+from calib.basics.arrays import Array
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.diagnosis.reasons import USE
+from calib.result.calibrate import calibrate
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
-from calib.simulation.truth import draw_truth
+from calib.verbs.simulate.truth import draw_truth
 
 Change = Callable[[Measurements], Measurements]
 

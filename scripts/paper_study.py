@@ -15,12 +15,13 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from studies import print_table, show_progress, study_parser
 
-from calib.arrays import Array, read_only
-from calib.calibration import Calibration, calibrate
+from calib.basics.arrays import Array, read_only
 from calib.data.cell import Cell, Priors
 from calib.data.measurements import Measurements
 from calib.example import PAPER_TARGET, PAPER_TARGET_AS_PRINTED, paper_measurements, paper_urdf
 from calib.numerics.errors import Errors
+from calib.result.calibrate import calibrate
+from calib.result.calibration import Calibration
 from calib.robot.robot import Robot
 
 #: The row with a gross error, which no leave-one-out error counts.

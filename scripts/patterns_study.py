@@ -15,12 +15,13 @@ from typing import Any
 import numpy as np
 from studies import print_table, run_jobs, study_parser, unchanged, verdict_of, verdict_text
 
-from calib.calibration import Calibration, calibrate
 from calib.data.cell import Cell, TrackerNoise
 from calib.data.measurements import Measurements
+from calib.result.calibrate import calibrate
+from calib.result.calibration import Calibration
 from calib.robot.robot import Robot
-from calib.simulation.disturbances import Encoder, MovedTarget, Outliers
-from calib.simulation.scenario import Scenario, simulate
+from calib.verbs.simulate.disturbances import Encoder, MovedTarget, Outliers
+from calib.verbs.simulate.scenario import Scenario, simulate
 
 #: Name, base and tip of the arms.
 ARMS = (("ur5", "base", "tool0"), ("panda", "panda_link0", "panda_link8"))

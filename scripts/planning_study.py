@@ -17,20 +17,20 @@ from dataclasses import replace
 import numpy as np
 from studies import core_count, print_table, process_pool, study_parser
 
-from calib.arrays import Array
+from calib.basics.arrays import Array
 from calib.data.cell import Box, Cell, Reflector, Tracker
 from calib.data.measurements import Measurements
-from calib.design.candidates import draw, planning_ranges
-from calib.design.choice import PlanRequest
-from calib.design.forecast import Forecast, Workspace
-from calib.design.plan import PlanValues, plan
-from calib.design.sensitivity import Sensitivity
 from calib.example import PAPER_TARGET, paper_measurements, paper_urdf
 from calib.numerics.geometry import pose_of
 from calib.robot.robot import Robot
-from calib.simulation.scenario import Scenario
-from calib.simulation.study import Study, study
-from calib.simulation.trial import Trials
+from calib.verbs.plan.candidates import draw, planning_ranges
+from calib.verbs.plan.choice import PlanRequest
+from calib.verbs.plan.forecast import Forecast, Workspace
+from calib.verbs.plan.plan import Plan, plan
+from calib.verbs.plan.sensitivity import Sensitivity
+from calib.verbs.simulate.scenario import Scenario
+from calib.verbs.simulate.study import Study, study
+from calib.verbs.simulate.trial import Trials
 
 
 def ur3() -> Robot:
@@ -58,7 +58,7 @@ def surroundings() -> Cell:
 
 def free_plan(
     count: int, candidates: int, criterion: str = "V", model: str = "hayati"
-) -> tuple[PlanValues, float]:
+) -> tuple[Plan, float]:
     """Plan poses among free candidates.
 
     Args:

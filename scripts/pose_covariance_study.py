@@ -20,23 +20,23 @@ import numpy as np
 from camera_study import ARMS, BOARD, FRESH, MODEL, STATED
 from studies import print_table, rms_length, run_cases, study_parser
 
-from calib.arrays import Array
+from calib.basics.arrays import Array
 from calib.camera.lenses import LENSES
 from calib.camera.planar_pose import planar_poses
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
-from calib.estimate.fitting import Fitted, fit
-from calib.estimate.problem import Problem
-from calib.estimate.stop_bodies import twists_of_joints
-from calib.estimate.task import Task
+from calib.fit.estimate.fitting import Fitted, fit
+from calib.fit.estimate.problem import Problem
+from calib.fit.estimate.stop_bodies import twists_of_joints
+from calib.fit.estimate.task import Task
+from calib.fit.registration.rows import Rows
+from calib.fit.registration.table_rows import rows_and_setup
 from calib.numerics.pose_noise import PoseNoise
-from calib.registration.rows import Rows
-from calib.registration.table_rows import rows_and_setup
 from calib.robot.robot import Robot
-from calib.simulation.camera.cell import CameraCell, draw_camera_cell
-from calib.simulation.camera.pictures import Pictures, take_pictures
-from calib.simulation.disturbances import Encoder
-from calib.simulation.scenario import Scenario
+from calib.verbs.simulate.camera.cell import CameraCell, draw_camera_cell
+from calib.verbs.simulate.camera.pictures import Pictures, take_pictures
+from calib.verbs.simulate.disturbances import Encoder
+from calib.verbs.simulate.scenario import Scenario
 
 #: Steps of the encoders [deg].
 STEPS = (0.0, 0.005, 0.02, 0.1)

@@ -37,10 +37,11 @@ from studies import (
     study_parser,
 )
 
-from calib.arrays import Array
+from calib.basics.arrays import Array
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
-from calib.estimate.fitting import Fitted, fit
+from calib.fit.estimate.fitting import Fitted, fit
+from calib.fit.selection.reference_fit import with_better_weights
 from calib.model.families import FAMILIES
 from calib.model.kinematics import Samples
 from calib.result.fits import fit_table
@@ -48,8 +49,7 @@ from calib.robot.gravity import gravity_loads
 from calib.robot.payload import Payload
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
-from calib.selection.reference_fit import with_better_weights
-from calib.simulation.truth import Truth, draw_truth
+from calib.verbs.simulate.truth import Truth, draw_truth
 
 ARMS = ("ur5", "panda")
 

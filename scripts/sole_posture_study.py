@@ -17,11 +17,12 @@ import numpy as np
 from arms import load_arm
 from studies import add_noise, print_table, rms_length, run_jobs, study_parser, verdict_of
 
-from calib.arrays import Array
-from calib.calibration import Calibration, calibrate
+from calib.basics.arrays import Array
 from calib.data.measurements import Measurements
+from calib.result.calibrate import calibrate
+from calib.result.calibration import Calibration
 from calib.robot.ranges import random_joint_values
-from calib.simulation.truth import Truth, draw_truth
+from calib.verbs.simulate.truth import Truth, draw_truth
 
 ARMS = ("ur3", "ur5", "panda")
 

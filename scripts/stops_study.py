@@ -19,10 +19,10 @@ from arms import load_arm
 from scipy.spatial.transform import Rotation
 from studies import add_noise, draw_errors, print_table, rms, run_cases, study_parser
 
-from calib.arrays import Array
+from calib.basics.arrays import Array
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
-from calib.estimate.fitting import Fitted
+from calib.fit.estimate.fitting import Fitted
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics, Samples
 from calib.numerics.geometry import pose_of

@@ -19,10 +19,10 @@ import numpy as np
 from rich.console import Console
 from rich.progress import Progress
 
-from calib.arrays import Array
-from calib.calibration import Calibration
+from calib.basics.arrays import Array
 from calib.diagnosis.reasons import Verdict
 from calib.model.parameters import ErrorModel
+from calib.result.calibration import Calibration
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 

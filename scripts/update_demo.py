@@ -13,17 +13,18 @@ import subprocess
 import tempfile
 from pathlib import Path
 
-from calib.arrays import read_only
-from calib.calibration import Calibration, calibrate
-from calib.camera.board_file import read_board
+from calib.basics.arrays import read_only
+from calib.boards.board_file import read_board
 from calib.camera.camera_file import read_camera
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.example import PAPER_TARGET, franka_file, paper_measurements, paper_urdf
-from calib.formats.origins import write_origins
-from calib.report.report import write_report
+from calib.result.calibrate import calibrate
+from calib.result.calibration import Calibration
 from calib.robot.robot import Robot
-from calib.viewer.page import write_page
+from calib.verbs.calibrate.report import write_report
+from calib.verbs.convert.origins import write_origins
+from calib.verbs.view.page import write_page
 
 DOCS = Path(__file__).parents[1] / "docs"
 

@@ -31,16 +31,17 @@ from studies import (
     verdict_of,
 )
 
-from calib.arrays import Array
-from calib.calibration import Calibration, calibrate
+from calib.basics.arrays import Array
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.diagnosis.reasons import CARE, NO, USE
-from calib.result.evaluation import evaluate
+from calib.result.calibrate import calibrate
+from calib.result.calibration import Calibration
 from calib.robot.payload import Payload
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
-from calib.simulation.truth import Truth, draw_truth
+from calib.verbs.evaluate.evaluation import evaluate
+from calib.verbs.simulate.truth import Truth, draw_truth
 
 #: Numbers of points.
 COUNTS = (5, 6, 8, 10, 12, 15, 20, 30, 50, 100)

@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 from studies import add_noise
 from verification_truth import Truth, draw_frame, draw_joint_values
 
-from calib.arrays import Array
-from calib.calibration import Calibration
+from calib.basics.arrays import Array
 from calib.data.cell import Cell, GroupDistance
 from calib.data.measurements import Measurements
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics, Samples
 from calib.model.observability import rank_by_gap, steps
+from calib.result.calibration import Calibration
 
 #: Number of other poses at which predictions are compared with the truth.
 OTHER = 200

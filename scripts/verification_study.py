@@ -4,8 +4,9 @@
     python scripts/verification_study.py --quick    few runs of each case
     python scripts/verification_study.py --only accuracy --only auto
 
-Each run draws the errors anew, in the parameters of the stated model. `verification_truth` makes the true positions
-without `calib.estimate`, `verification_runs` the tables and the Cramer-Rao bounds. The name of a case seeds its runs.
+Each run draws the errors anew, in the parameters of the stated model. `verification_truth` makes the true
+positions without `calib.fit.estimate`, `verification_runs` the tables and the Cramer-Rao bounds. The name of
+a case seeds its runs.
 """
 
 from __future__ import annotations
@@ -35,14 +36,15 @@ from verification_runs import (
 )
 from verification_truth import Truth, draw_joint_values
 
-from calib.calibration import Calibration, calibrate
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
-from calib.diagnosis.inspection import inspect
 from calib.model.parameters import FRAME
 from calib.numerics.intervals import interval_factor
+from calib.result.calibrate import calibrate
+from calib.result.calibration import Calibration
 from calib.robot.payload import Payload
 from calib.robot.robot import Robot
+from calib.verbs.inspect.inspection import inspect
 
 #: Figures of one run, by name.
 Figures = dict[str, Any]

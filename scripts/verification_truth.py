@@ -1,4 +1,4 @@
-"""True robots of `verification_study.py`, made without `calib.estimate`.
+"""True robots of `verification_study.py`, made without `calib.fit.estimate`.
 
 Forward kinematics and gravity come from Pinocchio, on a model of the URDF that the true robot writes. The errors of the
 joints' state, and joint values that bring a target to a socket or a plane, are computed here.
@@ -14,7 +14,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 from studies import draw_errors
 
-from calib.arrays import Array
+from calib.basics.arrays import Array
 from calib.model.error_model import error_model
 from calib.numerics.geometry import pose_of
 from calib.robot.payload import Payload

@@ -11,15 +11,16 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calib.arrays import read_only
-from calib.calibration import Calibration, calibrate
+from calib.basics.arrays import read_only
 from calib.data.cell import Cell, GroupDistance
 from calib.data.kinds import get
 from calib.data.measurements import Measurements
 from calib.example import PAPER_TARGET, paper_measurements, paper_urdf
+from calib.fit.registration.rows import Rows
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics, Samples
-from calib.registration.rows import Rows
+from calib.result.calibrate import calibrate
+from calib.result.calibration import Calibration
 from calib.robot.gravity import GRAVITY, gravity_loads
 from calib.robot.payload import Payload
 from calib.robot.ranges import random_joint_values

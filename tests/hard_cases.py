@@ -12,17 +12,17 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
-from calib.arrays import read_only
-from calib.calibration import calibrate
+from calib.basics.arrays import read_only
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.example import PAPER_TARGET, paper_measurements, paper_urdf
-from calib.result.calibration import CalibrationValues, RowNames
+from calib.result.calibrate import calibrate
+from calib.result.calibration import Calibration, RowNames
 from calib.robot.payload import Payload
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
-from calib.simulation.disturbances import Outliers
-from calib.simulation.scenario import Scenario
+from calib.verbs.simulate.disturbances import Outliers
+from calib.verbs.simulate.scenario import Scenario
 
 #: Names that break what does not escape them: HTML, mathtext, Markdown, quotes, lines, width, letters and direction.
 HOSTILE = (
@@ -84,20 +84,20 @@ def simulated(
     return replace(found, source=only or "simulated.csv")
 
 
-def paper() -> CalibrationValues:
+def paper() -> Calibration:
     """The demo: 30 rows and 5 to validate, one outlier, the paper's 27 parameters, cross-validated."""
     robot = ur3()
     cell = Cell(target=read_only(PAPER_TARGET), model="paper")
     return calibrate(robot, table(robot), cell=cell)
 
 
-def auto() -> CalibrationValues:
+def auto() -> Calibration:
     """The paper's table with the model that the data choose, from a ladder of candidates."""
     robot = ur3()
     return calibrate(robot, table(robot), cell=Cell(target=read_only(PAPER_TARGET)))
 
 
-def poses() -> CalibrationValues:
+def poses() -> Calibration:
     """Positions and orientations in a tracker's own frame, at random poses."""
     scenario = Scenario(
         ur3(), Cell(kind="pose", estimate_frame=True, model="dh"), model="dh", sigma={"rad": 2e-4}
@@ -106,21 +106,21 @@ def poses() -> CalibrationValues:
     return calibrate(scenario.robot, found, cell=scenario.cell)
 
 
-def two_joints() -> CalibrationValues:
+def two_joints() -> Calibration:
     """Two joints in a plane."""
     robot = Robot.from_urdf(Urdf.from_bytes(_PLANAR.encode(), "planar.urdf"), "base", "fore")
     scenario = Scenario(robot, Cell(model="dh"), model="dh")
     return calibrate(robot, simulated(scenario, 20, 5), cell=scenario.cell)
 
 
-def prismatic() -> CalibrationValues:
+def prismatic() -> Calibration:
     """Three joints that slide and one that turns without limits."""
     robot = Robot.from_urdf(Urdf.from_bytes(_GANTRY.encode(), "gantry.urdf"), "rail", "hand")
     scenario = Scenario(robot, Cell(model="dh"), model="dh")
     return calibrate(robot, simulated(scenario, 30, 6), cell=scenario.cell, validate=False)
 
 
-def with_outliers() -> CalibrationValues:
+def with_outliers() -> Calibration:
     """60 rows of which six are off by some 5 mm, two of them to validate."""
     scenario = Scenario(ur3(), Cell(model="dh"), model="dh", outliers=Outliers(count=6))
     found = simulated(scenario, 50, 10)
@@ -129,7 +129,7 @@ def with_outliers() -> CalibrationValues:
     return calibrate(scenario.robot, replace(found, points=points), cell=scenario.cell)
 
 
-def do_not_use() -> CalibrationValues:
+def do_not_use() -> Calibration:
     """The columns of two joints are swapped: errors of decimetres, and the verdict says so."""
     robot = ur3()
     right = table(robot)
@@ -137,7 +137,7 @@ def do_not_use() -> CalibrationValues:
     return calibrate(robot, wrong, cell=Cell(target=read_only(PAPER_TARGET), model="dh"))
 
 
-def few_rows(count: int = 3) -> CalibrationValues:
+def few_rows(count: int = 3) -> Calibration:
     """The first rows of the paper's table, too few for anything."""
     robot = ur3()
     mask = np.arange(35) < count
@@ -145,7 +145,7 @@ def few_rows(count: int = 3) -> CalibrationValues:
     return calibrate(robot, table(robot).select(mask), cell=cell, validate=count > 1)
 
 
-def hostile_names() -> CalibrationValues:
+def hostile_names() -> Calibration:
     """Joints, robot, target and file with names that must be escaped, shortened or drawn with other fonts."""
     links = [f"link{i}" for i in range(len(HOSTILE) + 1)]
     axes = ("0 0 1", "0 1 0", "0 1 0", "1 0 0", "0 1 0")
@@ -165,21 +165,21 @@ def hostile_names() -> CalibrationValues:
     return calibrate(robot, found, cell=cell, validate=False)
 
 
-def non_geometric() -> CalibrationValues:
+def non_geometric() -> Calibration:
     """Joints that give way under a payload, which no URDF can say."""
     payload = Payload(3.0, (0.0, 0.0, 0.1))
     scenario = Scenario(ur3(), Cell(model="dh+compliance", payload=payload), model="dh+compliance")
     return calibrate(scenario.robot, simulated(scenario, 40, 10), cell=scenario.cell)
 
 
-def distances() -> CalibrationValues:
+def distances() -> Calibration:
     """Lengths from anchors: no row has coordinates."""
     scenario = Scenario(ur3(), Cell(kind="distance", model="dh"), model="dh")
     found = simulated(scenario, 60, 10)
     return calibrate(scenario.robot, found, cell=scenario.cell, validate=False)
 
 
-def mixed() -> CalibrationValues:
+def mixed() -> Calibration:
     """Points and poses in one table: some rows have no orientation."""
     scenario = Scenario(ur3(), Cell(kind="pose", model="dh"), model="dh", sigma={"rad": 2e-4})
     found = simulated(scenario, 40)
@@ -190,21 +190,21 @@ def mixed() -> CalibrationValues:
 
 
 @cache
-def many_rows(count: int = 20_000) -> CalibrationValues:
+def many_rows(count: int = 20_000) -> Calibration:
     """As many rows as are asked for, a tenth of them to validate."""
     scenario = Scenario(ur3(), Cell(model="dh"), model="dh", outliers=Outliers(count=count // 1000))
     found = simulated(scenario, count - count // 10, count // 10)
     return calibrate(scenario.robot, found, cell=scenario.cell, validate=False)
 
 
-def with_rows(c: CalibrationValues, m: Measurements) -> CalibrationValues:
+def with_rows(c: Calibration, m: Measurements) -> Calibration:
     """The calibration as if its rows had been others."""
     rows = RowNames(m.rows, m.sets, m.kinds, m.groups, m.targets)
     return replace(c, rows=rows, fit=replace(c.fit, measurements=m))
 
 
 #: What makes each case; in tests ``many_rows`` has 20,000 rows.
-CASES: dict[str, Callable[[], CalibrationValues]] = {
+CASES: dict[str, Callable[[], Calibration]] = {
     "paper": paper,
     "auto": auto,
     "poses": poses,
@@ -223,6 +223,6 @@ CASES: dict[str, Callable[[], CalibrationValues]] = {
 
 
 @cache
-def made(name: str) -> CalibrationValues:
+def made(name: str) -> Calibration:
     """The calibration of a case."""
     return CASES[name]()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from calib.camera.board import Board
+from calib.boards.board import Board
 from calib.camera.camera import Camera
 from calib.camera.lenses import LENSES
 from calib.data.cell import Cell

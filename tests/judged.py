@@ -10,7 +10,7 @@ import numpy as np
 from calib.data.measurements import Measurements
 from calib.diagnosis.reasons import Why
 from calib.result.calibrate import calibrate
-from calib.result.calibration import CalibrationValues
+from calib.result.calibration import Calibration
 from calib.robot.ranges import random_joint_values
 
 
@@ -26,15 +26,13 @@ def arm(make_scene: Callable[..., Any], seed: int, **given: Any) -> Any:
     return make_scene(seed, **(usual | given))
 
 
-def reasons(result: CalibrationValues) -> dict[Why, dict[str, Any]]:
+def reasons(result: Calibration) -> dict[Why, dict[str, Any]]:
     """The numbers and names of each reason."""
     assert result.verdict is not None
     return {reason.why: reason.values for reason in result.verdict.reasons}
 
 
-def judged(
-    make_scene, seed, changed=None, *, rows=70, bias=0.0, given=None, **how
-) -> CalibrationValues:
+def judged(make_scene, seed, changed=None, *, rows=70, bias=0.0, given=None, **how) -> Calibration:
     """A fit to a table of random poses that was changed."""
     scene, rng = arm(make_scene, seed, **(given or {})), np.random.default_rng(seed - 60)
     m = table_of(scene, random_joint_values(scene.robot, rows, seed - 60), rng, bias)

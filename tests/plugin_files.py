@@ -6,16 +6,16 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-import calib.plugins as plugins
+import calib.basics.plugins as plugins
 from calib.data.cell import Cell  # noqa: F401  with the registries below it
-from calib.formats.convert import FORMATS  # noqa: F401  the last registry
+from calib.verbs.convert.convert import FORMATS  # noqa: F401  the last registry
 
 #: A family, a kind, a solver, a parameter set and a format.
 SOURCE = """
 import numpy as np
 
 from calib.data import kinds
-from calib.formats import convert
+from calib.verbs.convert import convert
 from calib.model import error_model, families
 from calib.model.parameters import Parameter
 from calib.numerics import solvers

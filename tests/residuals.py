@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.channels import Channels
+from calib.basics.channels import Channels
 
 
 def lengths_and_angles(used) -> Channels:

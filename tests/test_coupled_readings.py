@@ -9,18 +9,19 @@ import numpy as np
 import pytest
 
 import calib
-from calib.calibration import Calibration, calibrate
-from calib.compensation.commands import compensate
-from calib.compensation.program import Program
 from calib.data.cell import Cell, TrackerNoise
 from calib.data.measurements import Measurements
-from calib.design.choice import PlanRequest
-from calib.design.plan import plan
 from calib.errors import CalibError, ModelError
+from calib.result.calibrate import calibrate
+from calib.result.calibration import Calibration
 from calib.result.calibration_file import read_result
 from calib.robot.ranges import column_limits, random_joint_values
 from calib.robot.robot import Robot
-from calib.simulation.scenario import Scenario, Simulated
+from calib.verbs.compensate.commands import compensate
+from calib.verbs.compensate.program import Program
+from calib.verbs.plan.choice import PlanRequest
+from calib.verbs.plan.plan import plan
+from calib.verbs.simulate.scenario import Scenario, Simulated
 
 ELBOW, LIFT, WRIST_1, WRIST_2 = (
     "elbow_joint",

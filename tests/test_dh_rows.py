@@ -11,9 +11,9 @@ import pytest
 
 import calib
 from calib.example import dh_rows
-from calib.formats.dh_files import DHTables
 from calib.robot.dh.file import read_dh_robot
 from calib.robot.dh.rows import DHRow
+from calib.verbs.convert.dh_files import DHTables
 from tests.places import ROOT
 
 #: Three axes that slide and a wrist; the last of the three is parallel to the first of the wrist.

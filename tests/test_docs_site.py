@@ -24,9 +24,9 @@ from markdown_it.token import Token
 from typer.main import get_command
 
 import calib
-from calib.cli.program import app
 from calib.example import paper_measurements, paper_urdf
-from tests.cli.conftest import calib_here
+from calib.program import app
+from tests.cli_fixtures import calib_here
 from tests.places import ROOT
 
 DOCS = ROOT / "docs"
@@ -218,9 +218,9 @@ ELSEWHERE = {
     "README.md": "tests/test_readme.py",
     "planning.md": "tests/test_readme.py",
     "simulation.md": "tests/test_readme.py",
-    "compensation.md": "tests/cli/test_compensate.py",
-    "universal-robots.md": "tests/formats/test_universal_robots.py",
-    "view.md": "tests/viewer/test_live.py",
+    "compensation.md": "tests/verbs/compensate/test_command.py",
+    "universal-robots.md": "tests/verbs/convert/test_universal_robots.py",
+    "view.md": "tests/verbs/view/test_live.py",
     "extending.md": "tests/test_extending.py",
     "data-format.md": "tests/data/test_covariances.py",
 }

@@ -6,8 +6,7 @@ import re
 
 import numpy as np
 
-from calib.arrays import read_only
-from calib.calibration import calibrate
+from calib.basics.arrays import read_only
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.example import (
@@ -16,6 +15,7 @@ from calib.example import (
     paper_measurements,
     paper_urdf,
 )
+from calib.result.calibrate import calibrate
 from calib.robot.robot import Robot
 from tests.places import ROOT
 

@@ -12,14 +12,14 @@ from pathlib import Path
 import pytest
 
 import calib
-from calib.compensation.program_file import read_program
 from calib.data.points_file import read_points
-from calib.design.solids import read_solids
 from calib.errors import CalibError
 from calib.example import paper_measurements, paper_urdf
-from calib.formats.convert import KINDS, Options
-from calib.formats.source_kinds import source_kind
-from calib.regions.region_file import read_region
+from calib.verbs.compensate.program_file import read_program
+from calib.verbs.convert.convert import KINDS, Options
+from calib.verbs.convert.source_kinds import source_kind
+from calib.verbs.plan.solids import read_solids
+from calib.verbs.workspace.region_file import read_region
 from tests.places import ROOT
 
 ARM, DATA = str(paper_urdf()), paper_measurements()

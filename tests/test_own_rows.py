@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from calib.cli.program import app
 from calib.data import kinds
 from calib.data.cell import Cell
 from calib.data.kinds import Kind, Reading
 from calib.data.measurements import Measurements
 from calib.model import families
 from calib.model.families import RAD, Factor, Family
-from calib.simulation.scenario import Scenario
-from calib.simulation.study import study
-from calib.simulation.trial import Trials
+from calib.program import app
+from calib.verbs.simulate.scenario import Scenario
+from calib.verbs.simulate.study import study
+from calib.verbs.simulate.trial import Trials
 
 #: A gauge that reads how high the target is, and a joint's error twice a turn.
 HEIGHT = Kind(

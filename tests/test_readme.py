@@ -162,11 +162,11 @@ def test_what_five_more_poses_are_worth_is_so():
 @pytest.mark.parametrize("page", ["workspace.md", "convert.md", "quick-start.md"])
 def test_the_python_of_a_page_runs_on_files_of_its_names(page, tmp_path, monkeypatch):
     import calib
-    from calib.regions.region import Density
-    from calib.regions.region_file import write_region
-    from calib.regions.region_rows import RegionView
-    from calib.regions.workspace import workspace_points
     from calib.robot.ranges import joint_ranges
+    from calib.verbs.workspace.region import Density
+    from calib.verbs.workspace.region_file import write_region
+    from calib.verbs.workspace.region_rows import RegionView
+    from calib.verbs.workspace.workspace import workspace_points
 
     monkeypatch.chdir(tmp_path)
     shutil.copy(ROOT / "urdf" / "ur3.urdf", "robot.urdf")

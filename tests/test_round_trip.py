@@ -13,7 +13,7 @@ import pinocchio as pin
 import pytest
 import yourdfpy
 
-from calib.arrays import rigid_inverse
+from calib.basics.arrays import rigid_inverse
 from calib.errors import UrdfError
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot

@@ -11,7 +11,7 @@ import pytest
 
 import calib
 import calib.example
-from calib.camera.board import Board
+from calib.boards.board import Board
 from calib.errors import (
     ArgumentError,
     CalibError,

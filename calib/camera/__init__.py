@@ -1,1 +1,1 @@
-"""Cameras and boards as numbers: lens models, printed boards, and their files."""
+"""Cameras as numbers: lens models, poses of boards, camera files."""

@@ -12,7 +12,7 @@ from itertools import compress
 
 import numpy as np
 
-from calib.arrays import Array, Integers, Mask
+from calib.basics.arrays import Array, Integers, Mask
 from calib.camera.lenses import Lens
 from calib.camera.planar_pose import View, moved, view_system
 

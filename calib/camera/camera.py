@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.arrays import Array
+from calib.basics.arrays import Array
+from calib.basics.values import Value
 from calib.camera.lenses import LENSES
 from calib.errors import CalibError, choices, did_you_mean
-from calib.values.pickling import Value
 
 #: Standard deviation of a number of which nothing is known.
 UNKNOWN = np.inf

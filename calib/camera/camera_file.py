@@ -15,14 +15,14 @@ from typing import Any
 
 import numpy as np
 
-from calib.arrays import Array
+from calib.basics.arrays import Array
+from calib.basics.files import read_bytes
+from calib.basics.mappings import ReadOnlyMapping
+from calib.basics.units import is_number
 from calib.camera.camera import UNKNOWN, Camera
 from calib.camera.camera_yaml import camera_info_yaml, camera_of_yaml, opencv_yaml
 from calib.camera.lenses import LENSES, Lens
 from calib.errors import CalibError, FileError, choices, did_you_mean
-from calib.files import read_bytes
-from calib.mappings import ReadOnlyMapping
-from calib.units import is_number
 
 if sys.version_info >= (3, 11):
     import tomllib

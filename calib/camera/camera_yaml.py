@@ -15,11 +15,11 @@ from typing import Any
 import numpy as np
 import yaml
 
-from calib.arrays import Array
+from calib.basics.arrays import Array
+from calib.basics.mappings import ReadOnlyMapping
 from calib.camera.camera import Camera
 from calib.camera.lenses import LENSES
 from calib.errors import CalibError, FileError, choices, did_you_mean
-from calib.mappings import ReadOnlyMapping
 
 #: Names of lens models in files, and calib's. ``""`` is that of drivers whose images have no distortion.
 MODELS: Mapping[str, str] = ReadOnlyMapping(

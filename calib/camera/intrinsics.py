@@ -15,7 +15,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from calib.arrays import Array
+from calib.basics.arrays import Array
 from calib.camera.bundle import Bundle, Refined, refine_bundle
 from calib.camera.camera import Camera
 from calib.camera.lenses import LENSES

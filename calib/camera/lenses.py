@@ -17,8 +17,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.arrays import Array
-from calib.mappings import ReadOnlyMapping
+from calib.basics.arrays import Array
+from calib.basics.mappings import ReadOnlyMapping
 
 #: Distorted coordinates (2, n) of normalised ones (2, n) by the distortion's coefficients (d, n).
 _Distort = Callable[[Array, Array], Array]

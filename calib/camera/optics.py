@@ -17,7 +17,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from calib.arrays import Array, Integers
+from calib.basics.arrays import Array, Integers
 from calib.camera.lenses import LENSES, Lens
 
 #: The lens's numbers; a lens that has fewer leaves the last ones at zero.

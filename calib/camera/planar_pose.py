@@ -14,9 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from calib.arrays import Array
+from calib.basics.arrays import Array
+from calib.basics.values import Value
 from calib.camera.lenses import Lens
-from calib.values.pickling import Value
 
 #: A view: points on the board, shape (k, 3) [m], and their images, shape (k, 2) [px].
 View = tuple[Array, Array]

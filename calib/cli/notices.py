@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import typer
 
 from calib.errors import choices
-from calib.text.layout.lines import fill, row_ranges
-from calib.text.readings import coupling_sentence
+from calib.show.lines import fill, row_ranges
+from calib.show.readings import coupling_sentence
 
 if TYPE_CHECKING:
     from calib.data.cell import Cell
@@ -21,7 +21,7 @@ def say_accepted(name: str, stated: str) -> None:
 
     Args:
         name: The file that the verdict is on.
-        stated: The verdict, as `calib.text.verdict.against` gives it; nothing is said where it is empty.
+        stated: The verdict, as `calib.show.verdict.against` gives it; nothing is said where it is empty.
     """
     if stated:
         typer.echo(
@@ -64,7 +64,7 @@ def say_ignored(measurements: Measurements, robot: Robot) -> None:
 
 def _joints_outside(measurements: Measurements, robot: Robot) -> list[str]:
     """Return the joints of the URDF that have a column and are not in the chain."""
-    from calib.units import split_header
+    from calib.basics.units import split_header
 
     moving = {joint.name for joint in robot.urdf.joints if joint.type != "fixed"}
     # A held joint and one that follows another have columns that are not needed: nothing is wrong with the chain.

@@ -20,7 +20,7 @@ from calib.errors import CalibError, choices
 if TYPE_CHECKING:
     from calib.data.cell import Cell
     from calib.data.measurements import Measurements
-    from calib.result.calibration import CalibrationValues
+    from calib.result.calibration import Calibration
     from calib.robot.robot import Robot
 
 
@@ -147,10 +147,10 @@ def load_with_data(
     Raises:
         CalibError: Arguments in the wrong order, or a unit without a list of points.
     """
+    from calib.basics.tables import Table
     from calib.data.columns import column_names
     from calib.data.measurements import Measurements
     from calib.robot.dh.file import is_other_table
-    from calib.tables.table import Table
 
     options = table_options or TableOptions()
     points, points_unit = options.points, options.points_unit
@@ -172,7 +172,7 @@ def load_with_data(
     return arm, measurements
 
 
-def with_chain_of_result(cell: Cell, result: CalibrationValues, name: str) -> Cell:
+def with_chain_of_result(cell: Cell, result: Calibration, name: str) -> Cell:
     """Return the cell with the chain of a result, its held joints and coupled readings; held values of the cell win.
 
     Args:
@@ -198,7 +198,7 @@ def with_chain_of_result(cell: Cell, result: CalibrationValues, name: str) -> Ce
     return replace(cell, base=chain.base, tip=chain.tip, held=held, coupling=coupling)
 
 
-def coupling_of_result(cell: Cell, result: CalibrationValues, name: str) -> Mapping[str, Any]:
+def coupling_of_result(cell: Cell, result: Calibration, name: str) -> Mapping[str, Any]:
     """Return the coupled readings of a result, by name; CalibError where the cell couples others.
 
     Args:
@@ -223,7 +223,7 @@ def with_target_link(robot: Robot, cell: Cell) -> Cell:
         robot: Its URDF may have the link, which an earlier calibration added.
         cell: Names no target.
     """
-    from calib.calibration import TARGET_LINK
+    from calib.robot.urdf import TARGET_LINK
 
     if robot.tip == TARGET_LINK:
         return cell.with_target((0.0, 0.0, 0.0), estimate=cell.estimate_target)

@@ -5,10 +5,11 @@ from __future__ import annotations
 import inspect
 import sys
 import traceback
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import MISSING, fields, is_dataclass
-from typing import Any, get_type_hints
+from types import MappingProxyType
+from typing import Any, TypeAlias, get_type_hints
 
 import typer
 from typer.core import TyperCommand
@@ -16,6 +17,12 @@ from typer.core import TyperCommand
 from calib.cli.exit_status import ExitStatus
 from calib.cli.options import Debug, Plugins
 from calib.errors import CalibError, VerdictError
+
+#: Names that are registered, read when the help is printed.
+Names: TypeAlias = Callable[[], tuple[str, ...]]
+
+#: No placeholders besides those of every verb.
+NONE: Mapping[str, Names] = MappingProxyType({})
 
 
 class Verb(TyperCommand):
@@ -56,9 +63,10 @@ class Verb(TyperCommand):
             ctx: The context of the call.
             formatter: Writes the help.
         """
+        registered = _REGISTERED | getattr(self.callback, "registered", {})
         for option in self.get_params(ctx):
             help_text = getattr(option, "help", None) or ""
-            for placeholder, names in _REGISTERED.items():
+            for placeholder, names in registered.items():
                 if placeholder in help_text:
                     help_text = help_text.replace(placeholder, ", ".join(names()))
                     option.help = help_text  # type: ignore[attr-defined]
@@ -67,7 +75,7 @@ class Verb(TyperCommand):
 
 def _load_plugins(names: Iterable[str]) -> None:
     """Load the installed plugins and those of ``--plugin``; raises `PluginError`."""
-    import calib.plugins as plugins
+    import calib.basics.plugins as plugins
 
     plugins.load_installed()
     for name in names:
@@ -102,13 +110,6 @@ def _solvers() -> tuple[str, ...]:
     return (*SOLVERS, PAPER)
 
 
-def _formats() -> tuple[str, ...]:
-    """Return the names of the output formats of ``calib convert``, each with what it holds."""
-    from calib.formats.convert import FORMATS
-
-    return tuple(f"{name} ({row.what})" for name, row in FORMATS.items())
-
-
 def _brands() -> tuple[str, ...]:
     """Return the names of the brands whose columns are known."""
     from calib.data.forms.brands import BRANDS
@@ -124,18 +125,19 @@ def _conventions() -> tuple[str, ...]:
 
 
 #: What a placeholder in a help text stands for. The registries import NumPy, so they are read when help is printed.
-_REGISTERED: dict[str, Callable[[], tuple[str, ...]]] = {
+_REGISTERED: dict[str, Names] = {
     "{brands}": _brands,
     "{conventions}": _conventions,
     "{families}": _families,
     "{kinds}": _kinds,
     "{models}": _models,
     "{solvers}": _solvers,
-    "{formats}": _formats,
 }
 
 
-def verb(help_text: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
+def verb(
+    help_text: str, registered: Mapping[str, Names] = NONE
+) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Make a verb of the command line of a function.
 
     A parameter whose type is a dataclass is a group: its fields become options, and the function gets the group. Every
@@ -143,6 +145,7 @@ def verb(help_text: str) -> Callable[[Callable[..., None]], Callable[..., None]]
 
     Args:
         help_text: The text of ``--help``.
+        registered: What a placeholder in the help of this verb's options stands for, besides those of every verb.
 
     Returns:
         A decorator; what it returns has the signature from which typer makes the options.
@@ -162,6 +165,7 @@ def verb(help_text: str) -> Callable[[Callable[..., None]], Callable[..., None]]
 
         run.__name__ = function.__name__
         run.__doc__ = help_text
+        run.registered = registered  # type: ignore[attr-defined]
         run.__annotations__ = {}
         of_every_verb = (_option("plugin", Plugins, None), _option("debug", Debug, False))
         signature = inspect.Signature([*_options(function, types), *of_every_verb])
@@ -219,7 +223,7 @@ def reporting(*, debug: bool) -> Iterator[None]:
         message = f"interrupted; no file was left half written. {error}".rstrip()
         typer.echo(f"calib: {message}", err=True)
         raise typer.Exit(ExitStatus.INTERRUPTED) from error
-    except OSError:  # reported by `calib.cli.main`
+    except OSError:  # reported by `calib.__main__.main`
         raise
     except CalibError as error:
         if debug:

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from calib.camera.board import Board
+    from calib.boards.board import Board
     from calib.camera.camera import Camera
     from calib.data.cell import Tracker
     from calib.data.forms.column_options import ColumnOptions
@@ -37,8 +37,8 @@ def parse_point(text: str, option: str, example: str = "70 -70 22.5 mm") -> NDAr
     Raises:
         CalibError: It is no such text.
     """
-    from calib.arrays import read_only
-    from calib.units import LENGTH, parse_quantities
+    from calib.basics.arrays import read_only
+    from calib.basics.units import LENGTH, parse_quantities
 
     return read_only(parse_quantities(text, option, {LENGTH: 3}, example)[LENGTH])
 
@@ -58,7 +58,7 @@ def parse_tool(text: str) -> NDArray[np.float64] | str:
     import numpy as np
     from scipy.spatial.transform import Rotation
 
-    from calib.units import ANGLE, LENGTH, parse_quantities
+    from calib.basics.units import ANGLE, LENGTH, parse_quantities
 
     word, _, name = text.strip().partition(":")
     if word == "target":
@@ -108,7 +108,7 @@ def parse_pair(text: str, option: str, example: str) -> tuple[float | None, floa
     Raises:
         CalibError: It is neither, or negative.
     """
-    from calib.units import ANGLE, LENGTH, parse_quantities
+    from calib.basics.units import ANGLE, LENGTH, parse_quantities
 
     values = parse_quantities(text, option, {LENGTH: 1, ANGLE: 1}, example, signed=False)
     length = values.get(LENGTH, [None])[0]
@@ -125,13 +125,13 @@ def parse_by_unit(text: str, option: str, example: str) -> dict[str, float]:
         example: A text that would be right, for messages.
 
     Returns:
-        The sizes given, in SI units, by the symbols of `calib.channels.RESIDUAL_UNITS`.
+        The sizes given, in SI units, by the symbols of `calib.basics.channels.RESIDUAL_UNITS`.
 
     Raises:
         CalibError: It is no such text, or a size is negative.
     """
-    from calib.channels import RESIDUAL_UNITS
-    from calib.units import parse_quantities, quantity_name
+    from calib.basics.channels import RESIDUAL_UNITS
+    from calib.basics.units import parse_quantities, quantity_name
 
     names = {symbol: quantity_name(unit.quantity) for symbol, unit in RESIDUAL_UNITS.items()}
     counts = dict.fromkeys(names.values(), 1)
@@ -152,8 +152,8 @@ def parse_payload(text: str, payload: Payload | None) -> Payload:
     Raises:
         CalibError: It is no mass.
     """
+    from calib.basics.units import MASS, parse_amount
     from calib.robot.payload import Payload
-    from calib.units import MASS, parse_amount
 
     mass = parse_amount(text, "--payload", MASS, "5 kg")
     return Payload(mass) if payload is None else replace(payload, mass=mass)
@@ -172,7 +172,7 @@ def parse_held(pairs: Iterable[str], option: str = "--hold") -> dict[str, float]
     Raises:
         CalibError: One is not of that form, or a joint is named twice.
     """
-    from calib.units import parse_joint_value
+    from calib.basics.units import parse_joint_value
 
     form = "'joint=value' with a unit, such as 'torso_lift_joint=0.3 m', and each joint once"
     texts = _mapping(pairs, option, form)
@@ -268,7 +268,7 @@ def parse_boards(texts: Iterable[str]) -> dict[str, Board]:
     Raises:
         CalibError: A name occurs twice, or a file cannot be read.
     """
-    from calib.camera.board_file import read_board
+    from calib.boards.board_file import read_board
 
     return {name: read_board(path) for name, path in _named_files(texts, "--board").items()}
 

@@ -17,10 +17,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 import calib.data.kinds as registry
-from calib.arrays import Array, read_only
-from calib.camera.board import Board
+from calib.basics.arguments import check_mapping, check_path, check_type
+from calib.basics.arrays import Array, read_only
+from calib.basics.channels import RESIDUAL_UNITS
+from calib.basics.mappings import ReadOnlyMapping
+from calib.basics.short import one_line
+from calib.basics.units import is_number
+from calib.basics.values import Value
+from calib.boards.board import Board
 from calib.camera.camera import Camera
-from calib.channels import RESIDUAL_UNITS
 from calib.data.cell_file import checked, read_cell_file
 from calib.data.kinds import SIGMAS
 from calib.data.priors import PRIOR_STD_RANGE, Priors
@@ -34,7 +39,6 @@ from calib.data.surroundings import (
     check_box_names,
 )
 from calib.errors import CalibError, FileError, choices
-from calib.mappings import ReadOnlyMapping
 from calib.model.error_model import DIRECTIONS
 from calib.numerics.geometry import (
     FARTHEST,
@@ -46,10 +50,6 @@ from calib.numerics.geometry import (
 )
 from calib.robot.gravity import GRAVITY
 from calib.robot.payload import Payload
-from calib.units import is_number
-from calib.values.arguments import check_mapping, check_path, check_type
-from calib.values.pickling import Value
-from calib.values.short import one_line
 
 __all__ = [
     "AUTO",

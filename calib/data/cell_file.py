@@ -17,17 +17,11 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-import calib.plugins as plugins
-from calib.arrays import Array
-from calib.channels import RESIDUAL_UNITS
-from calib.data.optics_tables import boards_of_tables, cameras_of_tables
-from calib.data.record import TEXTS
-from calib.errors import CalibError, FileError, choices, did_you_mean
-from calib.files import read_bytes
-from calib.model.error_model import DIRECTIONS
-from calib.model.families import FAMILIES
-from calib.numerics.geometry import pose_of
-from calib.units import (
+import calib.basics.plugins as plugins
+from calib.basics.arrays import Array
+from calib.basics.channels import RESIDUAL_UNITS
+from calib.basics.files import read_bytes
+from calib.basics.units import (
     ANGLE,
     COMPLIANCE,
     LENGTH,
@@ -39,6 +33,12 @@ from calib.units import (
     parse_noise,
     parse_quantity,
 )
+from calib.data.optics_tables import boards_of_tables, cameras_of_tables
+from calib.data.record import TEXTS
+from calib.errors import CalibError, FileError, choices, did_you_mean
+from calib.model.error_model import DIRECTIONS
+from calib.model.families import FAMILIES
+from calib.numerics.geometry import pose_of
 
 if sys.version_info >= (3, 11):
     import tomllib

@@ -12,13 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 import calib.data.kinds as registry
-from calib.arrays import Array, Integers, Mask, read_only
-from calib.data.columns import SETS, reserved
-from calib.data.forms.column_options import ColumnOptions
-from calib.errors import MeasurementError, choices
-from calib.numerics.geometry import FARTHEST, not_rotations
-from calib.tables.table import Table
-from calib.values.arguments import (
+from calib.basics.arguments import (
     check_mapping,
     check_names,
     check_path,
@@ -26,6 +20,12 @@ from calib.values.arguments import (
     numbers,
     wrong_type,
 )
+from calib.basics.arrays import Array, Integers, Mask, read_only
+from calib.basics.tables import Table
+from calib.data.columns import SETS, reserved
+from calib.data.forms.column_options import ColumnOptions
+from calib.errors import MeasurementError, choices
+from calib.numerics.geometry import FARTHEST, not_rotations
 
 #: Two rows of a pair that both give its distance give the same to all digits of a table [m].
 _AGREE_M = 1e-9

@@ -10,14 +10,14 @@ from typing import NoReturn
 import numpy as np
 
 import calib.data.kinds as registry
-from calib.arrays import Array
-from calib.channels import RESIDUAL_UNITS
+from calib.basics.arrays import Array
+from calib.basics.channels import RESIDUAL_UNITS
+from calib.basics.tables import Column, Table
+from calib.basics.units import UNITS, Quantity, split_header, symbols
 from calib.data.forms import orientations
 from calib.data.forms.brands import Brand, brands_like, names_by_brand
 from calib.data.forms.column_options import ColumnOptions, ColumnsInput, column_options
 from calib.errors import MeasurementError, choices, did_you_mean
-from calib.tables.table import Column, Table
-from calib.units import UNITS, Quantity, split_header, symbols
 
 #: Columns of a position.
 POINT = ("x", "y", "z")

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from calib.arrays import Array, Mask
+from calib.basics.arrays import Array, Mask
 
 
 def repeats_of_earlier(words: Iterable[tuple[str, ...]], numbers: Array) -> Mask:

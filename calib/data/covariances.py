@@ -7,13 +7,13 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 from numpy.typing import ArrayLike
 
-from calib.arrays import Array, Mask, read_only
+from calib.basics.arguments import numbers
+from calib.basics.arrays import Array, Mask, read_only
 from calib.data.checks import RowLabels, checked_numbers
 from calib.data.columns import COVARIANCE
 from calib.data.kinds import SIGMAS, Kind
 from calib.errors import MeasurementError
 from calib.numerics.pose_noise import POSE, POSE_UNITS
-from calib.values.arguments import numbers
 
 #: Least and largest entry [m^2, m rad, rad^2].
 _ENTRIES = (-(SIGMAS[1] ** 2), SIGMAS[1] ** 2)

@@ -12,7 +12,7 @@ from typing import Any, Protocol
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from calib.arrays import Array
+from calib.basics.arrays import Array
 from calib.errors import CalibError
 from calib.model.error_model import DIRECTIONS
 from calib.numerics.differences import disagreement

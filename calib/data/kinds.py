@@ -25,17 +25,17 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-import calib.plugins as plugins
-from calib.arrays import Array
+import calib.basics.plugins as plugins
+from calib.basics.arguments import check_type
+from calib.basics.arrays import Array
+from calib.basics.channels import RESIDUAL_UNITS
+from calib.basics.values import Value
 from calib.camera.optics import image_derivatives, images
-from calib.channels import RESIDUAL_UNITS
 from calib.data.kind_check import check_functions
 from calib.data.reading import Reading as Reading
 from calib.errors import CalibError, MeasurementError, choices
 from calib.model.error_model import DIRECTIONS
 from calib.numerics.geometry import inverse_right_jacobian
-from calib.values.arguments import check_type
-from calib.values.pickling import Value
 
 #: Least and largest standard deviation accepted for a measurement [m, rad or px]: no instrument is
 #: better or worse, and the squares of numbers beyond leave the range of doubles.
@@ -78,8 +78,8 @@ class Kind(Value):
     name: str
     #: What a row measures, for texts: ``"position of the target"``.
     words: str
-    #: Unit of each of the s residual scalars, of `calib.channels.RESIDUAL_UNITS`: ``"m"``, ``"rad"`` or ``"px"``. A
-    #: measured position has the first three.
+    #: Unit of each of the s residual scalars, of `calib.basics.channels.RESIDUAL_UNITS`: ``"m"``, ``"rad"`` or
+    #: ``"px"``. A measured position has the first three.
     units: tuple[str, ...]
     #: Derivative of the prediction by the parameters, which is minus that of the residual:
     #: (measured, T_frame_target, twists) to shape (n, s, p) [its unit per parameter unit].

@@ -6,9 +6,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NoReturn
 
+import calib.basics.plugins as plugins
 import calib.data.kinds as registry
-import calib.plugins as plugins
-from calib.channels import RESIDUAL_UNITS
+from calib.basics.channels import RESIDUAL_UNITS
+from calib.basics.tables import Column, Table
+from calib.basics.units import Quantity, split_header
 from calib.data.columns import (
     BOARD_POINT,
     COMMON,
@@ -32,8 +34,6 @@ from calib.data.forms.column_options import ColumnOptions, ColumnsInput, column_
 from calib.data.forms.orientation_columns import Orientation, conventions_of, find_orientation
 from calib.data.kinds import Kind
 from calib.errors import MeasurementError, choices, did_you_mean
-from calib.tables.table import Column, Table
-from calib.units import Quantity, split_header
 
 #: Most joints that a message lists.
 _LISTED_JOINTS = 12

@@ -13,8 +13,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 import calib.data.kinds as registry
-from calib.arrays import Array, Mask, read_only
-from calib.channels import RESIDUAL_UNITS, residual_unit
+from calib.basics.arguments import check_names, mask_of_rows, numbers
+from calib.basics.arrays import Array, Mask, read_only
+from calib.basics.channels import RESIDUAL_UNITS, residual_unit
+from calib.basics.files import csv_bytes, write_atomically
+from calib.basics.mappings import ReadOnlyMapping
+from calib.basics.short import one_line
+from calib.basics.tables import Table
+from calib.basics.units import Quantity
+from calib.basics.values import Value
 from calib.data.checks import (
     RowLabels,
     by_word,
@@ -53,14 +60,7 @@ from calib.data.layout import Layout
 from calib.data.points_file import read_points
 from calib.data.values import read_values
 from calib.errors import MeasurementError, choices
-from calib.files import csv_bytes, write_atomically
-from calib.mappings import ReadOnlyMapping
 from calib.numerics.geometry import FARTHEST, to_quaternions
-from calib.tables.table import Table
-from calib.units import Quantity
-from calib.values.arguments import check_names, mask_of_rows, numbers
-from calib.values.pickling import Value
-from calib.values.short import one_line
 
 #: Attributes with a word a row, and the word where they are not given.
 _WORDS = {

@@ -6,8 +6,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
-from calib.camera.board import Board
-from calib.camera.board_file import board_of_table
+from calib.boards.board import Board
+from calib.boards.board_file import board_of_table
 from calib.camera.camera import Camera
 from calib.camera.camera_file import camera_of_table
 from calib.errors import CalibError, FileError

@@ -8,12 +8,12 @@ from typing import NamedTuple
 import numpy as np
 
 import calib.data.kinds as registry
-from calib.arrays import Array
-from calib.channels import RESIDUAL_UNITS
+from calib.basics.arrays import Array
+from calib.basics.channels import RESIDUAL_UNITS
+from calib.basics.tables import Column, Table
+from calib.basics.units import UNITS, Unit
 from calib.data.layout import Layout
 from calib.errors import MeasurementError
-from calib.tables.table import Column, Table
-from calib.units import UNITS, Unit
 
 #: No point of a robot cell is farther from the origin of a frame in use [m].
 _FARTHEST_M = 100.0

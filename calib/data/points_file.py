@@ -13,13 +13,13 @@ from typing import NamedTuple, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.basics.tables import Column, Table, read_text
+from calib.basics.units import UNITS, Unit, symbols
 from calib.data.columns import POINT
 from calib.data.forms.numerals import NUMERAL, decimal_sign_in, decimal_sign_of, plain
 from calib.data.forms.points import PARTS, Points
 from calib.data.plausibility import implausible_length
 from calib.errors import MeasurementError, choices
-from calib.tables.table import Column, Table, read_text
-from calib.units import UNITS, Unit, symbols
 
 #: In the order in which they are tried; the last one stands for any number of blanks.
 _SEPARATORS = (";", "\t", ",", " ")

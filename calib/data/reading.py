@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from calib.channels import RESIDUAL_UNITS
+from calib.basics.channels import RESIDUAL_UNITS
+from calib.basics.units import UNITS, Quantity
 from calib.errors import CalibError, choices
-from calib.units import UNITS, Quantity
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass, fields
 
+from calib.basics.units import is_number
 from calib.errors import CalibError
-from calib.units import is_number
 
 #: Letters of an entry at most: a report's first page has to hold all of them.
 LONGEST = 60

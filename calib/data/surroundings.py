@@ -9,11 +9,11 @@ from typing import TypeVar
 
 import numpy as np
 
-from calib.arrays import Array, read_only
+from calib.basics.arrays import Array, read_only
+from calib.basics.values import Value
 from calib.data.cell_file import checked
 from calib.errors import CalibError, choices
 from calib.numerics.geometry import pose_or_none, vector
-from calib.values.pickling import Value
 
 Distance = TypeVar("Distance", float, Array)
 

@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 import calib.data.kinds as registry
-from calib.arrays import Array, Mask
-from calib.channels import RESIDUAL_UNITS
+from calib.basics.arrays import Array, Mask
+from calib.basics.channels import RESIDUAL_UNITS
+from calib.basics.tables import Column, Table
 from calib.data.columns import SETS, STATUS, TORQUE
 from calib.data.covariances import may_have_covariance
 from calib.data.forms.points import Points
@@ -20,7 +21,6 @@ from calib.data.kinds import Kind
 from calib.data.layout import Layout, slides
 from calib.data.plausibility import check_units
 from calib.errors import MeasurementError, choices
-from calib.tables.table import Column, Table
 
 #: Numbers of a layout's blocks by name, shape (rows, columns) each.
 Blocks = Mapping[str, Array]

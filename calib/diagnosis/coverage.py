@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.arrays import Array
+from calib.basics.arrays import Array
 
 #: A joint value is outside when it is further from the measured range than this share of the range.
 _MARGIN = 0.05

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import stdtr
 
-from calib.arrays import Array, Integers, Mask
+from calib.basics.arrays import Array, Integers, Mask
 from calib.diagnosis.reasons import Reason
 from calib.numerics.errors import CrossValidation, Errors
 

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.arrays import Array, Mask
-from calib.estimate.fitting import Fitted
-from calib.estimate.linear import LinearProblem
+from calib.basics.arrays import Array, Mask
+from calib.fit.estimate.fitting import Fitted
+from calib.fit.estimate.linear import LinearProblem
+from calib.fit.registration.rows import Rows
 from calib.numerics.likelihood import GaussianPriors
-from calib.registration.rows import Rows
 
 #: The share of the rows at each end of a joint's measured values that are predicted by the others.
 _OUTER = 0.2

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from calib.diagnosis.reasons import Reason, Why
-from calib.registration.frame_search import is_plausible, sought_frames
-from calib.registration.registration import nominal_setup
-from calib.registration.rows import Rows
-from calib.registration.setup import Setup
+from calib.fit.registration.frame_search import is_plausible, sought_frames
+from calib.fit.registration.registration import nominal_setup
+from calib.fit.registration.rows import Rows
+from calib.fit.registration.setup import Setup
 from calib.robot.robot import Robot
 
 

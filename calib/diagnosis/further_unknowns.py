@@ -16,18 +16,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import fdtrc, stdtr
 
-from calib.arrays import Array, Mask
+from calib.basics.arrays import Array, Mask
 from calib.camera.optics import SCALE
-from calib.estimate.fitting import Fitted
-from calib.estimate.linear import LinearProblem
-from calib.estimate.prior_terms import PriorTerms
-from calib.estimate.stages import Stage
-from calib.estimate.task import PAPER
+from calib.fit.estimate.fitting import Fitted
+from calib.fit.estimate.linear import LinearProblem
+from calib.fit.estimate.prior_terms import PriorTerms
+from calib.fit.estimate.stages import Stage
+from calib.fit.estimate.task import PAPER
+from calib.fit.registration.rows import Rows
 from calib.model.dh_table import zero_poses
 from calib.model.families import ANGLE, LENGTH, ZERO
 from calib.numerics.errors import rms
 from calib.numerics.likelihood import GaussianPriors
-from calib.registration.rows import Rows
 
 #: A p-value below which a finding is not taken for chance.
 UNLIKELY = 1e-3

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from calib.arrays import Array
+from calib.basics.arrays import Array
 from calib.diagnosis.reasons import Why
 from calib.robot.robot import Robot
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from calib.arrays import Array
+from calib.basics.arrays import Array
+from calib.fit.registration.registration import register
+from calib.fit.registration.rows import Rows
+from calib.fit.registration.setup import Setup
 from calib.numerics.errors import Errors
-from calib.registration.registration import register
-from calib.registration.rows import Rows
-from calib.registration.setup import Setup
 from calib.robot.robot import Robot
 
 TOLERANCE = 1e-6

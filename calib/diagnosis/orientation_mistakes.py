@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from calib.arrays import Array
+from calib.basics.arrays import Array
 from calib.diagnosis.joint_mistakes import shifted_zeros
 from calib.diagnosis.misfit import misfit, with_joints
 from calib.diagnosis.reasons import Reason, Why
-from calib.registration.rows import Rows
-from calib.registration.setup import Setup
+from calib.fit.registration.rows import Rows
+from calib.fit.registration.setup import Setup
 from calib.robot.robot import Robot
 
 PLAUSIBLE = 0.02

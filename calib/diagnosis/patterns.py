@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc, fdtrc
 
-from calib.arrays import Array, Integers
+from calib.basics.arrays import Array, Integers
 
 #: The probability that a table of pure noise gives any pattern or drift; a few of a thousand tables do.
 FALSE_ALARM = 0.003

@@ -1,4 +1,4 @@
-"""Reasons of a verdict: codes and the numbers that they rest on; the sentences are in `calib.text.verdict`."""
+"""Reasons of a verdict: codes and the numbers that they rest on; the sentences are in `calib.show.verdict`."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Any
 
-from calib.mappings import keep_read_only
+from calib.basics.mappings import keep_read_only
 from calib.numerics.errors import Errors
 
 #: Verdict that the corrected robot is better, which held-out rows prove.
@@ -21,7 +21,7 @@ NO = "do not use"
 
 
 class Why(Enum):
-    """Codes of reasons; `calib.text.verdict.SENTENCES` has the sentence of each."""
+    """Codes of reasons; `calib.show.verdict.SENTENCES` has the sentence of each."""
 
     # A usual mistake explains the rows
     TARGET_ELSEWHERE, WRONG_UNIT, OTHER_BASE, OWN_FRAME, JOINTS_TURNED = range(5)

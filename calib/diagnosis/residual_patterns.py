@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.arrays import Array, Integers, Mask
+from calib.basics.arrays import Array, Integers, Mask
 from calib.diagnosis.further_unknowns import PREDICTS, gain_on_blocks
 from calib.diagnosis.patterns import (
     Explained,
@@ -25,7 +25,7 @@ from calib.diagnosis.patterns import (
 )
 from calib.diagnosis.reasons import Reason, Why
 from calib.diagnosis.stations import SOME_FLAGGED
-from calib.estimate.fitting import Fitted
+from calib.fit.estimate.fitting import Fitted
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics
 from calib.model.parameters import ErrorModel

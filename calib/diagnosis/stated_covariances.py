@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from calib.diagnosis.reasons import Reason, Why
-from calib.estimate.fitting import Fitted
-from calib.estimate.pose_noise import covariance_support
+from calib.fit.estimate.fitting import Fitted
+from calib.fit.estimate.pose_noise import covariance_support
 
 #: Log-likelihood over that of equal covariances up to which stated ones tell nothing.
 _NOTHING = 2.0

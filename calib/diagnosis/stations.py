@@ -13,15 +13,15 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import fdtrc
 
-from calib.arrays import Array, Integers, Mask
+from calib.basics.arrays import Array, Integers, Mask
 from calib.diagnosis.patterns import range_of
 from calib.diagnosis.reasons import Reason, Why
-from calib.estimate.fitting import Fitted
-from calib.estimate.linear import LinearProblem
+from calib.fit.estimate.fitting import Fitted
+from calib.fit.estimate.linear import LinearProblem
+from calib.fit.registration.known_distances import joined_stations
+from calib.fit.selection.held_out import seen_only_by
 from calib.numerics.likelihood import GaussianPriors
 from calib.numerics.repeats import pose_means
-from calib.registration.known_distances import joined_stations
-from calib.selection.held_out import seen_only_by
 
 #: Degrees of freedom of a fit below which its stations are not compared: its noise is not known well enough.
 _FEWEST_FREEDOM = 10.0

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 import calib.data.kinds as registry
-from calib.arrays import Array
+from calib.basics.arrays import Array
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.diagnosis.images.poses import as_poses
@@ -27,11 +27,11 @@ from calib.diagnosis.orientation_mistakes import (
 )
 from calib.diagnosis.reasons import Reason, Why
 from calib.errors import MeasurementError, UrdfError
+from calib.fit.registration.registration import register
+from calib.fit.registration.rows import Rows
+from calib.fit.registration.setup import Setup
+from calib.fit.registration.table_rows import rows_and_setup
 from calib.model.error_model import DIRECTIONS
-from calib.registration.registration import register
-from calib.registration.rows import Rows
-from calib.registration.setup import Setup
-from calib.registration.table_rows import rows_and_setup
 from calib.robot.robot import Robot
 
 #: And to no more than this [m].

@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from calib.arrays import Mask
-from calib.channels import RESIDUAL_UNITS
+from calib.basics.arrays import Mask
+from calib.basics.channels import RESIDUAL_UNITS
+from calib.basics.mappings import ReadOnlyMapping
 from calib.diagnosis.evidence import ALIKE, CHANCE, ROUNDING, Evidence
 from calib.diagnosis.further_unknowns import PREDICTS
 from calib.diagnosis.reasons import (
@@ -25,7 +26,6 @@ from calib.diagnosis.reasons import (
     Verdict,
     Why,
 )
-from calib.mappings import ReadOnlyMapping
 from calib.numerics.errors import Errors
 
 #: Units with rules of their own.

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calib.arrays import Array, rigid_inverse
+from calib.basics.arrays import Array, rigid_inverse
 from calib.robot.dh.rows import HAYATI, MODIFIED, NEARLY_PARALLEL_RAD, DHRow
 
 #: An offset between parallel axes below this is rounding [m].

@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from calib.arrays import Array, read_only, rigid_inverse
+from calib.basics.arrays import Array, read_only, rigid_inverse
 from calib.model.common_normals import (
     TOLERANCE,
     Reference,

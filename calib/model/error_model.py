@@ -18,8 +18,9 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-import calib.plugins as plugins
-from calib.arrays import Array, read_only, rigid_inverse
+import calib.basics.plugins as plugins
+from calib.basics.arguments import check_type
+from calib.basics.arrays import Array, read_only, rigid_inverse
 from calib.errors import ModelError, choices, did_you_mean
 from calib.model.dh_table import dh_table, zero_poses
 from calib.model.families import ANGLE, LENGTH, ZERO, joint_families
@@ -36,7 +37,6 @@ from calib.robot.dh.rows import DHRow, dh_frames, screw
 from calib.robot.gravity import GRAVITY
 from calib.robot.robot import Robot
 from calib.robot.urdf import UrdfJoint
-from calib.values.arguments import check_type
 
 #: The six directions of a frame or a placement: along, then about its axes.
 DIRECTIONS = ("x", "y", "z", "rx", "ry", "rz")

@@ -25,12 +25,12 @@ from typing import Any
 
 import numpy as np
 
-import calib.plugins as plugins
-from calib.arrays import Array
+import calib.basics.plugins as plugins
+from calib.basics.arguments import check_type
+from calib.basics.arrays import Array
+from calib.basics.values import Value
 from calib.errors import ArgumentError, ModelError, choices
 from calib.numerics.differences import disagreement, mostly_without_value
-from calib.values.arguments import check_type
-from calib.values.pickling import Value
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,7 +12,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike
 
-from calib.arrays import Array, read_only
+from calib.basics.arrays import Array, read_only
 from calib.model.families import ENDS, Factor, Family, JointState, Unit, factor_of, family_of
 from calib.model.parameters import Parameter, twist_of
 from calib.robot.gravity import GRAVITY, gravity_loads

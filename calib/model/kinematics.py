@@ -15,12 +15,12 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from calib.arrays import Array, Integers, Mask, read_only
+from calib.basics.arrays import Array, Integers, Mask, read_only
+from calib.basics.values import Value
 from calib.model.joint_errors import joint_displacements
 from calib.model.parameters import ErrorModel, Parameter
 from calib.robot import kernel
 from calib.robot.robot import Robot
-from calib.values.pickling import Value
 
 #: Index of the parameter of a number that is not estimated.
 FIXED = -1

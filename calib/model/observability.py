@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.arrays import Array, read_only
-from calib.mappings import keep_read_only
+from calib.basics.arrays import Array, read_only
+from calib.basics.mappings import keep_read_only
+from calib.basics.values import Value
 from calib.model.families import unit_of
-from calib.values.pickling import Value
 
 #: Directions with less than this share of the strongest one's effect cannot be identified: 1 mm moves points by < 1 um.
 _NEGLIGIBLE = 1e-3

@@ -12,11 +12,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import pinocchio as pin
 
-from calib.arrays import Array, Mask, read_only
+from calib.basics.arrays import Array, Mask, read_only
+from calib.basics.values import Value
 from calib.errors import ModelError, choices
 from calib.model.families import FAMILIES, Factor
 from calib.robot.robot import Robot
-from calib.values.pickling import Value
 
 #: Place of a measurement frame, with the frame's name behind it: ``"(frame)left"``. No URDF calls a joint so.
 FRAME = "(frame)"

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calib.arrays import Array
+from calib.basics.arrays import Array
 
 #: Relative difference that is allowed: approximate derivatives are right to this, wrong ones are off by a term.
 _RELATIVE = 1e-3

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.arrays import Array, Integers, read_only
-from calib.channels import RESIDUAL_UNITS, Channels, residual_unit
-from calib.mappings import ReadOnlyMapping
+from calib.basics.arrays import Array, Integers, read_only
+from calib.basics.channels import RESIDUAL_UNITS, Channels, residual_unit
+from calib.basics.mappings import ReadOnlyMapping
 
 
 def rms(values: Array) -> float:
@@ -21,7 +21,7 @@ def rms(values: Array) -> float:
 class UnitErrors:
     """Error figures of a set of rows in one unit; the error of a row is the norm over its scalars of that unit."""
 
-    #: Symbol of the unit, of `calib.channels.RESIDUAL_UNITS`: ``"m"``
+    #: Symbol of the unit, of `calib.basics.channels.RESIDUAL_UNITS`: ``"m"``
     unit: str
     #: Number of rows with a scalar of this unit
     n: int
@@ -80,7 +80,7 @@ def _figures_by_axis(vectors: Array) -> Array:
 class Errors:
     """Error figures of a set of rows in each unit that was measured; ``errors["m"].rms`` is one of them."""
 
-    #: By the unit's symbol, in the order of `calib.channels.RESIDUAL_UNITS`
+    #: By the unit's symbol, in the order of `calib.basics.channels.RESIDUAL_UNITS`
     by_unit: Mapping[str, UnitErrors]
 
     def __post_init__(self) -> None:

@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from calib.arrays import Array, Mask, read_only
+from calib.basics.arguments import numbers
+from calib.basics.arrays import Array, Mask, read_only
 from calib.errors import CalibError
-from calib.values.arguments import numbers
 
 #: Largest coordinate [m] or joint value [m or rad] accepted: no robot gets there, and beyond it
 #: doubles are further apart than the accuracy that calib computes to.

@@ -21,7 +21,7 @@ import numpy as np
 from scipy.linalg import eigh
 from scipy.linalg.lapack import dpotrf, dtrtri
 
-from calib.arrays import Array
+from calib.basics.arrays import Array
 
 #: Divisor and logarithm in place of zero.
 _TINY = 1e-300

@@ -31,7 +31,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize
 
-from calib.arrays import Array
+from calib.basics.arrays import Array
 
 #: Units of the scalars of a pose: of its position, then of the rotation vector of its orientation; and their number.
 POSE_UNITS = ("m", "m", "m", "rad", "rad", "rad")

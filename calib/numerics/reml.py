@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.arrays import Array, Integers, Mask
+from calib.basics.arrays import Array, Integers, Mask
 from calib.numerics.likelihood import GaussianPriors, NormalEquations, diagonals
 
 #: The most scoring steps.

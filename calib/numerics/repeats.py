@@ -17,10 +17,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calib.arrays import Array, Integers
-from calib.channels import Channels
-from calib.mappings import ReadOnlyMapping
-from calib.values.pickling import Value
+from calib.basics.arrays import Array, Integers
+from calib.basics.channels import Channels
+from calib.basics.mappings import ReadOnlyMapping
+from calib.basics.values import Value
 
 #: Degrees of freedom below this are rounding: no pose was repeated.
 _NO_FREEDOM = 1e-9
@@ -150,7 +150,7 @@ def pose_means(values: Array, weights: Array, poses: Integers) -> tuple[Array, I
 
     Args:
         values: shape (N, ...), whitened.
-        weights: shape (N,), > 0, those that `calib.estimate.stages.Stage.sharing` gives to repeats.
+        weights: shape (N,), > 0, those that `calib.fit.estimate.stages.Stage.sharing` gives to repeats.
         poses: shape (N,), rows of one number are repeats.
 
     Returns:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.arrays import Array
+from calib.basics.arrays import Array
 
 #: Points whose rms distance from a line is below this do not determine a turn about it [m]. It is the least ratio of
 #: singular values, of a turn's and a shift's.

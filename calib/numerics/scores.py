@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import chdtrc, chdtri, fdtri
 
-from calib.arrays import Array, Mask
+from calib.basics.arrays import Array, Mask
 from calib.robot.kernel import over_blocks
 
 #: A good row keeps its full weight with this probability.

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg.lapack import dgeqrf, dtrtrs
 
-import calib.plugins as plugins
-from calib.arrays import Array
+import calib.basics.plugins as plugins
+from calib.basics.arrays import Array
+from calib.basics.values import Value
 from calib.errors import ModelError, SolverError, choices
-from calib.values.pickling import Value
 
 #: Name of the paper's algorithm, which is no weighted least-squares solver: it has neither weights nor priors.
 PAPER = "paper"

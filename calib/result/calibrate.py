@@ -12,19 +12,26 @@ from typing import Any
 
 import numpy as np
 
-from calib.arrays import Array, Mask, read_only
-from calib.blas import one_blas_thread
-from calib.channels import RESIDUAL_UNITS
+from calib.basics.arguments import check_callable, check_flags
+from calib.basics.arrays import Array, Mask, read_only
+from calib.basics.blas import one_blas_thread
+from calib.basics.channels import RESIDUAL_UNITS
+from calib.basics.jobs import Progress
 from calib.data.cell import Cell
+from calib.data.inputs import CellInput, RobotInput, TableInput, inputs_of
 from calib.data.measurements import Measurements
 from calib.diagnosis.coverage import OutsideRow, outside
 from calib.diagnosis.extrapolation import extrapolation
 from calib.diagnosis.reasons import NO, Verdict, Why
 from calib.diagnosis.verdict import verdict
-from calib.estimate.fitting import Fitted, fit
-from calib.estimate.task import PAPER
-from calib.inputs import CellInput, RobotInput, TableInput, inputs_of
-from calib.jobs import Progress
+from calib.fit.estimate.fitting import Fitted, fit
+from calib.fit.estimate.task import PAPER
+from calib.fit.registration.registration import nominal_setup, register_held_out
+from calib.fit.registration.rows import Rows
+from calib.fit.registration.setup import Setup
+from calib.fit.selection.candidates import Candidate, alternative_models, mark_chosen
+from calib.fit.selection.cross_validation import cross_validation, nominal_cross_validation
+from calib.fit.selection.robustness import Robustness, compare_weights
 from calib.model.kinematics import Samples
 from calib.model.observability import Observability
 from calib.model.parameters import Parameter
@@ -32,10 +39,7 @@ from calib.numerics.errors import CrossValidation, rms
 from calib.numerics.repeats import Repeats, scatter_of_repeats
 from calib.numerics.scores import Limits
 from calib.numerics.solvers import Solver
-from calib.registration.registration import nominal_setup, register_held_out
-from calib.registration.rows import Rows
-from calib.registration.setup import Setup
-from calib.result.calibration import CalibrationValues, FitInMemory, RowNames, Source
+from calib.result.calibration import Calibration, FitInMemory, RowNames, Source
 from calib.result.cameras import image_values
 from calib.result.doubts import doubts_of
 from calib.result.evidence import evidence_of
@@ -51,10 +55,6 @@ from calib.result.prediction import (
 )
 from calib.robot.gravity import gravity_loads
 from calib.robot.ranges import spread_poses
-from calib.selection.candidates import Candidate, alternative_models, mark_chosen
-from calib.selection.cross_validation import cross_validation, nominal_cross_validation
-from calib.selection.robustness import Robustness, compare_weights
-from calib.values.arguments import check_callable, check_flags
 
 
 @one_blas_thread()
@@ -68,7 +68,7 @@ def calibrate(
     robust: bool = True,
     validate: bool = True,
     progress: Progress | None = None,
-) -> CalibrationValues:
+) -> Calibration:
     """Calibrate a robot from measurements of a target on its tip.
 
     Args:
@@ -130,7 +130,7 @@ class _Validations:
 
 def _validated(
     measurements: Measurements, fits: TableFits, progress: Progress | None
-) -> CalibrationValues:
+) -> Calibration:
     """Cross-validate the fits of a table, and assemble the result with its verdict.
 
     Args:
@@ -274,7 +274,7 @@ def _with_non_geometric(fits: TableFits, non_geometric: Fitted | None) -> TableF
     return replace(fits, non_geometric=non_geometric, candidates=candidates)
 
 
-def _judged(result: CalibrationValues, rows: Rows) -> CalibrationValues:
+def _judged(result: Calibration, rows: Rows) -> Calibration:
     """Return a cross-validated result with the verdicts on its geometry and on its non-geometric model.
 
     Args:
@@ -317,7 +317,7 @@ def _assembled(
     fits: TableFits,
     validations: _Validations | None = None,
     verdict: Verdict | None = None,
-) -> CalibrationValues:
+) -> Calibration:
     """Assemble the result of fits as one value.
 
     Args:
@@ -337,7 +337,7 @@ def _assembled(
     robot, cell, estimate = geometry.task.robot, geometry.task.cell, geometry.estimate
     observability = estimate.problem.observability(estimate.x)
     scored, nominal_places = _scored(m, fits), _nominal_places(m, fits)
-    return CalibrationValues(
+    return Calibration(
         **_model_values(geometry, observability, validations.geometry),
         nominal=robot,
         robot=geometry.kinematics.model.apply(robot, estimate.x),

@@ -7,15 +7,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from calib.arrays import Array, Mask, rigid_inverse
-from calib.camera.board import Board
+from calib.basics.arguments import check_path, check_type
+from calib.basics.arrays import Array, Mask, rigid_inverse
+from calib.basics.channels import Channels
+from calib.basics.mappings import ReadOnlyMapping
+from calib.basics.shown import shown_by
+from calib.basics.values import Value
+from calib.boards.board import Board
 from calib.camera.camera import Camera
-from calib.channels import Channels
 from calib.data.cell import Cell
 from calib.data.columns import SETS
 from calib.data.measurements import Measurements
@@ -23,15 +28,16 @@ from calib.data.record import BLANK, Record
 from calib.diagnosis.coverage import OutsideRow, outside
 from calib.diagnosis.reasons import Verdict
 from calib.errors import ArgumentError, ModelError, choices, did_you_mean
-from calib.estimate.fitting import Fitted
-from calib.mappings import ReadOnlyMapping
+from calib.fit.estimate.fitting import Fitted
+from calib.fit.registration.setup import Setup
+from calib.fit.selection.candidates import Candidate
+from calib.fit.selection.robustness import Robustness
 from calib.model.kinematics import Samples
 from calib.model.observability import Observability
 from calib.numerics.errors import CrossValidation, Errors
 from calib.numerics.pose_noise import PoseNoise
 from calib.numerics.repeats import Repeats
 from calib.numerics.solvers import Solution
-from calib.registration.setup import Setup
 from calib.result.cameras import calibrated_boards, calibrated_cameras
 from calib.result.image_errors import errors_at_board
 from calib.result.joint_zeros import JointZeros
@@ -44,10 +50,7 @@ from calib.result.prediction import (
 )
 from calib.robot.payload import Payload
 from calib.robot.robot import Robot
-from calib.selection.candidates import Candidate
-from calib.selection.robustness import Robustness
-from calib.values.arguments import check_type
-from calib.values.pickling import Value
+from calib.robot.urdf import Urdf
 
 #: Number of values that stand for all those between the ends of a measured range.
 _BETWEEN = 73
@@ -134,9 +137,85 @@ class FitInMemory(Value):
     non_geometric: Fitted | None = None
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class CalibrationValues(FittedModel):
-    """The result of `calib.calibrate`; attributes of `FittedModel` are those of the geometry, which the URDF holds."""
+@dataclass(frozen=True, slots=True, eq=False, repr=False, kw_only=True)
+class Calibration(FittedModel):
+    """The result of `calib.calibrate`; attributes of `FittedModel` are those of the geometry, which the URDF holds.
+
+    There are two ways to get one: `calib.calibrate`, and `Calibration.read_json` of a file that `write_json` wrote. It
+    can be pickled and copied, with measurements and fit if it has them. Arrays are read-only. N rows of the table, p
+    parameters of the geometry, m measured joints, D columns of a residual, each in the unit of ``channels``.
+
+    The robot:
+
+        nominal              Robot, as given
+        robot                Robot, its URDF corrected: the geometry
+        non_geometric        NonGeometric, the model with errors of the joints' state; None if there is none
+        setup                Setup, frames (T_frame_base) and targets (T_tip_target) as estimated or given [m]
+        nominal_setup        Setup, those of the nominal robot
+        T_frame_base         (4, 4) [m], pose of the base in the first measurement frame
+        target               (3,) [m], position of the first target in the tip
+        frame_estimated      whether the measurement frames were estimated
+
+    Trust:
+
+        verdict              Verdict, its use and its reasons; None without cross-validation
+        errors               errors["nominal" | "calibrated" | "non_geometric"]["estimation" | "validation"]["m"].rms
+        cross_validation     CrossValidation, errors on held-out rows; None without
+        nominal_cross_validation  the same of the nominal robot
+        new_point            (near the measured poses, over the joint limits), expected error, rms [m]
+        zeros                JointZeros, the best joint zeros alone, with their errors; None where they cannot be fitted
+        expected_measured    rms standard deviation of predictions at the measured poses [m]
+        expected_everywhere  the same over the joint limits [m]
+        expected_elsewhere   the same with what the model lacks [m]
+        extrapolation        squared error of extrapolated predictions over that by the covariance, 1 or more
+        robustness           Robustness, the fit with and without lowered weights; None without outliers
+        outliers, suspects   Outliers among the fitted rows, and among the validation rows
+        outside              OutsideRows, validation rows outside of the fitted joint values
+
+    The rows:
+
+        rows                 RowNames: numbers, sets, kinds, stations and targets of the N rows
+        source               Source, name and hash of the table
+        residual_nominal     (N, D), measured minus predicted by the nominal robot; NaN if it is not judged
+        nominal_is_judged    False if a measurement frame was sought and not found
+        residual_calibrated  (N, D), by the calibrated robot
+        channels             unit of each entry of the residuals: "m", "rad" or "px"
+        used                 (N, D), True for the scalars that were measured
+        scores, weights      (N,), deleted residual and weight in the fit of each row
+        metres_per_pixel     (N,) [m/px], length at the board that a pixel is; None without images
+        errors_at_board      errors of images as lengths at the board [m], by set and robot
+        cameras, boards      Cameras and Boards of images, as estimated; nominal_cameras, nominal_boards as given
+        flag_limit           score above which a row is flagged
+        ranges               (m, 2) [rad] or [m], least and greatest joint values of fitted rows
+        sigma                noise of one scalar by its unit, such as sigma["m"] [m]; sigma_given as the cell or the
+                             table states it
+        pose_noise           PoseNoise, scale of stated covariances of poses, what the robot adds; None without any
+        repeats              Repeats, scatter of rows that repeat a pose; None where none does
+        freedom              degrees of freedom left for the noise
+
+    The parameters of the geometry:
+
+        model                ErrorModel: names, units and places of the p parameters
+        parameters           p ParameterEstimates: nominal and calibrated value, standard deviation, interval
+        x                    (p,), their offsets from the nominal robot [m], [rad]
+        covariance           (p, p), of x
+        kinematics           Kinematics, the nominal robot under the model
+        base_motion          (6, p), motion of the base that compensates each; None where rows tell where it stands
+        prior_std            prior standard deviation of each family, in its unit; prior_std_from, its source
+        frozen, ties         parameters that were kept, and those that follow another one
+        observability        Observability, rank and unobservable combinations
+        candidates           Candidates that "auto" chose from
+        solver, solution     name of the solver, and its Solution; seconds, its time [s]
+
+    The record:
+
+        record               Record, who measured what for whom, where, when and with what, as the cell says
+
+    In memory only (ModelError where the result was read from a file, which does not hold them):
+
+        measurements, cell   as given
+        fitted               Fitted, the fit of the geometry; fit, FitInMemory with all of these, None from a file
+    """
 
     #: The robot as given
     nominal: Robot
@@ -220,10 +299,122 @@ class CalibrationValues(FittedModel):
     #: Measurements and solved problem; None where the result was read from a file
     fit: FitInMemory | None = field(default=None, repr=False)
 
+    @staticmethod
+    def read_json(path: str | Path) -> Calibration:
+        """Read a result that `write_json` or ``calib calibrate --json`` wrote.
+
+        Args:
+            path: The file.
+
+        Returns:
+            The result; it does not hold the measurements.
+
+        Raises:
+            FileError: The file cannot be read, or is no result.
+        """
+        result: Calibration = shown_by("result.calibration_file").read_result(path)
+        return result
+
     def __repr__(self) -> str:
-        """One line with the nominal robot, the number of rows, and the verdict's use, if there is a verdict."""
-        verdict = "no verdict" if self.verdict is None else self.verdict.use
-        return f"Calibration({self.nominal!r}, {len(self.rows)} rows, {verdict})"
+        """One line: the nominal robot, the verdict, rms error before and after on held-out rows, number of rows."""
+        return str(shown_by("verbs.calibrate.text").calibration_line(self))
+
+    def _repr_html_(self) -> str:
+        """A small table for notebooks: the verdict and its first reason, errors before and after."""
+        return str(shown_by("verbs.calibrate.text").calibration_html(self))
+
+    def summary(self) -> str:
+        """Return the result as text, without colours."""
+        return str(shown_by("verbs.calibrate.text").summary(self))
+
+    def checked_urdf(self, *, target_link: bool = False) -> Urdf:
+        """Return the URDF that `write_urdf` writes, read back with Pinocchio and yourdfpy.
+
+        A verdict ``do not use`` stands in it as a comment; it is not obeyed here.
+
+        Args:
+            target_link: Whether it has a link ``calib_target`` at the target, fixed to the tip.
+
+        Returns:
+            The corrected URDF, the geometry alone.
+
+        Raises:
+            UrdfError: A reader disagrees with the model in memory by more than 1e-9 m or rad, or
+                the URDF has another link ``calib_target``.
+            ModelError: Several targets, which one link cannot stand for.
+        """
+        written = shown_by("verbs.calibrate.corrected_urdf")
+        urdf: Urdf = written.checked_urdf(self, target_link=target_link)
+        return urdf
+
+    def write_urdf(
+        self,
+        path: str | Path,
+        *,
+        overwrite: bool = False,
+        target_link: bool = False,
+        accept: bool = False,
+    ) -> Path:
+        """Write the corrected URDF, the geometry alone, after reading it back with Pinocchio and yourdfpy.
+
+        Args:
+            path: The file.
+            overwrite: Whether a file that exists is replaced.
+            target_link: Whether it has a link ``calib_target`` at the target, fixed to the tip.
+            accept: Whether it is written also where the verdict is ``do not use``; the verdict then stands in it as a
+                comment before ``<robot>``.
+
+        Returns:
+            The path.
+
+        Raises:
+            VerdictError: The verdict is ``do not use``, and ``accept`` is not given.
+            UrdfError: A reader disagrees with the model in memory by more than 1e-9 m or rad.
+            ModelError: Several targets, which one link cannot stand for.
+            FileError: The file exists, or cannot be written.
+        """
+        check_path("path", path)
+        written = shown_by("verbs.calibrate.corrected_urdf")
+        return Path(
+            written.write_urdf(
+                self, path, overwrite=overwrite, target_link=target_link, accept=accept
+            )
+        )
+
+    def write_json(self, path: str | Path, *, overwrite: bool = False) -> Path:
+        """Write the result as JSON, see docs/result-json.md.
+
+        Args:
+            path: The file.
+            overwrite: Whether a file that exists is replaced.
+
+        Returns:
+            The path.
+
+        Raises:
+            FileError: The file exists, or cannot be written.
+        """
+        check_path("path", path)
+        writer = shown_by("result.calibration_file")
+        return Path(writer.write_result(self, path, overwrite=overwrite))
+
+    def write_report(self, path: str | Path, *, overwrite: bool = False) -> Path:
+        """Write the report, a page with figures that prints on A4.
+
+        Args:
+            path: The HTML file.
+            overwrite: Whether a file that exists is replaced.
+
+        Returns:
+            The path.
+
+        Raises:
+            ModelError: The result was read from a file, which does not hold the measurements.
+            FileError: The file exists, or cannot be written.
+        """
+        check_path("path", path)
+        report = shown_by("verbs.calibrate.report")
+        return Path(report.write_report(self, path, overwrite=overwrite))
 
     @property
     def measurements(self) -> Measurements:

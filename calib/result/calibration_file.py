@@ -16,14 +16,17 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-import calib.plugins as plugins
-from calib.arrays import Array, read_only
-from calib.channels import Channels, residual_unit
+import calib.basics.plugins as plugins
+from calib.basics.arrays import Array, read_only
+from calib.basics.channels import Channels, residual_unit
+from calib.basics.files import write_atomically
+from calib.basics.json_files import Json, JsonLayout, Key, damage, json_bytes, nested, read_json
 from calib.diagnosis.coverage import OutsideRow
 from calib.diagnosis.reasons import Reason
 from calib.errors import CalibError, FileError, PluginError
-from calib.files import write_atomically
-from calib.json_files import Json, JsonLayout, Key, damage, json_bytes, nested, read_json
+from calib.fit.registration.setup import Setup
+from calib.fit.selection.candidates import Candidate
+from calib.fit.selection.robustness import Robustness
 from calib.model.families import FAMILIES, Factor, factor_of
 from calib.model.kinematics import Kinematics
 from calib.model.observability import Observability
@@ -31,16 +34,13 @@ from calib.model.parameters import SETUP, ErrorModel, Parameter
 from calib.numerics.errors import CrossValidation, Errors, UnitErrors
 from calib.numerics.pose_noise import PoseNoise
 from calib.numerics.repeats import Repeats
-from calib.registration.setup import Setup
-from calib.result.calibration import CalibrationValues, Source
+from calib.result.calibration import Calibration, Source
 from calib.result.cameras_file import boards_table, cameras_table, read_boards, read_cameras
 from calib.result.prediction import FittedModel, NonGeometric
 from calib.robot.payload import Payload
 from calib.robot.readings import coupling_of_table, coupling_table
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
-from calib.selection.candidates import Candidate
-from calib.selection.robustness import Robustness
 from calib.version import __version__
 
 #: The layout of a result.
@@ -277,7 +277,7 @@ _LAYOUT: JsonLayout = JsonLayout(
             "extrapolation": "expected.extrapolation",
         },
         NonGeometric: {"gravity": "gravity_m_s2"},
-        CalibrationValues: {
+        Calibration: {
             **dict.fromkeys(("nominal", "robot", "source", "fit")),
             "setup": "frames.",
             "nominal_setup": "frames.nominal",
@@ -322,7 +322,7 @@ def versions() -> dict[str, str]:
     return {"calib": __version__, "python": platform.python_version(), **packages}
 
 
-def result_table(c: CalibrationValues) -> dict[str, Any]:
+def result_table(c: Calibration) -> dict[str, Any]:
     """Return a result as nested tables of plain values and arrays, before missing numbers become null.
 
     Args:
@@ -368,7 +368,7 @@ def _registered_names(table: Json) -> dict[str, set[str]]:
     }
 
 
-def _derived_values(c: CalibrationValues) -> dict[str, Any]:
+def _derived_values(c: Calibration) -> dict[str, Any]:
     """Return what the file has besides the attributes of a calibration result.
 
     Args:
@@ -429,7 +429,7 @@ def _origins_table(robot: Robot) -> list[dict[str, Any]]:
 
 
 def write_result(
-    c: CalibrationValues,
+    c: Calibration,
     path: str | Path,
     *,
     overwrite: bool = False,
@@ -469,7 +469,7 @@ def write_table(table: Json, path: str | Path, *, overwrite: bool = False) -> Pa
     return write_atomically(Path(path), json_bytes(table), overwrite=overwrite)
 
 
-def read_result(path: str | Path) -> CalibrationValues:
+def read_result(path: str | Path) -> Calibration:
     """Read a calibration that `write_result` wrote.
 
     Args:
@@ -500,7 +500,7 @@ def read_result(path: str | Path) -> CalibrationValues:
         ) from error
 
 
-def _calibration(table: Json, folder: Path) -> CalibrationValues:
+def _calibration(table: Json, folder: Path) -> Calibration:
     """Return a calibration result from its tables.
 
     Args:
@@ -514,7 +514,7 @@ def _calibration(table: Json, folder: Path) -> CalibrationValues:
         ValueError: The tables contradict each other, or a number is missing. A damaged table raises other errors too.
     """
     nominal, inputs = _nominal(table, folder), table["inputs"]
-    values = _model_values(CalibrationValues, table, nominal)
+    values = _model_values(Calibration, table, nominal)
     lengths = len(values["ranges"]), len(values["rows"])
     if lengths != (len(nominal.joint_names), inputs["measurements"]["rows"]):
         raise ValueError("'robot.ranges' or 'rows' are not those of the result")
@@ -522,7 +522,7 @@ def _calibration(table: Json, folder: Path) -> CalibrationValues:
     if table["non_geometric"] is not None:
         attributes = _model_values(NonGeometric, table["non_geometric"], nominal)
         non_geometric = NonGeometric(**attributes)
-    return CalibrationValues(
+    return Calibration(
         **values,
         nominal=nominal,
         robot=values["kinematics"].model.apply(nominal, values["x"]),
@@ -565,7 +565,7 @@ def _model_values(kind: type[FittedModel], table: Json, nominal: Robot) -> dict[
     """Return the attributes of a fitted model, by their names, from its table in a result file.
 
     Args:
-        kind: The class whose attributes they are: `CalibrationValues`, or `NonGeometric`.
+        kind: The class whose attributes they are: `Calibration`, or `NonGeometric`.
         table: Its table: the whole file for the first, that of the non-geometric model for the second.
         nominal: The nominal robot.
 

@@ -13,16 +13,16 @@ from typing import Any
 
 import numpy as np
 
-from calib.arrays import Array
+from calib.basics.arrays import Array
+from calib.basics.mappings import ReadOnlyMapping
+from calib.boards.board import Board
 from calib.camera import optics
-from calib.camera.board import Board
 from calib.camera.camera import UNKNOWN, Camera
 from calib.camera.lenses import LENSES
-from calib.estimate.fitting import Fitted
-from calib.mappings import ReadOnlyMapping
+from calib.fit.estimate.fitting import Fitted
+from calib.fit.registration.rows import Rows
+from calib.fit.registration.setup import Setup
 from calib.model.parameters import BOARD, CAMERA, Parameter
-from calib.registration.rows import Rows
-from calib.registration.setup import Setup
 from calib.result.image_errors import metres_per_pixel
 from calib.result.prediction import FittedModel
 

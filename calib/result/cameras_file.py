@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from calib.arrays import Array
-from calib.camera.board import Board
+from calib.basics.arrays import Array
+from calib.basics.json_files import Json
+from calib.basics.mappings import ReadOnlyMapping
+from calib.boards.board import Board
 from calib.camera.camera import UNKNOWN, Camera
 from calib.camera.lenses import LENSES
-from calib.json_files import Json
-from calib.mappings import ReadOnlyMapping
 
 #: Attributes of a board, and their keys in the file.
 _BOARD_KEYS = {

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.arrays import Array, Integers, Mask
-from calib.channels import RESIDUAL_UNITS
+from calib.basics.arrays import Array, Integers, Mask
+from calib.basics.channels import RESIDUAL_UNITS
 from calib.diagnosis.coverage import shares_of_ranges, spread_of
 from calib.diagnosis.further_unknowns import (
     UNLIKELY,
@@ -29,14 +29,14 @@ from calib.diagnosis.residual_patterns import (
 )
 from calib.diagnosis.stated_covariances import idle_covariances
 from calib.diagnosis.stations import disagreeing_stations, flagged_station
-from calib.estimate.fitting import Fitted, fit
-from calib.estimate.gauge import measures_length
-from calib.estimate.problem import Problem
-from calib.estimate.task import PAPER
+from calib.fit.estimate.fitting import Fitted, fit
+from calib.fit.estimate.gauge import measures_length
+from calib.fit.estimate.problem import Problem
+from calib.fit.estimate.task import PAPER
+from calib.fit.registration.registration import ENOUGH
+from calib.fit.registration.rows import Rows
 from calib.model.families import FAMILIES, joint_families
-from calib.registration.registration import ENOUGH
-from calib.registration.rows import Rows
-from calib.result.calibration import CalibrationValues
+from calib.result.calibration import Calibration
 from calib.robot.ranges import column_ranges, spread_poses
 from calib.robot.robot import Robot
 
@@ -72,7 +72,7 @@ _ELSEWHERE = 5e-3
 _NARROW = 1.0 / 3.0
 
 
-def doubts_of(result: CalibrationValues, rows: Rows) -> tuple[Reason, ...]:
+def doubts_of(result: Calibration, rows: Rows) -> tuple[Reason, ...]:
     """List the reasons for doubt about a result besides its errors.
 
     They concern the fit of the non-geometric model where the result has one, else that of the geometry.
@@ -89,7 +89,7 @@ def doubts_of(result: CalibrationValues, rows: Rows) -> tuple[Reason, ...]:
     return tuple(_doubts(result, best, rows))
 
 
-def _doubts(result: CalibrationValues, fitted: Fitted, rows: Rows) -> Iterator[Reason]:
+def _doubts(result: Calibration, fitted: Fitted, rows: Rows) -> Iterator[Reason]:
     """Yield the reasons for doubt about a result besides its errors, in the order of the report.
 
     Args:
@@ -127,7 +127,7 @@ def _doubts(result: CalibrationValues, fitted: Fitted, rows: Rows) -> Iterator[R
         yield Reason.of(Why.NO_LENGTH)
 
 
-def _named_model(result: CalibrationValues) -> bool:
+def _named_model(result: Calibration) -> bool:
     """Tell if the user named the model, so that no larger one was tried.
 
     Args:
@@ -137,7 +137,7 @@ def _named_model(result: CalibrationValues) -> bool:
     return not result.candidates and result.solver != PAPER
 
 
-def _given_targets(result: CalibrationValues) -> Iterator[Reason]:
+def _given_targets(result: Calibration) -> Iterator[Reason]:
     """Doubt targets that the user gave and that were estimated far from there.
 
     Args:
@@ -240,7 +240,7 @@ def _hardly_moved(robot: Robot, rows: Rows) -> Mask:
     return np.asarray(np.ptp(robot.input_values(rows.joints), axis=0) < least)
 
 
-def _sole_postures(result: CalibrationValues, rows: Rows) -> Iterator[Reason]:
+def _sole_postures(result: Calibration, rows: Rows) -> Iterator[Reason]:
     """Name the first row of each sole posture, and the joint whose value there is furthest from all other rows'.
 
     A sole posture is one that no other row can check. Distances count as shares of the joint's range.
@@ -270,7 +270,7 @@ def _sole_postures(result: CalibrationValues, rows: Rows) -> Iterator[Reason]:
         yield Reason.of(Why.SOLE_POSTURE, rows=list(joints), joints=list(joints.values()))
 
 
-def _negative_compliances(result: CalibrationValues) -> Iterator[Reason]:
+def _negative_compliances(result: Calibration) -> Iterator[Reason]:
     """Name joints that would move against their load: an error that cannot be negative is, beyond its interval.
 
     Args:
@@ -294,7 +294,7 @@ def _negative_compliances(result: CalibrationValues) -> Iterator[Reason]:
             yield Reason.of(Why.COMPLIANCE_NEGATIVE, joint=parameter.place, family=family.name)
 
 
-def _agreeing_repeats(result: CalibrationValues, fitted: Fitted) -> Iterator[Reason]:
+def _agreeing_repeats(result: Calibration, fitted: Fitted) -> Iterator[Reason]:
     """Say if repeats of a pose agree far better with each other than with the model, which then lacks something.
 
     Args:
@@ -355,7 +355,7 @@ def thin(fitted: Fitted) -> tuple[Fitted, Mask]:
     return replace(fitted, estimate=thinned), chosen
 
 
-def _order(result: CalibrationValues, chosen: Mask) -> Order:
+def _order(result: Calibration, chosen: Mask) -> Order:
     """Return the order in which some fitted rows were measured, with the joints' moves to them in the whole table.
 
     Args:
@@ -424,7 +424,7 @@ def _noise_of(fitted: Fitted, model: str) -> float | None:
 
 
 def noise_doubts(
-    result: CalibrationValues, fitted: Fitted, doubts: tuple[Reason, ...]
+    result: Calibration, fitted: Fitted, doubts: tuple[Reason, ...]
 ) -> Iterator[Reason]:
     """Yield a reason for each channel whose noise exceeds the stated or, without one, a usual one.
 
@@ -451,7 +451,7 @@ def noise_doubts(
 
 
 def _channel_noise(
-    result: CalibrationValues,
+    result: Calibration,
     rows: Rows,
     c: int,
     of_channel: Integers,

@@ -6,15 +6,15 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from calib.arrays import Array, Integers, Mask
-from calib.channels import Channels
+from calib.basics.arrays import Array, Integers, Mask
+from calib.basics.channels import Channels
 from calib.diagnosis.evidence import Evidence
 from calib.diagnosis.reasons import NO, Reason, Why
-from calib.estimate.fitting import Fitted
+from calib.fit.estimate.fitting import Fitted
+from calib.fit.registration.rows import Rows
 from calib.numerics.errors import Errors
 from calib.numerics.rigid_motion import without_rigid_motion
-from calib.registration.rows import Rows
-from calib.result.calibration import CalibrationValues
+from calib.result.calibration import Calibration
 from calib.result.doubts import noise_doubts
 from calib.result.prediction import FittedModel, NonGeometric
 from calib.robot.ranges import spread_poses
@@ -27,7 +27,7 @@ _PER_JOINT = 4
 
 
 def evidence_of(
-    result: CalibrationValues,
+    result: Calibration,
     part: FittedModel,
     rows: Rows,
     doubts: tuple[Reason, ...],
@@ -86,7 +86,7 @@ def _measurements_of(rows: Rows) -> Integers:
     return np.unique(labels, axis=0, return_inverse=True)[1].reshape(-1)
 
 
-def _fit_of(result: CalibrationValues, part: FittedModel) -> Fitted:
+def _fit_of(result: Calibration, part: FittedModel) -> Fitted:
     """Return the fit of a part of a result.
 
     Args:
@@ -99,7 +99,7 @@ def _fit_of(result: CalibrationValues, part: FittedModel) -> Fitted:
     return fits.geometry
 
 
-def _full_model_parameters(result: CalibrationValues, fitted: Fitted) -> int:
+def _full_model_parameters(result: Calibration, fitted: Fitted) -> int:
     """Return the number of parameters of a full geometry, with those of the frames and targets that are estimated.
 
     Args:
@@ -115,7 +115,7 @@ def _full_model_parameters(result: CalibrationValues, fitted: Fitted) -> int:
     return _PER_JOINT * len(fitted.task.robot.inputs) + fitted.setup.count
 
 
-def _usable_non_geometric(result: CalibrationValues) -> tuple[str, Errors] | None:
+def _usable_non_geometric(result: Calibration) -> tuple[str, Errors] | None:
     """Return name and held-out errors of the non-geometric model of a result if it may be used.
 
     Args:
@@ -133,7 +133,7 @@ def _usable_non_geometric(result: CalibrationValues) -> tuple[str, Errors] | Non
     return model.name, model.cross_validation.errors_without_outliers
 
 
-def _noise_floor(result: CalibrationValues, fitted: Fitted, doubts: tuple[Reason, ...]) -> Array:
+def _noise_floor(result: Calibration, fitted: Fitted, doubts: tuple[Reason, ...]) -> Array:
     """Return the least noise by any model tried over that of a fit, for each scalar.
 
     What the noise of a fit exceeds it by is lack of model.
@@ -165,7 +165,7 @@ def _noise_floor(result: CalibrationValues, fitted: Fitted, doubts: tuple[Reason
     return np.asarray(by_instrument[fitted.estimate.problem.rows.channels.index])
 
 
-def _notes(result: CalibrationValues) -> Iterator[Reason]:
+def _notes(result: Calibration) -> Iterator[Reason]:
     """Yield reasons that only inform; they do not affect the verdict.
 
     Args:
@@ -201,7 +201,7 @@ def _notes(result: CalibrationValues) -> Iterator[Reason]:
         )
 
 
-def _note_on_non_geometric(result: CalibrationValues) -> Iterator[Reason]:
+def _note_on_non_geometric(result: Calibration) -> Iterator[Reason]:
     """Say if there is a non-geometric model, and if it predicts better than the geometry.
 
     Args:
@@ -224,7 +224,7 @@ def _note_on_non_geometric(result: CalibrationValues) -> Iterator[Reason]:
     yield Reason.of(why, model=model.name, after=errors, use=model.verdict.use)
 
 
-def _over_joint_limits(result: CalibrationValues, part: FittedModel) -> tuple[float, float]:
+def _over_joint_limits(result: Calibration, part: FittedModel) -> tuple[float, float]:
     """Return the expected errors over the joint limits, rms [m], of a part of a result and of the nominal robot.
 
     With the variance v of a predicted position there, mean over 200 joint values, v_0 at the measured poses and the
@@ -273,13 +273,13 @@ def _mean_variance(J: Array, covariance: Array) -> float:
     return float(np.mean(variances))
 
 
-def _errors_of(result: CalibrationValues, part: FittedModel) -> Mapping[str, Errors]:
+def _errors_of(result: Calibration, part: FittedModel) -> Mapping[str, Errors]:
     """Return the errors of a part of a result, its geometry or its non-geometric model, by set."""
     name = "non_geometric" if isinstance(part, NonGeometric) else "calibrated"
     return result.errors[name]
 
 
-def _validation_errors(result: CalibrationValues, part: FittedModel) -> tuple[Errors, Errors, int]:
+def _validation_errors(result: Calibration, part: FittedModel) -> tuple[Errors, Errors, int]:
     """Compare errors of the nominal robot and of a part of a result on the validation rows.
 
     Args:

@@ -1,7 +1,7 @@
 """The fits of a calibration: of the geometry, which the URDF holds, and of a non-geometric model where the data ask.
 
 The geometry is fitted with the weights of a reference fit where these predict held-out rows better, see
-`calib.selection.reference_fit`: with those of the non-geometric model if there is one.
+`calib.fit.selection.reference_fit`: with those of the non-geometric model if there is one.
 """
 
 from __future__ import annotations
@@ -12,29 +12,29 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.arrays import Mask
-from calib.blas import one_blas_thread
+from calib.basics.arrays import Mask
+from calib.basics.blas import one_blas_thread
 from calib.data.cell import AUTO, Cell
 from calib.data.measurements import Measurements
 from calib.diagnosis.frame_not_found import frame_not_found
 from calib.diagnosis.reasons import Reason
 from calib.diagnosis.usual_mistakes import check_positions, find_usual_mistake
-from calib.estimate.fitting import Fitted, fit
-from calib.estimate.task import PAPER, Task
+from calib.fit.estimate.fitting import Fitted, fit
+from calib.fit.estimate.task import PAPER, Task
+from calib.fit.registration.joint_loads import joint_loads
+from calib.fit.registration.known_distances import known_distances
+from calib.fit.registration.rows import Rows
+from calib.fit.registration.setup import Setup
+from calib.fit.registration.table_rows import rows_and_setup
+from calib.fit.selection.candidates import Candidate
+from calib.fit.selection.ladder import check_parameter_names
+from calib.fit.selection.reference_fit import fit_with_all_families, with_better_weights
+from calib.fit.selection.selection import select
 from calib.model.error_model import OWN, split_name
 from calib.model.parameters import Parameter
 from calib.numerics.scores import Limits
 from calib.numerics.solvers import Solver
-from calib.registration.joint_loads import joint_loads
-from calib.registration.known_distances import known_distances
-from calib.registration.rows import Rows
-from calib.registration.setup import Setup
-from calib.registration.table_rows import rows_and_setup
 from calib.robot.robot import Robot
-from calib.selection.candidates import Candidate
-from calib.selection.ladder import check_parameter_names
-from calib.selection.reference_fit import fit_with_all_families, with_better_weights
-from calib.selection.selection import select
 
 #: A smaller share of outliers is not worth the time that a non-geometric model takes.
 _FEW_OUTLIERS = 0.01

@@ -10,13 +10,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.arrays import Array, Mask
+from calib.basics.arrays import Array, Mask
+from calib.basics.channels import Channels
 from calib.camera.optics import INTRINSICS
-from calib.channels import Channels
-from calib.estimate.fitting import Fitted
+from calib.fit.estimate.fitting import Fitted
+from calib.fit.registration.rows import Rows
 from calib.model.kinematics import Optics
 from calib.numerics.errors import Errors
-from calib.registration.rows import Rows
 
 #: Percentile that is reported besides mean and largest error.
 _MOST = 95.0

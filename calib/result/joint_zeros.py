@@ -16,16 +16,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.arrays import Array, Mask, read_only
+from calib.basics.arrays import Array, Mask, read_only
+from calib.basics.mappings import keep_read_only
+from calib.basics.values import Value
 from calib.errors import CalibError
-from calib.estimate.fitting import Fitted, fit
-from calib.estimate.task import PAPER
-from calib.mappings import keep_read_only
-from calib.registration.rows import Rows
+from calib.fit.estimate.fitting import Fitted, fit
+from calib.fit.estimate.task import PAPER
+from calib.fit.registration.rows import Rows
+from calib.fit.selection.linear_folds import linear_cross_validation
 from calib.result.fits import TableFits
 from calib.robot.robot import Robot
-from calib.selection.linear_folds import linear_cross_validation
-from calib.values.pickling import Value
 
 #: Names of the rows whose errors count: predicted by fits without them, of the set ``validate``, or fitted.
 HELD_OUT = "held-out"

@@ -15,22 +15,22 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 import calib.data.kinds as registry
-from calib.arrays import Array, read_only
+from calib.basics.arrays import Array, read_only
+from calib.basics.mappings import keep_read_only
+from calib.basics.values import Value
 from calib.diagnosis.reasons import Verdict
-from calib.estimate.fitting import Fitted
-from calib.estimate.task import PAPER
-from calib.mappings import keep_read_only
+from calib.fit.estimate.fitting import Fitted
+from calib.fit.estimate.task import PAPER
+from calib.fit.registration.setup import Setup
 from calib.model.kinematics import Kinematics, Samples
 from calib.model.observability import Observability
 from calib.model.parameters import FRAME, TARGET, ErrorModel
 from calib.numerics.errors import CrossValidation, rms
 from calib.numerics.intervals import interval_factor
 from calib.numerics.rigid_motion import best_motion, displacements_by
-from calib.registration.setup import Setup
 from calib.robot.gravity import gravity_loads
 from calib.robot.payload import Payload
 from calib.robot.robot import Robot
-from calib.values.pickling import Value
 
 #: The most poses over which an expected error is averaged.
 _MOST_EXPECTED = 1000

@@ -20,12 +20,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pinocchio as pin
 
-from calib.arrays import Array, read_only, rigid_inverse
+from calib.basics.arrays import Array, read_only, rigid_inverse
+from calib.basics.units import unit_fault
+from calib.basics.values import Value
 from calib.errors import UrdfError, choices, did_you_mean
 from calib.robot.full_model import full_model
 from calib.robot.urdf import Urdf, UrdfJoint
-from calib.units import unit_fault
-from calib.values.pickling import Value
 
 MOVING = ("revolute", "continuous", "prismatic")
 """The types of joints that a chain may move by."""

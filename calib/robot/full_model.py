@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
-from calib.arrays import Array
+from calib.basics.arrays import Array
 from calib.errors import UrdfError, choices
 from calib.robot.urdf import Urdf
 

@@ -16,7 +16,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from calib.arrays import Array, Mask
+from calib.basics.arrays import Array, Mask
 from calib.robot import kernel
 from calib.robot.full_model import full_configurations, full_model, joint_frames, link_frame
 from calib.robot.payload import Payload, finite_vector

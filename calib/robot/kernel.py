@@ -17,7 +17,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.arrays import Array
+from calib.basics.arrays import Array
 
 Numbers = NDArray[np.int_]
 

@@ -18,7 +18,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 from pinocchio import hppfcl
 
-from calib.arrays import Array
+from calib.basics.arrays import Array
 from calib.robot.urdf import Urdf, robot_data_urdfs
 from calib.robot.xacro_file import listed_folders, packages_in
 

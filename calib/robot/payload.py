@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike
 
-from calib.arrays import Array, read_only
+from calib.basics.arrays import Array, read_only
+from calib.basics.values import Value
 from calib.errors import ModelError
-from calib.values.pickling import Value
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -13,11 +13,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from calib.arrays import Array, read_only
+from calib.basics.arrays import Array, read_only
+from calib.basics.units import unit_fault
 from calib.errors import CalibError, choices
 from calib.robot.robot import Robot
 from calib.robot.urdf import UrdfJoint
-from calib.units import unit_fault
 
 #: Number of joint values that `spread_poses` spreads over the ranges, unless another is given.
 SPREAD = 200
@@ -258,3 +258,22 @@ def range_text(robot: Robot, name: str, ends: Array | tuple[float, float]) -> st
         scale = 180.0 / np.pi
         unit = "deg"
     return f"{scale * ends[0]:.6g} to {scale * ends[1]:.6g} {unit}"
+
+
+#: Margin to the ends of a sliding joint [m], where that of the others is an angle.
+_SLIDING_MARGIN = 5e-3
+
+
+def margins_by_joint(robot: Robot, margin: float) -> Array:
+    """Return the distance that planned values keep to both limits of each measured joint.
+
+    Args:
+        robot: The robot, with m measured joints.
+        margin: Distance of joints that turn [rad]; 0: sliding joints keep none either.
+
+    Returns:
+        Shape (m,), in the order of ``robot.joint_names``: ``margin`` [rad] of joints that turn, 5 mm (or 0) [m] of
+        sliding ones.
+    """
+    slides = [joint.type == "prismatic" for joint in robot.inputs]
+    return np.where(slides, _SLIDING_MARGIN * bool(margin), margin)

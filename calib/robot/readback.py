@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from calib.arrays import Array, rigid_inverse
+from calib.basics.arrays import Array, rigid_inverse
 from calib.errors import UrdfError
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf

@@ -15,11 +15,11 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from calib.arrays import Array, read_only
+from calib.basics.arrays import Array, read_only
+from calib.basics.units import is_number
 from calib.errors import UrdfError, choices, did_you_mean
 from calib.robot.chain import MOVING
 from calib.robot.urdf import Urdf
-from calib.units import is_number
 
 ReadingCoupling: TypeAlias = tuple[tuple[str, tuple[tuple[str, float], ...]], ...]
 """Of each coupled joint the factors c of other joints' readings by name, sorted; [rad/rad], [m/m], or of both."""

@@ -23,7 +23,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from calib.arrays import Array, Mask, read_only, rigid_inverse
+from calib.basics.arguments import check_mapping, check_names, check_type, finite_numbers, numbers
+from calib.basics.arrays import Array, Mask, read_only, rigid_inverse
+from calib.basics.short import one_line
+from calib.basics.values import Value
 from calib.errors import ModelError, UrdfError, choices
 from calib.robot import kernel
 from calib.robot.chain import (
@@ -38,9 +41,6 @@ from calib.robot.dh.description import DHRobot
 from calib.robot.dh.rows import STANDARD, DHRow, DHTable
 from calib.robot.readings import ReadingCoupling, checked_coupling, reading_matrix
 from calib.robot.urdf import Urdf, UrdfJoint, read_urdf, urdf_of_dh
-from calib.values.arguments import check_mapping, check_names, check_type, finite_numbers, numbers
-from calib.values.pickling import Value
-from calib.values.short import one_line
 
 #: A placement that no <origin> holds may differ by rounding [m; rotation matrices: 1].
 _ROUNDING = 1e-12

@@ -16,10 +16,11 @@ from xml.etree.ElementTree import Element as AnyElement
 import numpy as np
 import pinocchio as pin
 
-from calib.arrays import Array, read_only
+from calib.basics.arrays import Array, read_only
+from calib.basics.files import check_no_xacro, read_bytes, write_atomically
+from calib.basics.json_files import parsed_json
+from calib.basics.values import Value
 from calib.errors import CalibError, UrdfError, choices, did_you_mean
-from calib.files import check_no_xacro, read_bytes, write_atomically
-from calib.json_files import parsed_json
 from calib.robot.dh.description import DHRobot
 from calib.robot.dh.file import ENDINGS, read_dh_robot
 from calib.robot.dh.json_file import robot_of_json
@@ -28,9 +29,11 @@ from calib.robot.generated.universal_robots import MODELS, named_ur_urdf, ur_mod
 from calib.robot.urdf_tree import UrdfJoint, read_tree
 from calib.robot.urdf_xml import Document
 from calib.robot.xacro_file import XacroCall, flattened, is_xacro
-from calib.values.pickling import Value
 
 __all__ = ["Urdf", "UrdfJoint", "find_urdf", "read_only", "read_urdf", "robot_data_urdfs"]
+
+#: Name of the link that carries the target in a corrected URDF, when asked for.
+TARGET_LINK = "calib_target"
 
 #: Entries of two poses that differ by no more are the same [m; rotation matrices: 1].
 SAME = 1e-14

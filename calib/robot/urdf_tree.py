@@ -13,11 +13,11 @@ from functools import partial
 import numpy as np
 import pinocchio as pin
 
-from calib.arrays import Array, read_only
+from calib.basics.arrays import Array, read_only
+from calib.basics.units import NUMBER
+from calib.basics.values import Value
 from calib.errors import UrdfError, choices, did_you_mean
 from calib.robot.urdf_xml import XACRO_FIX, Document, Element
-from calib.units import NUMBER
-from calib.values.pickling import Value
 
 #: The types of joints of URDF.
 JOINT_TYPES = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")

@@ -17,8 +17,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from calib.basics.files import read_bytes
 from calib.errors import UrdfError, choices, did_you_mean
-from calib.files import read_bytes
 
 TIME_LIMIT = 60.0
 """The time that flattening may take [s]."""

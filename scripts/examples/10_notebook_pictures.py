@@ -7,7 +7,8 @@ from matplotlib.figure import Figure
 
 import calib
 from calib.example import PAPER_TARGET, paper_measurements, paper_urdf
-from calib.report.figures import drawings, rendered
+from calib.show.drawing import rendered
+from calib.verbs.calibrate.figures import drawings
 
 # The UR3 of a paper, which comes with calib: 35 points of a laser tracker.
 robot = calib.Robot.load(paper_urdf(), base="base", tip="tool0")

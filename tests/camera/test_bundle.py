@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calib.camera.board import Board
+from calib.boards.board import Board
 from calib.camera.bundle import Bundle, refine_bundle
 from calib.camera.lenses import LENSES
 from calib.camera.planar_pose import moved, view_system

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calib.camera.board import Board
+from calib.boards.board import Board
 from calib.camera.camera import Camera
 from calib.camera.intrinsics import start_of_intrinsics
 from calib.camera.lenses import LENSES

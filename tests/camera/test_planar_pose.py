@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calib.camera.board import Board
+from calib.boards.board import Board
 from calib.camera.lenses import LENSES
 from calib.camera.planar_pose import homography, planar_pose
 

@@ -9,16 +9,16 @@ from pathlib import Path
 
 import pytest
 
-from calib.calibration import calibrate
 from calib.cli.exit_status import ExitStatus
 from calib.data.measurements import Measurements
 from calib.diagnosis.reasons import Verdict
+from calib.result.calibrate import calibrate
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
-from calib.simulation.scenario import Scenario
-from tests.cli.conftest import factory
-from tests.fleets.arms import CELL
+from calib.verbs.simulate.scenario import Scenario
+from tests.cli_fixtures import factory
 from tests.places import ROOT
+from tests.verbs.fleet.arms import CELL
 
 DOC = ROOT / "docs" / "command-line.md"
 ARM = ("--base", "base", "--tip", "tool0")

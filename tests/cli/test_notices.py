@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from calib.camera.board import Board
+from calib.boards.board import Board
 from calib.camera.camera import Camera
 from calib.cli.notices import say_accepted, say_ignored, say_unused_camera
 from calib.data.cell import Cell

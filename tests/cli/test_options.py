@@ -10,15 +10,15 @@ from typer.main import get_command
 from typer.testing import CliRunner
 
 from calib.cli.options import FitOptions, Robust, SolverOptions, TableOptions
-from calib.cli.program import app as program
 from calib.cli.verb import Verb, verb
 from calib.data import kinds
 from calib.errors import FileError, ModelError
-from calib.estimate.task import PAPER
-from calib.formats.convert import FORMATS
+from calib.fit.estimate.task import PAPER
 from calib.model.error_model import MODELS
 from calib.model.families import joint_families
 from calib.numerics.solvers import SOLVERS
+from calib.program import app as program
+from calib.verbs.convert.convert import FORMATS
 
 
 @verb("What it does.")

@@ -11,7 +11,7 @@ import sys
 import pytest
 
 from calib.cli.terminal import say, styled
-from calib.text.layout.lines import fill
+from calib.show.lines import fill
 
 TEXT = """Verdict: use with care
   Few rows.

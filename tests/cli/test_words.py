@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from calib.basics.units import Angle, Length
 from calib.cli.words import parse_columns, parse_held, parse_pair, parse_payload, parse_point
 from calib.data.forms.column_options import ColumnOptions
 from calib.errors import CalibError
 from calib.robot.payload import Payload
-from calib.units import Angle, Length
 
 
 @pytest.mark.parametrize("text", ["1 2 3 mm", "1,2,3 mm", " 1, 2, 3mm", "0.1 0.2 0.3 cm"])

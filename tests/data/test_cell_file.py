@@ -11,12 +11,12 @@ import pinocchio as pin
 import pytest
 from hypothesis import given, strategies as st
 
+from calib.basics.units import UNITS, parse_noise, parse_quantity
 from calib.data.cell import Cell, GroupDistance, Priors, TrackerNoise
 from calib.data.cell_file import checked, fields as keys, frame_attributes, numbers, read_cell_file
 from calib.data.record import Record
 from calib.errors import CalibError, FileError
 from calib.model.error_model import DIRECTIONS
-from calib.units import UNITS, parse_noise, parse_quantity
 from tests.places import ROOT
 
 DISTANCE = """

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
+from calib.basics.tables import Column, Table
 from calib.data.columns import column_names, name_columns, reserved, with_unit
 from calib.data.forms.column_options import ColumnOptions
 from calib.data.measurements import Measurements
 from calib.errors import MeasurementError
-from calib.tables.table import Column, Table
 from tests.data.tables import assert_same, refused
 
 

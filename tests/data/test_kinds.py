@@ -12,9 +12,9 @@ import calib
 from calib.data import kinds
 from calib.data.cell import TrackerNoise
 from calib.data.kinds import Kind, Reading, get, names, register
-from calib.design.plan_file import write_plan
-from calib.diagnosis.inspection import inspect
 from calib.errors import ArgumentError, CalibError, MeasurementError
+from calib.verbs.inspect.inspection import inspect
+from calib.verbs.plan.plan_file import write_plan
 
 
 def line_distance(T):

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from calib.basics.units import UNITS
 from calib.data.plausibility import implausible_length
-from calib.units import UNITS
 from tests.data.tables import refused
 
 

@@ -9,9 +9,9 @@ import numpy as np
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.diagnosis.extrapolation import extrapolation
-from calib.estimate.fitting import fit
-from calib.estimate.task import Task
-from calib.registration.table_rows import rows_and_setup
+from calib.fit.estimate.fitting import fit
+from calib.fit.estimate.task import Task
+from calib.fit.registration.table_rows import rows_and_setup
 
 
 def extrapolated(scene: Any, table: Measurements) -> float:

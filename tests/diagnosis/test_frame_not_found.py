@@ -11,12 +11,12 @@ import pytest
 import calib
 from calib.diagnosis.frame_not_found import frame_not_found
 from calib.diagnosis.reasons import NO, Reason, Why
-from calib.registration.table_rows import rows_and_setup
-from calib.report.figure_base import styled
-from calib.report.figure_errors import by_row, histograms
-from calib.result.acceptance import assess
-from calib.result.accuracy import fitted_rows
-from calib.text.verdict import reason_text
+from calib.fit.registration.table_rows import rows_and_setup
+from calib.show.figure_base import styled
+from calib.show.verdict import reason_text
+from calib.verbs.calibrate.figure_errors import by_row, histograms
+from calib.verbs.evaluate.acceptance import assess
+from calib.verbs.evaluate.accuracy import fitted_rows
 from tests.sought_frames import measured, sought_kinds, unstated
 
 __all__ = ["sought_kinds"]

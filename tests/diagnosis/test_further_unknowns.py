@@ -16,10 +16,10 @@ from calib.diagnosis.further_unknowns import (
     instrument_scale,
     motion_of_base,
 )
-from calib.estimate.fitting import fit
-from calib.estimate.task import Task
+from calib.fit.estimate.fitting import fit
+from calib.fit.estimate.task import Task
+from calib.fit.registration.table_rows import rows_and_setup
 from calib.model.parameters import FRAME
-from calib.registration.table_rows import rows_and_setup
 from calib.robot.ranges import random_joint_values
 from tests.judged import arm, table_of
 
@@ -135,7 +135,7 @@ def test_a_known_distance_between_sockets_tells_the_scale(calibrated):
     cell = replace(result.cell, distances=wrong)
     rows, setup = rows_and_setup(scene.robot, result.measurements, cell)
     task = replace(result.fitted.task, cell=cell, setup=setup)
-    from calib.registration.known_distances import known_distances
+    from calib.fit.registration.known_distances import known_distances
 
     found = fit(replace(task, distances=known_distances(cell, setup)), rows)
     assert instrument_scale(found).share == pytest.approx(0.01, abs=3.0 * scale.std)

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.arrays import read_only
+from calib.basics.arrays import read_only
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.diagnosis.misfit import misfit, with_joints
-from calib.registration.table_rows import rows_and_setup
+from calib.fit.registration.table_rows import rows_and_setup
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calib.arrays import read_only
+from calib.basics.arrays import read_only
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.diagnosis.reasons import Why
 from calib.diagnosis.usual_mistakes import find_usual_mistake
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
-from calib.simulation.truth import draw_truth
+from calib.verbs.simulate.truth import draw_truth
 
 
 @pytest.mark.parametrize(

@@ -8,11 +8,11 @@ import pytest
 from calib.data.cell import Cell
 from calib.diagnosis.reasons import Why
 from calib.diagnosis.stated_covariances import idle_covariances
-from calib.estimate.fitting import fit
-from calib.estimate.task import Task
-from calib.registration.table_rows import rows_and_setup
+from calib.fit.estimate.fitting import fit
+from calib.fit.estimate.task import Task
+from calib.fit.registration.table_rows import rows_and_setup
 from tests.covariances import random_covariances
-from tests.estimate.test_pose_noise import table_with
+from tests.fit.estimate.test_pose_noise import table_with
 
 #: The orientation before the position.
 TURNS_FIRST = [3, 4, 5, 0, 1, 2]

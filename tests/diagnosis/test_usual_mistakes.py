@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from calib.arrays import read_only
+from calib.basics.arrays import read_only
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.diagnosis.reasons import Reason, Why
@@ -24,12 +24,12 @@ from calib.diagnosis.usual_mistakes import (
 )
 from calib.errors import MeasurementError
 from calib.example import PAPER_TARGET, paper_urdf
-from calib.registration.rows import Rows
-from calib.registration.table_rows import rows_and_setup
+from calib.fit.registration.rows import Rows
+from calib.fit.registration.table_rows import rows_and_setup
 from calib.result.calibrate import calibrate
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
-from calib.simulation.truth import draw_truth
+from calib.verbs.simulate.truth import draw_truth
 from tests.places import ROOT
 
 TURN = np.array([[0.36, 0.48, -0.8], [-0.8, 0.6, 0.0], [0.48, 0.64, 0.6]])

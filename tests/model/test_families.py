@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calib.basics.units import UNITS
 from calib.errors import ArgumentError, ModelError
 from calib.model import families
 from calib.model.families import FAMILIES, Factor, Family, JointState, register
 from calib.model.joint_errors import joint_parameters
-from calib.units import UNITS
 
 
 @pytest.fixture

@@ -13,7 +13,7 @@ from calib.model.parameters import FRAME, TARGET, TIP, ErrorModel, Parameter
 from calib.robot.gravity import gravity_loads
 from calib.robot.payload import Payload
 from calib.robot.robot import Robot
-from calib.text.summary import combination_text
+from calib.show.words import combination_text
 
 ON_AXIS_6 = (0.0, 0.0, 0.05)
 

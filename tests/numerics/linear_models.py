@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.channels import Channels
-from calib.estimate.linear import LinearProblem
+from calib.basics.channels import Channels
+from calib.fit.estimate.linear import LinearProblem
 from calib.numerics.likelihood import GaussianPriors
 
 P = 14

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.channels import Channels
+from calib.basics.channels import Channels
 from calib.errors import CalibError
 from calib.numerics.errors import Errors
 from tests.residuals import lengths_and_angles

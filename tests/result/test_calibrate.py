@@ -10,25 +10,24 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calib.arrays import rigid_inverse
-from calib.calibration import calibrate
+from calib.basics.arrays import rigid_inverse
 from calib.data.cell import Cell, GroupDistance, Priors
 from calib.data.measurements import Measurements
 from calib.diagnosis.reasons import Why
 from calib.errors import ModelError, UrdfError
 from calib.example import PAPER_TARGET_AS_PRINTED
+from calib.fit.selection.candidates import mark_chosen
 from calib.model.kinematics import Samples
 from calib.numerics.errors import Errors
-from calib.result.calibrate import _validated
+from calib.result.calibrate import _validated, calibrate
 from calib.result.calibration_file import read_result
-from calib.result.evaluation import evaluate
 from calib.result.fits import fit_table
 from calib.robot.gravity import gravity_loads
 from calib.robot.payload import Payload
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
-from calib.selection.candidates import mark_chosen
+from calib.verbs.evaluate.evaluation import evaluate
 from tests.fits import FREE, SOCKETS, TARGETS, TRACKERS, gaps, in_each, two_targets
 
 # The paper's Table 3: nominal positions of rows 31 to 35 before calibration [mm].

@@ -12,21 +12,21 @@ import numpy as np
 import pytest
 
 import calib
-from calib.calibration import Calibration, calibrate
 from calib.data.cell import Cell
 from calib.data.record import Record
 from calib.errors import FileError, ModelError
 from calib.example.__init__ import paper_urdf
-from calib.result.calibration import CalibrationValues
+from calib.result.calibrate import calibrate
+from calib.result.calibration import Calibration
 from calib.result.calibration_file import (
     read_result,
     write_result,
 )
-from calib.result.evaluation import evaluate
 from calib.robot.payload import Payload
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
-from calib.text.summary import summary
+from calib.verbs.calibrate.text import summary
+from calib.verbs.evaluate.evaluation import evaluate
 from tests.places import ROOT
 
 DOC = ROOT / "docs" / "result-json.md"
@@ -119,10 +119,7 @@ def test_a_result_read_back_is_the_one_written(case: Any, tmp_path: Path):
     """Field by field, of every kind of measurement; and so is what is said of it."""
     _, c = case
     read = read_result(c.write_json(tmp_path / "r.json"))
-    assert (
-        differences(CalibrationValues(**{f.name: getattr(c, f.name) for f in fields(c)}), read)
-        == []
-    )
+    assert differences(Calibration(**{f.name: getattr(c, f.name) for f in fields(c)}), read) == []
     assert summary(read) == c.summary()
     assert set(read.zeros.errors) == set(c.cross_validation.errors_without_outliers.units)
 

@@ -9,12 +9,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.calibration import Calibration, calibrate
 from calib.camera import optics
 from calib.camera.camera import UNKNOWN
 from calib.camera.lenses import LENSES
+from calib.fit.registration.table_rows import rows_and_setup
 from calib.model.kinematics import Samples
-from calib.registration.table_rows import rows_and_setup
+from calib.result.calibrate import calibrate
+from calib.result.calibration import Calibration
 from tests.images import BOARD, VALUES, arm, camera, cell, poses, table
 from tests.result.test_calibration_file import WHOLE, differences, documented, leaves
 

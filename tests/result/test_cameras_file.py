@@ -5,9 +5,9 @@ from __future__ import annotations
 import json
 from dataclasses import fields
 
-from calib.camera.board import Board
+from calib.basics.json_files import plain
+from calib.boards.board import Board
 from calib.camera.camera import UNKNOWN, Camera
-from calib.json_files import plain
 from calib.result.cameras_file import boards_table, cameras_table, read_boards, read_cameras
 
 VALUES = [420.1, 418.0, 641.0, 358.0, -0.02, 0.01, -4e-3, 6e-17]

@@ -12,7 +12,7 @@ from calib.data.measurements import Measurements
 from calib.diagnosis.reasons import Reason, Why
 from calib.numerics.repeats import Repeats
 from calib.result.calibrate import calibrate
-from calib.result.calibration import CalibrationValues
+from calib.result.calibration import Calibration
 from calib.result.doubts import (
     _agreeing_repeats,
     _all_stated,
@@ -180,7 +180,7 @@ def test_residuals_that_a_model_lacks_or_that_follow_a_joint_are_no_noise(make_s
     lacks = Reason.of(Why.MODEL_LACKS, model="dh", less_m=1e-3, noise_m=4e-3)
     follows = Reason.of(Why.JOINT_PATTERN)
 
-    def found(result: CalibrationValues, doubt: Reason) -> list[Why]:
+    def found(result: Calibration, doubt: Reason) -> list[Why]:
         fitted = named.fit_in_memory.geometry
         return [reason.why for reason in noise_doubts(result, fitted, (doubt,))]
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.channels import Channels
+from calib.basics.channels import Channels
 from calib.result.evidence import (
     _full_model_parameters,
     _mean_variance,

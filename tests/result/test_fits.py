@@ -9,13 +9,13 @@ from unittest import mock
 import numpy as np
 import pytest
 
-from calib.calibration import calibrate
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.diagnosis.reasons import Why
-from calib.estimate.fitting import fit
+from calib.fit.estimate.fitting import fit
 from calib.model.parameters import FRAME
 from calib.result import fits as module
+from calib.result.calibrate import calibrate
 from calib.result.fits import fit_table
 from calib.robot.payload import Payload
 from tests.fits import TARGETS, every_sixth_validates

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.channels import Channels
-from calib.estimate.fitting import fit
-from calib.estimate.task import Task
-from calib.registration.table_rows import rows_and_setup
+from calib.basics.channels import Channels
+from calib.fit.estimate.fitting import fit
+from calib.fit.estimate.task import Task
+from calib.fit.registration.table_rows import rows_and_setup
 from calib.result.image_errors import ImageFigures, errors_at_board, metres_per_pixel
 from tests.images import BOARD, arm, cell, mounts, poses, table
 

@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calib.calibration import calibrate
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.data.priors import Priors
+from calib.fit.selection.linear_folds import linear_cross_validation
+from calib.result.calibrate import calibrate
 from calib.result.calibration_file import read_result, write_result
 from calib.result.joint_zeros import (
     ESTIMATION,
@@ -22,8 +23,7 @@ from calib.result.joint_zeros import (
     reading_offsets,
 )
 from calib.robot.robot import Robot
-from calib.selection.linear_folds import linear_cross_validation
-from tests.formats.zeros.arms import (
+from tests.verbs.convert.zeros.arms import (
     SERVO_ZEROS,
     TARGET,
     points,

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calib.calibration import calibrate
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.model.error_model import error_model
-from calib.result.calibration import CalibrationValues
+from calib.result.calibrate import calibrate
+from calib.result.calibration import Calibration
 from calib.result.prediction import _prior_std
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
@@ -26,7 +26,7 @@ def points_of(robot: Robot, q: np.ndarray) -> np.ndarray:
     return np.asarray(poses[:, :3, :3] @ TARGET + poses[:, :3, 3])
 
 
-def by_lengths(ur3: Robot, truth: Robot, rng: np.random.Generator, model: str) -> CalibrationValues:
+def by_lengths(ur3: Robot, truth: Robot, rng: np.random.Generator, model: str) -> Calibration:
     """A draw wire, from an anchor whose place is not known."""
     q = random_joint_values(ur3, 60, 1)
     lengths = np.linalg.norm(points_of(truth, q) - ANCHOR, axis=1)

@@ -6,7 +6,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from calib.arrays import rigid_inverse
+from calib.basics.arrays import rigid_inverse
 from calib.model.error_model import error_model
 from calib.model.joint_errors import axis_twists, joint_displacements
 from calib.model.kinematics import Kinematics, Samples

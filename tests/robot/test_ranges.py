@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from calib import example
+from calib.basics.units import Angle, Length
 from calib.data.measurements import Measurements
 from calib.errors import CalibError
 from calib.robot.ranges import (
@@ -22,7 +23,6 @@ from calib.robot.ranges import (
 )
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
-from calib.units import Angle, Length
 
 #: A slide with limits, a turn without, a knee, and an ankle that turns twice as far the other way.
 LEG = """<robot name="leg">

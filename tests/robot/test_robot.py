@@ -4,11 +4,11 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from calib.basics.units import Angle, Length
 from calib.errors import ModelError, UrdfError
 from calib.robot.readback import check_written
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
-from calib.units import Angle, Length
 from tests.robot.shared import (
     SOME_AND_SLOWLY_ALL,
     by_pinocchio,

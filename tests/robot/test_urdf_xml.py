@@ -8,12 +8,12 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from calib.design.solids import read_solids
 from calib.robot.meshes import link_shapes
 from calib.robot.ranges import random_joint_values
 from calib.robot.readback import check_written
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
+from calib.verbs.plan.solids import read_solids
 
 PLAIN = """<?xml version="1.0"?>
 <robot name="r">

@@ -6,12 +6,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TypeAlias
 
+from calib.basics.arguments import check_mapping, check_type
+from calib.basics.mappings import ReadOnlyMapping
+from calib.basics.units import Quantity, find_unit, symbols
 from calib.data.forms.brands import Brand, find_brand
 from calib.data.forms.orientations import Convention, find_convention
 from calib.errors import CalibError, MeasurementError, choices
-from calib.mappings import ReadOnlyMapping
-from calib.units import Quantity, find_unit, symbols
-from calib.values.arguments import check_mapping, check_type
 
 #: Units of the joints of a brand's tables that name none.
 _UNITS_OF_BRANDS: Mapping[Quantity, str] = {"angle": "deg", "length": "mm"}

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Collection
 from typing import NamedTuple
 
+from calib.basics.tables import Column, Table
 from calib.data.columns import Columns, Named, list_columns, with_unit
 from calib.data.forms.brands import BRANDS
 from calib.data.forms.column_options import ColumnOptions
 from calib.data.forms.orientations import CONVENTIONS, Convention
 from calib.errors import MeasurementError
-from calib.tables.table import Column, Table
 
 
 class Orientation(NamedTuple):

@@ -15,7 +15,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from calib.arrays import Array
+from calib.basics.arrays import Array
 from calib.errors import MeasurementError, choices, did_you_mean
 from calib.numerics.geometry import to_matrices, to_quaternions, to_rotation_vectors
 

@@ -8,8 +8,8 @@ import numpy as np
 
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
-from calib.registration.table_rows import rows_and_setup
-from calib.registration.views import views_of
+from calib.fit.registration.table_rows import rows_and_setup
+from calib.fit.registration.views import views_of
 from calib.robot.robot import Robot
 
 

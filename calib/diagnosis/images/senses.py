@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.arrays import Array
+from calib.basics.arrays import Array
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.data.priors import Priors
@@ -19,11 +19,11 @@ from calib.diagnosis.images.poses import as_poses
 from calib.diagnosis.misfit import with_joints
 from calib.diagnosis.reasons import Reason, Why
 from calib.errors import CalibError
-from calib.estimate.fitting import fit
-from calib.estimate.task import Task
-from calib.registration.rows import Rows
-from calib.registration.setup import Setup
-from calib.registration.table_rows import rows_and_setup
+from calib.fit.estimate.fitting import fit
+from calib.fit.estimate.task import Task
+from calib.fit.registration.rows import Rows
+from calib.fit.registration.setup import Setup
+from calib.fit.registration.table_rows import rows_and_setup
 from calib.robot.robot import Robot
 
 #: Reversed values fit far better where their error is less than this share of that of the values as given.

@@ -15,11 +15,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.arrays import Array, Mask
+from calib.basics.arrays import Array, Mask
 from calib.camera import optics
 from calib.diagnosis.further_unknowns import UNLIKELY, estimate_jointly
 from calib.diagnosis.reasons import Reason, Why
-from calib.estimate.fitting import Fitted
+from calib.fit.estimate.fitting import Fitted
 
 #: Relative errors of focal lengths and boards below this are of no consequence.
 _LEAST_SHARE = 1e-3

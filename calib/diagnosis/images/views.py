@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.arrays import Array, Integers
+from calib.basics.arrays import Array, Integers
 from calib.diagnosis.reasons import Reason, Why
-from calib.estimate.fitting import Fitted
+from calib.fit.estimate.fitting import Fitted
 
 #: A board that was never tilted by more than this was always seen head on [rad].
 _HEAD_ON = np.radians(15.0)

@@ -6,10 +6,10 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
+from calib.basics.tables import Column, Table
+from calib.basics.units import ANGLE, LENGTH, PLAIN, parse_quantity, split_header
 from calib.errors import CalibError, MeasurementError, choices, did_you_mean
 from calib.robot.dh.rows import CONVENTIONS, HAYATI, MODIFIED, STANDARD
-from calib.tables.table import Column, Table
-from calib.units import ANGLE, LENGTH, PLAIN, parse_quantity, split_header
 
 POSE = ("x", "y", "z", "roll", "pitch", "yaw")
 """Columns of a constant pose, R = Rz(yaw) Ry(pitch) Rx(roll)."""

@@ -8,11 +8,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike
 
-from calib.arrays import Array
+from calib.basics.arrays import Array
+from calib.basics.mappings import ReadOnlyMapping
+from calib.basics.values import Value
 from calib.errors import ModelError, choices, did_you_mean
-from calib.mappings import ReadOnlyMapping
 from calib.robot.dh.rows import CONVENTIONS, HAYATI, DHRow, DHTable
-from calib.values.pickling import Value
 
 BASE = "base"
 """Link before the first row, where the rows do not name it."""

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from calib.arrays import read_only
+from calib.basics.arrays import read_only
+from calib.basics.json_files import damage
 from calib.errors import CalibError, ModelError
-from calib.json_files import damage
 from calib.robot.dh.description import BASE, TIP, DHRobot
 from calib.robot.dh.rows import EQUATIONS, DHRow, DHTable
 

@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from calib.arrays import Array
+from calib.basics.arrays import Array
 
 #: The convention of Denavit and Hartenberg; see the module's text.
 STANDARD = "standard"

@@ -12,9 +12,9 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+from calib.basics.units import ANGLE, LENGTH, NUMBER, parse_quantity
 from calib.errors import CalibError
 from calib.robot.dh.columns import DHColumns
-from calib.units import ANGLE, LENGTH, NUMBER, parse_quantity
 
 #: What a cell of the directions may say.
 _DIRECTIONS = {"": 1, "1": 1, "+1": 1, "+": 1, "-1": -1, "-": -1, "1.0": 1, "-1.0": -1}

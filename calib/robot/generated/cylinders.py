@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from calib.arrays import Array
+from calib.basics.arrays import Array
 from calib.robot import kernel
 from calib.robot.dh.rows import screw
 from calib.robot.generated.urdf_text import Cylinder

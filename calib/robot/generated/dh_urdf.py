@@ -14,7 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.arrays import Array
+from calib.basics.arrays import Array
 from calib.robot.dh.description import DHRobot, link_names
 from calib.robot.dh.json_file import robot_json
 from calib.robot.dh.rows import MODIFIED, DHRow, DHTable, screw

@@ -12,12 +12,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pinocchio as pin
 
-from calib.arrays import Array, read_only
+from calib.basics.arrays import Array, read_only
+from calib.basics.values import Value
 from calib.errors import ModelError, choices
 from calib.robot.dh.rows import screw
 from calib.robot.generated.cylinders import joint_body, link_radii, rods
 from calib.robot.generated.urdf_text import Cylinder, NewJoint, urdf_bytes
-from calib.values.pickling import Value
 
 COLUMNS = ("theta", "a", "d", "alpha")
 """The columns of the rows."""

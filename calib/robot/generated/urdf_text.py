@@ -9,7 +9,7 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 import pinocchio as pin
 
-from calib.arrays import Array
+from calib.basics.arrays import Array
 
 #: A number below this is rounding of a product of rotations [m or rad].
 _ROUNDING = 1e-15

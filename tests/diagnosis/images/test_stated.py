@@ -9,9 +9,9 @@ import pytest
 
 from calib.diagnosis.images.stated import contradicted_statements
 from calib.diagnosis.reasons import Why
-from calib.estimate.fitting import fit
-from calib.estimate.task import Task
-from calib.registration.table_rows import rows_and_setup
+from calib.fit.estimate.fitting import fit
+from calib.fit.estimate.task import Task
+from calib.fit.registration.table_rows import rows_and_setup
 from tests.images import BOARD, VALUES, arm, camera, cell, poses, table
 
 FOCAL = np.array([1.015, 1.015, 1, 1, 1, 1, 1, 1, 1])

@@ -8,9 +8,9 @@ from scipy.spatial.transform import Rotation
 
 from calib.diagnosis.images.views import doubtful_views, spread_of_axes, views_of_fit
 from calib.diagnosis.reasons import Why
-from calib.estimate.fitting import fit
-from calib.estimate.task import Task
-from calib.registration.table_rows import rows_and_setup
+from calib.fit.estimate.fitting import fit
+from calib.fit.estimate.task import Task
+from calib.fit.registration.table_rows import rows_and_setup
 from tests.images import BOARD, HOME, arm, cell, mounts, poses, table
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from calib.basics.tables import Table
 from calib.errors import MeasurementError
 from calib.robot.dh.columns import dh_columns, is_dh_table
-from calib.tables.table import Table
 
 
 def table_of(tmp_path, *lines):

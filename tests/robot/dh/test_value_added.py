@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from calib.basics.tables import Table
 from calib.errors import MeasurementError
 from calib.robot.dh.columns import dh_columns
 from calib.robot.dh.value_added import ValueAdded, value_added
-from calib.tables.table import Table
 
 
 @pytest.fixture

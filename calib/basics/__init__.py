@@ -1,0 +1,1 @@
+"""What every room needs: errors' companions, units, arrays, values, files, tables, plugins, jobs. Imports errors."""

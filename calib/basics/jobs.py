@@ -1,0 +1,111 @@
+"""Many independent jobs: `run` them here or in any executor of `concurrent.futures`; Dask has one too.
+
+Jobs carry the plugins that are loaded here, and a worker loads them first. The rest of such a job is sent as bytes: it
+may name functions of a plugin, which exist in the worker only from then on.
+"""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import BrokenExecutor, Executor, Future, as_completed
+from typing import Any, TypeVar
+
+import calib.basics.plugins as plugins
+from calib.basics.plugins import Plugin
+from calib.errors import CalibError
+
+#: Function that is called with the number of jobs done and of all jobs.
+Progress = Callable[[int, int], None]
+
+#: Batches that the jobs are divided into at least: several for each worker of a usual machine.
+_BATCHES = 24
+
+Shared = TypeVar("Shared")
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+
+def run(
+    function: Callable[[Shared, Item], Result],
+    shared: Shared,
+    items: Iterable[Item],
+    executor: Executor | None = None,
+    *,
+    batch: int = 1,
+) -> Iterator[tuple[int, Result]]:
+    """Yield ``function(shared, item)`` of every item, in any order.
+
+    Args:
+        function: A module's function; its arguments and its result can be pickled.
+        shared: First argument of every call.
+        items: Second argument of each call.
+        executor: Where the calls are made; None: here, one after the other.
+        batch: Number of items sent together, with ``shared``: many for jobs that take less time than to be sent.
+
+    Yields:
+        The item's number, from 0, and the result.
+
+    Raises:
+        CalibError: A worker was killed, or ran out of memory.
+        PluginError: A worker cannot load a plugin.
+    """
+    numbered = enumerate(items)
+    if executor is None:
+        yield from ((number, function(shared, item)) for number, item in numbered)
+        return
+    jobs = list(numbered)
+    batches = [jobs[k : k + batch] for k in range(0, len(jobs), batch)]
+    pending = [_submit(executor, function, shared, jobs) for jobs in batches]
+    try:
+        for future in as_completed(pending):
+            yield from future.result()
+    except BrokenExecutor as error:
+        raise CalibError(
+            f"A worker process was killed, or ran out of memory ({error}). Try fewer --workers."
+        ) from error
+    finally:
+        for future in pending:
+            future.cancel()
+
+
+def batch_size(count: int, largest: int = 50) -> int:
+    """Return the number of short jobs to send together: few enough for all workers to end at about the same time.
+
+    Args:
+        count: Number of all jobs.
+        largest: The largest number to send together.
+    """
+    return max(1, min(largest, count // _BATCHES))
+
+
+def _submit(
+    executor: Executor,
+    function: Callable[[Shared, Item], Result],
+    shared: Shared,
+    jobs: list[tuple[int, Item]],
+) -> Future[list[tuple[int, Result]]]:
+    """Send one batch of numbered items to a worker."""
+    loaded = plugins.loaded()
+    if not loaded:
+        return executor.submit(_call, function, shared, jobs)
+    call = pickle.dumps((function, shared, jobs))
+    return executor.submit(_call_with_plugins, loaded, call)
+
+
+def _call_with_plugins(loaded: Sequence[Plugin], call: bytes) -> list[tuple[int, Any]]:
+    """Load plugins, then return the numbers and results of one batch, in a worker.
+
+    Args:
+        loaded: The plugins of the process that sends the jobs.
+        call: The pickled arguments of `_call`.
+    """
+    plugins.load_sent(loaded)
+    return _call(*pickle.loads(call))  # noqa: S301  from the process that sends the jobs
+
+
+def _call(
+    function: Callable[[Shared, Item], Result], shared: Shared, jobs: list[tuple[int, Item]]
+) -> list[tuple[int, Result]]:
+    """Return the numbers and results of one batch of numbered items, in a worker."""
+    return [(number, function(shared, item)) for number, item in jobs]

@@ -1,0 +1,260 @@
+"""JSON files of calib's own: tables with a ``schema``, made of dataclasses and read back into them.
+
+A `JsonLayout` makes tables of dataclasses and back: an attribute's type says how it is written, its key is its name
+unless the layout has another path. Dots separate nested tables; an empty path, or one that ends in a dot, puts the
+attribute's own keys beside the others.
+"""
+
+from __future__ import annotations
+
+import enum
+import json
+import math
+import os
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import MISSING, dataclass, fields, is_dataclass
+from types import UnionType
+from typing import Any, Union, get_args, get_origin, get_type_hints
+
+import numpy as np
+
+from calib.basics.files import read_bytes
+from calib.errors import CalibError, FileError
+
+#: A table of a JSON file.
+Json = Mapping[str, Any]
+
+#: A list of more entries than this is written with one of them a line.
+_LONG = 500
+
+
+def read_json(
+    path: str | os.PathLike[str],
+    what: str,
+    schema: object,
+    expected: str,
+) -> dict[str, Any]:
+    """Read a table that has the right ``schema``.
+
+    Args:
+        path: The file.
+        what: The kind of file that is expected, such as ``"result of calib"``, for messages.
+        schema: The value of its key ``schema``.
+        expected: A sentence for messages about which schema is expected and which file to give.
+
+    Raises:
+        FileError: It cannot be read, is no JSON, or of another schema.
+    """
+    table = parsed_json(
+        read_bytes(path, what), f"{path}", f" Wanted is a {what} with its 'schema'; {expected}"
+    )
+    stated = table.get("schema") if isinstance(table, dict) else None
+    if not isinstance(table, dict) or stated != schema:
+        raise FileError(f"{path}: its 'schema' is {stated!r}; {expected}")
+    return table
+
+
+def parsed_json(text: str | bytes, source: str, wanted: str = "") -> Any:  # noqa: ANN401  any JSON
+    """Return the value that JSON states.
+
+    Args:
+        text: The JSON.
+        source: The file that holds it, for messages.
+        wanted: What should be there, for messages: a sentence after a blank.
+
+    Raises:
+        FileError: It is no JSON.
+    """
+    try:
+        return json.loads(text, parse_constant=_refuse_constant)
+    except (ValueError, RecursionError) as error:
+        raise FileError(f"{source}: this is not a JSON file: {error}.{wanted}") from error
+
+
+def _refuse_constant(name: str) -> float:
+    """Refuse NaN and Infinity, which JSON does not have; calib writes null."""
+    raise ValueError(f"it holds {name}; write the number, or null where there is none")
+
+
+def damage(error: Exception) -> str:
+    """Return the fault that an exception found in a file's nested tables, as text for a message."""
+    if isinstance(error, KeyError):
+        return f"'{error.args[0]}' is missing"
+    if isinstance(error, (ValueError, CalibError)):
+        return str(error).rstrip(".")
+    return f"a value is of another kind: {error}"
+
+
+def json_bytes(table: Json) -> bytes:
+    """Return a table as JSON in UTF-8, one value a line, of a long list one entry a line; see `plain`."""
+    lines = []
+    for key, value in table.items():
+        entry = plain(value)
+        if isinstance(entry, list) and len(entry) > _LONG:
+            rows = ",\n  ".join(json.dumps(row, ensure_ascii=False) for row in entry)
+            text = f"[\n  {rows}\n ]"
+        else:
+            text = json.dumps(entry, indent=1, ensure_ascii=False).replace("\n", "\n ")
+        lines.append(f" {json.dumps(key)}: {text}")
+    # A byte of a file's name that UTF-8 does not have is written as JSON's own escape.
+    return ("{\n" + ",\n".join(lines) + "\n}\n").encode("utf-8", "backslashreplace")
+
+
+def plain(value: Any) -> Any:  # noqa: ANN401  any value
+    """Return a value, or nested tables, as JSON has them: arrays as lists, NaN and infinity as None."""
+    if isinstance(value, Mapping):
+        return {key: plain(entry) for key, entry in value.items()}
+    if isinstance(value, (np.ndarray, np.generic)):
+        return plain(value.tolist())
+    if isinstance(value, (list, tuple)):
+        return [plain(entry) for entry in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+@dataclass(frozen=True, slots=True)
+class Key:
+    """Path of an attribute in the file, and functions for a value that its type does not say how to write."""
+
+    #: Keys of nested tables, separated by dots.
+    path: str
+    #: From the attribute to the file; None: by its type.
+    write: Callable[[Any], Any] | None = None
+    #: From the file to the attribute; None: by its type.
+    read: Callable[[Any], Any] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class JsonLayout:
+    """Layout of dataclasses in a JSON file: writes them as nested tables, and reads them back."""
+
+    #: By class, from the name of an attribute to its path in the file; None: the attribute is not in the file. An
+    #: attribute that is not listed has its name as its path. Those of a base class hold for the classes below it.
+    keys: Mapping[type, Mapping[str, Key | str | None]]
+    #: By type, the function that writes its values and the one that reads them; None: as without an entry.
+    types: Mapping[type, tuple[Callable[[Any], Any] | None, Callable[[Any], Any] | None]]
+
+    def table(self, value: Any) -> dict[str, Any]:  # noqa: ANN401  a dataclass
+        """Return a dataclass as nested tables."""
+        entries = {}
+        for name, key in self._keys_of(type(value)):
+            write = key.write or self._write
+            entries[key.path] = write(getattr(value, name))
+        return nested(entries)
+
+    def values(self, kind: type, table: Json, excluded: Collection[str] = ()) -> dict[str, Any]:
+        """Return the attributes of a dataclass by name, from its table.
+
+        Args:
+            kind: The dataclass.
+            table: Its table in the file.
+            excluded: Names of attributes that are not read.
+
+        Returns:
+            Arguments for the class, without those excluded, and without those that have a default and are not in the
+            table.
+
+        Raises:
+            KeyError: An attribute without a default is missing.
+        """
+        hints = get_type_hints(kind)
+        with_default = set()
+        for field in fields(kind):
+            if field.default is not MISSING or field.default_factory is not MISSING:
+                with_default.add(field.name)
+        result = {}
+        for name, key in self._keys_of(kind):
+            *folders, last = key.path.split(".")
+            place: Any = table
+            for folder in folders:
+                place = place[folder]
+            if name in excluded or (name in with_default and last not in place):
+                continue
+            entry = place[last] if last else place
+            if key.read:
+                result[name] = key.read(entry)
+            else:
+                result[name] = self.read(hints[name], entry)
+        return result
+
+    def read(self, hint: Any, entry: Any) -> Any:  # noqa: ANN401  any type, any JSON
+        """Return a value of a type from the file's entry; null is NaN where a float is expected.
+
+        Args:
+            hint: The type, as the hint of a dataclass's field.
+            entry: JSON as Python reads it.
+        """
+        if isinstance(hint, type):
+            _, reader = self.types.get(hint, (None, None))
+            if reader is not None:
+                return reader(entry)
+        if hint is float:
+            return float("nan") if entry is None else float(entry)
+        if hint in (int, bool, str):
+            return hint(entry)
+        if get_origin(hint) is not None:
+            return self._read_generic(hint, entry)
+        if isinstance(hint, enum.EnumMeta):
+            return hint[entry.upper()]
+        if isinstance(hint, type) and is_dataclass(hint):
+            return hint(**self.values(hint, entry))
+        return entry
+
+    def _read_generic(self, hint: Any, entry: Any) -> Any:  # noqa: ANN401  any type, any JSON
+        """Return a value of a type with parameters, such as ``tuple[float, ...]`` or ``Array | None``."""
+        origin = get_origin(hint)
+        parameters = get_args(hint)
+        if origin in (Union, UnionType):
+            return None if entry is None else self.read(parameters[0], entry)
+        if origin is np.ndarray:
+            array = np.array(entry, dtype=get_args(parameters[1])[0])
+            array.setflags(write=False)
+            return array
+        if origin is tuple:
+            return tuple(self.read(parameters[0], value) for value in entry)
+        if origin in (dict, Mapping):
+            return {str(name): self.read(parameters[1], value) for name, value in entry.items()}
+        return entry
+
+    def _write(self, value: Any) -> Any:  # noqa: ANN401  any value
+        """Return a value as JSON has it; arrays and numbers stay what they are."""
+        writer, _ = self.types.get(type(value), (None, None))
+        if writer is not None:
+            return writer(value)
+        if isinstance(value, enum.Enum):
+            return value.name.lower()
+        if isinstance(value, Mapping):
+            return {name: self._write(entry) for name, entry in value.items()}
+        if isinstance(value, tuple | list):
+            return [self._write(entry) for entry in value]
+        return self.table(value) if is_dataclass(value) else value
+
+    def _keys_of(self, kind: type) -> list[tuple[str, Key]]:
+        """Return the attributes of a class that are in the file, with their keys."""
+        listed: dict[str, Key | str | None] = {}
+        for base in reversed(kind.__mro__):
+            listed |= self.keys.get(base, {})
+        result = []
+        for field in fields(kind):
+            key = listed.get(field.name, field.name)
+            if isinstance(key, str):
+                key = Key(key)
+            if key is not None:
+                result.append((field.name, key))
+        return result
+
+
+def nested(flat: Json) -> dict[str, Any]:
+    """Return nested tables from values by their paths, such as ``"robot.base"``; see the module's text."""
+    result: dict[str, Any] = {}
+    for path, value in flat.items():
+        *folders, last = path.split(".")
+        place = result
+        for folder in folders:
+            place = place.setdefault(folder, {})
+        if last:
+            place[last] = value
+        else:
+            place.update(value)
+    return result

@@ -1,0 +1,307 @@
+"""A table as text: separator, header and rows of cells.
+
+One reader for all tables of calib: comma, semicolon or tab between the cells, units in the header, blank lines and
+those that begin with # skipped; or a sheet of an Excel file.
+"""
+
+from __future__ import annotations
+
+import codecs
+import csv
+import hashlib
+import io
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NoReturn
+
+import numpy as np
+
+from calib.basics.arrays import Array
+from calib.basics.files import read_bytes
+from calib.basics.units import NUMBER, Unit, find_unit
+from calib.basics.workbook import read_sheet, split_sheet
+from calib.errors import CalibError, FileError, MeasurementError
+
+#: What may separate cells; in a tie the first wins.
+SEPARATORS = (",", ";", "\t")
+
+#: A line before the header that tells Excel the separator: ``sep=;``.
+_SEPARATOR_LINE = re.compile(r'"?sep=([,;\t])"?[\s,;]*$', re.IGNORECASE)
+
+#: Characters of a line without content.
+_BLANKS = " \t,;\n"
+
+#: What a line to be skipped begins with.
+_COMMENTS = ("#", '"#')
+
+_EXAMPLE = "such as: set,joint_1 [deg],joint_2 [deg],x [mm],y [mm],z [mm]"
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """One column of a table: its position, its header, and the name and unit that calib reads it by."""
+
+    #: Position in the table, from 0.
+    index: int
+    #: The header cell as written, for messages.
+    label: str
+    #: Name that calib reads it by, after ``--columns`` was applied.
+    name: str
+    #: Symbol of the unit as written; None without brackets.
+    symbol: str | None
+
+    @property
+    def unit(self) -> Unit | None:
+        """The unit; None without one, and for an unknown one, which may not matter."""
+        if self.symbol is None:
+            return None
+        try:
+            return find_unit(self.symbol)
+        except CalibError:
+            return None
+
+    @property
+    def is_angle(self) -> bool:
+        """True if the column is in a unit of angle."""
+        return self.unit is not None and self.unit.quantity == "angle"
+
+    @property
+    def to_si(self) -> float:
+        """Factor from the numbers as written to SI units; 1 without a unit, as of quaternions."""
+        unit = self.unit
+        return 1.0 if unit is None else unit.to_si
+
+
+#: A line of the file that is not skipped: its number, from 1, and its text.
+_Line = tuple[int, str]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Table:
+    """A text table: comma, semicolon or tab separated, one header line, blank and # lines skipped.
+
+    A line ``sep=;`` before the header names the separator, as it does for Excel.
+    """
+
+    #: The file's name, for messages.
+    source: str
+    #: Hash of the file's bytes.
+    sha256: str
+    #: One of `SEPARATORS`.
+    separator: str
+    #: The header's cells.
+    header: tuple[str, ...]
+    #: Line of the file at which each row ends, from 1.
+    lines: tuple[int, ...]
+    #: The stripped cells of each row, as many as the header has.
+    cells: tuple[list[str], ...]
+
+    @classmethod
+    def read(cls, path: str | Path) -> Table:
+        """Read a table from a file.
+
+        Args:
+            path: A text file in UTF-8, UTF-16 or Windows' own encoding.
+
+        Returns:
+            The table; the numbers in its cells are not read yet.
+
+        Raises:
+            MeasurementError: The file does not exist, is no text, has no header, or a row with
+                another number of cells than the header.
+        """
+        source, sha256, text = read_text(path, "The table")
+        content = _content(text)
+        named = _SEPARATOR_LINE.match(content[0][1]) if content else None
+        if named is not None:
+            del content[0]
+        if not content:
+            raise MeasurementError(
+                f"{path}: the file is empty. A table begins with a header line, {_EXAMPLE}"
+            )
+        header_line = content[0][1]
+        separator = max(SEPARATORS, key=header_line.count)
+        if named is not None and named[1] in header_line:
+            separator = named[1]
+        lines, cells = _split_lines(source, content, separator)
+        header = tuple(cells[0])
+        if all(NUMBER.fullmatch(cell) for cell in header):
+            raise MeasurementError(
+                f"{source}: the first line holds numbers where the header should be, {_EXAMPLE}"
+            )
+        table = cls(source, sha256, separator, header, tuple(lines[1:]), tuple(cells[1:]))
+        table._check_widths()
+        return table
+
+    def _check_widths(self) -> None:
+        """Refuse a row with more or fewer cells than the header."""
+        width = len(self.header)
+        for number, (line, row) in enumerate(zip(self.lines, self.cells, strict=True), 1):
+            if len(row) == width:
+                continue
+            comma = ""
+            if self.separator == "," and len(row) > width:
+                comma = " A decimal comma needs semicolons between the columns."
+            raise MeasurementError(
+                f"{self.source}, line {line} (row {number}): the row has {len(row)} cells, the "
+                f"header has {width}. Make them as many.{comma}"
+            )
+
+    def column(self, column: Column) -> list[str]:
+        """Return the cells of a column, one a row."""
+        return [row[column.index] for row in self.cells]
+
+    def numbers(self, columns: Sequence[Column]) -> Array:
+        """Read the numbers of columns, in the units as written.
+
+        Args:
+            columns: The columns, of which there are c.
+
+        Returns:
+            Numbers, shape (rows, c); NaN where a cell is empty, infinite where it holds no number.
+
+        Raises:
+            MeasurementError: Decimal points stand beside decimal commas, of which one may separate
+                thousands.
+        """
+        texts = [self.column(column) for column in columns]
+        if self.separator != ",":
+            self._check_decimal_signs(texts)
+            texts = [[text.replace(",", ".") for text in column] for column in texts]
+        result = np.empty((len(self.cells), len(columns)))
+        for k, column_texts in enumerate(texts):
+            result[:, k] = _parsed(column_texts)
+        return result
+
+    def _check_decimal_signs(self, texts: Sequence[Sequence[str]]) -> None:
+        """Refuse columns of cells with a decimal point in one and a decimal comma in another."""
+        first_lines: dict[str, int] = {}
+        for column in texts:
+            for sign in ".,":
+                row = next((i for i, text in enumerate(column) if sign in text), None)
+                if row is not None:
+                    first_lines.setdefault(sign, self.lines[row])
+        if len(first_lines) == 2:
+            raise MeasurementError(
+                f"{self.source}: numbers have a decimal point in line {first_lines['.']} and a "
+                f"decimal comma in line {first_lines[',']}. Write all in one way, without a sign "
+                "between thousands."
+            )
+
+    def fail(
+        self,
+        row: int,
+        column: Column,
+        what: str,
+        row_numbers: Column | None = None,
+    ) -> NoReturn:
+        """Refuse a cell.
+
+        Args:
+            row: The cell's row, from 0.
+            column: The cell's column.
+            what: What is wrong with it and how to mend it, for the message.
+            row_numbers: The column with the table's own row numbers, for the message; None: the
+                rows are counted from 1.
+
+        Raises:
+            MeasurementError: Always.
+        """
+        written = self.cells[row][row_numbers.index] if row_numbers else ""
+        number = written or str(row + 1)
+        raise MeasurementError(
+            f"{self.source}, line {self.lines[row]} (row {number}), column '{column.label}': {what}"
+        )
+
+
+def _content(text: str) -> list[_Line]:
+    """Return the lines of a text that are neither blank nor comments."""
+    result = []
+    for number, line in enumerate(io.StringIO(text), 1):
+        if line.strip(_BLANKS) and not line.lstrip().startswith(_COMMENTS):
+            result.append((number, line))
+    return result
+
+
+def _split_lines(
+    source: str, content: Sequence[_Line], separator: str
+) -> tuple[list[int], list[list[str]]]:
+    """Return the line at which each row ends, and its stripped cells; the header is the first."""
+    reader = csv.reader(
+        (line for _, line in content), delimiter=separator, skipinitialspace=True, strict=True
+    )
+    lines: list[int] = []
+    cells: list[list[str]] = []
+    try:
+        for row in reader:
+            lines.append(content[reader.line_num - 1][0])
+            cells.append([cell.strip() for cell in row])
+    except csv.Error as error:
+        raise MeasurementError(
+            f"{source}, line {content[reader.line_num - 1][0]}: not a CSV table ({error}). Check "
+            'the double quotes (") there and above.'
+        ) from error
+    return lines, cells
+
+
+def _parsed(texts: Sequence[str]) -> Array:
+    """Return numbers of cells, shape (rows,): NaN of an empty one, infinite of what is no number."""
+    try:  # the usual column at once: ten times as fast
+        numbers = np.array(list(map(float, texts)), dtype=np.float64)
+    except ValueError:
+        numbers = np.array([np.nan])
+    # float() also reads nan, inf and 1_000, which no cell may hold.
+    is_usual = np.isfinite(numbers).all() and not any("_" in text for text in texts)
+    if is_usual:
+        return numbers
+    return np.array([_number(text) for text in texts], dtype=np.float64)
+
+
+def _number(text: str) -> float:
+    """Return the number in a cell; NaN if it is empty, infinite if it holds no number."""
+    if NUMBER.fullmatch(text):
+        return float(text)
+    return np.inf if text else np.nan
+
+
+def read_text(path: str | Path, what: str) -> tuple[str, str, str]:
+    r"""Read a text file.
+
+    Args:
+        path: A file in UTF-8 with or without its mark, in UTF-16 with one (Excel's "Unicode
+            text"), else in Windows' own encoding; or an Excel file, perhaps with one of its sheets,
+            ``"table.xlsx#Sheet"``.
+        what: What the file should be, for messages: ``"The table"``.
+
+    Returns:
+        The file's name for messages, the SHA-256 of its bytes (of a sheet: of its text), and the text, with lines that
+        end in ``\n``.
+
+    Raises:
+        MeasurementError: The file does not exist, or is no text.
+    """
+    file, sheet = split_sheet(str(path))
+    source = (Path(file).name or str(path)) + (f"#{sheet}" if sheet else "")
+    try:
+        data = read_bytes(path if sheet is None else file, what)
+    except FileError as error:
+        raise MeasurementError(str(error)) from error
+    if sheet is not None:
+        read = read_sheet(data, source, sheet)
+        if not sheet and not read.is_only:
+            source = f"{source}#{read.name}"
+        # Two sheets of one file are two tables.
+        return source, hashlib.sha256(read.text.encode()).hexdigest(), read.text
+    sha256 = hashlib.sha256(data).hexdigest()
+    is_utf16 = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+    try:
+        text = data.decode("utf-16" if is_utf16 else "utf-8-sig")
+    except UnicodeDecodeError:
+        text = data.decode("cp1252", errors="replace")
+    if "\0" in text:
+        raise MeasurementError(
+            f"{source}: this is not a text file. Save it as text (CSV, UTF-8) or as .xlsx."
+        )
+    return source, sha256, text.replace("\r\n", "\n").replace("\r", "\n")

@@ -1,0 +1,180 @@
+"""Corners of boards in pictures: every picture is searched, and every one that gives nothing has its reason."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import calib.basics.jobs as jobs
+from calib.basics.arguments import (
+    check_callable,
+    check_executor,
+    check_type,
+    check_whole,
+    wrong_type,
+)
+from calib.basics.values import Value
+from calib.boards.board import CHESSBOARD, Board
+from calib.boards.detection.board_search import FEWEST_CORNERS, LAYOUT
+from calib.boards.detection.findings import (
+    Finding,
+    board_findings,
+    is_wrong_description,
+    picture_findings,
+    usual_sizes,
+)
+from calib.boards.detection.image_files import ImageFile, find_images
+from calib.boards.detection.other_patterns import kind_of, other_pattern
+from calib.boards.detection.picture import OTHER_SIZE, Picture, Search, look
+from calib.errors import CalibError, choices
+
+
+@dataclass(frozen=True, slots=True)
+class Detection(Value):
+    """The boards in pictures."""
+
+    boards: tuple[Board, ...]
+    #: In the order in which they were named.
+    pictures: tuple[Picture, ...]
+    findings: tuple[Finding, ...]
+    #: Fewest corners of a board in a picture that are used.
+    fewest: int
+
+    @property
+    def used(self) -> tuple[Picture, ...]:
+        """The pictures of which corners are used."""
+        return tuple(picture for picture in self.pictures if picture.used)
+
+    @property
+    def corner_count(self) -> int:
+        """Number of all corners that are used."""
+        return sum(len(view.ids) for picture in self.pictures for view in picture.used)
+
+
+def detect(
+    images: Sequence[ImageFile | str | Path],
+    boards: Sequence[Board],
+    *,
+    fewest: int = FEWEST_CORNERS,
+    executor: Executor | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Detection:
+    """Find the corners of boards in pictures.
+
+    Args:
+        images: The pictures, or files, folders and patterns as `find_images` takes them.
+        boards: The boards that they may show; their names and their markers are different.
+        fewest: Fewest corners of a board in a picture that are used.
+        executor: Where the pictures are searched; None: here.
+        progress: Called with the number of pictures done and of all.
+
+    Returns:
+        What every picture shows, and what is wrong with them or with the boards' descriptions.
+
+    Raises:
+        ArgumentError: An argument has a wrong type.
+        CalibError: Two boards have one name, or share markers, or there is no such picture.
+
+    Example:
+        >>> board = Board(pattern="chessboard", columns=9, rows=6, square=0.025)
+        >>> calib.detect(["images"], [board]).corner_count  # doctest: +SKIP
+        480
+    """
+    _check_all("images", images, (ImageFile, str, Path), "files, folders or patterns")
+    _check_all("boards", boards, Board, "Board values")
+    check_whole("fewest", fewest, 4)
+    check_executor(executor)
+    check_callable("progress", progress)
+    check_boards(boards)
+    files = _files(images)
+    search = Search(tuple(boards), fewest, single_thread=executor is not None)
+    pictures = _of_usual_size(_looked_at(search, files, executor, progress))
+    findings = list(picture_findings(pictures))
+    readable = [picture for picture in pictures if not picture.reason]
+    for board in boards:
+        of_board = [*board_findings(board, readable), *other_pattern(board, readable, executor)]
+        findings += of_board
+        if any(is_wrong_description(finding, readable, board) for finding in of_board):
+            pictures = [_without(picture, board) for picture in pictures]
+    return Detection(tuple(boards), tuple(pictures), tuple(findings), fewest)
+
+
+def _check_all(argument: str, given: object, types: type | tuple[type, ...], allowed: str) -> None:
+    """Refuse an argument that is no sequence of values of a type, or has none."""
+    if isinstance(given, (str, bytes)) or not isinstance(given, Sequence) or not given:
+        raise wrong_type(argument, given, f"a sequence of {allowed}, one or more")
+    for k, value in enumerate(given):
+        check_type(f"{argument}[{k}]", value, types, f"one of {allowed}")
+
+
+def _files(images: Sequence[ImageFile | str | Path]) -> list[ImageFile]:
+    """Return pictures; words are the files that they name."""
+    words = [image for image in images if not isinstance(image, ImageFile)]
+    files = [image for image in images if isinstance(image, ImageFile)]
+    return [*files, *(find_images(words) if words else ())]
+
+
+def _looked_at(
+    search: Search,
+    files: Sequence[ImageFile],
+    executor: Executor | None,
+    progress: Callable[[int, int], None] | None,
+) -> list[Picture]:
+    """Return what was found in each picture, in their order."""
+    by_number: dict[int, Picture] = {}
+    for number, picture in jobs.run(look, search, files, executor):
+        by_number[number] = picture
+        if progress is not None:
+            progress(len(by_number), len(files))
+    return [by_number[number] for number in range(len(files))]
+
+
+def check_boards(boards: Sequence[Board]) -> None:
+    """Refuse boards that cannot be told apart; raises `CalibError`."""
+    for k, board in enumerate(boards):
+        for other in boards[:k]:
+            _check_pair(other, board)
+
+
+def _check_pair(first: Board, second: Board) -> None:
+    """Refuse two boards that cannot be told apart."""
+    if first.name == second.name:
+        raise CalibError(f"Two boards have the name '{first.name}'; give each its own.")
+    if CHESSBOARD in (first.pattern, second.pattern):
+        is_same = first.pattern == second.pattern and _sides(first) == _sides(second)
+    else:
+        begin = max(first.first_marker, second.first_marker)
+        end = min(first.first_marker + first.markers, second.first_marker + second.markers)
+        is_same = kind_of(first.dictionary) == kind_of(second.dictionary) and begin < end
+    if is_same:
+        raise CalibError(
+            f"The boards {choices([first.name, second.name])} look alike in a picture: they have the same size, or "
+            "share markers of a dictionary. Print one with other markers: calib board --first-marker, or another "
+            "--dictionary."
+        )
+
+
+def _sides(board: Board) -> set[int]:
+    """Return the numbers of columns and rows, in no order."""
+    return {board.columns, board.rows}
+
+
+def _of_usual_size(pictures: Sequence[Picture]) -> list[Picture]:
+    """Return pictures, those of another size than most of their camera's with that reason."""
+    usual = usual_sizes(pictures)
+    result = []
+    for picture in pictures:
+        is_other = not picture.reason and picture.size != usual[picture.file.camera]
+        result.append(replace(picture, reason=OTHER_SIZE) if is_other else picture)
+    return result
+
+
+def _without(picture: Picture, board: Board) -> Picture:
+    """Return a picture whose corners of a board are not used: the board is described wrongly."""
+    views = []
+    for view in picture.views:
+        is_wrong = view.board == board.name and view.is_used
+        views.append(replace(view, reason=LAYOUT) if is_wrong else view)
+    return replace(picture, views=tuple(views))

@@ -1,0 +1,152 @@
+"""Pictures as they are named on a command line: files, folders and patterns, each with its name and its camera."""
+
+from __future__ import annotations
+
+import glob
+import os
+import re
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from calib.basics.files import read_bytes
+from calib.basics.values import Value
+from calib.boards.opencv import opencv
+from calib.errors import FileError, choices
+
+#: Endings of the files of a folder that are pictures, in lower case.
+ENDINGS = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
+
+#: What a name with any of these characters is: a pattern.
+_PATTERN = re.compile(r"[*?\[]")
+
+#: Numbers in a name, by which names are sorted as people do.
+_NUMBER = re.compile(r"(\d+)")
+
+
+@dataclass(frozen=True, slots=True)
+class ImageFile(Value):
+    """A picture that was named."""
+
+    #: The file.
+    path: Path
+    #: Its name in tables: that of the file, with folders before it where several have the same.
+    name: str
+    #: The camera that took it; "" where that is not said.
+    camera: str = ""
+
+
+def find_images(
+    words: Sequence[str | Path], cameras: Mapping[str, str] | None = None
+) -> tuple[ImageFile, ...]:
+    """Find pictures.
+
+    Args:
+        words: Files, folders, of which all pictures are taken, and patterns such as ``run/*.png``; ``**`` goes through
+            folders.
+        cameras: Names of cameras by the folders with their pictures; "" is the folder of all others. None: not said.
+
+    Returns:
+        The pictures, each once, in the order of the words, those of a folder or pattern sorted with numbers by value.
+
+    Raises:
+        FileError: A file does not exist, a folder or pattern has no pictures, or a camera has none.
+    """
+    paths: dict[str, Path] = {}
+    for word in words:
+        for path in _named_by(word):
+            paths.setdefault(os.path.realpath(path), path)
+    unique = list(paths.values())
+    folders = {os.path.realpath(folder): name for folder, name in (cameras or {}).items() if folder}
+    of_others = (cameras or {}).get("", "")
+    images = []
+    for path, name in zip(unique, _names(unique), strict=True):
+        images.append(ImageFile(path, name, _camera_of(path, folders) or of_others))
+    without = set((cameras or {}).values()) - {image.camera for image in images}
+    if without:
+        raise FileError(
+            f"There is no picture of the camera {choices(sorted(without))}; name its folder, one of those with the "
+            'pictures: --camera-name "NAME=FOLDER".'
+        )
+    return tuple(images)
+
+
+def read_image(image: ImageFile) -> Any:  # noqa: ANN401  8-bit, which Array is not
+    """Read a picture.
+
+    Args:
+        image: The file.
+
+    Returns:
+        Grey values, 8 bits, shape (height, width), as the file has them: a note that the picture is to be turned is
+        ignored, since a camera's intrinsics are those of its sensor; None if it is no picture.
+
+    Raises:
+        FileError: The file cannot be read.
+    """
+    import numpy as np
+
+    cv2 = opencv()
+    data = np.frombuffer(read_bytes(image.path, "The picture"), dtype=np.uint8)
+    if not len(data):
+        return None
+    return cv2.imdecode(data, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION)
+
+
+def _named_by(word: str | Path) -> list[Path]:
+    """Return the pictures that a word names."""
+    path = Path(word)
+    if path.is_dir():
+        inside = [entry for entry in path.iterdir() if entry.suffix.lower() in ENDINGS]
+        if not inside:
+            raise FileError(
+                f"The folder '{word}' has no picture ({choices(ENDINGS)}). Pictures in folders inside it are named by "
+                f'a pattern, "{path}/**/*.png".'
+            )
+        return sorted(inside, key=_by_numbers)
+    if path.exists() or not _PATTERN.search(str(word)):
+        if not path.exists():
+            raise FileError(f"The picture '{word}' does not exist; check the name and the folder.")
+        return [path]
+    matching = [Path(name) for name in glob.glob(str(word), recursive=True)]  # noqa: PTH207  absolute patterns
+    files = [entry for entry in matching if entry.is_file()]
+    if not files:
+        raise FileError(f"No file is named like '{word}'; check the pattern and the folder.")
+    return sorted(files, key=_by_numbers)
+
+
+def _by_numbers(path: Path) -> list[tuple[int, int, str]]:
+    """Return what sorts names with numbers by value: ``pose_2`` before ``pose_10``."""
+    key = []
+    for part in _NUMBER.split(str(path)):
+        is_number = part.isdecimal()
+        key.append((int(is_number), int(part) if is_number else 0, part))
+    return key
+
+
+def _names(paths: Iterable[Path]) -> list[str]:
+    """Return the shortest name of each file that no other has: the file's, or with folders before it."""
+    parts = [Path(os.path.abspath(path)).parts for path in paths]  # noqa: PTH100  links keep their names
+    names = [""] * len(parts)
+    length = 1
+    unnamed = set(range(len(parts)))
+    while unnamed:
+        ends = {k: "/".join(parts[k][-length:]) for k in unnamed}
+        counts = Counter(ends.values())
+        is_last = length >= max(len(parts[k]) for k in unnamed)
+        for k, end in ends.items():
+            if counts[end] == 1 or is_last:
+                names[k] = end
+                unnamed.discard(k)
+        length += 1
+    return names
+
+
+def _camera_of(path: Path, folders: Mapping[str, str]) -> str:
+    """Return the camera of the innermost folder around a file; "" if none is named."""
+    for parent in Path(os.path.realpath(path)).parents:
+        if str(parent) in folders:
+            return folders[str(parent)]
+    return ""

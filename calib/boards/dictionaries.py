@@ -1,0 +1,88 @@
+"""Dictionaries of square markers: how many each has and of how many bits, named as OpenCV names them.
+
+The markers themselves are in OpenCV; to check the description of a board their number is enough.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from calib.basics.mappings import ReadOnlyMapping
+from calib.errors import CalibError, choices, did_you_mean
+
+
+@dataclass(frozen=True, slots=True)
+class Dictionary:
+    """A dictionary of markers."""
+
+    #: Bits along a side, without the black border of one bit.
+    bits: int
+    #: Number of markers; their ids are 0 to this less one.
+    markers: int
+
+
+#: All dictionaries that OpenCV has, by name, the common ones first.
+DICTIONARIES: Mapping[str, Dictionary] = ReadOnlyMapping(
+    {
+        "DICT_4X4_50": Dictionary(4, 50),
+        "DICT_4X4_100": Dictionary(4, 100),
+        "DICT_4X4_250": Dictionary(4, 250),
+        "DICT_4X4_1000": Dictionary(4, 1000),
+        "DICT_5X5_50": Dictionary(5, 50),
+        "DICT_5X5_100": Dictionary(5, 100),
+        "DICT_5X5_250": Dictionary(5, 250),
+        "DICT_5X5_1000": Dictionary(5, 1000),
+        "DICT_6X6_50": Dictionary(6, 50),
+        "DICT_6X6_100": Dictionary(6, 100),
+        "DICT_6X6_250": Dictionary(6, 250),
+        "DICT_6X6_1000": Dictionary(6, 1000),
+        "DICT_7X7_50": Dictionary(7, 50),
+        "DICT_7X7_100": Dictionary(7, 100),
+        "DICT_7X7_250": Dictionary(7, 250),
+        "DICT_7X7_1000": Dictionary(7, 1000),
+        "DICT_APRILTAG_16h5": Dictionary(4, 30),
+        "DICT_APRILTAG_25h9": Dictionary(5, 35),
+        "DICT_APRILTAG_36h11": Dictionary(6, 587),
+        "DICT_APRILTAG_36h10": Dictionary(6, 2320),
+        "DICT_ARUCO_ORIGINAL": Dictionary(5, 1024),
+        "DICT_ARUCO_MIP_36h12": Dictionary(6, 250),
+    }
+)
+
+
+def check_markers(name: str, first: int, count: int, where: str) -> None:
+    """Refuse markers that a dictionary does not have.
+
+    Args:
+        name: Name of the dictionary.
+        first: Id of the first marker.
+        count: Number of markers, with ids in sequence.
+        where: Begins the message of an error: what needs the markers.
+
+    Raises:
+        CalibError: There is no such dictionary, or it is too small.
+    """
+    if name not in DICTIONARIES:
+        raise CalibError(
+            f"{where} has markers of '{name}'; the dictionaries are "
+            f"{choices(DICTIONARIES, len(DICTIONARIES))}{did_you_mean(name, DICTIONARIES)}."
+        )
+    dictionary = DICTIONARIES[name]
+    if first >= 0 and first + count <= dictionary.markers:
+        return
+    message = (
+        f"{where} needs {count} markers, the first with the id {first}; {name} has {dictionary.markers}, "
+        "the first with the id 0."
+    )
+    larger = _large_enough(dictionary.bits, first + count)
+    if first >= 0 and larger:
+        message += f" Large enough are {choices(larger)}."
+    raise CalibError(message)
+
+
+def _large_enough(bits: int, count: int) -> list[str]:
+    """Return the dictionaries with enough markers: those of as many bits, or all if there is none."""
+    enough = [name for name, row in DICTIONARIES.items() if row.markers >= count]
+    alike = [name for name in enough if DICTIONARIES[name].bits == bits]
+    return alike or enough

@@ -1,0 +1,122 @@
+"""Printed boards as they really are: stretched by the printer, sagging, each corner a little off.
+
+    x = s_x x_0,  y = s_y y_0,  z = w_x (1 - xi^2) + w_y (1 - eta^2)
+
+with x_0 and y_0 as described, xi and eta from -1 to 1 across the pattern. Printers feed paper at another scale than
+they print across it. A sag is positive where the middle lies
+behind the edges, seen from the camera.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import map_coordinates
+
+from calib.basics.arrays import Array, read_only
+from calib.basics.values import Value
+from calib.boards.board import Board
+
+#: Corners whose coordinates [m] agree to so many digits behind the point are in one row or column.
+_DIGITS = 9
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Print(Value):
+    """A board as it was printed, and what it has that its description does not say."""
+
+    #: The description.
+    board: Board
+    #: Length on the print by length in the description, along x and along y.
+    scale: tuple[float, float] = (1.0, 1.0)
+    #: Sag of the middle along x and along y [m].
+    warp: tuple[float, float] = (0.0, 0.0)
+    #: Displacement of each corner on the print, shape (n, 3) [m]; None: none.
+    offsets: Array | None = None
+    #: Whether it was printed mirrored: what lies at x is drawn at width - x. Corners stay where they are described.
+    mirrored: bool = False
+
+    def surface(self, x: Array, y: Array) -> Array:
+        """Return the surface's height where the description has a point of the plane.
+
+        Args:
+            x: Along the columns in the description, any shape (...) [m].
+            y: Along the rows, likewise.
+
+        Returns:
+            z on the print, shape (...) [m].
+        """
+        width, height = self.board.size
+        xi = 2.0 * x / width - 1.0
+        eta = 2.0 * y / height - 1.0
+        along_x, along_y = self.warp
+        return np.asarray(along_x * (1.0 - xi**2) + along_y * (1.0 - eta**2))
+
+    def points(self, x: Array, y: Array) -> Array:
+        """Return where points of the description lie on the print.
+
+        Args:
+            x: Along the columns in the description, shape (n,) [m].
+            y: Along the rows, shape (n,) [m].
+
+        Returns:
+            In the board's frame, shape (n, 3) [m].
+        """
+        along_x, along_y = self.scale
+        return np.column_stack([along_x * x, along_y * y, self.surface(x, y)])
+
+    def displacement(self, x: Array, y: Array) -> Array:
+        """Return how far points of the description are displaced within the print, between corners bilinearly.
+
+        Args:
+            x: Along the columns in the description, shape (n,) [m].
+            y: Along the rows, shape (n,) [m].
+
+        Returns:
+            Along x and y, shape (n, 2) [m]; beyond the outermost corners as there.
+        """
+        if self.offsets is None:
+            return np.zeros((len(x), 2))
+        corners = self.board.corners
+        columns, column = np.unique(corners[:, 0].round(_DIGITS), return_inverse=True)
+        rows, row = np.unique(corners[:, 1].round(_DIGITS), return_inverse=True)
+        place = [
+            np.interp(y, rows, np.arange(len(rows))),
+            np.interp(x, columns, np.arange(len(columns))),
+        ]
+        result = np.empty((len(x), 2))
+        for axis in range(2):
+            grid = np.zeros((len(rows), len(columns)))
+            grid[row, column] = self.offsets[:, axis]
+            result[:, axis] = map_coordinates(grid, place, order=1)
+        return result
+
+    @property
+    def corners(self) -> Array:
+        """Return where the corners lie on the print, in the board's frame, in the order of their ids, (n, 3) [m]."""
+        x, y, _ = self.board.corners.T
+        corners = self.points(x, y)
+        if self.offsets is not None:
+            corners = corners + self.offsets
+        return corners
+
+
+def draw_print(board: Board, seed: int | np.random.Generator) -> Print:
+    """Draw a print with the errors that a board's description allows: scale, warp, and each corner's place.
+
+    Args:
+        board: The description, whose ``sigma_scale``, ``sigma_warp`` and ``sigma_corner`` are the standard deviations.
+        seed: Of the random numbers, or where they come from.
+    """
+    rng = np.random.default_rng(seed)
+    scale = 1.0 + board.sigma_scale * rng.standard_normal(2)
+    warp = board.sigma_warp * rng.standard_normal(2)
+    in_plane = rng.normal(scale=board.sigma_corner, size=(len(board.corners), 2))
+    offsets = np.column_stack([in_plane, np.zeros(len(in_plane))])
+    return Print(
+        board,
+        scale=(float(scale[0]), float(scale[1])),
+        warp=(float(warp[0]), float(warp[1])),
+        offsets=read_only(offsets),
+    )

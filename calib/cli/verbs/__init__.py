@@ -1,1 +1,0 @@
-"""One file a verb: parse, call one function of the API, print one text."""

@@ -1,0 +1,140 @@
+"""Robots, tables and cells as users give them: the value itself, or the path or the name that it is read from.
+
+Where a path or a name stands in for a value, it is read as the command line reads it: base, tip, held joints and
+coupled readings are the cell's; a tip that the cell does not name is the end of the longest chain whose joints all have
+values in the table.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection
+from pathlib import Path
+from typing import TypeAlias
+
+from calib.basics.arguments import check_type
+from calib.basics.tables import Table
+from calib.data.cell import Cell
+from calib.data.columns import column_names
+from calib.data.measurements import Measurements
+from calib.errors import CalibError, choices
+from calib.robot.dh.file import is_other_table
+from calib.robot.robot import Robot
+from calib.robot.urdf import Urdf, read_urdf
+
+#: A robot; or the path of its URDF, xacro or DH rows; or its name in example-robot-data, such as ``"ur3"``.
+RobotInput: TypeAlias = Robot | str | Path
+
+#: Measurements, or the path of their table.
+TableInput: TypeAlias = Measurements | str | Path
+
+#: A cell, or the path of its file; None: the default cell.
+CellInput: TypeAlias = Cell | str | Path | None
+
+#: What messages call these.
+ROBOT = "a Robot, the path of a URDF, a xacro or DH rows, or a name such as 'ur3'"
+TABLE = "Measurements, or the path of a table"
+CELL = "a Cell, the path of a cell file, or None"
+
+
+def cell_of(cell: CellInput, argument: str = "cell") -> Cell:
+    """Return a cell: as given, read from its file, or the default one for None.
+
+    Args:
+        cell: As a user gave it.
+        argument: Its name, for messages.
+
+    Raises:
+        ArgumentError: It is none of these.
+        CalibError: The file cannot be read.
+    """
+    check_type(argument, cell, (Cell, str, Path, type(None)), CELL)
+    if cell is None:
+        return Cell()
+    return cell if isinstance(cell, Cell) else Cell.read(cell)
+
+
+def robot_of(
+    robot: RobotInput,
+    cell: Cell | None = None,
+    *,
+    measured: Collection[str] | None = None,
+    argument: str = "robot",
+    read: Callable[[str], Urdf] = read_urdf,
+) -> Robot:
+    """Return a robot: as given, or read from its file or by its name.
+
+    Args:
+        robot: As a user gave it.
+        cell: Names base, tip, held joints and coupled readings of one that is read; None: the URDF's root and its
+            farthest link.
+        measured: Names of the joints whose values are known, which decide a tip that the cell does not name.
+        argument: Its name, for messages.
+        read: Reads the URDF of a path or a name.
+
+    Raises:
+        ArgumentError: It is none of these.
+        CalibError: It is the path of a table, or a file that cannot be read; or a robot was given, and the cell couples
+            other readings than it does.
+        UrdfError: No such robot, link or joint, or a chain that calib cannot take.
+    """
+    _check_robot(robot, argument)
+    cell = cell or Cell()
+    if isinstance(robot, Robot):
+        _check_coupling(robot, cell)
+        return robot
+    urdf = read(str(robot))
+    return Robot.from_urdf(urdf, cell.base, cell.tip, measured, cell.held, cell.coupling)
+
+
+def chain_of(robot: Robot) -> Cell:
+    """Return the base, the tip, the held joints and the coupled readings of a robot, as a cell."""
+    return Cell(base=robot.base, tip=robot.tip, held=robot.held, coupling=robot.reading_coupling)
+
+
+def _check_coupling(robot: Robot, cell: Cell) -> None:
+    """Refuse a cell that couples other readings than a robot that was given, for the robot's would count."""
+    if cell.coupling and cell.coupling != robot.reading_coupling:
+        raise CalibError(
+            f"The cell couples the readings of {choices(cell.coupling)} otherwise than the robot that was given. Give "
+            "the robot's path in place of the Robot, or load it so: Robot.load(..., coupling=cell.coupling)."
+        )
+
+
+def inputs_of(
+    robot: RobotInput,
+    table: TableInput,
+    cell: CellInput = None,
+    *,
+    read: Callable[[str], Urdf] = read_urdf,
+) -> tuple[Robot, Measurements, Cell]:
+    """Return robot, measurements and cell that belong together: as given, or read from their files.
+
+    Args:
+        robot: As a user gave it.
+        table: Measurements, or the path of their table, whose joint columns are those of the robot's chain.
+        cell: As a user gave it.
+        read: Reads the URDF of a path or a name.
+
+    Raises:
+        ArgumentError: One of them has a wrong type.
+        CalibError: A file cannot be read; the class is the reader's.
+    """
+    setup = cell_of(cell)
+    _check_robot(robot, "robot")
+    check_type("measurements", table, (Measurements, str, Path), TABLE)
+    if isinstance(table, Measurements):
+        return robot_of(robot, setup, measured=table.joint_names, read=read), table, setup
+    read_table = Table.read(table)
+    arm = robot_of(robot, setup, measured=column_names(read_table), read=read)
+    measurements = Measurements.read(read_table, arm.joint_names, arm.joint_types, kind=setup.kind)
+    return arm, measurements, setup
+
+
+def _check_robot(robot: object, argument: str) -> None:
+    """Refuse what is no robot, and the path of a table in its place."""
+    check_type(argument, robot, (Robot, str, Path), ROBOT)
+    if isinstance(robot, (str, Path)) and is_other_table(robot):
+        raise CalibError(
+            f"The argument '{argument}' is '{robot}', a table, and not of DH rows: it has no columns of d and alpha. "
+            f"It must be {ROBOT}. The robot comes before the table."
+        )

@@ -1,0 +1,1 @@
+"""The fit: rows and registration, the estimate, the choice of the model."""

@@ -1,0 +1,476 @@
+"""Problem: robot, error model and measurements as one weighted least-squares problem.
+
+    minimise  1/2 [sum_i w_i |W_i r_i(x)|^2 + sum_k (x_k - m_k)^2 / tau_k^2 + sum_c (d_c - d_c(x))^2 / s_c^2]
+
+with residuals r (measured minus predicted), W = 1 / sigma (of poses with a covariance as `Rows.standardised` has it),
+normal priors of standard deviation tau on the parameters (mean 0, but at a bound) and known distances d. Linearised it
+is y = A x + n: see `calib.fit.estimate.linear`.
+
+Letters of shapes, in all of `calib.fit.estimate`:
+
+    B   fits computed together, which differ in the weights of their rows; the first axis
+    C   instruments: lengths of each kind of rows, then angles of each kind; each has a noise
+    N   rows of the table
+    D   columns of a residual: 3 lengths, and 3 angles where orientations were measured
+    p   parameters: offsets of the robot, then of frames and targets, from the registered start [m, rad, ...]
+    K   families of parameters, each with one prior standard deviation
+
+Sigma is the standard deviation of a scalar as given or assumed before the fit; the noise is the estimated one, in units
+of sigma. "In units of sigma" is as `Rows.standardised` has it: of a pose with a covariance the six scalars are made
+independent too. "Whitened" is divided by sigma times noise, and times the root of the weight.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from calib.basics.arrays import Array
+from calib.basics.values import Value
+from calib.fit.estimate.gauge import TOLERANCE, SizeGauge, measures_length, size_gauge
+from calib.fit.estimate.linear import LinearProblem
+from calib.fit.estimate.stop_errors import Stops
+from calib.fit.estimate.stop_shares import PARTS
+from calib.fit.registration.known_distances import KnownDistance
+from calib.fit.registration.rows import Rows
+from calib.model.kinematics import Kinematics
+from calib.model.observability import Observability, analyse
+from calib.numerics.solvers import triangle
+from calib.robot.kernel import over_blocks
+
+#: Noise below this is no instrument's but rounding [m, rad].
+_SMALLEST_SIGMA = 1e-8
+
+#: Rows whose twists are in memory at a time.
+PART = 16_384
+
+#: Up to so many rows a solver gets every scalar; of more it gets a triangle of the same squares.
+_TALL = 1024
+
+#: Divisor in place of a distance of zero [m].
+_SHORTEST = 1e-12
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Problem(Value):
+    """A calibration as numbers: N rows, p parameters."""
+
+    #: The nominal robot under its error model, frames and targets as registered
+    kinematics: Kinematics
+    #: The measurements
+    rows: Rows
+    #: (C,), standard deviation of each instrument as estimated, in units of its sigma
+    noise: Array
+    #: (N,), of the rows, between 0 and 1
+    weights: Array
+    #: (p,), 1 / tau_k^2; 0 for a parameter without prior
+    precision: Array
+    #: (p,), means m_k of the priors
+    centre: Array
+    #: Known distances between frames
+    distances: tuple[KnownDistance, ...]
+    #: (C,), lowest noise of each instrument, in units of its sigma
+    smallest_noise: tuple[float, ...]
+    #: (C, 3), share of each instrument's variance that targets of a stop have in common
+    rho: Array
+    #: The size of the arm, held where nothing measures a length
+    gauge: SizeGauge | None = None
+    #: Where the robot stood while several targets were measured
+    stops: Stops | None = None
+    #: Cache of the last linearisation
+    _last: list[LinearProblem] = field(default_factory=list, repr=False)
+
+    @classmethod
+    def initial(
+        cls,
+        kinematics: Kinematics,
+        rows: Rows,
+        distances: tuple[KnownDistance, ...] = (),
+    ) -> Problem:
+        """Make the problem before any estimate: weights of one, noise as given, no priors.
+
+        Args:
+            kinematics: The nominal robot under its error model of p parameters, frames and targets as registered.
+            rows: N rows of measurements: joint values, frame and target of each, and the measured scalars.
+            distances: Known distances between the origins of measurement frames; those between frames that the rows see
+                count.
+
+        Returns:
+            The least-squares problem of these rows: p parameters, which are offsets from the nominal robot and the
+            registered frames and targets. The arm's size is not held.
+        """
+        smallest_noise = _smallest_noise(rows)
+        observed = set(rows.samples.frame.tolist())
+        p = len(kinematics.model)
+        return cls(
+            kinematics=kinematics,
+            rows=rows,
+            noise=np.ones(len(smallest_noise)),
+            weights=np.ones(len(rows)),
+            precision=np.zeros(p),
+            centre=np.zeros(p),
+            distances=tuple(d for d in distances if {d.first, d.second} <= observed),
+            smallest_noise=smallest_noise,
+            rho=np.zeros((len(smallest_noise), len(PARTS))),
+            stops=Stops.of(kinematics, rows),
+        )
+
+    def with_size_held(self) -> Problem:
+        """Return the problem with the arm's size held at the nominal one, where nothing measures a length.
+
+        Returns:
+            The problem with a ``gauge``, the combination of the parameters that is held at zero, which is the relative
+            change of the arm's size; None in it where the parameters cannot represent growth, or the rows determine the
+            size all the same. Itself where rows or known distances measure a length.
+        """
+        if measures_length(self.rows, self.distances):
+            return self
+        linear = self.linear(np.zeros(self.size))
+        residual = linear.residual(linear.x)
+        gauge = size_gauge(self.kinematics, self.rows, linear.A, residual)
+        return replace(self, gauge=gauge)
+
+    def with_rows(self, rows: Rows) -> Problem:
+        """Return the problem with the same rows whose errors are given otherwise: by another noise of poses."""
+        return replace(
+            self,
+            rows=rows,
+            smallest_noise=_smallest_noise(rows),
+            stops=Stops.of(self.kinematics, rows),
+            _last=[],
+        )
+
+    @property
+    def size(self) -> int:
+        """Number p of parameters: of the robot, then of frames and targets."""
+        return len(self.kinematics.model)
+
+    @property
+    def scales(self) -> Array:
+        """Standard deviation of each scalar as estimated, shape (N, D), in its unit, such as [m] and [rad]."""
+        return self.rows.scales_at(self.noise)
+
+    @property
+    def noise_by_scalar(self) -> Array:
+        """Estimated noise of each scalar in units of its sigma, shape (N, D); 1 where there is no scalar."""
+        # An entry without a scalar has the instrument -1, the last one here.
+        return np.asarray(np.append(self.noise, 1.0)[self.rows.channels.index])
+
+    @property
+    def noise_over_sigma(self) -> Array:
+        """Estimated standard deviation over the stated or assumed one, of each of C instruments, shape (C,).
+
+        It is `noise`, but of instruments of poses with a covariance, where that is relative to V, with what the robot
+        adds (`Rows.pose_noise`). Of these it is the median over rows of their standard deviations, rms over the axes.
+        """
+        rows = self.rows
+        result = np.array(self.noise)
+        if not np.any(rows.correlated):
+            return result
+        variances = self.scales**2
+        for c in np.unique(rows.channels.index[rows.correlated]).tolist():
+            of_channel = rows.channels.index == c
+            measuring = np.any(of_channel, axis=1)
+            mean = np.mean(variances, axis=1, where=of_channel | ~measuring[:, None])
+            stated = rows.sigma[rows.channels.units[c]]
+            result[c] = np.median((np.sqrt(mean) / stated)[measuring])
+        return result
+
+    def residual(self, x: Array) -> Array:
+        """Measured minus predicted.
+
+        Args:
+            x: shape (p,), offsets from the nominal robot and the registered frames and targets [m, rad, ...].
+
+        Returns:
+            shape (N, D), of the D scalars of N rows, lengths [m] in the first three columns, angles [rad] behind,
+            coordinates and rotation vectors along the axes of each row's measurement frame; not divided by their
+            standard deviations; 0 where nothing was measured.
+        """
+        T_frame_target = self.kinematics.poses(x, self.rows.samples)
+        optics = self.kinematics.optics(x, self.rows.samples)
+        return self.rows.residual(T_frame_target, optics)
+
+    def jacobian(self, x: Array) -> Array:
+        """Jacobian of the prediction, which is minus that of the residual.
+
+        Args:
+            x: shape (p,), offsets from the nominal robot and the registered frames and targets [m, rad, ...].
+
+        Returns:
+            shape (N, D, p), of the D scalars of N rows, [m] and [rad] per unit of each parameter; not divided by their
+            standard deviations; 0 where nothing was measured.
+        """
+        return self.rows.in_units(self.linear(x).A)
+
+    def linear(self, x: Array) -> LinearProblem:
+        """Linearise the problem at given parameters.
+
+        Weights, noise and priors have no part in it: copies of the problem that differ in these share the last one.
+
+        Args:
+            x: shape (p,), offsets from the nominal robot and the registered frames and targets [m, rad, ...].
+
+        Returns:
+            Residual at x, measured minus predicted, and Jacobian of the prediction, together of shape (p + 1, D, N), of
+            N rows of D scalars, in units of each scalar's given sigma; and whitened constraints C x = z, shapes (K, p)
+            and (K,): known distances, and last the arm's size if that is held.
+        """
+        if self._last and np.array_equal(x, self._last[0].x):
+            return self._last[0]
+        self._last.clear()  # before the next one is made, for memory
+        residual, C = self.constraints(x)
+        held = C[-1] if self.gauge is not None else np.zeros(self.size)
+        linear = LinearProblem(
+            x=x.copy(),
+            columns=self._columns(x),
+            channels=self.rows.channels,
+            smallest_noise=self.smallest_noise,
+            C=C,
+            z=residual + C @ x,
+            held=held,
+            stops=self.stops,
+        )
+        self._last.append(linear)
+        return linear
+
+    def _columns(self, x: Array) -> Array:
+        """Jacobian of the prediction and, behind it, the residual, measured minus predicted.
+
+        Args:
+            x: shape (p,), offsets from the nominal robot and the registered frames and targets [m, rad, ...].
+
+        Returns:
+            shape (p + 1, D, N), of the D scalars of N rows, in units of each scalar's given sigma; 0 where nothing was
+            measured.
+        """
+        rows = self.rows
+        columns = np.empty((self.size + 1, rows.width, len(rows)))
+        rotation = rows.depends_on_orientation
+        for part in rows.parts(PART):
+            part_rows = rows.select(part)
+            width = part_rows.width
+            poses, twists = self.kinematics.twists(x, part_rows.samples, rotation=rotation)
+            if width < rows.width:  # these rows lack a kind that others have
+                columns[:, width:, part] = 0.0
+            optics = self.kinematics.optics(x, part_rows.samples)
+            derivative = part_rows.standardised(part_rows.derivative(poses, twists, optics))
+            residual = part_rows.standardised(part_rows.residual(poses, optics))
+            columns[:-1, :width, part] = derivative.transpose(2, 1, 0)
+            columns[-1][:width, part] = residual.T
+        return columns
+
+    def observability(self, x: Array) -> Observability:
+        """Analyse which combinations of parameters the rows and known distances determine.
+
+        Rows without weight do not count, but for those of sole postures (which no other row can check). Angles count as
+        lengths, by the ratio of their given sigmas. Where the arm's size is held, its growth counts as not determined.
+
+        Args:
+            x: shape (p,), offsets from the nominal robot and the registered frames and targets [m, rad, ...].
+
+        Returns:
+            Rank, condition and singular values of the Jacobian [m per step of the parameter, such as 1 mm or 1 mrad],
+            and the combinations of parameters that are not determined.
+        """
+        model, rows = self.kinematics.model, self.rows
+        has_weight = (self.weights > 0.0) | ~rows.checked
+        counts = rows.used & has_weight[:, None]
+        sigma_of_lengths = rows.sigma["m"][:, None, None]
+        in_sigma = self.jacobian(x) / rows.scales[:, :, None]
+        jacobian = (in_sigma * sigma_of_lengths)[counts]
+        if self.gauge is not None:
+            # Growth changes predictions only by shares of the residuals, which determine nothing.
+            growth = self.gauge.growth
+            along = np.outer(jacobian @ growth, growth) / (growth @ growth)
+            jacobian = jacobian - along
+        sigma = np.array([distance.sigma for distance in self.distances])
+        _, whitened = self._distance_residuals(x)
+        of_distances = whitened * sigma[:, None]
+        known = np.concatenate([jacobian, of_distances, self._known_optics()])
+        return analyse(known, model.names, model.units)
+
+    def _known_optics(self) -> Array:
+        """Return what is known beforehand of cameras and boards, as rows of the Jacobian of `observability`.
+
+        Their priors, 1 / tau_k^2 of `precision`, are what was stated or measured, as the print of a board was; those
+        of the robot are not.
+
+        Returns:
+            shape (k, p), [m].
+        """
+        numbers = [k for k, _ in self.kinematics.model.optical]
+        of_optics = np.diag(np.sqrt(self.precision))[numbers]
+        return np.asarray(of_optics * np.median(self.rows.sigma["m"]))
+
+    def constraints(self, x: Array) -> tuple[Array, Array]:
+        """Residuals of what is known besides the measured rows: of the known distances between frames (`distances`).
+
+        Last, where nothing measures a length, comes the combination g of parameters that keeps the arm's size (`gauge`,
+        else None), a relative change, whose known value is 0 and whose sigma is 1e-6 (`TOLERANCE`).
+
+        Args:
+            x: shape (p,), offsets from the nominal robot and the registered frames and targets [m, rad, ...].
+
+        Returns:
+            Known minus predicted of K constraints, over its sigma, shape (K,), and the Jacobian of the prediction,
+            shape (K, p), over sigma too.
+        """
+        residual, jacobian = self._distance_residuals(x)
+        if self.gauge is None:
+            return residual, jacobian
+        held = self.gauge.held / TOLERANCE
+        return np.append(residual, -held @ x), np.vstack([jacobian, held])
+
+    def _distance_residuals(self, x: Array) -> tuple[Array, Array]:
+        """Known minus predicted distances between the origins of measurement frames.
+
+        `distances` has K of them, each with the indices of its two frames, length and sigma [m].
+
+        Args:
+            x: shape (p,), offsets from the nominal robot and the registered frames and targets [m, rad, ...].
+
+        Returns:
+            Known minus predicted of each distance, over its sigma, shape (K,), and the Jacobian of the prediction,
+            shape (K, p), over sigma too.
+        """
+        residual = np.empty(len(self.distances))
+        jacobian = np.empty((len(self.distances), self.size))
+        if not self.distances:
+            return residual, jacobian
+        origins, derivatives = self._frame_origins(x)
+        for k, known in enumerate(self.distances):
+            between = origins[known.first] - origins[known.second]
+            length = float(np.linalg.norm(between))
+            along = between / max(length, _SHORTEST)
+            residual[k] = (known.length - length) / known.sigma
+            change = derivatives[known.first] - derivatives[known.second]
+            jacobian[k] = along @ change / known.sigma
+        return residual, jacobian
+
+    def _frame_origins(self, x: Array) -> tuple[Array, Array]:
+        """Origins of the measurement frames in the base: c = -R^T t with T_frame_base = (R, t).
+
+        Args:
+            x: shape (p,), offsets from the nominal robot and the registered frames and targets [m, rad, ...].
+
+        Returns:
+            Origins of the F frames, shape (F, 3), along the base's axes [m]; their derivative by x, shape (F, 3, p).
+        """
+        displacement, directions = self.kinematics.model.displacements(x)
+        frames = len(self.kinematics.T_frame_base)
+        T = self.kinematics.T_frame_base @ displacement[:frames]
+        origins = -np.einsum("fji,fj->fi", T[:, :3, :3], T[:, :3, 3])
+        twists = directions[: 6 * frames].reshape(frames, 6, -1)
+        turned = np.cross(twists[:, 3:], origins[:, :, None], axis=1)
+        return origins, -(twists[:, :3] + turned)
+
+    def system(self, x: Array) -> tuple[Array, Array]:
+        """The whitened residual and its derivative, as a solver takes them.
+
+        Whitened is divided by sigma times noise, and times the root of the row's weight; errors that the targets of a
+        standstill share are made independent. The priors have the 1 / variance `precision` and the mean `centre`, both
+        of shape (p,).
+
+        Args:
+            x: shape (p,), offsets from the nominal robot and the registered frames and targets [m, rad, ...].
+
+        Returns:
+            Residual r, shape (m,), and dr/dx, shape (m, p): of the measured scalars, measured minus predicted (of many
+            rows a triangle with the same squares and products), then of each parameter with a prior, its mean minus the
+            parameter over the prior standard deviation, then of each constraint, known minus predicted over its sigma.
+        """
+        with_prior = np.flatnonzero(self.precision)
+        root = np.sqrt(self.precision[with_prior])
+        of_constraints, slope = self.constraints(x)
+        whitened = self._whitened(self.linear(x).columns)
+        measured = whitened.shape[1]
+        last = measured + len(with_prior)
+        # By columns in memory, as solvers want it.
+        both = np.zeros((self.size + 1, last + len(of_constraints)))
+        both[:-1, :measured] = -whitened[:-1]
+        both[-1, :measured] = whitened[-1]
+        both[with_prior, measured + np.arange(len(with_prior))] = -root
+        both[-1, measured:last] = -root * (x - self.centre)[with_prior]
+        both[:-1, last:] = -slope.T
+        both[-1, last:] = of_constraints
+        return both[-1], both[:-1].T
+
+    def _whitened(self, columns: Array) -> Array:
+        """The whitened Jacobian A and residual r of the M measured scalars, by columns.
+
+        Of more than 1024 rows (`_TALL`) it is the triangle R of [A r] = Q R, transposed, which has the same products.
+        Uses `weights`, shape (N,), of the rows; `noise`, shape (C,), of each instrument, in units of the given sigma;
+        and `rho`, shape (C, 3), shares of each instrument's variance that the targets of a stop have in common.
+
+        Args:
+            columns: shape (p + 1, D, N), Jacobian of the prediction and behind it the residual of the D scalars of N
+                rows, in units of each scalar's given sigma.
+
+        Returns:
+            shape (p + 1, M); or (p + 1, p + 1), or fewer columns, of a triangle.
+        """
+        whiten = (np.sqrt(self.weights)[:, None] / self.noise_by_scalar).T
+        if self.stops is not None and np.any(self.rho):
+            columns = self.stops.independent(columns * whiten, self.weights, self.rho)
+            whiten = np.ones(whiten.shape)
+        used = self.rows.used.T
+        if len(self.weights) <= _TALL:
+            return np.asarray((columns * whiten)[:, used])
+        factor = whiten * used
+
+        def block_triangle(rows: slice) -> Array:
+            """The triangle R of [A r] = Q R, whitened, over some of the rows.
+
+            Args:
+                rows: Slice of the N rows.
+
+            Returns:
+                shape (p + 1, p + 1), or fewer rows where there are fewer scalars.
+            """
+            block = (columns[:, :, rows] * factor[:, rows]).reshape(len(columns), -1)
+            return triangle(block.T)
+
+        triangles = over_blocks(block_triangle, len(self.weights))
+        stacked = np.asfortranarray(np.concatenate(triangles))
+        return np.asarray(triangle(stacked).T)
+
+    def independent(self, values: Array, weights: Array) -> Array:
+        """Transform whitened values so that the errors which targets of a stop share are independent.
+
+        The values of a stop (a standstill at which several targets are measured) are multiplied by K^-1/2, where K is
+        their covariance over the noise squared; see `calib.fit.estimate.stop_errors`. Uses ``rho``, shape
+        (C, 3), shares of the variance of each of C instruments by translation and rotation of the targets' body, and
+        by the joints.
+
+        Args:
+            values: shape (N, D, q), residuals or columns of Jacobians in units of the noise, multiplied by the roots of
+                the rows' weights.
+            weights: shape (N,), these weights.
+
+        Returns:
+            shape (N, D, q), in the same units; as they are where no errors are shared.
+        """
+        if self.stops is None or not np.any(self.rho):
+            return values
+        columns = self.stops.independent(values.transpose(2, 1, 0), weights, self.rho)
+        return np.asarray(columns.transpose(2, 1, 0))
+
+
+def _smallest_noise(rows: Rows) -> tuple[float, ...]:
+    """The lowest noise of each instrument that is not rounding: 1e-8 m or rad.
+
+    Args:
+        rows: Rows of measurements: given sigma (``rows.scales``) of each scalar, shape (N, D), and its channel
+            (``rows.channels``): each has an instrument of its own.
+
+    Returns:
+        As a multiple of the instrument's given sigma (the median over its scalars), in the order of the C instruments.
+    """
+    scales = rows.scales
+    result = []
+    for c in range(len(rows.channels.units)):
+        typical = float(np.median(scales[rows.channels.index == c]))
+        result.append(_SMALLEST_SIGMA / typical)
+    return tuple(result)

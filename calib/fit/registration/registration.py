@@ -1,0 +1,333 @@
+"""Registration: frames and targets fitted on given poses of the robot's tip, before its errors are estimated.
+
+By plain least squares, for a robust fit from a wrong start takes every row for an outlier: in closed form where the
+equations are linear, else by Levenberg-Marquardt from several starts. Frames of which nothing is known are sought first
+(`calib.fit.registration.frame_search`).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from calib.basics.arrays import Array, Integers, Mask
+from calib.errors import MeasurementError
+from calib.fit.registration.closed_form import linear_setup, with_measured_target_rotations
+from calib.fit.registration.frame_search import sought_frames, with_frame_found
+from calib.fit.registration.refinement import refined, sum_of_squares
+from calib.fit.registration.rows import NONE, Rows
+from calib.fit.registration.setup import Setup
+from calib.fit.registration.starts import starts_of
+from calib.fit.registration.views import views_of
+from calib.model.error_model import DIRECTIONS
+
+#: The most starts that are refined: those with the lowest cost.
+_REFINED = 5
+
+#: Rows that are enough for a registration, shared by the pairs of a frame and a target.
+_ROWS = 200
+
+#: Images that are enough for a registration, shared likewise.
+_VIEWS = 60
+
+#: The fewest rows of each pair of a frame and a target; with no more rows in all none is left out.
+_FEWEST_ROWS = 20
+
+#: The fewest points that determine a frame that is wholly unknown.
+_FEWEST_POINTS = 3
+
+#: A row at so many times the median distance is an outlier of a robust registration.
+_OUTLIER = 5.0
+
+#: The most rounds in which outliers are rejected.
+_OUTLIER_ROUNDS = 5
+
+#: With a smaller share of the rows left no further outliers are rejected: the setup is wrong, not the rows.
+_FEWEST_KEPT = 0.6
+
+#: Rows in which outliers, and patterns of residuals, are searched; more do not change the result.
+ENOUGH = 20_000
+
+
+def register(T_base_tip: Array, setup: Setup, rows: Rows, *, tolerance: float = 1e-12) -> Setup:
+    """Estimate the unknown frames and targets on given poses of the robot: least squares, on a subsample of the rows.
+
+    Args:
+        T_base_tip: shape (N, 4, 4), pose of the tip at each row, of the nominal or another robot [m].
+        setup: Frames and targets, with what is estimated of them.
+        rows: N rows.
+        tolerance: Relative fall of the sum of squares at which the refinement ends.
+
+    Returns:
+        The setup with the estimated poses; fixed ones, and those that no row observes, stay as they are.
+
+    Raises:
+        MeasurementError: Fewer numbers than unknowns.
+    """
+    _check_enough(setup, rows)
+    sample = _subsample(rows)
+    return register_all_rows(T_base_tip[sample], setup, rows.select(sample), tolerance=tolerance)
+
+
+def register_all_rows(
+    T_base_tip: Array,
+    setup: Setup,
+    rows: Rows,
+    *,
+    tolerance: float = 1e-12,
+) -> Setup:
+    """Estimate the unknown frames and targets on given poses of the robot, by every row, few as they are.
+
+    Args:
+        T_base_tip: shape (N, 4, 4), pose of the tip at each row [m].
+        setup: Frames and targets, with what is estimated of them.
+        rows: N rows.
+        tolerance: Relative fall of the sum of squares at which the refinement ends.
+    """
+    if not setup.count:
+        return setup
+    if np.any(rows.where(lambda kind: kind.optical)):
+        starts = [_registered_to_views(setup, T_base_tip, rows, tolerance)]
+        return _settled(_best_refined(starts, T_base_tip, rows, tolerance), rows)
+    linear = linear_setup(setup, T_base_tip, rows)
+    only_points = np.all(rows.where(lambda kind: kind.position and kind.size == 3))
+    if linear is not None and only_points:
+        return linear  # it is the least-squares solution itself
+    if linear is not None:
+        starts = [linear]
+    elif sought_frames(setup, rows):
+        starts = [_with_frames_found(setup, T_base_tip, rows, tolerance)]
+    else:
+        starts = starts_of(setup, T_base_tip, rows)
+    best = _best_refined(starts, T_base_tip, rows, tolerance)
+    return _settled(best, rows)
+
+
+def _registered_to_views(setup: Setup, T_base_tip: Array, rows: Rows, tolerance: float) -> Setup:
+    """Register cameras and boards to the poses of the boards in single views, without those that are far off.
+
+    Args:
+        setup: Frames and targets, with what is estimated of them.
+        T_base_tip: shape (N, 4, 4), pose of the tip at each row [m].
+        rows: N rows, of which some are images.
+        tolerance: Relative fall of the sum of squares at which a refinement ends.
+    """
+    views = views_of(rows)
+    T_base_tip = T_base_tip[views.first]
+    poses = views.rows
+    registered = register_all_rows(T_base_tip, setup, poses, tolerance=tolerance)
+    # A board nearly head on may be taken for its mirror image.
+    near = _near_rows(registered, T_base_tip, poses)
+    if near is None or np.all(near):
+        return registered
+    return register_all_rows(T_base_tip[near], setup, poses.select(near), tolerance=tolerance)
+
+
+def _with_frames_found(setup: Setup, T_base_tip: Array, rows: Rows, tolerance: float) -> Setup:
+    """The setup with frames of which nothing is known found one by one, after all that rows of the others determine.
+
+    Args:
+        setup: Frames and targets, with what is estimated of them; some frames have to be sought.
+        T_base_tip: shape (N, 4, 4), pose of the tip at each row [m].
+        rows: N rows.
+        tolerance: Relative fall of the sum of squares at which a refinement ends.
+    """
+    sought = sought_frames(setup, rows)
+    numbers = np.arange(len(setup.groups))
+    others = rows.with_partners(~np.isin(rows.samples.frame, sought))
+    of_others = setup.with_fixed(np.isin(numbers, sought), np.zeros_like(setup.target_unknown))
+    placed = register_all_rows(
+        T_base_tip[others], of_others, rows.select(others), tolerance=tolerance
+    )
+    _, known_targets = setup.seen_by(rows.samples.select(others))
+    for f in sought:
+        of_frame = rows.with_partners(rows.samples.frame == f)
+        part = rows.select(of_frame)
+        start = setup.placed(placed.T_frame_base, placed.T_tip_target)
+        start = start.with_fixed(numbers != f, known_targets)
+        placed = with_frame_found(start, f, T_base_tip[of_frame], part)
+        known_targets = known_targets | setup.seen_by(part.samples)[1]
+    return setup.placed(placed.T_frame_base, placed.T_tip_target)
+
+
+def _best_refined(starts: list[Setup], T_base_tip: Array, rows: Rows, tolerance: float) -> Setup:
+    """The setup of lowest cost among the refinements of the most promising starts.
+
+    Args:
+        starts: Setups of the same frames and targets at different poses.
+        T_base_tip: shape (N, 4, 4), pose of the tip at each row [m].
+        rows: N rows.
+        tolerance: Relative fall of the sum of squares at which a refinement ends.
+    """
+    starts = [with_measured_target_rotations(start, T_base_tip, rows) for start in starts]
+    lowest_first = sorted(starts, key=lambda start: sum_of_squares(start, T_base_tip, rows))
+    promising = lowest_first[:_REFINED]
+    minima = [refined(start, T_base_tip, rows, tolerance) for start in promising]
+    _, best = min(minima, key=lambda solution: solution[0])
+    return best
+
+
+def _settled(setup: Setup, rows: Rows) -> Setup:
+    """The setup with directions that no row observes, such as a plane's turn about its normal, at a definite value.
+
+    Args:
+        setup: Frames and targets after their estimation.
+        rows: Rows by which they were estimated.
+    """
+    T_frame_base = setup.T_frame_base.copy()
+    for f, directions in enumerate(setup.unknown):
+        if not setup.own_axes[f]:
+            continue
+        of_frame = rows.samples.frame == f
+        for kind in rows.present:
+            if kind.settle is None or directions != kind.directions:
+                continue
+            if np.any(rows.where(kind.__eq__) & of_frame):
+                T_frame_base[f] = kind.settle(T_frame_base[f])
+    return setup.placed(T_frame_base, setup.T_tip_target)
+
+
+def nominal_setup(T_base_tip: Array, setup: Setup, rows: Rows) -> Setup:
+    """Register, on the nominal robot, the frames and targets that were not given; outliers are rejected.
+
+    Args:
+        T_base_tip: shape (N, 4, 4), pose of the nominal robot's tip at each row [m].
+        setup: Frames and targets; given ones stay as they were given, though the fit may estimate them.
+        rows: N rows.
+
+    Raises:
+        MeasurementError: Fewer numbers than unknowns.
+    """
+    return _register_without_outliers(T_base_tip, setup.with_given_fixed(), rows)
+
+
+def register_held_out(T_base_tip: Array, fitted: Setup, held_out: Setup, rows: Rows) -> Setup:
+    """Register frames and targets that only held-out rows see, on the calibrated robot; outliers are rejected.
+
+    Args:
+        T_base_tip: shape (N, 4, 4), pose of the calibrated robot's tip at each row [m].
+        fitted: Frames and targets at the solution of a fit.
+        held_out: The same frames and targets; those are unknown that no fitted row sees.
+        rows: N held-out rows.
+
+    Returns:
+        ``fitted`` with the poses of the unknown frames and targets of ``held_out``.
+
+    Raises:
+        MeasurementError: Fewer numbers than unknowns.
+    """
+    concerned = held_out.unknown_at(rows.samples)
+    start = held_out.placed(fitted.T_frame_base, fitted.T_tip_target)
+    registered = _register_without_outliers(T_base_tip[concerned], start, rows.select(concerned))
+    return fitted.placed(registered.T_frame_base, registered.T_tip_target)
+
+
+def _register_without_outliers(T_base_tip: Array, setup: Setup, rows: Rows) -> Setup:
+    """`register`, repeated without the rows whose residual is far above the median.
+
+    Args:
+        T_base_tip: shape (N, 4, 4), pose of the tip at each row [m].
+        setup: Frames and targets, with what is estimated of them.
+        rows: N rows.
+
+    Returns:
+        The setup with the estimated poses; the same one where nothing is estimated.
+    """
+    if not setup.count:
+        return setup
+    sample = rows.evenly(ENOUGH)
+    T_base_tip = T_base_tip[sample]
+    rows = rows.select(sample)
+    kept = np.ones(len(rows), dtype=bool)
+    for _ in range(_OUTLIER_ROUNDS + 1):
+        registered = register(T_base_tip[kept], setup, rows.select(kept))
+        near = _near_rows(registered, T_base_tip, rows)
+        if near is None or np.array_equal(near, kept):
+            break
+        kept = near
+    return registered
+
+
+def _near_rows(setup: Setup, T_base_tip: Array, rows: Rows) -> Mask | None:
+    """Rows whose residual is not far above the median, with the partners of pairs.
+
+    Args:
+        setup: Frames and targets as registered.
+        T_base_tip: shape (N, 4, 4), pose of the tip at each row [m].
+        rows: N rows.
+
+    Returns:
+        shape (N,); None where too few are left, of all rows or of a frame's.
+    """
+    measuring = np.any(rows.used, axis=1)
+    residual = rows.residual(setup.target_poses(T_base_tip, rows.samples))
+    distance = np.sqrt(np.sum((residual / rows.scales) ** 2, axis=1))
+    limit = _OUTLIER * np.median(distance[measuring])
+    near = (distance <= limit) | ~measuring
+    too_few = np.sum(near & measuring) < _FEWEST_KEPT * np.sum(measuring)
+    if too_few or not rows.keeps_frames(near):
+        return None
+    return rows.with_partners(near)
+
+
+def _check_enough(setup: Setup, rows: Rows) -> None:
+    """Raise `MeasurementError` where rows have fewer numbers than unknowns, of the table or of one frame."""
+    frames, targets = setup.seen_by(rows.samples)
+    observed = setup.with_fixed(~frames, ~targets)
+    wholly_unknown = [len(directions) == len(DIRECTIONS) for directions in observed.unknown]
+    every = np.ones(len(rows), dtype=bool)
+    _check_part("The table", rows, every, observed.count, points_needed=any(wholly_unknown))
+    for f, name in enumerate(setup.groups):
+        of_frame = rows.samples.frame == f
+        if not np.any(of_frame):
+            continue
+        unknowns = len(observed.unknown[f])
+        points_needed = wholly_unknown[f]
+        _check_part(f"Station '{name}'", rows, of_frame, unknowns, points_needed=points_needed)
+
+
+def _check_part(name: str, rows: Rows, part: Mask, unknowns: int, *, points_needed: bool) -> None:
+    """Raise `MeasurementError` where a part of the rows has fewer numbers than unknowns.
+
+    Args:
+        name: The part, at the start of the message.
+        rows: N rows.
+        part: shape (N,), rows of the part.
+        unknowns: Number of its unknowns.
+        points_needed: True if a frame is wholly unknown: two points leave the rotation about the line through them.
+    """
+    numbers = int(np.sum(rows.used[part]))
+    count = int(np.sum(part))
+    points = rows.where(lambda kind: kind.coordinates and not kind.orientation)
+    too_few_points = points_needed and np.all(points[part]) and count < _FEWEST_POINTS
+    if numbers < unknowns or too_few_points:
+        raise MeasurementError(
+            f"{name} has {count} row{'s' * (count != 1)} with {numbers} numbers for {unknowns} unknowns of frame and "
+            "target. Measure 3 or more poses at each station, or give what is known of it."
+        )
+
+
+def _subsample(rows: Rows) -> Mask:
+    """Mask of rows that are enough for a registration, evenly spaced for each frame and target; pairs stay whole."""
+    if len(rows) <= _FEWEST_ROWS:
+        return np.ones(len(rows), dtype=bool)
+    is_image = rows.where(lambda kind: kind.optical)
+    samples = rows.samples
+    # Each pair of a frame and a target has a number.
+    targets = int(samples.target.max()) + 1
+    seen_pair = samples.frame * targets + samples.target
+    pairs = np.unique(seen_pair)
+    most = max(_ROWS // len(pairs), _FEWEST_ROWS)
+    mask = np.zeros(len(rows), dtype=bool)
+    for pair in pairs:
+        of_pair = seen_pair == pair
+        mask[_evenly_spaced(np.flatnonzero(of_pair & ~is_image & (rows.kind != NONE)), most)] = True
+        poses = np.unique(rows.blocks[of_pair & is_image])
+        chosen = _evenly_spaced(poses, max(_VIEWS // len(pairs), _FEWEST_ROWS))
+        mask |= of_pair & is_image & np.isin(rows.blocks, chosen)  # images are kept whole
+    return rows.with_partners(mask)
+
+
+def _evenly_spaced(values: Integers, most: int) -> Integers:
+    """Return at most so many of n values, evenly spaced in their order."""
+    spaced = np.linspace(0, len(values) - 1, min(len(values), most))
+    return np.asarray(values[spaced.astype(int)])

@@ -1,0 +1,502 @@
+"""The rows of a table as the arrays of one fit."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from calib.basics.arrays import Array, Integers, Mask
+from calib.basics.channels import Channels, channels_of, residual_unit
+from calib.basics.mappings import ReadOnlyMapping
+from calib.camera.optics import board_points
+from calib.data.covariances import may_have_covariance
+from calib.data.kinds import Kind
+from calib.model.kinematics import FIXED, Optics, Samples
+from calib.numerics.pose_noise import POSE, PoseNoise, standardisers
+
+#: Index of the kind of rows that hold no measurement themselves: the second rows of pairs.
+NONE = -1
+
+#: Scale of stated covariances, and what the robot adds, until a fit estimates them.
+USUAL_POSE_NOISE = PoseNoise(
+    scale=1.0,
+    position=residual_unit("m").repeatability,
+    orientation=residual_unit("rad").repeatability,
+    joint=residual_unit("rad").repeatability,
+)
+
+#: The fewest rows of each frame, target and kind in an even sample, if it has room for them.
+_FEWEST_OF_EACH = 100
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _KindRows:
+    """The rows of one kind."""
+
+    #: What these rows measure
+    kind: Kind
+    #: Their numbers; a slice where all rows are of this kind
+    rows: Integers | slice
+    #: Columns of the residual that the kind fills
+    columns: Integers
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _CorrelatedRows:
+    """The n rows whose six scalars have a covariance."""
+
+    #: (n,), their numbers
+    rows: Integers
+    #: (n, 6, 6), V: their stated covariances with the noise of poses [m^2, m rad, rad^2]
+    V: Array
+    #: (n, 6, 6), transformations that make their errors independent, of variance 1
+    W: Array
+    #: (n, 6, 6), the inverse of these
+    inverse: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rows:
+    """N rows of measurements; row i sees one target from one frame at one pose of the robot.
+
+    A residual has D = `width` columns; column j of a row holds the scalar j of its kind, in the unit that `channels`
+    says.
+    """
+
+    #: Joint values, frame and target of each row
+    samples: Samples
+    #: The kinds that rows may have
+    kinds: tuple[Kind, ...]
+    #: (N,), index of each row's kind in ``kinds``; `NONE` for the second row of a pair
+    kind: Integers
+    #: (N, K), as `calib.data.kinds.Kind` says; zero in columns that a kind lacks
+    measured: Array
+    #: (N,), number of the second row of a pair, at its first row; -1 elsewhere
+    partner: Integers
+    #: (N,), standard deviation of one scalar in each unit of `calib.basics.channels.RESIDUAL_UNITS`, by its symbol, as
+    #: given or assumed before the fit; of rows with a covariance that of C, rms over the axes
+    sigma: Mapping[str, Array]
+    #: (N,), rows of one number are repeats: one pose, target, frame and kind
+    poses: Integers
+    #: (N,), rows of one number are held out together: one pose, and both rows of a pair
+    blocks: Integers
+    #: (N,), weights that a fit takes as they are, with repeats already shared out; None: the fit estimates them
+    weights: Array | None = None
+    #: (N,), rows of sole postures, see `calib.fit.estimate.sole_postures`; None: the fit finds them
+    sole: Mask | None = None
+    #: (N, 6, 6), stated covariance of a measured pose's error: position [m] and rotation vector [rad], along the axes
+    #: of the frame; NaN in rows without one, whose scalars are independent; None: no row has one
+    covariances: Array | None = None
+    #: Scale of these covariances, and what the robot adds to them
+    pose_noise: PoseNoise = USUAL_POSE_NOISE
+    #: (N, 6, 6), J_q J_q^T with the Jacobian J_q of the target's pose by the joints that turn, likewise along the axes
+    #: of the frame [m^2, m, 1]; None: errors of joints do not count
+    by_joints: Array | None = None
+    #: (N, D), the kind and the unit of each entry of the residual: its instrument, and so its noise
+    channels: Channels = field(init=False)
+    #: The rows of each kind that occurs, in the order of kinds' numbers
+    _by_kind: tuple[_KindRows, ...] = field(init=False, repr=False)
+    #: Rows with a covariance, and the transformations of their scalars; None: no row has one
+    _correlated: _CorrelatedRows | None = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        """Derive what every evaluation of a fit needs."""
+        object.__setattr__(self, "sigma", ReadOnlyMapping(self.sigma))
+        units = [kind.units for kind in self.kinds]
+        vector_units = [kind.vector_units for kind in self.kinds]
+        object.__setattr__(self, "channels", channels_of(units, vector_units, self.kind))
+        object.__setattr__(self, "_by_kind", _rows_by_kind(self.kinds, self.kind))
+        poses = self.where(may_have_covariance)
+        correlated = _correlated_rows(self, poses)
+        object.__setattr__(self, "_correlated", correlated)
+
+    def __len__(self) -> int:
+        """Number of rows N."""
+        return len(self.samples)
+
+    @property
+    def joints(self) -> Array:
+        """Values of the m measured joints, shape (N, m), [rad] or [m]."""
+        return self.samples.q
+
+    @property
+    def width(self) -> int:
+        """Columns D of a residual: the largest number of scalars of a row."""
+        return self.channels.width
+
+    @property
+    def used(self) -> Mask:
+        """True for the entries of the residual that are measured, shape (N, D)."""
+        return self.channels.used
+
+    @property
+    def correlated(self) -> Mask:
+        """Rows whose scalars are correlated, shape (N,): poses with a covariance."""
+        result = np.zeros(len(self), dtype=bool)
+        if self._correlated is not None:
+            result[self._correlated.rows] = True
+        return result
+
+    @property
+    def channel_kinds(self) -> tuple[Kind, ...]:
+        """Kind of each channel, in their order; the unit of each is in ``channels.units``."""
+        result = []
+        for c in range(len(self.channels.units)):
+            first_row = int(np.argmax(np.any(self.channels.index == c, axis=1)))
+            result.append(self.kinds[self.kind[first_row]])
+        return tuple(result)
+
+    @property
+    def count(self) -> int:
+        """Number of measured scalars of all rows."""
+        return int(np.sum(self.used))
+
+    @property
+    def scales(self) -> Array:
+        """Standard deviation of each entry as given or assumed before the fit, shape (N, D), in its unit.
+
+        Of rows with a covariance it is the root of the diagonal of V, with ``pose_noise``, which the fit estimates.
+        """
+        result = np.repeat(self.sigma["m"][:, None], self.width, axis=1)
+        for unit in self.channels.present:
+            result = np.where(self.channels.where(unit), self.sigma[unit][:, None], result)
+        if self._correlated is not None:
+            variances = np.diagonal(self._correlated.V, axis1=1, axis2=2)
+            result[self._correlated.rows, :POSE] = np.sqrt(variances)
+        return result
+
+    def standardised(self, values: Array) -> Array:
+        """Return values of the scalars in units of their standard deviations as given or assumed.
+
+        Those of rows with a covariance are multiplied by W instead, which makes their errors independent; see
+        `calib.numerics.pose_noise`.
+
+        Args:
+            values: Residuals or derivatives, shape (N, D) or (N, D, q), in the units of ``channels``.
+
+        Returns:
+            Of the same shape [1].
+        """
+        by_row = values.reshape(len(self), self.width, -1)
+        result = by_row / self.scales[:, :, None]
+        if self._correlated is not None:
+            chosen, W = self._correlated.rows, self._correlated.W
+            result[chosen, :POSE] = W @ by_row[chosen, :POSE]
+        return np.asarray(result.reshape(values.shape))
+
+    def in_units(self, standardised: Array) -> Array:
+        """Return values of the scalars in the units of ``channels``: the inverse of `standardised`.
+
+        Args:
+            standardised: shape (N, D) or (N, D, q) [1].
+
+        Returns:
+            Of the same shape.
+        """
+        by_row = standardised.reshape(len(self), self.width, -1)
+        result = by_row * self.scales[:, :, None]
+        if self._correlated is not None:
+            chosen, inverse = self._correlated.rows, self._correlated.inverse
+            result[chosen, :POSE] = inverse @ by_row[chosen, :POSE]
+        return np.asarray(result.reshape(standardised.shape))
+
+    def scales_at(self, noise: Array) -> Array:
+        """Return the standard deviation of each entry at estimated noise.
+
+        Args:
+            noise: shape (C,), of each channel, in units of the given sigma.
+
+        Returns:
+            shape (N, D), in the units of ``channels``.
+        """
+        # An entry without a scalar has the channel -1, the last one here.
+        by_entry = np.append(noise, 1.0)[self.channels.index]
+        result = by_entry * self.scales
+        if self._correlated is not None:
+            chosen, inverse = self._correlated.rows, self._correlated.inverse
+            factors = inverse * by_entry[chosen, None, :POSE]
+            result[chosen, :POSE] = np.linalg.norm(factors, axis=2)
+        return np.asarray(result)
+
+    @property
+    def depends_on_orientation(self) -> bool:
+        """True if the residual of some row depends on the orientation of its target, not on its position alone."""
+        return any(kind.depends_on_orientation for kind in self.present)
+
+    @property
+    def present(self) -> tuple[Kind, ...]:
+        """Kinds that some row has, in the order of ``kinds``."""
+        return tuple(part.kind for part in self._by_kind)
+
+    @property
+    def checked(self) -> Mask:
+        """Rows that other rows can check, shape (N,): all but those of sole postures."""
+        if self.sole is None:
+            return np.ones(len(self), dtype=bool)
+        return ~self.sole
+
+    def where(self, test: Callable[[Kind], bool]) -> Mask:
+        """Rows of kinds that pass a test, such as ``lambda kind: kind.position``, shape (N,)."""
+        result = np.zeros(len(self), dtype=bool)
+        for part in self._by_kind:
+            result[part.rows] = test(part.kind)
+        return result
+
+    def select(self, which: Mask | slice) -> Rows:
+        """Return some of the rows, in their order.
+
+        Args:
+            which: shape (N,) or a slice; of a pair both rows or none.
+
+        Returns:
+            These rows; partners and channels are numbered anew.
+        """
+        chosen = np.arange(len(self))[which]
+        if len(chosen) == len(self):
+            return self
+        partner = self.partner[chosen]
+        if np.any(partner >= 0):
+            new_number = np.full(len(self), -1)
+            new_number[chosen] = np.arange(len(chosen))
+            partner = np.where(partner >= 0, new_number[partner], -1)
+        return replace(
+            self,
+            samples=self.samples.select(chosen),
+            kind=self.kind[chosen],
+            measured=self.measured[chosen],
+            partner=partner,
+            sigma={unit: sigma[chosen] for unit, sigma in self.sigma.items()},
+            poses=self.poses[chosen],
+            blocks=self.blocks[chosen],
+            weights=None if self.weights is None else self.weights[chosen],
+            sole=None if self.sole is None else self.sole[chosen],
+            covariances=None if self.covariances is None else self.covariances[chosen],
+            by_joints=None if self.by_joints is None else self.by_joints[chosen],
+        )
+
+    def residual(self, T_frame_target: Array, optics: Optics | None = None) -> Array:
+        """Return measured minus predicted.
+
+        Args:
+            T_frame_target: shape (N, 4, 4), predicted pose of each row's target in its frame [m].
+            optics: Numbers of camera and board; None: those before the fit.
+
+        Returns:
+            shape (N, D), in the units of ``channels``; 0 where nothing was measured.
+        """
+        result = np.zeros((len(self), self.width))
+        numbers = np.arange(len(self))[:, None]
+        for part in self._by_kind:
+            measured = self.measured[part.rows, : part.kind.size]
+            predicted = self._at_kind(part, T_frame_target)
+            values = part.kind.residual_of(measured, predicted, self._optics_at(part, optics))
+            result[numbers[part.rows], part.columns] = values
+        return result
+
+    def derivative(
+        self, T_frame_target: Array, twists: Array, optics: Optics | None = None
+    ) -> Array:
+        """Return the Jacobian of the prediction by the parameters: minus that of the residual.
+
+        Args:
+            T_frame_target: shape (N, 4, 4), predicted pose of each row's target in its frame [m].
+            twists: shape (N, 6, p), motion of the target by each parameter, along the frame's axes; see
+                `Kinematics.twists`. (N, 3, p), translations alone, where no row depends on its target's orientation.
+            optics: Numbers of camera and board, and the parameters that change them; None: those before the fit,
+                which none of the p parameters changes.
+
+        Returns:
+            shape (N, D, p); 0 where nothing was measured.
+        """
+        numbers = np.arange(len(self))[:, None]
+        shape = (len(self), self.width, twists.shape[2])
+        result: Array | None = None
+        for part in self._by_kind:
+            values = self._derivative_of(part, T_frame_target, twists, optics)
+            if values.shape == shape:
+                return values  # the only kind, and all columns
+            if result is None:
+                result = np.zeros(shape)
+            result[numbers[part.rows], part.columns] = values
+        return np.zeros(shape) if result is None else result
+
+    def _derivative_of(
+        self, part: _KindRows, T_frame_target: Array, twists: Array, optics: Optics | None
+    ) -> Array:
+        """The Jacobian of the prediction of the n rows of one kind, shape (n, s, p); see `derivative`."""
+        measured = self.measured[part.rows, : part.kind.size]
+        predicted = self._at_kind(part, T_frame_target)
+        moved = self._at_kind(part, twists)
+        if not part.kind.optical:
+            return np.asarray(part.kind.derivative(measured, predicted, moved))
+        values = self._optics_at(part, optics)
+        by_motion, by_optics = part.kind.derivative(measured, predicted, moved, values)
+        if optics is not None:
+            add_by_parameter(by_motion, by_optics, optics.parameter[part.rows])
+        return np.asarray(by_motion)
+
+    def points(self, T_frame_target: Array) -> Array:
+        """Return the measured point of each row: its target's origin, or a corner of the board.
+
+        Args:
+            T_frame_target: shape (N, 4, 4), predicted pose of each row's target in its frame [m].
+
+        Returns:
+            shape (N, 3), in the row's measurement frame [m].
+        """
+        result: Array = T_frame_target[:, :3, 3].copy()
+        if self.samples.optics is None:
+            return result
+        on_board = board_points(self.samples.optics)
+        return np.asarray(result + np.einsum("nij,nj->ni", T_frame_target[:, :3, :3], on_board))
+
+    def _optics_at(self, part: _KindRows, optics: Optics | None) -> Array | None:
+        """Numbers of camera and board at the rows of an optical kind; None for another kind."""
+        if not part.kind.optical:
+            return None
+        values = self.samples.optics if optics is None else optics.values
+        assert values is not None
+        return values[part.rows]
+
+    def as_measured_at(self, T_frame_target: Array) -> Rows:
+        """Return the rows with the readings of a perfect instrument.
+
+        Args:
+            T_frame_target: shape (N, 4, 4), true pose of each row's target in its frame [m].
+        """
+        measured = self.measured.copy()
+        for part in self._by_kind:
+            if part.kind.measure is not None:
+                predicted = self._at_kind(part, T_frame_target)
+                readings = part.kind.readings_at(predicted, self._optics_at(part, None))
+                measured[part.rows, : part.kind.size] = readings
+        return replace(self, measured=measured)
+
+    def _at_kind(self, part: _KindRows, values: Array) -> Array:
+        """Values (N, ...) at the n rows of one kind, (n, ...); of a paired kind at both its rows, (n, 2, ...)."""
+        if not part.kind.paired:
+            return values[part.rows]
+        return np.stack([values[part.rows], values[self.partner[part.rows]]], axis=1)
+
+    def with_partners(self, kept: Mask) -> Mask:
+        """Extend a mask of rows, (N,), by the second rows of their pairs, shape (N,)."""
+        result: Mask = kept.copy()
+        result[self.partner[kept & (self.partner >= 0)]] = True
+        return result
+
+    def keeps_frames(self, kept: Mask) -> bool:
+        """True if a mask of rows, (N,), keeps at least half of the rows of each frame."""
+        count = np.bincount(self.samples.frame)
+        kept_count = np.bincount(self.samples.frame, kept, len(count))
+        return bool(np.all(2 * kept_count >= count))
+
+    def without(self, outliers: Mask) -> Mask:
+        """Mask of the rows that are no outliers, shape (N,).
+
+        Args:
+            outliers: shape (N,), flagged rows.
+
+        Returns:
+            All rows where outliers are more than half of a frame's: then it is the frame that is wrong.
+        """
+        kept = self.with_partners(~outliers)
+        return kept if self.keeps_frames(kept) else np.ones_like(kept)
+
+    def evenly(self, most: int) -> Mask:
+        """Draw about ``most`` rows, the same share of each frame, target and kind; pairs stay whole.
+
+        Drawn at random, with a fixed seed: tables have cycles, and every tenth row may be of one kind of pose.
+
+        Returns:
+            Mask of the rows drawn, shape (N,); all where there are no more.
+        """
+        if len(self) <= most:
+            return np.ones(len(self), dtype=bool)
+        measuring = np.flatnonzero(self.kind != NONE)
+        labels = np.stack([self.samples.frame, self.samples.target, self.kind], axis=1)
+        _, group, count = np.unique(
+            labels[measuring], axis=0, return_inverse=True, return_counts=True
+        )
+        group = group.reshape(-1)
+        fewest = min(_FEWEST_OF_EACH, max(most // len(count), 1))
+        quota = np.minimum(count, np.maximum(most * count // max(len(self), 1), fewest))
+        drawn = _drawn_of_groups(group, count, quota)
+        result = np.zeros(len(self), dtype=bool)
+        result[measuring[drawn]] = True
+        return self.with_partners(result)
+
+    def parts(self, size: int) -> list[slice]:
+        """Split the rows into parts of ``size`` rows; into one part where there are pairs, which stay together."""
+        if np.any(self.partner >= 0):
+            size = max(len(self), 1)
+        return [slice(k, k + size) for k in range(0, len(self), size)]
+
+
+def add_by_parameter(jacobian: Array, by_optics: Array, parameter: Integers) -> None:
+    """Add the derivative by numbers of camera and board to that by the parameters that change them, in place.
+
+    Args:
+        jacobian: shape (n, s, p), derivative by the parameters.
+        by_optics: shape (n, s, c), derivative by c numbers of each row.
+        parameter: shape (n, c), index of the parameter that changes each; `FIXED` for none.
+    """
+    for optic in np.flatnonzero(np.any(parameter != FIXED, axis=0)).tolist():
+        rows = np.flatnonzero(parameter[:, optic] != FIXED)
+        jacobian[rows, :, parameter[rows, optic]] += by_optics[rows, :, optic]
+
+
+def _rows_by_kind(kinds: tuple[Kind, ...], kind_of_row: Integers) -> tuple[_KindRows, ...]:
+    """The rows of each kind that occurs, in the order of ``kinds``.
+
+    Args:
+        kinds: The kinds that rows may have.
+        kind_of_row: shape (N,), index of each row's kind; `NONE` for a row without a measurement.
+    """
+    result = []
+    for k, kind in enumerate(kinds):
+        of_kind = kind_of_row == k
+        if np.any(of_kind):
+            rows = slice(None) if np.all(of_kind) else np.flatnonzero(of_kind)
+            result.append(_KindRows(kind, rows, np.arange(len(kind.units))))
+    return tuple(result)
+
+
+def _correlated_rows(rows: Rows, poses: Mask) -> _CorrelatedRows | None:
+    """Return the rows with a covariance, and their transformations; None if there are none.
+
+    Args:
+        rows: N rows: their stated covariances, and what errors have besides.
+        poses: Rows of kinds that may have one, shape (N,).
+    """
+    stated = rows.covariances
+    if stated is None:
+        return None
+    chosen = np.flatnonzero(np.isfinite(stated[:, 0, 0]) & poses)
+    if not len(chosen):
+        return None
+    by_joints = np.zeros(stated.shape) if rows.by_joints is None else rows.by_joints
+    V = rows.pose_noise.covariances(stated[chosen], by_joints[chosen])
+    W = standardisers(V)
+    return _CorrelatedRows(chosen, V, W, np.asarray(np.linalg.inv(W)))
+
+
+def _drawn_of_groups(group: Integers, count: Integers, quota: Integers) -> Integers:
+    """Draw entries of each group at random, with a fixed seed.
+
+    Args:
+        group: shape (n,), number of each entry's group, from 0.
+        count: shape (G,), number of entries of each group.
+        quota: shape (G,), how many of them are drawn.
+
+    Returns:
+        Indices of the entries drawn, from 0.
+    """
+    random = np.random.default_rng(0).random(len(group))
+    # Sorted by group, and at random within it, the first entries of each group are drawn.
+    order = np.lexsort((random, group))
+    ordered_group = group[order]
+    first_of_group = np.concatenate([[0], np.cumsum(count)[:-1]])
+    rank = np.arange(len(group)) - first_of_group[ordered_group]
+    return np.asarray(order[rank < quota[ordered_group]])

@@ -1,0 +1,237 @@
+"""Measurement setup: the frames and targets of a table, and what is estimated of them.
+
+A row's prediction is T_frame_target = T_frame_base T_base_tip T_tip_target, with the frame of its station and its
+target. A frame or target is estimated or fixed; if estimated, its pose here is where the estimation starts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from itertools import compress
+
+import numpy as np
+
+from calib.basics.arrays import Array, Mask, read_only
+from calib.basics.values import Value
+from calib.model.kinematics import FIXED, Optics, Samples, changed_optics
+from calib.model.parameters import FRAME, TARGET, ErrorModel, Parameter
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OpticalUnknown(Value):
+    """A number of a camera or a board that is estimated, and what is known of it beforehand."""
+
+    #: The parameter: the change from the number with which images are predicted before the fit
+    parameter: Parameter
+    #: Mean of its prior, in its unit: 0 where the fit begins at what was given
+    mean: float
+    #: Standard deviation of its prior, in its unit
+    sigma: float
+    #: The change as estimated, in its unit; 0 before the fit
+    change: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Setup(Value):
+    """F frames and T targets, in the order of the numbers that rows refer to them with."""
+
+    #: Names of the stations, with one frame each
+    groups: tuple[str, ...]
+    #: Names of the targets
+    targets: tuple[str, ...]
+    #: (F, 4, 4), pose of the base in each frame [m]
+    T_frame_base: Array
+    #: (T, 4, 4), pose of each target in the tip [m]
+    T_tip_target: Array
+    #: For each frame the directions that are estimated: "x" ... "rz"
+    unknown: tuple[tuple[str, ...], ...]
+    #: (F,), frames whose pose the user gave: the nominal robot is judged with it, of others it is registered
+    frame_given: Mask
+    #: (T,), targets that are estimated
+    target_unknown: Mask
+    #: (T,), targets whose place the user gave: kept, or what the nominal robot is judged with and the estimate checked
+    target_given: Mask
+    #: Whether targets have an orientation to estimate, because one was measured; else they are points
+    rotation: bool
+    #: (F,), frames whose directions are along their own axes (planes); else along the base's
+    own_axes: Mask
+    #: Whether the targets' orientations are known, measured or given
+    oriented: bool = False
+    #: Numbers of cameras and boards that are estimated
+    optics: tuple[OpticalUnknown, ...] = ()
+
+    @property
+    def frame_unknowns(self) -> Mapping[str, tuple[str, ...]]:
+        """Estimated directions of each frame by its station's name; "" is the name of the only one."""
+        names = self.groups if len(self.groups) > 1 else ("",)
+        return dict(zip(names, self.unknown, strict=True))
+
+    @property
+    def target_names(self) -> tuple[str, ...]:
+        """Names of the targets in the names of their parameters; "" is the name of the only one."""
+        return self.targets if len(self.targets) > 1 else ("",)
+
+    @property
+    def places(self) -> tuple[list[str], list[str]]:
+        """Places of the frames, and of the targets, in an error model: `Parameter.place`."""
+        frames = [FRAME + name for name in self.frame_unknowns]
+        return frames, [TARGET + name for name in self.target_names]
+
+    @property
+    def estimate_target(self) -> bool:
+        """True if any target is estimated."""
+        return bool(np.any(self.target_unknown))
+
+    @property
+    def unknown_targets(self) -> tuple[str, ...]:
+        """Names of the targets that are estimated, as in `target_names`."""
+        return tuple(compress(self.target_names, self.target_unknown))
+
+    @property
+    def count(self) -> int:
+        """Number of unknowns of all frames and targets."""
+        of_frames = sum(len(directions) for directions in self.unknown)
+        of_each_target = 6 if self.rotation else 3
+        of_targets = of_each_target * int(np.sum(self.target_unknown))
+        return of_targets + of_frames
+
+    def placed(self, T_frame_base: Array, T_tip_target: Array) -> Setup:
+        """Return a copy with other poses of the frames and targets.
+
+        Args:
+            T_frame_base: shape (F, 4, 4), pose of the base in each frame [m].
+            T_tip_target: shape (T, 4, 4), pose of each target in the tip [m].
+        """
+        return replace(
+            self,
+            T_frame_base=read_only(T_frame_base),
+            T_tip_target=read_only(T_tip_target),
+        )
+
+    def displaced(self, displacement: Array) -> Setup:
+        """Return a copy displaced by the parameters of an error model.
+
+        Args:
+            displacement: shape (F + ... + T, 4, 4), of all places of the model, frames first and targets last:
+                `ErrorModel.displacements`. Each applies behind its pose: T_frame_base D and T_tip_target D.
+        """
+        of_frames = displacement[: len(self.groups)]
+        of_targets = displacement[-len(self.targets) :]
+        T_frame_base = self.T_frame_base @ of_frames
+        T_tip_target = self.T_tip_target @ of_targets
+        return self.placed(T_frame_base, T_tip_target)
+
+    def target_poses(self, T_base_tip: Array, samples: Samples) -> Array:
+        """Predict T_frame_target of samples.
+
+        Args:
+            T_base_tip: shape (N, 4, 4), pose of the tip at each sample [m].
+            samples: Their frames and targets.
+
+        Returns:
+            shape (N, 4, 4), [m].
+        """
+        T_frame_tip = self.T_frame_base[samples.frame] @ T_base_tip
+        return np.asarray(T_frame_tip @ self.T_tip_target[samples.target])
+
+    def optics_at(self, samples: Samples) -> Optics | None:
+        """Return the numbers of camera and board by which images in samples are predicted; None without cameras.
+
+        They count as fixed: no parameter of a derivative changes them.
+        """
+        parameters = [unknown.parameter for unknown in self.optics]
+        changes = np.array([unknown.change for unknown in self.optics])
+        return changed_optics(samples, parameters, changes, [FIXED] * len(parameters))
+
+    def seen_by(self, samples: Samples) -> tuple[Mask, Mask]:
+        """Return the frames, shape (F,), and the targets, shape (T,), that occur in samples."""
+        frames = np.bincount(samples.frame, minlength=len(self.groups)) > 0
+        targets = np.bincount(samples.target, minlength=len(self.targets)) > 0
+        return frames, targets
+
+    def unknown_at(self, samples: Samples) -> Mask:
+        """Return the samples whose frame or target is estimated, shape (N,)."""
+        frame_unknown = np.array([bool(directions) for directions in self.unknown])
+        by_frame = frame_unknown[samples.frame]
+        by_target = self.target_unknown[samples.target]
+        return np.asarray(by_frame | by_target)
+
+    def with_given_fixed(self, observed: Samples | None = None) -> Setup:
+        """Return a copy in which given frames and targets are fixed, not estimated.
+
+        Args:
+            observed: Frames and targets that occur in these samples are fixed too; None for no others.
+        """
+        result = self.with_fixed(self.frame_given, self.target_given)
+        if observed is None:
+            return result
+        return result.with_fixed(*result.seen_by(observed))
+
+    def with_fixed(self, frames: Mask, targets: Mask) -> Setup:
+        """Return a copy in which some frames and targets are fixed at their poses, not estimated.
+
+        Args:
+            frames: shape (F,), which frames.
+            targets: shape (T,), which targets.
+        """
+        unknown: list[tuple[str, ...]] = []
+        for fixed, directions in zip(frames, self.unknown, strict=True):
+            unknown.append(() if fixed else directions)
+        target_unknown = self.target_unknown & ~targets
+        return replace(self, unknown=tuple(unknown), target_unknown=target_unknown)
+
+    def with_estimated_not_given(self) -> Setup:
+        """Return a copy with every frame and target that is estimated marked as not given.
+
+        What is not given is registered for the nominal robot, as what is given would not be.
+        """
+        frame_known = np.array([not directions for directions in self.unknown])
+        return replace(self, frame_given=frame_known, target_given=~self.target_unknown)
+
+    def aligned(self, model: ErrorModel) -> ErrorModel:
+        """Turn the directions of frame and target parameters: a plane's to its own axes, positions to the tip's axes.
+
+        An error model has the directions of a frame along the base's axes and those of a target along its own. With the
+        rotation R of T_frame_base a unit along one of the plane's axes e is the twist R^T e.
+
+        Args:
+            model: Parameters of the robot, the frames and the targets, as `calib.model.error_model` makes them.
+
+        Returns:
+            The model with parameters of the same names, each still of one metre or radian a unit.
+        """
+        R_of_planes, R_of_targets = self._new_axes()
+
+        def turned(parameter: Parameter) -> Parameter:
+            """Return a parameter with its direction turned; those of the robot as they are."""
+            R = R_of_planes.get(parameter.place)
+            if R is None and parameter.unit == "m":
+                R = R_of_targets.get(parameter.place)
+            if R is None or parameter.unit not in ("m", "rad") or np.array_equal(R, np.eye(3)):
+                return parameter
+            linear_and_angular = parameter.direction.reshape(2, 3)
+            direction = (R @ linear_and_angular.T).T
+            return replace(parameter, direction=read_only(direction.ravel()))
+
+        parameters = tuple(map(turned, model.parameters))
+        terms = tuple(map(turned, model.terms))
+        if parameters == model.parameters and terms == model.terms:
+            return model
+        return replace(model, parameters=parameters, terms=terms)
+
+    def _new_axes(self) -> tuple[dict[str, Array], dict[str, Array]]:
+        """Rotations by which `aligned` turns directions, by `Parameter.place`.
+
+        Returns:
+            R_base_frame of the frames with axes of their own, and R_target_tip of all targets, of shape (3, 3).
+        """
+        frames, targets = self.places
+        R_frame_base = self.T_frame_base[:, :3, :3]
+        R_of_planes = {}
+        for place, own_axes, R in zip(frames, self.own_axes, R_frame_base, strict=True):
+            if own_axes:
+                R_of_planes[place] = R.T
+        R_tip_target = self.T_tip_target[:, :3, :3]
+        R_of_targets = dict(zip(targets, R_tip_target.swapaxes(1, 2), strict=True))
+        return R_of_planes, R_of_targets

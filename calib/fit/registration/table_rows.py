@@ -1,0 +1,171 @@
+"""The rows of a table as the arrays of a fit."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+import calib.data.kinds as registry
+from calib.basics.arrays import Array, Integers
+from calib.basics.channels import RESIDUAL_UNITS
+from calib.camera.optics import CORNER
+from calib.data.cell import AUTO, Cell
+from calib.data.kinds import Kind
+from calib.data.measurements import Measurements
+from calib.errors import MeasurementError
+from calib.fit.registration.cameras import optics_of_rows
+from calib.fit.registration.joint_loads import joint_loads
+from calib.fit.registration.labels import joined_labels, numbered
+from calib.fit.registration.rows import NONE, Rows
+from calib.fit.registration.same_poses import same_poses
+from calib.fit.registration.setup import Setup
+from calib.fit.registration.table_setup import measurement_setup
+from calib.model.error_model import split_name
+from calib.model.families import FAMILIES
+from calib.model.kinematics import Samples
+from calib.robot.robot import Robot
+
+
+def rows_and_setup(robot: Robot, measurements: Measurements, cell: Cell) -> tuple[Rows, Setup]:
+    """Convert a table to the arrays of a fit.
+
+    Args:
+        robot: The nominal robot, whose joints the table's columns are.
+        measurements: The table, N rows of all sets.
+        cell: Frames, targets and noise as given.
+
+    Returns:
+        All N rows, in the table's order, and the measurement setup, not yet registered.
+
+    Raises:
+        MeasurementError: A pair has one row only.
+        ModelError: The cell names a group or target that the table lacks.
+    """
+    q = measurements.joints_for(robot.joint_names)
+    kinds = _kinds_of(measurements)
+    kind, partner = _kind_and_partner(measurements, kinds)
+    pose = same_poses(q)
+    setup = measurement_setup(cell, measurements, kinds, kind)
+    optics, unknowns = optics_of_rows(measurements, cell, setup, pose)
+    samples = Samples(
+        q=q,
+        frame=numbered(measurements.groups, setup.groups),
+        target=numbered(measurements.targets, setup.targets),
+        load=joint_loads(robot, measurements, cell, q) if _needs_loads(cell) else None,
+        optics=optics,
+    )
+    first_rows = np.flatnonzero(partner >= 0)
+    pairs = [(int(i), int(partner[i])) for i in first_rows]
+    rows = Rows(
+        samples=samples,
+        kinds=kinds,
+        kind=kind,
+        measured=_measured(measurements, kinds, kind),
+        partner=partner,
+        sigma=_sigma_by_unit(measurements, cell),
+        covariances=measurements.covariances,
+        poses=_repeats(pose, samples, kind, partner),
+        blocks=joined_labels(pose, pairs),
+    )
+    return rows, replace(setup, optics=unknowns)
+
+
+def _kinds_of(measurements: Measurements) -> tuple[Kind, ...]:
+    """Kinds that occur in a table, in the order in which they were registered."""
+    occurring = set(measurements.kinds)
+    return tuple(registry.get(name) for name in registry.names() if name in occurring)
+
+
+def _kind_and_partner(
+    measurements: Measurements, kinds: tuple[Kind, ...]
+) -> tuple[Integers, Integers]:
+    """Index of each row's kind, and its partner, both (N,), as `Rows` has them.
+
+    Of a pair the earlier row has the kind, the measurement and a partner; the later one has `NONE` and no partner.
+    """
+    kind = numbered(measurements.kinds, [kind.name for kind in kinds])
+    partner = _partners(measurements)
+    later = (partner >= 0) & (partner < np.arange(len(measurements)))
+    kind[later] = NONE
+    return kind, np.where(kind == NONE, -1, partner)
+
+
+def _needs_loads(cell: Cell) -> bool:
+    """True if a model that may be fitted depends on the loads of the joints, which take time to compute."""
+    if cell.model == AUTO:
+        return True
+    _, families = split_name(cell.model)
+    return any(FAMILIES[family].loaded for family in families)
+
+
+def _sigma_by_unit(measurements: Measurements, cell: Cell) -> dict[str, Array]:
+    """Standard deviation of one scalar of each row, shape (N,) for each unit: the row's, else the cell's, else assumed.
+
+    Args:
+        measurements: Table of N rows, which may state it for some of its rows.
+        cell: May state it for all rows.
+    """
+    result = {}
+    stated = measurements.stated_sigma
+    for symbol, unit in RESIDUAL_UNITS.items():
+        general = np.full(len(measurements), cell.sigma.get(symbol, unit.assumed_sigma))
+        by_row = stated.get(symbol, np.full(len(measurements), np.nan))
+        result[symbol] = np.where(np.isfinite(by_row), by_row, general)
+    return result
+
+
+def _repeats(pose: Integers, samples: Samples, kind: Integers, partner: Integers) -> Integers:
+    """Number the rows so that repeats, of one pose, frame, target and kind, have one number, shape (N,).
+
+    Args:
+        pose: shape (N,), see `same_poses`.
+        samples: Frames and targets.
+        kind: shape (N,), as `Rows` has it.
+        partner: shape (N,), likewise; repeats of a pair repeat both its rows.
+    """
+    poses = int(pose.max(initial=-1)) + 1
+    if poses == len(pose):
+        return pose  # no pose is repeated
+    labels = np.column_stack([pose, samples.frame, samples.target, kind])
+    if samples.optics is not None:
+        labels = np.column_stack([labels, samples.optics[:, CORNER]])
+    labels_of_partner = np.where((partner >= 0)[:, None], labels[partner], -1)
+    both = np.hstack([labels, labels_of_partner])
+    _, number = np.unique(both, axis=0, return_inverse=True)
+    return number.reshape(-1)
+
+
+def _measured(measurements: Measurements, kinds: tuple[Kind, ...], kind_of_row: Integers) -> Array:
+    """Measured values of each row, shape (N, K), as `Rows.measured`: point, rotation matrix by rows, readings."""
+    size = max((kind.size for kind in kinds), default=0)
+    result = np.zeros((len(measurements), size))
+    for k, kind in enumerate(kinds):
+        rows = kind_of_row == k
+        parts = []
+        if kind.position:
+            parts.append(measurements.points[rows])
+        if kind.orientation and measurements.rotations is not None:
+            parts.append(measurements.rotations[rows].reshape(-1, 9))
+        for reading in kind.readings:
+            values = measurements.reading(reading.name)
+            parts.append(values[rows, None])
+        if parts:
+            result[rows, : kind.size] = np.hstack(parts)
+    return result
+
+
+def _partners(measurements: Measurements) -> Integers:
+    """The other row of each pair, at both its rows, shape (N,); -1 elsewhere."""
+    partner = np.full(len(measurements), -1)
+    first, second = measurements.pair_rows.T
+    partner[first] = second
+    partner[second] = first
+    alone = np.flatnonzero(measurements.paired & (partner < 0))
+    if len(alone):
+        i = int(alone[0])
+        raise MeasurementError(
+            f"{measurements.source or 'Measurements'}, row {measurements.rows[i]}: the pair "
+            f"'{measurements.pairs[i]}' has one row only in this set."
+        )
+    return partner

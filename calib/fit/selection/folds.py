@@ -1,0 +1,169 @@
+"""Folds: the rows that a cross-validation holds out together.
+
+Rows of one pose are never in different folds: they share the error of the pose, so one would tell what the other
+measures. Where there are enough stations, each fold is a whole station instead.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.basics.arrays import Array, Integers, Mask, read_only
+from calib.errors import MeasurementError
+from calib.fit.estimate.task import Task
+from calib.fit.registration.known_distances import joined_stations
+from calib.fit.registration.rows import Rows
+from calib.model.error_model import DIRECTIONS
+from calib.numerics.errors import CrossValidation, Errors
+
+#: Largest number of folds: up to as many poses or stations are held out one at a time.
+_MOST_FOLDS = 60
+
+#: Number of folds where there are more poses than that.
+_FEW_FOLDS = 10
+
+#: From this number on whole stations are held out; of two, one half of all rows would be.
+_FEWEST_STATIONS = 3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Folds:
+    """Rows that are held out together; each row is in one fold."""
+
+    #: Name, such as ``"leave-one-out"``, ``"leave-one-station-out"`` or ``"10-fold"``
+    method: str
+    #: For each fold, True for the rows that it holds out, each of shape (N,)
+    masks: tuple[Mask, ...]
+
+    @classmethod
+    def of(
+        cls,
+        blocks: Integers,
+        stations: Integers | None = None,
+        measured_rows: int | None = None,
+    ) -> Folds:
+        """Divide rows into folds: whole stations, or single poses, or tenths of many poses.
+
+        Args:
+            blocks: Number of the block of each row, shape (N,). Rows of one block stay together: those of one pose,
+                and both rows of a pair.
+            stations: Number of the station of each row, shape (N,); None: stations are not held out whole.
+            measured_rows: Number of rows that hold a measurement themselves, by default all: of a pair one does.
+
+        Returns:
+            Whole stations where at least three are given, else blocks.
+        """
+        if stations is not None:
+            numbers = np.unique(stations)
+            if len(numbers) >= _FEWEST_STATIONS:
+                return cls._of_stations(stations, numbers)
+        present, block = np.unique(blocks, return_inverse=True)
+        count = len(present)
+        if count > _MOST_FOLDS:
+            masks = tuple(block % _FEW_FOLDS == k for k in range(_FEW_FOLDS))
+            return cls(f"{_FEW_FOLDS}-fold", masks)
+        without_repeats = count in (len(blocks), measured_rows)
+        method = "leave-one-out" if without_repeats else "leave-one-pose-out"
+        return cls(method, tuple(block == k for k in range(count)))
+
+    @classmethod
+    def _of_stations(cls, stations: Integers, numbers: Integers) -> Folds:
+        """Hold out whole stations, several at a time where there are more than `_MOST_FOLDS`.
+
+        Args:
+            stations: Number of the station of each row, shape (N,).
+            numbers: The K numbers that occur, in order, shape (K,).
+        """
+        size = -(-len(numbers) // _MOST_FOLDS)  # rounded up
+        masks = []
+        for first in range(0, len(numbers), size):
+            held_out = numbers[first : first + size]
+            masks.append(np.isin(stations, held_out))
+        method = "leave-one-station-out" if size == 1 else "leave-stations-out"
+        return cls(method, tuple(masks))
+
+    @classmethod
+    def of_task(cls, task: Task, rows: Rows) -> Folds:
+        """Divide the rows of a fit into folds.
+
+        Stations are held out whole if there are three or more and the others determine all that is needed to predict
+        one: see `_stations_predict_each_other`.
+
+        Args:
+            task: The fit, of which the setup and the known distances between stations count.
+            rows: The N rows that are fitted.
+
+        Returns:
+            Two folds or more.
+
+        Raises:
+            MeasurementError: All rows are of one pose, so nothing is left to fit.
+        """
+        stations = joined_stations(rows, task.distances)
+        whole = _stations_predict_each_other(task, rows, stations)
+        is_measured = np.any(rows.used, axis=1)
+        measured_rows = int(np.sum(is_measured))
+        folds = cls.of(rows.blocks, stations if whole else None, measured_rows)
+        if len(folds.masks) < 2:
+            raise MeasurementError(
+                "These are rows of one pose, which tell nothing of the robot: its errors there cannot be told from the "
+                "target's place, and none is left to validate with. Measure more poses; calib plan chooses them."
+            )
+        return folds
+
+    def joined(self, rows: Rows, residuals: Sequence[Array], outliers: Mask) -> CrossValidation:
+        """Join the held-out residuals of all folds.
+
+        Rows of sole postures are left out of the errors: no other row predicts them.
+
+        Args:
+            rows: The N rows that were divided.
+            residuals: Of each fold, measured minus predicted at the rows that it holds out, shape (n, d), in
+                the order of the rows; d may be less than D where all of them lack a kind.
+            outliers: Rows that the fit to all rows flagged, shape (N,).
+
+        Returns:
+            Residuals of shape (N, D), and their errors with and without the outliers.
+        """
+        residual = np.zeros(rows.used.shape)
+        for mask, of_fold in zip(self.masks, residuals, strict=True):
+            residual[mask, : of_fold.shape[1]] = of_fold
+        checked = rows.checked
+        good = checked & ~outliers
+        _, block = np.unique(rows.blocks, return_inverse=True)
+        return CrossValidation(
+            method=self.method,
+            folds=len(self.masks),
+            poses=block.reshape(-1),
+            residual=read_only(residual),
+            errors=Errors.of(residual[checked], rows.channels.select(checked)),
+            errors_without_outliers=Errors.of(residual[good], rows.channels.select(good)),
+        )
+
+
+def _stations_predict_each_other(task: Task, rows: Rows, stations: Integers) -> bool:
+    """Tell if the rows of any station can be predicted from those of the others.
+
+    The frame of a held-out station is registered to its own rows. It takes from the others the orientation of each
+    target, and the place of the base where its own frame is known.
+
+    Args:
+        task: The fit.
+        rows: The N rows that are fitted.
+        stations: Number of the station of each row, shape (N,).
+    """
+    # Each target whose orientation was measured must be so at two stations or more.
+    oriented = rows.where(lambda kind: kind.orientation)
+    targets = rows.samples.target
+    for target in np.unique(targets[oriented]):
+        of_target = oriented & (targets == target)
+        if len(np.unique(stations[of_target])) < 2:
+            return False
+    # No station, or more than one, must be measured in a known frame: one alone determines where the base stands.
+    known_frames = np.array([len(unknown) < len(DIRECTIONS) for unknown in task.setup.unknown])
+    positions = rows.where(lambda kind: kind.position)
+    in_known_frame = positions & known_frames[rows.samples.frame]
+    return len(np.unique(stations[in_known_frame])) != 1

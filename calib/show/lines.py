@@ -1,0 +1,143 @@
+"""Paragraphs, lists and numbers as text: lines of 100 columns."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    pass
+
+import textwrap
+
+#: Columns of a line, at most: what a terminal beside an editor shows without breaking lines.
+WIDTH = 100
+
+
+def fill(text: str, indent: str = "", hang: str = "") -> str:
+    """Break a paragraph at 100 columns, nowhere within a word, however long.
+
+    Args:
+        text: The paragraph.
+        indent: What stands before each line.
+        hang: What stands behind the indent of each line but the first.
+
+    Returns:
+        The lines, joined.
+    """
+    return textwrap.fill(
+        text,
+        WIDTH,
+        initial_indent=indent,
+        subsequent_indent=indent + hang,
+        break_on_hyphens=False,
+        break_long_words=False,
+    )
+
+
+def wrap(text: str, indent: str = "") -> str:
+    """Break a paragraph at 100 columns with a hanging indent; longer words are broken too.
+
+    Args:
+        text: The paragraph.
+        indent: What stands before each line; all but the first have two spaces more.
+
+    Returns:
+        The lines, joined, none of them longer than 100 columns.
+    """
+    return textwrap.fill(
+        text,
+        WIDTH,
+        initial_indent=indent,
+        subsequent_indent=indent + "  ",
+        break_on_hyphens=False,
+    )
+
+
+def plural(count: int, noun: str) -> str:
+    """Count things whose plural has an s: ``1 row``, ``2,000 rows``."""
+    return f"{count} {noun}" if count == 1 else f"{count:,} {noun}s"
+
+
+def times(fewest: int, most: int) -> str:
+    """Say how often something was done: ``1 time``, ``30 times``, ``3 to 30 times``.
+
+    Args:
+        fewest: The smallest number of times.
+        most: The largest.
+    """
+    count = str(most) if fewest == most else f"{fewest} to {most}"
+    return f"{count} times" if most > 1 else f"{count} time"
+
+
+def row_ranges(rows: Iterable[int], limit: int = 12) -> str:
+    """List row numbers, consecutive ones as a range: ``4, 7 to 9``.
+
+    Args:
+        rows: The numbers, in any order.
+        limit: The most numbers and ranges that are listed.
+
+    Returns:
+        The list; what exceeds the limit is counted: ``... and 5 more``.
+    """
+    runs: list[list[int]] = []
+    for row in sorted(rows):
+        if runs and row == runs[-1][1] + 1:
+            runs[-1][1] = row
+        else:
+            runs.append([row, row])
+    text = ", ".join(_row_range(first, last) for first, last in runs[:limit])
+    more = sum(last - first + 1 for first, last in runs[limit:])
+    return f"{text} and {more} more" if more else text
+
+
+def _row_range(first: int, last: int) -> str:
+    """Consecutive row numbers: ``4``, ``4, 5`` or ``4 to 6``."""
+    if last == first:
+        return str(first)
+    if last == first + 1:
+        return f"{first}, {last}"
+    return f"{first} to {last}"
+
+
+def listed(parts: Sequence[str]) -> str:
+    """Join parts of a sentence: ``a``, ``a and b``, ``a, b and c``."""
+    *first, last = parts or [""]
+    return f"{', '.join(first)} and {last}" if first else last
+
+
+def number(value: float, digits: int = 3, sign: str = "-") -> str:
+    """Format a number.
+
+    Args:
+        value: The number.
+        digits: How many digits stand after the point.
+        sign: ``"+"`` also marks positive numbers.
+
+    Returns:
+        The number, without a minus before a zero; a dash if it is not finite.
+    """
+    if not math.isfinite(value):
+        return "-"
+    return f"{round(value, digits) + 0.0:{sign}.{digits}f}"
+
+
+def mm(value: float, digits: int = 3) -> str:
+    """Format a length [m] in mm, without its unit; see `number`."""
+    return number(1e3 * value, digits)
+
+
+def deg(value: float, digits: int = 3) -> str:
+    """Format an angle [rad] in degrees, without its unit; see `number`."""
+    return number(float(math.degrees(value)), digits)
+
+
+def paragraphs(*paragraphs: Iterable[str]) -> str:
+    """Join paragraphs of lines with empty lines between; indented lines stay as they are."""
+    texts = []
+    for paragraph in paragraphs:
+        lines = [line if line.startswith("  ") else fill(line) for line in paragraph]
+        if lines:
+            texts.append("\n".join(lines))
+    return "\n\n".join(texts)

@@ -1,1 +1,0 @@
-"""All English: what the program prints about results, from codes and numbers. Imports formats and below."""

@@ -1,1 +1,0 @@
-"""Layout of printed text: paragraphs, numbers and tables; no sentences."""

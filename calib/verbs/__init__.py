@@ -1,0 +1,1 @@
+"""One folder a verb: what it computes, its words, its figures or view, and its command."""

@@ -1,0 +1,295 @@
+"""Single-joint sweeps: the points that one turning joint carries round, and points on the base's mounting plane.
+
+They are in a table whose column ``sweep`` says which sweep a row is of, or in a list of points, as laser trackers
+write them, whose names do: ``plane_1``, ``joint1_03``. A sweep is called ``plane``, or by a joint's name, or
+``joint 1``, ``1``. See docs/base-frame.md.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from calib.basics.arrays import Array, read_only
+from calib.basics.tables import Column, Table
+from calib.basics.values import Value
+from calib.data.columns import ORIENTATION, list_columns, name_columns, reserved
+from calib.data.forms.column_options import ColumnsInput
+from calib.data.forms.points import PARTS, Points
+from calib.data.layout import Layout
+from calib.data.measurements import Measurements
+from calib.data.points_file import read_points
+from calib.data.values import read_values
+from calib.errors import MeasurementError, choices
+
+#: Name of the points on the mounting plane.
+PLANE = "plane"
+
+#: Their number, where joints are numbered from 0.
+_PLANE = -1
+
+_NUMBERED = re.compile(r"(?:joint|axis|sweep|j|a)?[ _\-.]*0*([1-9][0-9]?)", re.IGNORECASE)
+_POINT_NAME = re.compile(r"(.*?)[ _\-.:]*[0-9]+")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sweep(Value):
+    """Points of one sweep, in the order in which they were measured."""
+
+    #: The joint of the chain that turns, from 0; None for the plane
+    joint: int | None
+    #: In the file
+    name: str
+    #: Shape (N, 3) in the tracker's frame [m]
+    points: Array
+    #: Standard deviation of a coordinate of each point, shape (N,) [m]; None where not given
+    sigma: Array | None
+    #: Values of the chain's joints, shape (N, n) [rad]; None where not given
+    joints: Array | None
+    #: Their numbers in the file, for messages
+    rows: tuple[int, ...]
+    #: The file's name, for messages
+    source: str
+    #: What ``rows`` are: "row" or "line"
+    counted: str = "row"
+
+    @property
+    def where(self) -> str:
+        """The sweep's place, for messages."""
+        first, last = min(self.rows), max(self.rows)
+        return f"{self.source}, sweep '{self.name}' ({self.counted}s {first} to {last})"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sweeps(Value):
+    """Sweeps of a file."""
+
+    #: The plane first, then the joints in the order of the chain; one of each at most
+    sweeps: tuple[Sweep, ...]
+    #: The chain's joints, base to tip; empty where they were not given
+    joint_names: tuple[str, ...]
+    #: The file's name
+    source: str
+
+    def label(self, joint: int) -> str:
+        """Return the name of a joint, from 0, or ``joint`` and its number from 1 where it has none."""
+        return self.joint_names[joint] if joint < len(self.joint_names) else f"joint {joint + 1}"
+
+
+def read_sweeps(
+    path: str | Path | None = None,
+    joint_names: Sequence[str] | None = None,
+    columns: ColumnsInput = None,
+    points: str | Path | None = None,
+    points_unit: str | None = None,
+) -> Sweeps:
+    """Read sweeps from a table, from a list of points, or from both.
+
+    Args:
+        path: A table with the columns ``sweep``, ``x``, ``y``, ``z``, perhaps ``sigma`` and the joints' values; None:
+            all is in the list of points.
+        joint_names: Of the chain, base to tip; None: the table's columns in a unit of angle, in their order.
+        columns: Names that calib uses by the table's names, or all that is said of the columns; None: nothing is.
+        points: A list of points. Beside a table its points are matched by the column ``point``, or in their order;
+            without one, their names say which sweep they are of.
+        points_unit: The unit of that list; None: it names one.
+
+    Returns:
+        The sweeps.
+
+    Raises:
+        MeasurementError: Something in the files cannot be used; the text names the file, the row and the remedy.
+    """
+    listed = None if points is None else read_points(points, points_unit)
+    if path is not None:
+        return _from_table(Table.read(path), joint_names, columns, listed)
+    if listed is None:
+        raise MeasurementError("Give a table of sweeps, or a list of points (--points).")
+    return _from_points(listed, tuple(joint_names or ()))
+
+
+def _number(word: str, joint_names: Sequence[str]) -> int | None:
+    """Return the joint of a word, from 0, by its name or number from 1; -1 for the plane; None for any other word."""
+    plain = word.strip()
+    if plain.casefold() == PLANE:
+        return _PLANE
+    if plain in joint_names:
+        return joint_names.index(plain)
+    match = _NUMBERED.fullmatch(plain)
+    if match is None or (joint_names and int(match[1]) > len(joint_names)):
+        return None
+    return int(match[1]) - 1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Rows:
+    """All points of a file."""
+
+    #: The word of each that names its sweep
+    words: Sequence[str]
+    #: (N, 3), [m]
+    points: Array
+    #: Its number in the file
+    numbers: Sequence[int]
+    #: The file's name
+    source: str
+    #: What the numbers count: "row" or "line"
+    counted: str = "row"
+    #: (N,), [m]; None: not given
+    sigma: Array | None = None
+    #: (N, n), [rad]; None: not given
+    joints: Array | None = None
+
+
+def _split(rows: _Rows, joint_names: tuple[str, ...]) -> Sweeps:
+    """Split the points of a file into sweeps, the plane first; raises `MeasurementError`."""
+    by_number: dict[int, list[int]] = {}
+    for i, word in enumerate(rows.words):
+        number = _number(word, joint_names)
+        if number is None:
+            names = ""
+            if joint_names:
+                names = f"a joint's name ({choices(joint_names)}), or "
+            raise MeasurementError(
+                f"{rows.source}, {rows.counted} {rows.numbers[i]}: '{word}' is not a sweep; "
+                f"allowed are '{PLANE}', {names}a joint's number, 'joint 1'."
+            )
+        by_number.setdefault(number, []).append(i)
+    sweeps = [_sweep(rows, number, members) for number, members in sorted(by_number.items())]
+    return Sweeps(tuple(sweeps), joint_names, rows.source)
+
+
+def _sweep(rows: _Rows, number: int, members: list[int]) -> Sweep:
+    """Return the sweep of some points of a file.
+
+    Args:
+        rows: All points of the file.
+        number: The joint that turns, from 0; -1 for the plane.
+        members: Indices of the sweep's points in ``rows``, from 0.
+    """
+    is_plane = number == _PLANE
+    joints = None
+    if rows.joints is not None and not is_plane:
+        joints = read_only(rows.joints[members])
+    return Sweep(
+        joint=None if is_plane else number,
+        name=rows.words[members[0]],
+        points=read_only(rows.points[members]),
+        sigma=None if rows.sigma is None else read_only(rows.sigma[members]),
+        joints=joints,
+        rows=tuple(rows.numbers[i] for i in members),
+        source=rows.source,
+        counted=rows.counted,
+    )
+
+
+def _from_points(points: Points, joint_names: tuple[str, ...]) -> Sweeps:
+    """Return the sweeps of a list of points by their names; raises `MeasurementError`."""
+    if not points.names:
+        raise MeasurementError(
+            f"{points.source}: the points have no names, which would tell their sweeps. Name them "
+            "'plane_1', 'joint1_01' and so on, or give a table with a column 'sweep'."
+        )
+    words = [_sweep_word(name, joint_names) for name in points.names]
+    rows = _Rows(words, points.points, points.lines, points.source, counted="line")
+    return _split(rows, joint_names)
+
+
+def _sweep_word(name: str, joint_names: tuple[str, ...]) -> str:
+    """Return the word of a point's name that tells its sweep: its last part without number, else the part before."""
+    parts = [part.strip() for part in name.split(PARTS)]
+    last = parts[-1]
+    numbered = _POINT_NAME.fullmatch(last)
+    without_number = numbered[1] if numbered else last
+    candidates = [without_number, *parts[-2:-1]]
+    for word in candidates:
+        if _number(word, joint_names) is not None:
+            return word
+    return candidates[0]
+
+
+def _from_table(
+    table: Table,
+    joint_names: Sequence[str] | None,
+    columns: ColumnsInput,
+    points: Points | None,
+) -> Sweeps:
+    """Return the sweeps of a table.
+
+    Args:
+        table: The table.
+        joint_names: Of the chain; None: the table's columns in a unit of angle.
+        columns: What is said of the columns.
+        points: Its points, in a list of their own; None: they are in the table.
+
+    Raises:
+        MeasurementError: See `read_sweeps`.
+    """
+    named, _ = name_columns(table, joint_names or (), columns)
+    sweep_column = _sweep_column(table, named)
+    names = _angle_columns(named) if joint_names is None else tuple(joint_names)
+    has_joints = any(name in named for name in names)
+    measured_joints = names if has_joints else ()
+    layout = Layout.find(
+        table,
+        measured_joints,
+        dict.fromkeys(measured_joints, "revolute"),
+        columns,
+        "point",
+        points_elsewhere=points is not None,
+    )
+    layout = replace(layout, groups=(sweep_column,))
+    cells = _filled_cells(table, layout, sweep_column, names)
+    values = Measurements(**read_values(replace(table, cells=cells), layout, points))
+    rows = _Rows(
+        words=values.groups,
+        points=values.points,
+        numbers=values.rows,
+        source=table.source,
+        sigma=values.sigma.get("m"),
+        joints=values.joints if has_joints else None,
+    )
+    return _split(rows, names)
+
+
+def _sweep_column(table: Table, named: Mapping[str, Column]) -> Column:
+    """Return the column that names the sweep of each row; raises `MeasurementError`."""
+    for name, column in named.items():
+        if name.casefold() == "sweep":
+            return column
+    raise MeasurementError(
+        f"{table.source}: no column 'sweep', which names what was measured in each row: 'plane', or "
+        f"the joint that turned. {list_columns(table)} Another name is mapped by --columns "
+        '"name in the table=sweep".'
+    )
+
+
+def _angle_columns(named: Mapping[str, Column]) -> tuple[str, ...]:
+    """Return the columns in a unit of angle that are not orientations, in their order."""
+    reserved_names = (*reserved(), *ORIENTATION)
+    names = []
+    for name, column in named.items():
+        if name not in reserved_names and column.unit and column.unit.quantity == "angle":
+            names.append(name)
+    return tuple(names)
+
+
+def _filled_cells(
+    table: Table,
+    layout: Layout,
+    sweep_column: Column,
+    joint_names: tuple[str, ...],
+) -> tuple[list[str], ...]:
+    """Return the cells of a table, with zeros for empty joint values of the plane's rows."""
+    joint_columns = {column.index for column in layout.blocks["joints"]}
+    rows = []
+    for row in table.cells:
+        cells = list(row)
+        if _number(row[sweep_column.index], joint_names) == _PLANE:
+            for k, cell in enumerate(row):
+                if k in joint_columns and not cell:
+                    cells[k] = "0"
+        rows.append(cells)
+    return tuple(rows)

@@ -1,0 +1,1 @@
+"""``calib board``: a board to print."""

@@ -1,0 +1,195 @@
+"""Boards in words: on the page that is printed, on the console, and what to do with the print."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Iterable
+from pathlib import Path
+
+from calib.boards.board import APRILTAG, CHARUCO, CHESSBOARD, Board
+from calib.boards.paper import NO_PAPER, PAPERS, Sheet
+from calib.boards.print_scale import READING, PrintScale
+from calib.show.lines import fill, plural
+
+#: Names of the patterns.
+_PATTERNS = {CHARUCO: "ChArUco board", CHESSBOARD: "Chessboard", APRILTAG: "Grid of AprilTags"}
+
+#: Longest name of a board on the page [characters].
+_LONGEST_NAME = 20
+
+#: What each output is for, by the ending of the file.
+_OUTPUTS = {
+    "pdf": "to print",
+    "svg": "the same drawing, for other programs",
+    "toml": "the description, which calib reads",
+}
+
+#: A print that is further off was scaled on purpose [%].
+_FAR_PERCENT = 1.0
+
+#: A length that is further off was not drawn by calib, but assumed [%].
+_RESIZED_PERCENT = 10.0
+
+_NEW_LAYOUT = (
+    "Note: OpenCV before 4.6 lays an even number of rows out in another way; programs that use it see the markers but "
+    "no corners. An odd number of rows is the same for all."
+)
+
+_LEGACY_LAYOUT = (
+    "Note: with an even number of rows in the legacy layout, programs with OpenCV 4.6 or newer see the markers but no "
+    "corners, unless they are set to it. calib reads the layout from the description."
+)
+
+_FITTED_TO_PAGE = (
+    "Note: the print is more than 1 % off; was it printed to fit the page? It can be used as it is if width and height "
+    "are off alike: measure both."
+)
+
+
+def _mm(length: float) -> str:
+    """Write a length in millimetres with as many digits as it has, to a micrometre."""
+    return f"{round(1e3 * length, 3):g} mm"
+
+
+def _squares(board: Board) -> str:
+    """Describe columns, rows and the size of squares or tags."""
+    if board.pattern == APRILTAG:
+        return (
+            f"{board.columns} x {board.rows} tags of {_mm(board.marker)} every {_mm(board.square)}"
+        )
+    text = f"{board.columns} x {board.rows} squares of {_mm(board.square)}"
+    is_legacy = board.pattern == CHARUCO and board.legacy and board.rows % 2 == 0
+    return f"{text}, legacy layout" if is_legacy else text
+
+
+def _markers(board: Board) -> str:
+    """Describe the markers; empty for a chessboard."""
+    if board.pattern == CHESSBOARD:
+        return ""
+    last = board.first_marker + board.markers - 1
+    text = f"{board.dictionary}, ids {board.first_marker} to {last}"
+    if board.pattern == CHARUCO:
+        text = f"markers of {_mm(board.marker)}, {text}"
+    return text
+
+
+def description(board: Board) -> str:
+    """Describe a board in a line, without its name."""
+    parts = [_squares(board), _markers(board)]
+    return f"{_PATTERNS[board.pattern]}: {'; '.join(part for part in parts if part)}"
+
+
+def page_lines(board: Board) -> list[str]:
+    """Return the lines of text that are printed beside the pattern."""
+    name = textwrap.shorten(board.name, _LONGEST_NAME, placeholder="...")
+    lines = [f"{name}: {_squares(board)}", _markers(board)]
+    lines.append("Print at 100 %: both rulers must be true. Then measure the print.")
+    return [line for line in lines if line]
+
+
+def drawn_text(board: Board, sheet: Sheet, paper: str, files: Iterable[Path]) -> list[str]:
+    """Say what was drawn and written, and what to do with it.
+
+    Args:
+        board: The board.
+        sheet: The sheet it was drawn on.
+        paper: Name of the paper.
+        files: The files written.
+
+    Returns:
+        Lines of at most 100 columns.
+    """
+    files = list(files)
+    width, height = board.size
+    lines = [fill(f"{description(board)}.")]
+    lines.append(
+        fill(
+            f"{plural(len(board.corners), 'corner')}; {_mm(width)} wide and {_mm(height)} high, {_on(sheet, paper)}."
+        )
+    )
+    lines += _notes(board)
+    lines.append("")
+    longest = max(len(str(path)) for path in files)
+    for path in files:
+        lines.append(f"Written: {str(path).ljust(longest)}  {_OUTPUTS[path.suffix[1:]]}")
+    toml = next((path for path in files if path.suffix == ".toml"), files[0].with_suffix(".toml"))
+    return [*lines, "", *_next_steps(board, files[0], toml)]
+
+
+def _on(sheet: Sheet, paper: str) -> str:
+    """Say what sheet a board was drawn on."""
+    if paper == NO_PAPER:
+        return f"on a sheet of {_mm(sheet.width)} x {_mm(sheet.height)}"
+    name = paper.upper() if len(paper) == len("a4") else paper
+    is_portrait = sheet.width <= PAPERS[paper][0]
+    return f"on {name} paper, {'portrait' if is_portrait else 'landscape'}"
+
+
+def _notes(board: Board) -> list[str]:
+    """Say what to know about a board whose description is not unique."""
+    if board.pattern == CHESSBOARD and (board.columns + board.rows) % 2 == 0:
+        return [
+            fill(
+                "Note: with columns and rows both even, or both odd, this chessboard looks the same after half a turn, "
+                "so its corners may be numbered from either end. Take one column more or less."
+            )
+        ]
+    if board.pattern == CHARUCO and board.rows % 2 == 0:
+        return [fill(_LEGACY_LAYOUT if board.legacy else _NEW_LAYOUT)]
+    return []
+
+
+def _next_steps(board: Board, pdf: Path, toml: Path) -> list[str]:
+    """Say what to do with the print."""
+    width = board.size[0]
+    over = f"{board.columns} squares"
+    if board.pattern == APRILTAG:
+        over = f"{board.columns} tags, from edge to edge"
+    steps = [
+        f"Print {pdf} at 100 % ('actual size', not 'fit to page'). Check its rulers: they must be as long as they say.",
+        "Glue the print onto something flat and stiff, such as glass or an aluminium panel; cardboard bends.",
+        f"Measure the pattern across with a ruler or a caliper: {over}, drawn {_mm(width)}. Give calib what you read, "
+        "for every length that the camera finds depends on it:",
+    ]
+    lines = ["Next:"]
+    for number, step in enumerate(steps, 1):
+        lines.append(fill(f"{number}. {step}", "", "   "))
+    lines.append(f'     calib board {_quoted(toml)} --measured "{_mm(width)}"')
+    return lines
+
+
+def _quoted(path: Path) -> str:
+    """Write a path as a word of a command."""
+    text = str(path)
+    return f'"{text}"' if " " in text else text
+
+
+def measured_text(drawn: Board, measured: Board, scale: PrintScale, path: Path) -> list[str]:
+    """Say what a measurement changed.
+
+    Args:
+        drawn: The board before.
+        measured: The board as measured.
+        scale: What was measured.
+        path: The file written.
+
+    Returns:
+        Lines of at most 100 columns.
+    """
+    over = "the whole pattern" if scale.squares is None else plural(scale.squares, "square")
+    change = 100.0 * (scale.scale - 1.0)
+    what = "distances of tags" if drawn.pattern == APRILTAG else "squares"
+    text = (
+        f"{_mm(scale.measured)} over {over}: {what} of {_mm(measured.square)}, {change:+.2f} % from the "
+        f"{_mm(drawn.square)} in {path}."
+    )
+    lines = [fill(text)]
+    lines.append(
+        fill(
+            f"Their standard deviation is {100.0 * measured.sigma_scale:g} %, for a length read to {_mm(READING)}; if "
+            "you measured better, write it into the file."
+        )
+    )
+    if _FAR_PERCENT < abs(change) < _RESIZED_PERCENT:
+        lines.append(fill(_FITTED_TO_PAGE))
+    return [*lines, f"Written: {path}"]

@@ -1,0 +1,123 @@
+"""``calib calibrate``: a URDF and a table in, a corrected URDF out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import typer
+
+from calib.cli.executor import executor_of
+from calib.cli.notices import say_accepted, say_ignored, say_unused_camera
+from calib.cli.options import (
+    DataFile,
+    FitOptions,
+    Quiet,
+    RobotFile,
+    SolverOptions,
+    TableOptions,
+)
+from calib.cli.setup import load_with_data, read_cell
+from calib.cli.terminal import progress_bar, say
+from calib.cli.verb import verb
+from calib.errors import VerdictError
+from calib.verbs.calibrate.interval_options import Intervals
+from calib.verbs.calibrate.outputs import Outputs
+
+if TYPE_CHECKING:
+    from calib.result.calibration import Calibration
+
+
+@verb("""Calibrate a robot from measurements.
+
+\b
+Examples:
+  calib calibrate robot.urdf data.csv -o corrected.urdf
+  calib calibrate robot.urdf data.csv --base base --tip tool0 --target "70 -70 22.5 mm" \\
+        -o corrected.urdf --json result.json --report report.html --view view.html
+  calib calibrate robot.urdf tracker.csv --frame estimate -o corrected.urdf
+  calib calibrate robot.urdf joints.csv --points tracker.txt --frame estimate -o corrected.urdf
+  calib calibrate robot.urdf data.csv --columns "J1=joint_1 [deg]" --columns "X=x [mm]" ...
+  calib calibrate robot.urdf data.csv --bootstrap 1000 --seed 1 --profile alpha2
+
+The table holds one row a pose: a column for each joint, such as "joint_1 [deg]", and the measured point "x [mm]",
+"y [mm]", "z [mm]". Orientations, distances, balls in sockets and touched planes can be measured too; see
+docs/data-format.md. An optional column "set" says which rows are for estimation ("estimate") and which for validation
+("validate"). Where the verdict is "do not use", -o writes no URDF, and the exit status is 3; --accept writes it.
+""")
+def calibrate(
+    robot: RobotFile,
+    data: DataFile,
+    setup: FitOptions,
+    table: TableOptions,
+    outputs: Outputs,
+    intervals: Intervals,
+    estimation: SolverOptions,
+    quiet: Quiet = False,
+) -> None:
+    """Run the verb; its help is the text of `verb`."""
+    intervals.check()
+    outputs.check([robot, data, setup.cell, table.points])
+    samples = intervals.bootstrap
+    with executor_of(intervals.workers, intervals.dask, samples, default=1) as executor:
+        cell = read_cell(**asdict(setup))
+        estimation.check()
+        arm, measurements = load_with_data(robot, cell, data, table)
+
+        from calib.result.calibrate import calibrate as calibrate_robot
+
+        with progress_bar("cross-validation", quiet=quiet, first="fits") as progress:
+            result = calibrate_robot(
+                arm,
+                measurements,
+                cell=cell,
+                solver=estimation.solver,
+                robust=estimation.robust,
+                validate=estimation.validate,
+                progress=progress,
+            )
+        interval_texts, tables = intervals.compute(result, executor, quiet=quiet)
+    # Files first: a reader of the text that goes away (head, less) must not cost the results.
+    written = list(outputs.write(result, tables, quiet=quiet))
+    if not quiet:
+        say_ignored(measurements, arm)
+        say_unused_camera(measurements, cell)
+        say("\n\n".join([result.summary(), *interval_texts]) + "\n")
+        _say_written(result, outputs, written)
+    _obey_verdict(result, outputs)
+
+
+def _say_written(result: Calibration, outputs: Outputs, written: Sequence[Path | str]) -> None:
+    """Name the files that were written, or why there is no URDF."""
+    from calib.show.verdict import against
+
+    for path in written:
+        typer.echo(f"Written: {path}")
+    if outputs.output is not None:
+        return
+    if result.verdict is None:
+        typer.echo("No URDF was written. There is no verdict on one: --no-validate leaves it out.")
+    elif not against(result.verdict):
+        typer.echo("No URDF was written; add -o corrected.urdf to write it.")
+
+
+def _obey_verdict(result: Calibration, outputs: Outputs) -> None:
+    """Report that no URDF was written because of the verdict, or that it was accepted.
+
+    Raises:
+        VerdictError: The verdict is ``do not use``, a URDF was wanted, and ``--accept`` was not given.
+    """
+    from calib.show.verdict import against, refusal
+
+    stated = against(result.verdict)
+    if outputs.output is None or not stated:
+        return
+    if outputs.accept:
+        say_accepted(f"'{outputs.output}'", stated)
+        return
+    message = refusal("this calibration", stated)
+    if outputs.output.exists():
+        message += f" '{outputs.output}' is an earlier one."
+    raise VerdictError(message)

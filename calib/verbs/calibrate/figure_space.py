@@ -1,0 +1,220 @@
+"""Figures in space: the measured points, and the uncertainty of predicted positions over the workspace."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+import calib.show.figure_base as base
+from calib.basics.arrays import Array
+from calib.result.calibration import Calibration
+from calib.robot.ranges import spread_poses
+from calib.show.figure_base import VIEWS, flat, limits_of
+from calib.show.row_values import flagged_rows, measured_in_base, setup_of_rows
+
+#: Least height of the view from above [in].
+_LEAST_HEIGHT = 2.2
+
+#: Most height of all views together [in]: a page with a caption holds that.
+_MOST_HEIGHT = 5.8
+
+#: Number of poses over the joint limits at which the uncertainty is drawn.
+POSES = 4000
+
+#: Hexagons across a view.
+_CELLS = 22
+
+#: Measured points drawn in a view of the uncertainty, about; of more an even choice is drawn.
+_MEASURED_POINTS = 150
+
+
+def measured_places(c: Calibration) -> Array:
+    """Return the target's positions in the base frame, shape (N, 3), [m].
+
+    Measured ones; of rows that measure no position, those that the calibrated robot predicts.
+    """
+    m = c.measurements
+    T_frame_base, T_tip_target = setup_of_rows(c.setup, m)
+    places = measured_in_base(m, T_frame_base)
+    T_base_target = c.robot.poses(m.joints_for(c.nominal.joint_names)) @ T_tip_target
+    return np.where(np.isfinite(places), places, T_base_target[:, :3, 3])
+
+
+def points(c: Calibration) -> Figure:
+    """Draw the measured points in the base frame: in space, and from three sides; as the paper's figure 7."""
+    places = 1e3 * measured_places(c)
+    limits = limits_of(places)
+    figure, panels = _panels_of_space(limits)
+    numbered = c.measurements.validation | flagged_rows(c)
+    pixels = len(places) > base.MOST_SHAPES
+    kinds = base.row_kinds(c)
+    for i, j, name in VIEWS:
+        ax = panels[name]
+        ax.set_title(f"Seen {name}")
+        for order, kind in enumerate(kinds, start=2):
+            at = places[kind.mask][:, [i, j]].T
+            ax.plot(*at, rasterized=pixels, zorder=order, **kind.style(0.85))
+        flat(ax, limits, (i, j))
+        base.number_points(ax, c.measurements.rows, places[:, [i, j]], numbered)
+    _draw_space(panels["space"], places, kinds, limits)
+    base.legend_above(figure)
+    return figure
+
+
+def _panels_of_space(limits: Array) -> tuple[Figure, dict[str, Any]]:
+    """Make a figure with a panel for each of `VIEWS` and one in space, of the same scale.
+
+    Args:
+        limits: shape (2, 3), see `limits_of`.
+
+    Returns:
+        The figure, and its panels by the name of the view or ``"space"``.
+    """
+    x, y, z = limits[1] - limits[0]
+    right = max(y, 0.7 * x)
+    scale = min(0.85 * base.WIDTH / (x + right), _MOST_HEIGHT / (y + z))
+    upper = max(scale * y, _LEAST_HEIGHT)
+    figure = base.new_figure(upper + scale * z + 1.4)
+    panels: dict[str, Any] = figure.subplot_mosaic(
+        [["from above", "space"], ["from the front", "from the side"]],
+        width_ratios=[x, right],
+        height_ratios=[upper, scale * z],
+        per_subplot_kw={"space": {"projection": "3d"}},
+    )
+    return figure, panels
+
+
+def _draw_space(
+    ax: Any,  # noqa: ANN401  matplotlib's Axes3D, which has no types
+    places: Array,
+    kinds: Sequence[base.RowKind],
+    limits: Array,
+) -> None:
+    """Draw points (N, 3) [mm] in perspective, within limits (2, 3) [mm]."""
+    pixels = len(places) > base.MOST_SHAPES
+    for kind in kinds:
+        ax.plot(*places[kind.mask].T, rasterized=pixels, **kind.style())
+    ax.set_box_aspect(limits[1] - limits[0], zoom=0.85)
+    ax.set(xlim=limits[:, 0], ylim=limits[:, 1], zlim=limits[:, 2], title="In space, base frame")
+    ax.title.set_y(1.0)  # axes in space put it lower, into the picture
+    for letter, axis in zip("xyz", (ax.xaxis, ax.yaxis, ax.zaxis), strict=True):
+        axis.set_label_text(f"{letter} [mm]")
+        axis.labelpad = 1.5
+        axis.set_major_locator(base.few_ticks(4))
+    ax.tick_params(labelsize=7.5, pad=1)
+    ax.view_init(elev=20, azim=-62)
+
+
+def uncertainty(c: Calibration) -> Figure:
+    """Draw the standard deviation of predicted positions over the joint limits: three views, and its distribution."""
+    q = spread_poses(c.nominal, POSES)
+    places = 1e3 * _predicted_places(c, q)
+    std = 1e3 * c.position_std(q, non_geometric=False)
+    limits = limits_of(places)
+    measured = _some_measured_places(c)
+    figure = base.new_figure(6.2)
+    *views, last = figure.subplots(2, 2).ravel()
+    images = []
+    for ax, (i, j, name) in zip(views, VIEWS, strict=True):
+        images.append(_cells(ax, places[:, [i, j]], std, limits[:, [i, j]]))
+        _draw_rings(ax, measured[:, [i, j]])
+        ax.set_title(f"Seen {name}")
+        flat(ax, limits, (i, j))
+    _share_colours(images)
+    bar = figure.colorbar(images[1], ax=views[1], shrink=0.95, pad=0.02, extend="max")
+    bar.set_label("standard deviation [mm]")
+    _distribution(last, std, c)
+    base.legend_above(figure)
+    return figure
+
+
+def _predicted_places(c: Calibration, q: Array) -> Array:
+    """Return the calibrated robot's positions of the target in the base, shape (N, 3) [m], at joint values (N, m)."""
+    T_base_tip = c.robot.poses(q)
+    return np.asarray(T_base_tip[:, :3, :3] @ c.target + T_base_tip[:, :3, 3])
+
+
+def _some_measured_places(c: Calibration) -> Array:
+    """Return the target's positions in the base frame, (K, 3) [mm]; of many rows every so many-th."""
+    places = 1e3 * measured_places(c)
+    step = 1 + len(places) // _MEASURED_POINTS
+    return places[::step]
+
+
+def _draw_rings(ax: Axes, places: Array) -> None:
+    """Mark measured points (K, 2) [mm] with rings."""
+    ring: dict[str, Any] = {"ls": "none", "marker": "o", "ms": 3.0, "mfc": "white", "mew": 0.6}
+    ax.plot(*places.T, mec=base.INK, label="measured rows", **ring)
+
+
+def _share_colours(images: Sequence[Any]) -> None:
+    """Give pictures one scale of colours, on which a single cell does not make all others alike."""
+    values = np.concatenate([np.asarray(image.get_array()) for image in images])
+    low = float(values.min())
+    high = float(np.quantile(values, 0.98))
+    for image in images:
+        image.set_clim(low, max(high, 1.01 * low + 1e-9))
+
+
+def _cells(ax: Axes, places: Array, std: Array, limits: Array) -> Any:  # noqa: ANN401  a collection of matplotlib
+    """Draw the root mean square of the standard deviations of the poses in each hexagon of a view.
+
+    Args:
+        ax: The panel.
+        places: shape (N, 2), positions at the poses [mm].
+        std: shape (N,), their standard deviations [mm].
+        limits: shape (2, 2), lowest and highest value of both axes [mm].
+
+    Returns:
+        The hexagons; their array holds the values.
+    """
+    size = limits[1] - limits[0]
+    across, up = _CELLS * size / np.max(size)
+    columns = max(int(across), 4)
+    rows = max(int(up / np.sqrt(3.0)), 3)
+    return ax.hexbin(
+        places[:, 0],
+        places[:, 1],
+        C=std**2,
+        reduce_C_function=lambda squares: float(np.sqrt(np.mean(squares))),
+        gridsize=(columns, rows),
+        extent=limits.T.ravel().tolist(),
+        cmap="cividis",
+        linewidths=0.15,
+        edgecolors="face",
+        zorder=2,
+    )
+
+
+def _distribution(ax: Axes, std: Array, c: Calibration) -> None:
+    """Draw the share of poses below each standard deviation, with the expected errors of the report.
+
+    Args:
+        ax: The panel.
+        std: shape (N,), standard deviations at the poses over the joint limits [mm].
+        c: The result.
+    """
+    ax.ecdf(std, color=base.INK, lw=1.4)
+    measured = 1e3 * c.expected_measured
+    # That of the report, not of the poses drawn, which are more: one number for one thing.
+    everywhere = 1e3 * c.expected_everywhere
+    lines = (
+        (measured, ":", "rms, measured poses"),
+        (everywhere, "--", "rms, joint limits"),
+        (float(np.quantile(std, 0.95)), "-.", "95 % of the joint limits"),
+    )
+    for value, style, meaning in lines:
+        label = f"{value:.3f} mm: {meaning}"
+        ax.vlines(value, 0, 1, colors=base.SOFT, ls=style, lw=1.1, label=label)
+    nearly_largest = float(np.quantile(std, 0.99))
+    ax.set_xlim(0.0, 1.08 * max(nearly_largest, measured, 1e-9))
+    ax.set_ylim(0.0, 1.45)  # room for the legend above the curve
+    percent = [f"{share}" for share in range(0, 101, 20)]
+    ax.set_yticks(np.linspace(0.0, 1.0, 6), percent)
+    ax.set(xlabel="standard deviation [mm]", ylabel="poses below [%]")
+    ax.set_title("Distribution over the joint limits")
+    ax.legend(loc="upper left", fontsize=7.5)

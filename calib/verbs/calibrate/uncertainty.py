@@ -1,0 +1,543 @@
+"""Uncertainty on demand, at the price of many fits; noise, prior std and robust weights stay as they were estimated.
+
+**Bootstrap.** Whole poses, with their repeats, are drawn with replacement within each set-up: B. Efron, R. J.
+Tibshirani, An Introduction to the Bootstrap, 1993, sections 9.5 and 13.3. Each sample draws the priors' means too
+(J. M. Bardsley and others, SIAM Journal on Scientific Computing 36, 2014), and known distances between set-ups. With
+few rows for a parameter it is too wide (N. El Karoui, E. Purdom, JMLR 19, 2018).
+
+**Profile.** The interval of one parameter where the cost, minimised over all others, has risen by no more than the
+quantile of F(1, dof): D. M. Bates, D. G. Watts, Nonlinear Regression Analysis, 1988, section 6.1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import fdtri, gammaincinv
+
+from calib.basics.arguments import check_callable, check_executor, check_type
+from calib.basics.arrays import Array, Integers, read_only
+from calib.basics.blas import one_blas_thread
+from calib.basics.jobs import Progress, batch_size, run
+from calib.basics.values import Value
+from calib.errors import CalibError, ModelError
+from calib.fit.estimate.fitting import Fitted
+from calib.fit.estimate.problem import Problem
+from calib.fit.estimate.task import PAPER
+from calib.model.kinematics import Samples, SamplesOrValues
+from calib.model.observability import steps
+from calib.numerics.errors import rms
+from calib.numerics.rigid_motion import without_rigid_motion
+from calib.numerics.solvers import levenberg_marquardt
+from calib.result.calibration import Calibration
+from calib.result.prediction import ParameterEstimate
+from calib.robot.ranges import spread_poses
+
+#: With fewer samples the ends of a 95 % interval lie beyond them.
+FEWEST_SAMPLES = 40
+
+#: More samples make intervals no better, and do not fit into memory.
+MOST_SAMPLES = 100_000
+
+#: Poses over which the predicted scatter of a bootstrap is averaged.
+_POSES = 200
+
+#: A prior wider than this only holds what nothing determines; its mean is not drawn [m, rad].
+_WIDEST_DRAWN = 1.0
+
+#: A fit of a sample ends with steps below this, in steps of 1 mm and 1 mrad.
+_STEP = 1e-4
+
+#: Steps are doubled this many times before an end of a profile counts as open.
+_DOUBLINGS = 10
+
+#: An end of a profile is found to this share of its distance.
+_TOLERANCE = 1e-4
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Bootstrap(Value):
+    """Parameters of many fits to rows drawn with replacement from those of one fit."""
+
+    #: That fit, of p parameters
+    fitted: Fitted
+    #: Its values and intervals
+    parameters: tuple[ParameterEstimate, ...]
+    #: Shape (count, p), offsets like ``fitted.estimate.x``
+    x: Array
+    #: Seed of the draws
+    seed: int
+    #: Number of draws whose fits reached the solver's limit of iterations
+    stopped: int
+
+    @property
+    def measured_rms(self) -> float:
+        """Standard deviation of the predicted position over the bootstrap's draws, rms over the measured poses [m].
+
+        Over at most `_POSES` of the rows to which ``fitted``, the fit to all rows, was fitted, evenly spread over their
+        order.
+        """
+        measured = self.fitted.estimate.problem.rows.samples
+        return rms(self.position_std(_evenly(measured)))
+
+    @property
+    def everywhere_rms(self) -> float:
+        """Standard deviation of the predicted position over the bootstrap's draws, rms over the joint limits [m].
+
+        That of one position is the root of its three variances' sum, in the measurement frame. Over `_POSES` joint
+        values spread evenly between the limits of the robot of ``fitted``, for the first measurement frame and target.
+        """
+        spread = spread_poses(self.fitted.task.robot, _POSES)
+        return rms(self.position_std(Samples.at(spread)))
+
+    @property
+    def std(self) -> Array:
+        """Standard deviation of each parameter over the bootstrap's draws, shape (p,), in the parameters' units.
+
+        Of ``x``, shape (count, p), the parameters fitted to each draw of the rows; over count - 1.
+        """
+        return np.asarray(np.std(self.x, axis=0, ddof=1))
+
+    def intervals(self, level: float = 0.95) -> Array:
+        """Return the percentile interval of each parameter's value over the bootstrap's draws.
+
+        With ``x``, shape (count, p), the parameters fitted to each draw, offsets from the registered start like
+        ``fitted.estimate.x``; and ``parameters``, of which ``value`` is the value of each by the fit to all rows.
+
+        Args:
+            level: Probability that an interval holds the true value, between 0 and 1.
+
+        Returns:
+            Lower and upper ends of the values, not of their changes, shape (p, 2), in the parameters' units.
+        """
+        tail = 0.5 * (1.0 - level)
+        ends = np.quantile(self.x, (tail, 1.0 - tail), axis=0).T
+        values = np.array([p.value for p in self.parameters])
+        return np.asarray(ends + (values - self.fitted.estimate.x)[:, None])
+
+    def positions(self, where: SamplesOrValues) -> Array:
+        """Predict the target's position in the measurement frame by the parameters of each of the bootstrap's draws.
+
+        With ``x``, shape (count, p), the parameters fitted to each draw, and ``fitted.kinematics``, the nominal robot
+        under its error model with registered frames and targets.
+
+        Args:
+            where: N samples: joint values with the index of the frame and of the target of each; or joint values alone,
+                shape (N, m), [rad] or [m], for the first frame and target.
+
+        Returns:
+            shape (count, N, 3), [m], each in the frame of its sample.
+        """
+        return np.array([self.fitted.kinematics.points(x, where) for x in self.x])
+
+    def position_std(self, where: SamplesOrValues) -> Array:
+        """Return the standard deviation of the predicted position over the bootstrap's draws.
+
+        Where no row of ``fitted``, the fit to all rows, determines where the base stands, the rigid motion that
+        explains each draw's change at the measured poses best is left out, and all positions are seen from the first
+        frame.
+
+        Args:
+            where: N samples, see `Calibration.samples`, or joint values of shape (N, m), [rad] or [m], for the first
+                frame and target.
+
+        Returns:
+            shape (N,), [m]: the root of the sum of the variances along three axes.
+        """
+        samples = where if isinstance(where, Samples) else Samples.at(where)
+        problem = self.fitted.estimate.problem
+        if any(kind.position for kind in problem.rows.present):
+            _, scatter = self._scatter(samples)
+        else:
+            measured = _in_first_frame(_evenly(problem.rows.samples))
+            # Mean positions, (N, 3), and each draw's differences from them, (N, 3, count) [m].
+            points, scatter = self._scatter(_in_first_frame(samples))
+            scatter = without_rigid_motion(points, scatter, self._scatter(measured))
+        return np.asarray(np.sqrt(np.sum(np.var(scatter, axis=2, ddof=1), axis=1)))
+
+    def _scatter(self, samples: Samples) -> tuple[Array, Array]:
+        """Return the target's mean positions over the bootstrap's draws, and each draw's difference from them.
+
+        Args:
+            samples: N joint values, with the frame and target of each.
+
+        Returns:
+            Mean positions in the frame of each sample, shape (N, 3), and the differences from them by each of ``count``
+            draws, shape (N, 3, count), [m].
+        """
+        points = self.positions(samples)
+        mean = points.mean(axis=0)
+        return mean, (points - mean).transpose(1, 2, 0)
+
+
+@one_blas_thread()
+def bootstrap(
+    calibration: Calibration,
+    count: int,
+    seed: int,
+    progress: Progress | None = None,
+    executor: Executor | None = None,
+) -> Bootstrap:
+    """Fit the geometry again to rows drawn with replacement, whole poses within each set-up; see the module's text.
+
+    The draws are the same for the same seed, wherever they are fitted; 200 are enough for standard deviations, 1000 for
+    intervals.
+
+    Args:
+        calibration: A result in memory, with the fit of its geometry to N rows.
+        count: Number of draws of the N rows, each of which is fitted, `FEWEST_SAMPLES` to `MOST_SAMPLES`.
+        seed: Seed of the draws, 0 or more.
+        progress: Called after each fit with the number of fits done and of all; None: nothing is called.
+        executor: Where the fits run; None: in this process.
+
+    Returns:
+        The parameters fitted to each draw, shape (count, p), and the number of fits that did not converge.
+
+    Raises:
+        CalibError: Too few or too many draws, or a seed below 0.
+        ModelError: The paper's solver made the calibration, or the result was read from a file.
+    """
+    _check_arguments(calibration, count, seed, progress, executor)
+    if not FEWEST_SAMPLES <= count <= MOST_SAMPLES or seed < 0:
+        raise CalibError(
+            f"A bootstrap of {count} samples with seed {seed} was asked for; it takes {FEWEST_SAMPLES} to "
+            f"{MOST_SAMPLES} samples, 1000 for intervals to be trusted, and a seed of 0 or more."
+        )
+    fitted = calibration.fitted
+    _check_solver(fitted)
+    draws = _draws(fitted.estimate.problem, count, seed)
+    x, stopped = np.empty((count, len(fitted.estimate.x))), 0
+    fits = run(_fit_sample, fitted, draws, executor, batch=batch_size(count))
+    for done, (k, (x_of_sample, converged)) in enumerate(fits, start=1):
+        x[k] = x_of_sample
+        stopped += not converged
+        if progress is not None:
+            progress(done, count)
+    return Bootstrap(fitted, calibration.parameters, read_only(x), seed, stopped)
+
+
+def _check_arguments(
+    calibration: object, count: object, seed: object, progress: object, executor: object
+) -> None:
+    """Refuse arguments of `bootstrap` that are of another type."""
+    check_type(
+        "calibration",
+        calibration,
+        Calibration,
+        "a Calibration that was made here, not read from a file",
+    )
+    for argument, given in (("count", count), ("seed", seed)):
+        check_type(argument, given, (int, np.integer), "a whole number")
+    check_callable("progress", progress)
+    check_executor(executor)
+
+
+def _draws(problem: Problem, count: int, seed: int) -> Iterator[tuple[Array, Array]]:
+    """Draw the rows and the priors' means for each fit of a bootstrap.
+
+    Args:
+        problem: The problem that is fitted again: N rows, with the block of each, rows that are drawn together, and its
+            measurement frame, within which blocks are drawn; p parameters; and K known distances between frames.
+        count: Number of draws.
+        seed: Seed of the draws, 0 or more.
+
+    Returns:
+        An iterator over the draws. Of each, the number of times that each row is drawn, shape (N,), and independent
+        standard normal numbers, shape (p + K,): one for the prior of each parameter, then one for each known distance.
+    """
+    rows = problem.rows
+    times_drawn = bootstrap_counts(rows.blocks, count, seed, rows.samples.frame)
+    # Not the generator that draws the rows: priors would follow them.
+    rng = np.random.default_rng([seed, 1])
+    normal = rng.normal(size=(count, problem.size + len(problem.distances)))
+    return zip(times_drawn, normal, strict=True)
+
+
+def bootstrap_counts(
+    blocks: NDArray[np.generic],
+    count: int,
+    seed: int,
+    strata: NDArray[np.generic],
+) -> Integers:
+    """Draw blocks of rows with replacement, as many as there are, ``count`` times.
+
+    Args:
+        blocks: Label of each row's block, shape (N,): rows of one block, such as repeats of a pose, are drawn together.
+        count: Number of draws.
+        seed: Seed of the draws, 0 or more.
+        strata: Label of each row's stratum, shape (N,). Within each, such as a station, as many blocks are drawn as it
+            has, so that it stays in every draw.
+
+    Returns:
+        Number of times that each row is drawn in each draw, shape (count, N).
+    """
+    rng = np.random.default_rng(seed)
+    result = np.zeros((count, len(blocks)), dtype=np.int_)
+    for stratum in np.unique(strata):
+        rows = np.flatnonzero(strata == stratum)
+        labels, block = np.unique(blocks[rows], return_inverse=True)
+        draws = rng.multinomial(len(labels), np.full(len(labels), 1.0 / len(labels)), size=count)
+        result[:, rows] = draws[:, block]
+    return result
+
+
+def _fit_sample(fitted: Fitted, drawn: tuple[Array, Array]) -> tuple[Array, bool]:
+    """Fit one draw of a bootstrap, with noise, prior standard deviations and robust weights as they were estimated.
+
+    Args:
+        fitted: The fit to all N rows, of p parameters. Of its problem are changed the rows' ``weights``, shape (N,);
+            ``centre``, the priors' means, shape (p,), where ``precision``, 1 / variance, is that of a prior sharper
+            than `_WIDEST_DRAWN`; and the lengths of K known distances [m], by their standard deviations ``sigma`` [m].
+        drawn: Number of times that each row is drawn, shape (N,), by which its weight is multiplied; and standard
+            normal numbers, shape (p + K,), by which the priors' means and the known distances are moved, in their
+            standard deviations.
+
+    Returns:
+        Its parameters, shape (p,), offsets from the registered start in their units like those of ``fitted``, and
+        whether the fit converged.
+    """
+    problem, start = fitted.estimate.problem, fitted.estimate.x
+    counts, normal = drawn
+    is_drawn = problem.precision > 1.0 / _WIDEST_DRAWN**2
+    precision = np.where(is_drawn, problem.precision, 1.0)
+    prior_std = np.where(is_drawn, 1.0 / np.sqrt(precision), 0.0)
+    distances = []
+    for known, by in zip(problem.distances, normal[len(start) :].tolist(), strict=True):
+        distances.append(known._replace(length=known.length + known.sigma * by))
+    sample = replace(
+        problem,
+        weights=problem.weights * counts,
+        stops=None if problem.stops is None else problem.stops.drawn(counts),
+        centre=problem.centre + prior_std * normal[: len(start)],
+        distances=tuple(distances),
+    )
+    size = steps(fitted.kinematics.model.units)
+    solution = levenberg_marquardt(sample.system, start, step_size=size, step_tolerance=_STEP)
+    return solution.x, solution.status == "converged"
+
+
+@dataclass(frozen=True, slots=True)
+class Profile:
+    """An interval from the profile of the cost; an end is infinite where the cost does not rise enough."""
+
+    #: Lower end of the parameter's value, in its unit
+    low: float
+    #: Upper end, likewise
+    high: float
+    #: Probability that the interval holds the true value
+    level: float
+
+
+@one_blas_thread()
+def profile_interval(calibration: Calibration, name: str, level: float = 0.95) -> Profile:
+    """The interval of one parameter, in its unit, from the profile of the cost; see the module's text.
+
+    An end is infinite where the measurements set no limit.
+
+    Args:
+        calibration: A result in memory, with the fits of its geometry and of its non-geometric model, if it has one.
+        name: Name of the parameter; one that the geometry lacks is that of the non-geometric model.
+        level: Probability that the interval holds the true value, between 0 and 1.
+
+    Returns:
+        Both ends of the parameter's value, not of its change from the nominal one, and the level.
+
+    Raises:
+        ModelError: No such parameter, it stands at a bound, the paper's solver made the calibration, or the result was
+            read from a file.
+        CalibError: The level is not between 0 and 1.
+    """
+    parameter = calibration.parameter(name)
+    fitted = calibration.fitted
+    non_geometric = calibration.fit_in_memory.non_geometric
+    if non_geometric is not None and name not in calibration.model.names:
+        fitted = non_geometric
+    _check_solver(fitted)
+    estimate = fitted.estimate
+    k = fitted.kinematics.model.index(name)
+    if k in estimate.at_bound:
+        raise ModelError(
+            f"'{name}' stands at its bound, {parameter.value:g} {parameter.unit}: it has no profile. Widen the bound "
+            "in the cell file's table [bounds]."
+        )
+    x = float(estimate.x[k])
+
+    def cost_at(offset: float) -> float:
+        """Return the least cost over the other parameters, the sum of squares over their variance, with one held.
+
+        Args:
+            offset: Where the parameter is held, counted from the registered start, in its unit.
+        """
+        return _least_cost(fitted, k, offset)
+
+    low, high = profile(cost_at, x, parameter.std, level, estimate.freedom)
+    # Offsets from the registered start become values.
+    return Profile(low + parameter.value - x, high + parameter.value - x, level)
+
+
+def profile(
+    cost_at: Callable[[float], float],
+    value: float,
+    std: float,
+    level: float = 0.95,
+    freedom: float = np.inf,
+) -> tuple[float, float]:
+    """Return the interval where the cost of one parameter, minimised over the others, is not too high.
+
+    cost(x) - cost(value) <= quantile of chi^2(1), or of F(1, freedom) where the noise was estimated.
+
+    Args:
+        cost_at: Function that returns the least sum of squares over their variance [1] with the parameter held at a
+            value, in the parameter's unit.
+        value: The estimate, where the cost is least, in the parameter's unit.
+        std: Its standard deviation, from which the search for an end starts, in the same unit.
+        level: Probability of the interval, between 0 and 1.
+        freedom: Degrees of freedom of the noise; infinite where the noise is known.
+
+    Returns:
+        Lower and upper end, in the parameter's unit; infinite where the cost does not rise enough.
+
+    Raises:
+        CalibError: The level is not between 0 and 1.
+    """
+    if not 0.0 < level < 1.0:
+        raise CalibError(f"The level of an interval is {level:g}; it must lie between 0 and 1.")
+    rise = _allowed_rise(level, freedom)
+    least = cost_at(value)
+
+    def above(x: float) -> float:
+        """Return the cost at a value of the parameter, less the highest one allowed within the interval [1].
+
+        Args:
+            x: The value, in the parameter's unit.
+
+        Returns:
+            Negative within the interval; at most 1e6 times the allowed rise, so that it is finite for the root finder.
+        """
+        over = cost_at(x) - least - rise
+        if not np.isfinite(over):
+            return 1e6 * rise
+        return float(min(over, 1e6 * rise))
+
+    # Not above: SciPy's optimisers take longer to import than most calibrations take.
+    from scipy.optimize import brentq
+
+    def end(step: float) -> float:
+        """Find where the cost crosses the highest one allowed, on one side of the estimate ``value``.
+
+        Args:
+            step: Standard deviation of the parameter, in its unit; negative for the lower end.
+
+        Returns:
+            The value of the parameter there; infinite, with the sign of the step, where the cost stays below.
+        """
+        inner = value
+        reach = step * float(np.sqrt(rise))
+        for _ in range(_DOUBLINGS + 1):
+            outer = value + reach
+            if above(outer) >= 0.0:
+                return float(brentq(above, inner, outer, xtol=_TOLERANCE * abs(reach)))
+            inner = outer
+            reach *= 2.0
+        return float(np.copysign(np.inf, step))
+
+    return end(-std), end(std)
+
+
+def _allowed_rise(level: float, freedom: float) -> float:
+    """Return how far the cost of one parameter may rise within an interval: a quantile of F(1, freedom).
+
+    Args:
+        level: Probability of the interval, between 0 and 1.
+        freedom: Degrees of freedom of the noise, counted as 1 if fewer; infinite where the noise is known: then it is
+            the quantile of chi^2(1).
+
+    Returns:
+        The rise of the sum of squares over their variance [1].
+    """
+    if np.isfinite(freedom):
+        return float(fdtri(1.0, max(freedom, 1.0), level))
+    return float(2.0 * gammaincinv(0.5, level))
+
+
+def _least_cost(fitted: Fitted, k: int, value: float) -> float:
+    """Return the least sum of squares over their variance, the priors' included, with one parameter held.
+
+    Args:
+        fitted: A fit of p parameters. Of its estimate are used ``problem``, residuals and priors; ``x``, shape (p,),
+            offsets from the registered start; and ``covariance``, shape (p, p), by which the others' start follows the
+            one that is held.
+        k: Index of the parameter that is held, from 0.
+        value: The offset from the registered start at which it is held, in its unit; the others are fitted.
+
+    Returns:
+        The least cost [1], twice the objective of the fit.
+    """
+    estimate = fitted.estimate
+    problem, C = estimate.problem, estimate.covariance
+    others = np.arange(len(estimate.x)) != k
+    start = estimate.x + C[:, k] / C[k, k] * (value - estimate.x[k])
+    start[k] = value
+    if not np.any(others):
+        residual, _ = problem.system(start)
+        return float(residual @ residual)
+
+    def system(free: Array) -> tuple[Array, Array]:
+        """Return the weighted residual and its derivative by the p - 1 parameters that are not held.
+
+        Args:
+            free: Offsets of these parameters from the registered start, shape (p - 1,), in their units.
+
+        Returns:
+            Residual, shape (n,), measured minus predicted in standard deviations, priors included; and its derivative,
+            shape (n, p - 1).
+        """
+        x = start.copy()
+        x[others] = free
+        residual, jacobian = problem.system(x)
+        return residual, jacobian[:, others]
+
+    size = steps(fitted.kinematics.model.units)[others]
+    return 2.0 * levenberg_marquardt(system, start[others], step_size=size).cost
+
+
+def _check_solver(fitted: Fitted) -> None:
+    """Refuse a fit by the paper's solver: its solution is not the least cost of the problem.
+
+    Args:
+        fitted: The fit, of which ``task.solver`` is used, a name or a function.
+
+    Raises:
+        ModelError: It is the paper's.
+    """
+    if fitted.task.solver == PAPER:
+        raise ModelError("The solver 'paper' has neither bootstrap nor profile. Choose 'lm'.")
+
+
+def _evenly(samples: Samples) -> Samples:
+    """Return at most `_POSES` of N samples, evenly spread over their order.
+
+    Args:
+        samples: N joint values, with the frame, the target and the loads of each.
+
+    Returns:
+        These samples, in their order; all where there are no more.
+    """
+    count = min(len(samples), _POSES)
+    return samples.select(np.linspace(0, len(samples) - 1, count).astype(int))
+
+
+def _in_first_frame(samples: Samples) -> Samples:
+    """Return samples as seen from the first measurement frame, so that one rigid motion can be fitted to all positions.
+
+    Args:
+        samples: N joint values, with the frame, the target and the loads of each.
+
+    Returns:
+        The same with frame 0 for all.
+    """
+    return replace(samples, frame=np.zeros_like(samples.frame))

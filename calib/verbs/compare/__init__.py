@@ -1,0 +1,1 @@
+"""``calib compare``: two calibrations of one robot, and its drift."""

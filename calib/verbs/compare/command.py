@@ -1,0 +1,60 @@
+"""``calib compare``: two calibrations of one robot side by side, and whether it drifted."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from calib.cli.options import Force, Quiet
+from calib.cli.outputs import check_outputs, written_lines
+from calib.cli.verb import verb
+
+
+@verb("""Compare two calibrations of one robot: did it drift?
+
+\b
+Examples:
+  calib compare january.json june.json
+  calib compare january.json june.json --robot robot.urdf --json compared.json --view both.html
+
+A tracker that stands elsewhere and a target mounted anew are no drift.
+""")
+def compare(
+    a: Annotated[
+        Path, typer.Argument(metavar="A", help="First result, of 'calib calibrate --json'.")
+    ],
+    b: Annotated[Path, typer.Argument(metavar="B", help="Second, later result.")],
+    robot: Annotated[
+        str | None,
+        typer.Option(
+            "--robot",
+            metavar="ROBOT",
+            help="URDF with the meshes for --view. Default: that of A.",
+        ),
+    ] = None,
+    json: Annotated[Path | None, typer.Option("--json", help="Write JSON.")] = None,
+    view: Annotated[
+        Path | None, typer.Option("--view", help="Write a page of both robots.")
+    ] = None,
+    force: Force = False,
+    quiet: Quiet = False,
+) -> None:
+    """Run the verb; its help is the text of `verb`."""
+    from calib.verbs.compare.comparison import compare as compare_results
+
+    check_outputs([json, view], [a, b, robot], force=force)
+    comparison = compare_results(a, b, robot)
+    if view is not None:
+        from calib.verbs.compare.view import view_of_comparison
+        from calib.verbs.view.page import view_page
+
+        view_page(view_of_comparison(comparison)).write(view, overwrite=force)
+    if json is not None:
+        comparison.write_json(json, overwrite=force)
+    if quiet:
+        return
+    typer.echo(comparison.summary())
+    if written := written_lines(view, json):
+        typer.echo("\n" + "\n".join(written))

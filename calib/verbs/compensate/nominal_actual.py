@@ -1,0 +1,444 @@
+"""The robot as its controller has it and as it is: poses of a tool on both, and its motion with the joints.
+
+Both are `calib.model.kinematics`: the actual robot with the errors that were identified, those of its joints included.
+The motion of a tool with the measured joints is that of a parameter for each joint that moves it by one, and of what
+its errors add:
+
+    dT/dq_j  =  (1 + sum_k x_k df_k/dq_j) dT/d(displacement of joint j),    dq_j = x_1 f_1(q_j) + x_2 f_2(q_j) + ...
+
+Here q_j is the joint's value, which differs from its reading where readings are coupled.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from calib.basics.arguments import numbers
+from calib.basics.arrays import Array, read_only
+from calib.basics.values import Value
+from calib.errors import ModelError, choices
+from calib.model.error_model import error_model
+from calib.model.families import Factor, JointState
+from calib.model.joint_errors import axis_twists
+from calib.model.kinematics import Kinematics, Samples
+from calib.model.parameters import TIP, ErrorModel, Parameter
+from calib.numerics.geometry import not_rotations, position_in_tip
+from calib.result.calibration import Calibration, check_same_coupling
+from calib.result.prediction import NonGeometric
+from calib.robot.payload import Payload
+from calib.robot.ranges import spread_poses
+from calib.robot.robot import Robot
+
+#: The family that moves a measured joint, and with it all joints that follow it.
+_GAIN = "gain"
+
+#: Origins of one robot differ by rounding [m; rotation matrices: 1].
+_SAME = 1e-9
+
+#: Two robots whose tools are typically farther apart than this share of their reach are no calibration of each other.
+_NO_CALIBRATION = 0.1
+
+#: What a tool or a frame may be, in messages.
+_POSE = "a pose (4, 4) or a position (3,)"
+
+#: Poses in which that is looked at.
+_POSES = 64
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Arm(Value):
+    """Robot whose errors are known, with a tool; made by `of` or `of_non_geometric`."""
+
+    #: With the placements as they are.
+    robot: Robot
+    #: Shape (4, 4), [m].
+    T_tip_tool: Array
+    #: Its parameters are the errors of the joints, and one more for each measured joint.
+    kinematics: Kinematics
+    #: Values of the parameters; 0 for those of the measured joints.
+    x: Array
+    #: Load on each joint at joint values, (N, m) to (N, n), [Nm, N]; None: no error needs it.
+    load: Callable[[Array], Array] | None = None
+
+    @classmethod
+    def of(
+        cls,
+        robot: Robot,
+        T_tip_tool: Array,
+        terms: tuple[Parameter, ...] = (),
+        values: ArrayLike = (),
+        load: Callable[[Array], Array] | None = None,
+    ) -> Arm:
+        """Make the arm of a robot.
+
+        Args:
+            robot: With the placements as they are.
+            T_tip_tool: Pose of the tool in the tip, shape (4, 4), [m].
+            terms: Errors of the joints that change with their state.
+            values: The value of each, in its unit.
+            load: Load on each joint at joint values, (N, m) to (N, n), [Nm, N]; None: no error needs it.
+        """
+        of_terms = np.asarray(values, dtype=np.float64)
+        motion = partial(_motion_per_value, terms, of_terms)
+        motions = _motions(robot, Factor("motion", motion, slope=None))
+        places = error_model(robot, "frames", target=False).places
+        model = ErrorModel("motion", places, (*terms, *motions))
+        kinematics = Kinematics(robot, model, np.eye(4), T_tip_tool)
+        x = read_only(np.concatenate([of_terms, np.zeros(len(motions))]))
+        return cls(robot, read_only(T_tip_tool), kinematics, x, load)
+
+    @classmethod
+    def of_non_geometric(
+        cls,
+        non_geometric: NonGeometric,
+        nominal: Robot,
+        T_tip_tool: Array,
+        payload: Payload | None = None,
+    ) -> Arm:
+        """Make the arm of a result's non-geometric model.
+
+        Args:
+            non_geometric: The model.
+            nominal: The nominal robot, whose placements it corrects.
+            T_tip_tool: Pose of the tool in the tip, shape (4, 4), [m].
+            payload: What the tip carries; None: what it carried at the calibration.
+        """
+        model = non_geometric.model
+        of_joints = list(model.joint_terms)
+        terms = tuple(model.terms[t] for t in of_joints)
+        values = model.values(non_geometric.x)[of_joints]
+        load: Callable[[Array], Array] | None = None
+        if any(term.factor and term.factor.loaded for term in terms):
+            load = partial(_load, non_geometric, nominal, payload)
+        return cls.of(_displaced(nominal, non_geometric), T_tip_tool, terms, values, load)
+
+    def poses(self, q: Array) -> Array:
+        """Compute T_base_tool, shape (N, 4, 4), [m], at readings of the joints, shape (N, m), [rad] or [m]."""
+        return self.kinematics.poses(self.x, self._samples(q))
+
+    def motion(self, q: Array) -> tuple[Array, Array]:
+        """Compute poses of the tool, and its velocity with the value of each joint.
+
+        The change of the load with q is left out of the velocity: it costs an iteration where joint values are looked
+        for, no accuracy.
+
+        Args:
+            q: Readings of the joints, shape (N, m), [rad] or [m].
+
+        Returns:
+            T_base_tool, shape (N, 4, 4), [m], and twists along the tool's own axes, linear part first, shape (N, 6, m),
+            [m or rad per rad or m].
+        """
+        poses, twists = self.kinematics.twists(self.x, self._samples(q))
+        R_tool_base = np.swapaxes(poses[:, :3, :3], 1, 2)
+        in_base = twists[:, :, -len(self.robot.joint_names) :]
+        linear, angular = R_tool_base @ in_base[:, :3], R_tool_base @ in_base[:, 3:]
+        return poses, np.concatenate([linear, angular], axis=1)
+
+    def _samples(self, q: Array) -> Samples:
+        """Return joint values with their loads."""
+        return Samples.at(q, None if self.load is None else self.load(q))
+
+
+def _displaced(nominal: Robot, non_geometric: NonGeometric) -> Robot:
+    """Return the nominal robot with the placements of a non-geometric model, those of joints and of the tip."""
+    displacements, _ = non_geometric.model.displacements(non_geometric.x)
+    names = (*(joint.name for joint in nominal.joints), TIP)
+    order = [non_geometric.model.places.index(name) for name in names]
+    return nominal.with_placements(nominal.placements @ displacements[order])
+
+
+def _motion_per_value(terms: Sequence[Parameter], values: Array, state: JointState) -> Array:
+    """Return the motion of a joint per change of its value: 1, and the slopes of its errors.
+
+    Args:
+        terms: Errors of the joints that change with their state.
+        values: The value of each, in its unit, shape (terms,).
+        state: The joint, and the state of all joints in N samples.
+
+    Returns:
+        Shape (N,).
+    """
+    per_value = np.ones(len(state.values))
+    for term, value in zip(terms, values, strict=True):
+        if term.place == state.joint and term.factor and term.factor.slope:
+            per_value += value * term.factor.slope(state)
+    return per_value
+
+
+def _motions(robot: Robot, factor: Factor) -> list[Parameter]:
+    """Return a parameter for each measured joint that moves it, and those that follow it.
+
+    Args:
+        robot: With the placements as they are.
+        factor: Motion of a joint per change of its value.
+    """
+    names = [joint.name for joint in robot.joints]
+    directions = dict(zip(names, axis_twists(robot), strict=True))
+    motions = []
+    for name in robot.joint_names:
+        direction = directions.get(name, np.zeros(6))
+        motions.append(Parameter(f"{name}.motion", "1", name, direction, _GAIN, factor=factor))
+    return motions
+
+
+def _load(non_geometric: NonGeometric, nominal: Robot, payload: Payload | None, q: Array) -> Array:
+    """Return the load on each joint, (N, n) [Nm, N], at joint values (N, m)."""
+    return non_geometric.load(nominal, q, payload)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pair(Value):
+    """Tool on the nominal robot and on the actual one; made by `pair_of`."""
+
+    #: The robot as its controller has it, with the tool that the controller is to be set to.
+    nominal: Arm
+    #: The calibrated robot, with the tool where it is.
+    actual: Arm
+    #: Shape (4, 4), the base in the frame of the poses [m].
+    T_frame_base: Array
+    #: Name of the target that the tool is; None where it is none.
+    target: str | None = None
+    #: Name of the group whose frame it is; None where it is none.
+    group: str | None = None
+    result: Calibration | None = None  #: The calibration of the actual robot; None for two robots.
+    #: Whether the actual robot is the result's non-geometric model.
+    non_geometric: bool = False
+
+    def __post_init__(self) -> None:
+        """Refuse two robots that are no calibration of each other."""
+        robot = self.nominal.robot
+        q = spread_poses(robot, _POSES)
+        difference = self.actual.poses(q)[:, :3, 3] - self.nominal.poses(q)[:, :3, 3]
+        typical = float(np.median(np.linalg.norm(difference, axis=1)))
+        if typical > _NO_CALIBRATION * self.reach:
+            raise ModelError(
+                f"The calibrated robot has the tool {1e3 * typical:.0f} mm away from where the nominal robot "
+                f"'{robot.name}' ({robot.urdf.source}) has it; a calibration moves it by millimetres. Give the nominal "
+                "and the calibrated model of one robot, with zero positions that agree."
+            )
+
+    @property
+    def reach(self) -> float:
+        """Length of the actual arm, stretched out, with its tool [m]; at least a millimetre."""
+        lengths = np.linalg.norm(self.actual.robot.placements[1:, :3, 3], axis=1)
+        tool = np.linalg.norm(self.actual.T_tip_tool[:3, 3])
+        return float(max(lengths.sum() + tool, 1e-3))
+
+
+def pair_of(
+    calibration: Calibration | Robot,
+    nominal: Robot | None = None,
+    *,
+    tool: ArrayLike | str | None = None,
+    frame: ArrayLike | str | None = None,
+    non_geometric: bool | Payload = True,
+) -> Pair:
+    """Make the pair of nominal and actual robot.
+
+    Args:
+        calibration: See `calib.verbs.compensate.commands.compensate`.
+        nominal: See there.
+        tool: See there.
+        frame: See there.
+        non_geometric: See there.
+
+    Returns:
+        The pair.
+
+    Raises:
+        ModelError: No nominal robot, one that is not the calibration's, or a tool or frame that there is not.
+    """
+    if isinstance(calibration, Robot):
+        return _pair_of_robots(calibration, nominal, tool, frame, non_geometric)
+    result = calibration
+    nominal = nominal or result.nominal
+    model = result.non_geometric if non_geometric is not False else None
+    payload = non_geometric if isinstance(non_geometric, Payload) else None
+    controller = result.uncorrected(nominal) if is_corrected(result, nominal) else nominal
+    known_tool = _tool(result, model, tool)
+    T_frame_base, group = _frame(result, model, frame)
+    if model is None:
+        arm = Arm.of(result.corrected(nominal), known_tool.T_actual)
+    else:
+        robot = result.uncorrected(nominal)
+        arm = Arm.of_non_geometric(model, robot, known_tool.T_actual, payload)
+    if payload is not None:
+        _check_compliances(arm)
+    return Pair(
+        nominal=Arm.of(controller, known_tool.T_nominal),
+        actual=arm,
+        T_frame_base=T_frame_base,
+        target=known_tool.target,
+        group=group,
+        result=result,
+        non_geometric=model is not None,
+    )
+
+
+def _pair_of_robots(
+    actual: Robot,
+    nominal: Robot | None,
+    tool: ArrayLike | str | None,
+    frame: ArrayLike | str | None,
+    non_geometric: bool | Payload,
+) -> Pair:
+    """Make the pair of two robots, without a result."""
+    needs_result = any(isinstance(value, (str, Payload)) for value in (tool, frame, non_geometric))
+    if nominal is None or needs_result:
+        raise ModelError(
+            "With a corrected robot in place of a result give the nominal robot too, tool and frame "
+            "as poses, and no payload: it knows no targets, groups and compliances."
+        )
+    actual = actual.rebuilt(base=nominal.base, tip=nominal.tip)
+    check_same_joints(actual, nominal)
+    T_tip_tool = _pose(tool, "tool")
+    return Pair(Arm.of(nominal, T_tip_tool), Arm.of(actual, T_tip_tool), _pose(frame, "frame"))
+
+
+class _Tool(NamedTuple):
+    """Tool in the tip."""
+
+    #: Where it is, shape (4, 4), [m]
+    T_actual: Array
+    #: Where the controller has it, shape (4, 4), [m]
+    T_nominal: Array
+    #: Name of the target that it is; None where it is none
+    target: str | None
+
+
+def _tool(result: Calibration, model: NonGeometric | None, tool: ArrayLike | str | None) -> _Tool:
+    """Return a tool given as a pose, or by the name of a target.
+
+    Args:
+        result: The calibration.
+        model: Its non-geometric model, whose targets count; None: those of its geometry.
+        tool: See `calib.verbs.compensate.commands.compensate`.
+    """
+    if not isinstance(tool, str):
+        T_tip_tool = _pose(tool, "tool")
+        return _Tool(T_tip_tool, T_tip_tool, None)
+    setup = result.setup if model is None else model.setup
+    target = _name(setup.targets, tool, "target")
+    t = setup.targets.index(target)
+    # The controller has it where it was given. A target that was estimated from scratch has no such place.
+    stated = result.nominal_setup if setup.target_given[t] else setup
+    return _Tool(setup.T_tip_target[t], stated.T_tip_target[t], target)
+
+
+def _frame(
+    result: Calibration, model: NonGeometric | None, frame: ArrayLike | str | None
+) -> tuple[Array, str | None]:
+    """Return the base in a frame given as a pose, or by the name of a group, and that name.
+
+    Args:
+        result: The calibration.
+        model: Its non-geometric model, whose frames count; None: those of its geometry.
+        frame: See `calib.verbs.compensate.commands.compensate`.
+    """
+    if not isinstance(frame, str):
+        return _pose(frame, "frame"), None
+    setup = result.setup if model is None else model.setup
+    group = _name(setup.groups, frame, "group")
+    return read_only(setup.T_frame_base[setup.groups.index(group)]), group
+
+
+def _check_compliances(arm: Arm) -> None:
+    """Refuse a payload for an arm that no load moves."""
+    factors = [term.factor for term in arm.kinematics.model.terms]
+    if not any(factor and factor.loaded and not factor.later for factor in factors):
+        raise ModelError(
+            "A payload is given, but the result has no compliances: its commands would be the same "
+            "with any. Leave the payload out; the model 'dh+compliance' estimates compliances."
+        )
+
+
+def is_corrected(result: Calibration, robot: Robot) -> bool:
+    """Tell a robot with the joint origins that a result corrected from one with those that it began with.
+
+    Args:
+        result: The calibration.
+        robot: A robot with the same chain.
+
+    Returns:
+        True for the corrected origins, False for the nominal ones.
+
+    Raises:
+        ModelError: It has neither, or is another chain.
+    """
+    chain = result.nominal
+    if (robot.base, robot.tip) != (chain.base, chain.tip):
+        raise ModelError(
+            f"The result is for --base {chain.base} --tip {chain.tip}, not for '{robot.base}' to "
+            f"'{robot.tip}'."
+        )
+    if not _other_origins(robot, result.corrected(robot)):
+        return True
+    different = _other_origins(robot, result.uncorrected(robot))
+    if not different:
+        return False
+    raise ModelError(
+        f"{robot.urdf.source}: the origin of '{different[0]}' is neither the one that the "
+        "calibration began with nor its corrected one. Give the URDF that the result was made "
+        "with, or the corrected URDF in place of the result."
+    )
+
+
+def _other_origins(robot: Robot, reference: Robot) -> list[str]:
+    """Return the joints whose origins differ by more than rounding."""
+    origins = reference.origins()
+    return [name for name, T in robot.origins().items() if np.abs(T - origins[name]).max() > _SAME]
+
+
+def _name(names: Sequence[str], name: str, what: str) -> str:
+    """Return the name, or the only one there is for the empty name; raises `ModelError`."""
+    if name in names:
+        return name
+    if not name and len(names) == 1:
+        return names[0]
+    raise ModelError(
+        f"The calibration has no {what} '{name}'; it has "
+        f"{choices(known or '(no name)' for known in names)}. Name one."
+    )
+
+
+def _pose(value: ArrayLike | str | None, what: str) -> Array:
+    """Return a pose, shape (4, 4), of a pose or of a position, shape (3,), [m]; the identity of None."""
+    T = np.eye(4)
+    values = T if value is None else numbers(what, value, _POSE)
+    if values.shape == (3,):
+        T[:3, 3] = values
+        values = T
+    if values.shape != (4, 4) or not_rotations(values[None, :3, :3]) or np.isnan(values).any():
+        raise ModelError(f"The {what} is {_POSE}, not {values.tolist()}.")
+    if what == "tool":
+        position_in_tip(values[:3, 3], what)
+    return read_only(values)
+
+
+def check_same_joints(robot: Robot, nominal: Robot) -> None:
+    """Refuse two robots whose joints differ in name, type or axis, or in coupled readings; raises `ModelError`.
+
+    Args:
+        robot: A corrected robot.
+        nominal: Its nominal robot.
+    """
+    joints, nominal_joints = _joints(robot), _joints(nominal)
+    if joints != nominal_joints:
+        raise ModelError(
+            f"The robot '{robot.name}' has the joints {choices(joints)}, its nominal robot "
+            f"'{nominal.name}' {choices(nominal_joints)}. Give the nominal URDF that the robot was "
+            "corrected from, with the same base and tip."
+        )
+    check_same_coupling(robot, nominal)
+
+
+def _joints(robot: Robot) -> list[str]:
+    """Return name, type and axis of each joint, as text."""
+    return [f"{joint.name} ({joint.type}, axis {joint.axis + 0.0})" for joint in robot.joints]

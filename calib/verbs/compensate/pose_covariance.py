@@ -1,0 +1,258 @@
+"""Covariance of a tool's predicted pose, in the measurement frame and in the base, by the parameters of a result.
+
+    C_pose(q)  =  J C J^T  +  B P B^T
+
+    J   derivative of the tool's pose by the parameters, C their covariance; parameters of a target count only where the
+        tool is that target: any other tool is known in the tip
+    B   derivative by a motion of the base, P covariance of what the model leaves out of the first joint's placement
+
+The last term counts in the base only, and only where the measurement frame was estimated: a frame takes up whatever
+displaces the first joint in the base, so that no measurement tells it. What the model has of it is in C, with the
+variance of its prior; the rest is P, with the prior standard deviations of the same families.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+import pinocchio as pin
+
+import calib.data.kinds as registry
+from calib.basics.arrays import Array, rigid_inverse
+from calib.model.error_model import DIRECTIONS, OWN, error_model, split_name
+from calib.model.families import FAMILIES
+from calib.model.kinematics import Samples
+from calib.model.parameters import TARGET, Parameter
+from calib.numerics.rigid_motion import displacements_by
+from calib.result.calibration import Calibration
+from calib.result.prediction import FittedModel, twists_in_base
+
+#: Rows whose derivatives are held at a time.
+_AT_A_TIME = 2048
+
+
+class View(NamedTuple):
+    """Tool as seen from a frame."""
+
+    #: N samples of joint values, frames and targets.
+    samples: Samples
+    #: shape (4, 4), a tool known in the tip [m]; None: the target of each sample.
+    T_tip_tool: Array | None
+    #: Whether poses are in the base, not in the frame of each sample.
+    in_base: bool
+    #: shape (6, 6), covariance of a motion of the base besides the parameters, along and about its axes, linear part
+    #: first [m, rad]; None for the base less the motion of it that compensates best, see `FittedModel.base_motion`.
+    base: Array | None
+
+
+class PoseCovariance(NamedTuple):
+    """Covariance of N predicted poses."""
+
+    #: Shape (N, 6, 6), of each pose along the axes of its frame, linear part first [m, rad].
+    covariance: Array
+    #: shape (k,), variances of independent unknowns that all rows share: the mean square of the positions' errors is
+    #: sum_k shared_k z_k^2 with standard normal z [m^2].
+    shared: Array
+    #: Mean square of the positions' errors, as far as it comes from the priors and not from the noise [m^2].
+    by_priors: float
+
+    @property
+    def mean_square(self) -> Array:
+        """Mean squares over the rows, of positions [m^2] and of angles [rad^2], shape (2,)."""
+        variances = np.diagonal(self.covariance, axis1=1, axis2=2)
+        return np.asarray(variances.reshape(-1, 2, 3).sum(axis=2).mean(axis=0))
+
+
+def pose_covariance(part: FittedModel, view: View) -> PoseCovariance:
+    """Compute the covariance of the poses of a view by the parameters of a fit.
+
+    Args:
+        part: A result's geometry or its non-geometric model.
+        view: The tool, its poses and the frame.
+
+    Returns:
+        The covariance, and its parts that all rows share.
+    """
+    derivative = _derivative(part, view)
+    root = _root(_covariance(part, view))
+    unknowns, count = len(root), len(view.samples)
+    covariances = []
+    gram = np.zeros((unknowns, unknowns))
+    for first in range(0, count, _AT_A_TIME):
+        block = view.samples.select(slice(first, first + _AT_A_TIME))
+        J = derivative(block) @ root
+        covariances.append(J @ J.swapaxes(1, 2))
+        lengths = J[:, :3].reshape(-1, unknowns)
+        gram += lengths.T @ lengths / count
+    shared = np.maximum(np.linalg.eigvalsh(gram), 0.0)
+    by_priors = float(np.sum(gram * (root.T @ _prior_precision(part, view) @ root)))
+    return PoseCovariance(np.concatenate(covariances), shared, by_priors)
+
+
+def unknown_base_directions(result: Calibration) -> tuple[str, ...]:
+    """Return the directions of the base that no measurement determines, of `calib.model.error_model.DIRECTIONS`.
+
+    They are those that are estimated of every frame in which positions were measured; all six where none were.
+    """
+    rows, setup = result.rows, result.setup
+    common = set(DIRECTIONS)
+    seen = set(zip(rows.groups, rows.kinds, rows.estimation.tolist(), strict=True))
+    for group, kind, fitted in seen:
+        if fitted and registry.get(kind).position:
+            common &= set(setup.unknown[setup.groups.index(group)])
+    return tuple(direction for direction in DIRECTIONS if direction in common)
+
+
+def unmodelled_base(result: Calibration, part: FittedModel) -> Array:
+    """Compute the covariance of the first joint's placement that a model leaves out, as a motion of the base (6, 6).
+
+    Every direction of the placement counts that neither a parameter of the model nor a frozen one has, with the prior
+    standard deviation of its family, along the directions of the base that no measurement
+    determines.
+
+    Args:
+        result: The calibration.
+        part: Its geometry or its non-geometric model.
+
+    Returns:
+        Covariance along and about the base's axes, linear part first [m^2, m rad, rad^2]; zero for a known base.
+    """
+    robot = result.nominal
+    if robot.carriers[0] is None:
+        return np.zeros((6, 6))
+    joint = robot.joints[0].name
+    T_base_joint = rigid_inverse(robot.T_root_base) @ robot.placements[0]
+    into_base = pin.SE3(T_base_joint).toActionMatrix() @ _left_out(result, part)
+    unknown = np.isin(DIRECTIONS, unknown_base_directions(result))
+    covariance = np.zeros((6, 6))
+    for error in error_model(robot, "placement", target=False).parameters:
+        if error.place == joint:
+            motion = unknown * (into_base @ error.direction)
+            covariance += np.outer(motion, motion) * _prior_std(result, part, error.family) ** 2
+    return covariance
+
+
+def _left_out(result: Calibration, part: FittedModel) -> Array:
+    """Compute the projection onto the motions of the first joint's placement that a model leaves out.
+
+        P = I - D^+ D,    D: directions of its errors and of frozen ones, one a row
+
+    Args:
+        result: The calibration.
+        part: Its geometry or its non-geometric model.
+
+    Returns:
+        shape (6, 6), of twists in the frame of the placement, linear part first.
+    """
+    joint = result.nominal.joints[0].name
+    modelled = [term for term in part.model.terms if term.factor is None]
+    modelled += _frozen(result, part)
+    directions = [term.direction for term in modelled if term.place == joint]
+    spanned = np.array(directions).reshape(-1, 6)
+    return np.asarray(np.eye(6) - np.linalg.pinv(spanned) @ spanned)
+
+
+def _frozen(result: Calibration, part: FittedModel) -> list[Parameter]:
+    """Return frozen parameters of the model's set and of the placements: the user takes them for exact."""
+    sets = {"placement"}
+    if part.model.name != OWN:
+        sets.add(split_name(part.model.name)[0])
+    models = [error_model(result.nominal, name, target=False) for name in sets]
+    parameters = [parameter for model in models for parameter in model.parameters]
+    return [parameter for parameter in parameters if parameter.name in result.frozen]
+
+
+def _prior_std(result: Calibration, part: FittedModel, family: str) -> float:
+    """Return the standard deviation of a family's errors: the model's, else the largest candidate's, else typical."""
+    largest_first = sorted(result.candidates, key=lambda candidate: -candidate.parameters)
+    for prior_std in (part.prior_std, *(candidate.prior_std for candidate in largest_first)):
+        if family in prior_std:
+            return float(prior_std[family])
+    return FAMILIES[family].typical
+
+
+def _derivative(part: FittedModel, view: View) -> Callable[[Samples], Array]:
+    """Return the derivative of poses by the p parameters and a motion of the base: N samples to (N, 6, p + 6)."""
+    kinematics, x = part.kinematics, part.x
+    if view.T_tip_tool is not None:
+        tools = np.broadcast_to(view.T_tip_tool, kinematics.T_tip_target.shape)
+        kinematics = replace(kinematics, T_tip_target=tools)
+        x = np.where(part.model.family(TARGET), 0.0, x)
+    gauge = part.base_motion if view.base is None else None
+
+    def derivative(samples: Samples) -> Array:
+        if view.in_base:
+            poses, twists = twists_in_base(kinematics, x, samples)
+        else:
+            poses, twists = kinematics.twists(x, samples)
+        points = poses[:, :3, 3]
+        if gauge is not None:
+            twists[:, :3] -= displacements_by(gauge, points)
+            twists[:, 3:] -= gauge[3:]
+        of_base = np.tile(np.eye(6), (len(points), 1, 1))
+        of_base[:, :3] = displacements_by(np.eye(6), points)
+        return np.concatenate([twists, of_base], axis=2)
+
+    return derivative
+
+
+def _root(covariance: Array) -> Array:
+    """Compute R with R R^T a covariance, which may be singular."""
+    values, vectors = np.linalg.eigh(covariance)
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
+
+
+def _covariance(part: FittedModel, view: View) -> Array:
+    """Return the covariance of the p parameters and of a motion of the base, shape (p + 6, p + 6)."""
+    covariance = _determined(part)
+    if view.T_tip_tool is not None:
+        of_target = part.model.family(TARGET)
+        covariance = np.where(of_target[:, None] | of_target, 0.0, covariance)
+    p = len(covariance)
+    joint = np.zeros((p + 6, p + 6))
+    joint[:p, :p] = covariance
+    if view.base is not None:
+        joint[p:, p:] = view.base
+    return joint
+
+
+def _prior_precision(part: FittedModel, view: View) -> Array:
+    """Return the precision of the priors of the same, shape (p + 6, p + 6); 0 where there is none.
+
+    Of the covariance C = (H + L)^-1, with the measurements' H and the priors' L, the share C L C is the priors'.
+    """
+    p = len(part.x)
+    precision = np.zeros((p + 6, p + 6))
+    prior_std = _typical(part)
+    if part.prior_std:
+        prior_std = np.array([parameter.prior_std for parameter in part.parameters], np.float64)
+    variances = np.square(prior_std)
+    precision[range(p), range(p)] = np.where(variances > 0.0, 1.0 / variances, 0.0)
+    if view.base is not None:
+        precision[p:, p:] = np.linalg.pinv(view.base, hermitian=True)
+    return precision
+
+
+def _determined(part: FittedModel) -> Array:
+    """Return the covariance of the parameters, shape (p, p).
+
+    Without priors, what no measurement determines has a standard deviation of a metre or a radian: it is taken to be as
+    large as the errors of its family typically are, C - C_r (C_rr + D)^-1 C_r^T with these variances D.
+    """
+    of_robot = part.model.of_robot
+    if part.prior_std or not np.any(of_robot):
+        return part.covariance
+    typical = np.diag(np.square(_typical(part)[of_robot]))
+    columns = part.covariance[:, of_robot]
+    return np.asarray(
+        part.covariance - columns @ np.linalg.solve(columns[of_robot] + typical, columns.T)
+    )
+
+
+def _typical(part: FittedModel) -> Array:
+    """Return typical standard deviations of the parameters' families, shape (p,); NaN for frames and targets."""
+    families = [FAMILIES.get(parameter.family) for parameter in part.model.parameters]
+    return np.array([np.nan if family is None else family.typical for family in families])

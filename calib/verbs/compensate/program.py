@@ -1,0 +1,159 @@
+"""Program: what a robot is to do, row by row: joint values made for the nominal robot, or poses of its tool."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from calib.basics.arguments import check_mapping, check_names, check_type, finite_numbers, numbers
+from calib.basics.arrays import Array, read_only
+from calib.basics.mappings import keep_read_only
+from calib.basics.short import one_line
+from calib.basics.values import Value
+from calib.errors import ModelError, choices
+from calib.numerics.geometry import not_rotations
+from calib.verbs.compensate.inverse import MATCHES, POSITION
+
+#: Prefix of columns with corrections, in a table of commands.
+CORRECTION = "correction "
+
+#: Column of the expected position error of each row of a table of commands.
+EXPECTED = "expected error"
+
+#: What messages call joint values, and poses.
+_VALUES = "joint values of shape (N, m) or (m,), [rad] or [m]"
+_POSES = "poses of shape (N, 4, 4) or (4, 4), [m]"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Program(Value):
+    """N rows that a robot is to run through: joint values, poses of the tool, or both.
+
+    Raises:
+        ModelError: Neither joint values nor poses, a number or a rotation that is none, or words that do not fit.
+    """
+
+    #: What messages call each row, such as ``"row 3"``.
+    labels: tuple[str, ...]
+    #: shape (N, m), joint values in the order of ``Robot.joint_names`` [rad] or [m]; with ``T_wanted`` those at which
+    #: the search for joint values starts; None: poses alone.
+    q: Array | None = None
+    #: shape (N, 4, 4), wanted poses of the tool [m]; None: those that the nominal robot reaches at ``q``.
+    T_wanted: Array | None = None
+    #: Whether ``T_wanted`` gives the orientation too, or the position alone.
+    oriented: bool = True
+    #: What of the poses is to be reached, one of `MATCHES`; None: ``"pose"``, ``"axis"`` with five joints,
+    #: ``"position"`` with fewer or where no orientation is given.
+    match: str | None = None
+    #: Joint values by name [rad] or [m] near which the search for the first of poses alone starts; others start in mid
+    #: range; None: all do.
+    start: Mapping[str, float] | None = None
+    #: Other columns of the file: header and cells.
+    kept: tuple[tuple[str, tuple[str, ...]], ...] = ()
+    #: Convention of the file's orientations, one of `calib.data.forms.orientations.CONVENTIONS`; empty if there are
+    #: none.
+    form: str = ""
+
+    def __post_init__(self) -> None:
+        """Check the values, and make the arrays read-only copies."""
+        check_names("labels", self.labels)
+        check_type("match", self.match, (str, type(None)), f"one of {choices(MATCHES)}, or None")
+        if self.start is not None:
+            check_mapping("start", self.start)
+        if not self.labels or (self.q is None and self.T_wanted is None):
+            raise ModelError("A program has rows of joint values, of poses, or of both.")
+        allowed = MATCHES if self.oriented else (POSITION,)
+        if self.match not in (None, *allowed):
+            raise ModelError(
+                f"'{self.match}' cannot be matched; this program's rows allow {choices(allowed)}."
+            )
+        if self.start and self.q is not None:
+            raise ModelError("Each row has joint values to start at: leave out the start.")
+        for name, values in (("q", self.q), ("T_wanted", self.T_wanted)):
+            if values is None:
+                continue
+            count = len(self.labels)
+            shape: tuple[int | None, ...] = (count, None) if name == "q" else (count, 4, 4)
+            what = f"{_VALUES if name == 'q' else _POSES}, one for each of the {count} labels"
+            given = finite_numbers(name, values, shape, what)
+            if name == "T_wanted" and not_rotations(given[:, :3, :3]).any():
+                raise ModelError(
+                    "T_wanted of a program has a pose that is none: its rotation is not orthonormal."
+                )
+            object.__setattr__(self, name, read_only(values))
+        keep_read_only(self, "start")
+
+    def __repr__(self) -> str:
+        """Return one line: the number of rows, and what they give."""
+        what = "joint values"
+        if self.T_wanted is not None:
+            what = "poses" if self.oriented else "positions"
+        return one_line("Program", f"{len(self)} rows of {what}")
+
+    def __len__(self) -> int:
+        """Return the number of rows."""
+        return len(self.labels)
+
+    @classmethod
+    def of_joints(cls, q: ArrayLike) -> Program:
+        """Make a program of joint values for the nominal robot, shape (N, m) or (m,), [rad] or [m]."""
+        values = np.atleast_2d(numbers("q", q, _VALUES))
+        return cls(_labels(len(values)), q=values)
+
+    @classmethod
+    def of_poses(
+        cls,
+        T_wanted: ArrayLike,
+        q: ArrayLike | None = None,
+        *,
+        start: Mapping[str, float] | None = None,
+    ) -> Program:
+        """Make a program of poses of the tool.
+
+        Args:
+            T_wanted: shape (N, 4, 4) or (4, 4), [m].
+            q: Joint values at which the search starts, shape (N, m), [rad] or [m]; None: not given.
+            start: Joint values by name near which the search for the first pose starts, without ``q`` [rad] or [m];
+                None: mid range.
+        """
+        given = numbers("T_wanted", T_wanted, _POSES)
+        poses = given[None] if given.ndim == 2 else given
+        finite_numbers("T_wanted", poses, (None, 4, 4), _POSES)
+        starts = None if q is None else np.atleast_2d(numbers("q", q, _VALUES))
+        return cls(_labels(len(poses)), starts, poses, start=start)
+
+    @classmethod
+    def of_points(
+        cls,
+        points: ArrayLike,
+        q: ArrayLike | None = None,
+        *,
+        start: Mapping[str, float] | None = None,
+    ) -> Program:
+        """Make a program of positions of the tool, its orientation left free.
+
+        Args:
+            points: shape (N, 3) or (3,), [m].
+            q: Joint values at which the search starts, shape (N, m), [rad] or [m]; None: not given.
+            start: Joint values by name near which the search for the first point starts, without ``q`` [rad] or [m];
+                None: mid range.
+        """
+        allowed = "positions of shape (N, 3) or (3,), [m]"
+        given = np.atleast_2d(numbers("points", points, allowed))
+        positions = finite_numbers("points", given, (None, 3), allowed)
+        return replace(cls.of_poses(poses_at(positions), q, start=start), oriented=False)
+
+
+def _labels(count: int) -> tuple[str, ...]:
+    """Return labels of rows, numbered from 1."""
+    return tuple(f"row {i + 1}" for i in range(count))
+
+
+def poses_at(points: Array) -> Array:
+    """Return poses at points (N, 3) [m], their axes along those of the frame, shape (N, 4, 4)."""
+    poses = np.tile(np.eye(4), (len(points), 1, 1))
+    poses[:, :3, 3] = points
+    return poses

@@ -1,0 +1,399 @@
+"""Commands of a program as `calib compensate` prints them: expected errors, corrections, warnings."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from calib.basics.arrays import Array, rigid_inverse
+from calib.data.forms.orientations import find_convention
+from calib.show.lines import fill
+from calib.show.readings import coupling_sentence
+from calib.show.tables import Column, name_column, table_lines
+from calib.show.verdict import reason_text
+from calib.verbs.compensate.expected import BAND
+
+if TYPE_CHECKING:
+    from calib.robot.robot import Robot
+    from calib.verbs.compensate.commands import Commands
+    from calib.verbs.compensate.expected import ExpectedErrors, Source
+    from calib.verbs.compensate.warnings import Code, CommandWarning
+
+
+_MM = 1e3
+_DEG = float(np.degrees(1.0))
+
+#: The median distance of a program's positions from those at its joint values, above which these do not belong
+#: together [m]: no calibration moves a tool so far.
+_MISMATCH = 0.02
+
+#: The same of orientations [deg].
+_MISMATCH_DEG = 10.0
+
+#: Angles of a pose below this are rounding [deg].
+_ROUNDING_DEG = 1e-9
+
+_MATCHED = {
+    "pose": "position and orientation",
+    "position": "position; the orientation is left free",
+    "axis": "position and direction of the tool's z axis",
+}
+
+#: A source of expected errors with a smaller share of their mean square is not shown.
+_SMALL_SHARE = 0.005
+
+#: Width of the labels of both tables.
+_LABEL = 58
+
+#: The label of each source of expected errors.
+_SOURCES: dict[Source, str] = {
+    "model": "errors that the model lacks, from held-out rows",
+    "parameters": "the model's parameters, near the measured poses",
+    "poses": "the program's poses away from these",
+    "tool": "the tool away from the measured target",
+    "base": "the base in the measurement frame",
+}
+
+#: What lowers the contribution of a source, where nothing else is known.
+_REMEDIES: dict[Source, str] = {
+    "model": "errors remain that no parameter of this model represents, and more poses do not lower them; "
+    "docs/troubleshooting.md.",
+    "parameters": "measure more poses, planned with calib plan --taken, or with less noise.",
+    "poses": "measure where the program is, too: calib plan --taken.",
+    "tool": "measure a target at the tool's working point and give it as --tool target; or several targets, or poses, "
+    "whose places in the tip are known (--fix-target).",
+    "base": "measure in a frame of known points on the base (--frame known).",
+}
+
+#: The text of each code: {0} and {1} are its numbers in {unit}, or both as {miss}; {joint}, {row} are its subject.
+_TEXTS: dict[Code, str] = {
+    "unreachable": "the true robot cannot reach it: {miss} would be left",
+    "beyond limit": "'{joint}' would have to be at {0:.4f} {unit}, beyond its limit {1:.4f}",
+    "other branch": "next to a singularity: the solution lies in another branch of the arm",
+    "near singularity": "near a singularity: 1 mm of the tool may take {0:.1f} {unit} of '{joint}'",
+    "large pose correction": "the pose to send is moved by {miss}",
+    "large joint correction": "a joint is corrected by {0:.1f} {unit}: '{joint}'",
+    "jump": "a jump: from {row} '{joint}' moves {0:.1f} {unit}, much more than in the program",
+    "ambiguous pose": "sent as a pose it may end {miss} off: the controller may choose other joint values",
+    "outside measured range": "outside the joint range that was measured: '{joint}' by {0:.3g} {unit}",
+}
+
+
+def text(commands: Commands, name: str, written: Path | None) -> str:
+    """Write commands.
+
+    Args:
+        commands: The commands.
+        name: The file that the actual robot is from.
+        written: The table of commands that was written; None where there is none.
+
+    Returns:
+        Verdict, expected errors, program, corrections, notes, and warnings by row, in lines of 100 columns.
+    """
+    parts = [
+        _verdict(commands, name),
+        _expected_errors(commands),
+        _program(commands),
+        _corrections(commands),
+        *map(fill, _notes(commands)),
+        _warnings(commands, "without a command", _reasons(commands)),
+        _warnings(commands, "with a warning", commands.warnings),
+        _written(written),
+    ]
+    return "\n\n".join(part for part in parts if part)
+
+
+def _written(path: Path | None) -> str:
+    """Word which table was written, and how to use it."""
+    if path is None:
+        return "Nothing was written; -o commands.csv writes the commands."
+    advice = (
+        "Send the joint values, or the poses to a controller that keeps its nominal model: one that has the "
+        "corrected model would correct twice. Then measure some rows: docs/compensation.md."
+    )
+    return f"Written: {path}\n{fill(advice)}"
+
+
+def _reasons(commands: Commands) -> list[tuple[CommandWarning, ...]]:
+    """Why each row has no command, as findings of the row; empty for a row that has one."""
+    return [() if reason is None else (reason,) for reason in commands.reasons]
+
+
+def _warnings(commands: Commands, what: str, rows: Sequence[Sequence[CommandWarning]]) -> str:
+    """Write a paragraph of findings with its heading; empty if there are none."""
+    if not any(rows):
+        return ""
+    head = f"Rows {what}: {sum(map(bool, rows))} of {len(commands)}"
+    return "\n".join([head, *_findings(commands, rows)])
+
+
+def no_commands(commands: Commands) -> str:
+    """Word the message about rows without a command, with the reasons and the remedy."""
+    advice = _mismatch(commands) or (
+        "Check --tool, --poses-in and the units; --tolerance accepts rows with a small remaining error, --match "
+        "position those whose orientation may be free; --skip leaves rows empty, but for the reason."
+    )
+    missing = sum(~commands.reached)
+    head = f"{missing} of {len(commands)} rows have no command, and nothing was written:"
+    return "\n".join([head, *_findings(commands, _reasons(commands)), fill(advice)])
+
+
+def finding_text(finding: CommandWarning, robot: Robot) -> str:
+    """Word a finding on a row.
+
+    Args:
+        finding: The finding, its numbers in SI units.
+        robot: The robot, whose joint types decide on units.
+
+    Returns:
+        A sentence without its end, with numbers in mm and deg.
+    """
+    numbers, factor, unit = finding.numbers, _DEG, "deg"
+    if robot.joint_types.get(finding.joint) == "prismatic":
+        factor, unit = _MM, "mm"
+    miss = ""
+    if not finding.joint and numbers:
+        miss = f"{_MM * numbers[0]:.4f} mm"
+        if not np.isnan(numbers[1]):
+            miss += f", {_DEG * numbers[1]:.4f} deg"
+    scaled = [factor * number for number in numbers]
+    words = {"joint": finding.joint, "row": finding.row, "unit": unit, "miss": miss}
+    return _TEXTS[finding.code].format(*scaled, **words)
+
+
+def _verdict(commands: Commands, name: str) -> str:
+    """Write the verdict on the result, and which of its models is used."""
+    pair = commands.pair
+    if pair.result is None:
+        lines = [
+            f"The true robot is {name}, a URDF: with --calibration the expected errors are known."
+        ]
+        stated = pair.actual.robot.urdf.verdict
+        if stated:
+            lines.insert(0, f"Verdict on {name}: {stated}")
+        return "\n".join(map(fill, lines))
+    model = "joint origins"
+    if pair.non_geometric:
+        non_geometric = pair.result.part(non_geometric=True)
+        model = f"non-geometric model '{non_geometric.model.name}'"
+    verdict = pair.result.verdict_on(non_geometric=pair.non_geometric)
+    if verdict is None:
+        return f"Verdict: none ({name}, {model}), the result was not validated."
+    lines = [f"Verdict: {verdict.use} ({name}, {model})"]
+    if verdict.use != "use":
+        lines += [fill(reason_text(reason), "  ") for reason in verdict.reasons]
+    return "\n".join(lines)
+
+
+def _expected_errors(commands: Commands) -> str:
+    """Write the expected position error, its sources, and what lowers the largest; empty where it is not known."""
+    expected = commands.expected
+    if expected is None:
+        return ""
+    errors = _MM * expected.errors[:, 0]
+    labels = np.array(commands.program.labels, dtype=object)[commands.reached]
+    worst = labels[int(np.argmax(errors))]
+    low, high = expected.band
+    sentence = (
+        f"Expect position errors of {_MM * expected.mean:.3f} mm (mean over the rows), {errors.max():.3f} mm at "
+        f"{worst}. Of ten calibrations like this one, {10 * BAND:.0f} have a mean between "
+        f"{_MM * low:.3f} and {_MM * high:.3f} mm."
+    )
+    remedies = map(fill, _remedies(commands, expected))
+    return "\n\n".join([fill(sentence), _sources(expected), *remedies])
+
+
+def _sources(expected: ExpectedErrors) -> str:
+    """Write the table of sources: the mean error that each would leave alone, and its share of the mean square."""
+    total = sum(contribution.square for contribution in expected.contributions)
+    columns = [
+        name_column("Expected error, by its source", _LABEL),
+        Column("mean mm", 9),
+        Column("share", 9),
+    ]
+    rows = []
+    for contribution in expected.contributions:
+        share = contribution.square / total if total > 0.0 else 0.0
+        if share >= _SMALL_SHARE:
+            alone = _MM * expected.mean * np.sqrt(share)
+            label = _SOURCES[contribution.source]
+            rows.append((label, f"{alone:.3f}", f"{100.0 * share:.0f} %"))
+    return "\n".join(table_lines(columns, rows))
+
+
+def _remedies(commands: Commands, expected: ExpectedErrors) -> Iterator[str]:
+    """Word what lowers the largest contribution, and what is not known of the errors."""
+    pair, largest = commands.pair, expected.largest
+    result = pair.result
+    assert result is not None  # else nothing is expected
+    if not expected.validated:
+        yield (
+            "The result was not cross-validated: errors that its model lacks are not included. Calibrate without "
+            "--no-validate."
+        )
+    if largest == "model" and expected.noise == "unknown":
+        yield (
+            "To know better: the instrument's noise was not stated, and held-out errors count in full. State it at the "
+            "calibration (sigma_mm in the cell file, or a column 'sigma [mm]'), or measure some poses repeatedly."
+        )
+    elif largest == "model" and result.non_geometric is not None and not pair.non_geometric:
+        yield "To lower it: use the non-geometric model, without --geometry."
+    elif largest == "base" and expected.in_measured_frame is not None:
+        groups = result.setup.groups
+        name = "measured" if len(groups) == 1 else f'"{groups[0]}"'
+        yield (
+            f"To lower it: give the program in the measurement frame, --poses-in {name} "
+            f"({_MM * expected.in_measured_frame:.3f} mm): an estimated frame absorbs whatever displaces the first "
+            "joint in the base. Or measure in a frame of known points on the base (--frame known)."
+        )
+    else:
+        yield f"To lower it: {_REMEDIES[largest]}"
+
+
+def _program(commands: Commands) -> str:
+    """Word the program, how it is matched, and the frame of its poses."""
+    robot, program, pair = commands.nominal, commands.program, commands.pair
+    content = "joint values"
+    if program.T_wanted is not None:
+        content = "poses" if program.oriented else "positions"
+        if program.form:
+            content = f"poses ({find_convention(program.form).words.removeprefix('a ')})"
+        if program.q is not None:
+            content += " with joint values to start at"
+    frame = f"'{robot.base}'"
+    if pair.group is not None:
+        frame = "the measured frame"
+        if pair.group:
+            frame += f" of {pair.group!r}"
+    text = (
+        f"Program: {len(commands)} rows of {content}. Tool: {_place(pair.actual.T_tip_tool)} in '{robot.tip}'. "
+        f"Matched: {_MATCHED[commands.match]}. Poses are in {frame}."
+    )
+    kept = ", ".join(label for label, _ in program.kept if label)
+    if kept:
+        text += f" Copied as they are: {kept}."
+    coupling = coupling_sentence(robot)
+    return fill(f"{text} {coupling}" if coupling else text)
+
+
+def _corrections(commands: Commands) -> str:
+    """Write the table of errors with and without compensation, and of corrections of poses and joints."""
+    title = f"By the calibrated model, rows with commands: {int(commands.reached.sum())}"
+    columns = [name_column(title, _LABEL)]
+    columns += [Column(head, 9) for head in ("max mm", "mean mm", "max deg", "mean deg")]
+    cells = []
+    for label, (lengths, angles) in _errors_and_corrections(commands).items():
+        known_lengths = lengths[np.isfinite(lengths)]
+        known_angles = angles[np.isfinite(angles)]
+        if known_lengths.size or known_angles.size:
+            figures = (*_figures(_MM * known_lengths), *_figures(_DEG * known_angles))
+            cells.append((label, *figures))
+    return "\n".join(table_lines(columns, cells))
+
+
+def _errors_and_corrections(commands: Commands) -> dict[str, tuple[Array, Array]]:
+    """Collect errors and corrections of the K rows that have a command, by their label in the table.
+
+    Args:
+        commands: The commands of a program.
+
+    Returns:
+        Lengths [m] and angles [rad] by label: shapes (K,), of joints (K, prismatic joints) and (K, other joints), all
+        positive or zero; NaN where one is not known.
+    """
+    rows, robot = commands.reached, commands.nominal
+    values = {
+        "error without compensation": commands.missed,
+        "model residual after compensation": commands.left,
+        "model residual if sent as a pose": commands.left_by_pose,
+        "expected error after compensation": commands.expected_errors,
+        "correction of the pose to send": commands.pose_corrections,
+    }
+    pairs = {label: (sizes[rows, 0], sizes[rows, 1]) for label, sizes in values.items()}
+    joints = np.abs(commands.joint_corrections[rows])
+    slides = np.array([robot.joint_types[name] == "prismatic" for name in robot.joint_names])
+    pairs["correction of a joint"] = (joints[:, slides], joints[:, ~slides])
+    return pairs
+
+
+def _figures(values: Array) -> tuple[str, str]:
+    """Format maximum and mean; dashes where there are no values."""
+    if not values.size:
+        return "-", "-"
+    return f"{values.max():.4f}", f"{values.mean():.4f}"
+
+
+def _notes(commands: Commands) -> Iterator[str]:
+    """Word what to check before the commands go to the robot, a note each."""
+    pair, robot = commands.pair, commands.nominal
+    mismatch = _mismatch(commands)
+    if mismatch:
+        yield mismatch
+    if pair.target is not None:
+        yield (
+            f"Set the controller's tool to {_place(pair.nominal.T_tip_tool)} in '{robot.tip}': the poses to send, and "
+            "those computed from joint values, are of it."
+        )
+    if pair.group is not None:
+        place = _place(rigid_inverse(pair.T_frame_base))
+        yield f"Set the controller's work object to {place} in '{robot.base}': the poses to send are in it."
+
+
+def _place(T: Array) -> str:
+    """Format a pose as its position [mm] and, where it is turned, its rotation vector [deg]."""
+    turn = _DEG * Rotation.from_matrix(T[:3, :3]).as_rotvec()
+    text = f"({_listed(_MM * T[:3, 3])}) mm"
+    if np.abs(turn).max() > _ROUNDING_DEG:
+        text += f", rotation vector ({_listed(turn)}) deg"
+    return text
+
+
+def _listed(values: Array) -> str:
+    """List numbers with four digits, none of them -0."""
+    return ", ".join(f"{value:.4f}" for value in values.round(4) + 0.0)
+
+
+def _mismatch(commands: Commands) -> str:
+    """Word that the joint values of a program do not belong to its poses: mostly another tool, or another frame."""
+    program, pair = commands.program, commands.pair
+    if program.q is None or program.T_wanted is None:
+        return ""
+    poses = pair.T_frame_base @ pair.nominal.poses(program.q)
+    apart = np.linalg.norm(poses[:, :3, 3] - program.T_wanted[:, :3, 3], axis=1)
+    median = float(np.median(apart))
+    if median >= _MISMATCH:
+        return (
+            f"At the program's joint values the nominal robot has the tool {_MM * median:.0f} mm from the program's "
+            "positions (median). Are these of another tool (--tool), in another frame (--poses-in), or measured ones "
+            '(--columns "x=-" leaves one out)? Or are joint readings coupled (--cell)?'
+        )
+    turns = Rotation.from_matrix(poses[:, :3, :3]).inv() * Rotation.from_matrix(
+        program.T_wanted[:, :3, :3]
+    )
+    turned_deg = _DEG * float(np.median(turns.magnitude()))
+    if not program.oriented or turned_deg < _MISMATCH_DEG:
+        return ""
+    return (
+        f"At the program's joint values the nominal robot has the tool turned by {turned_deg:.0f} deg from the "
+        "program's orientations (median), in the right places. Are these of another convention (--orientation), or of "
+        "another tool (--tool)?"
+    )
+
+
+def _findings(commands: Commands, rows: Sequence[Sequence[CommandWarning]]) -> list[str]:
+    """Write a line for each code among the findings of the rows, with its first row as the example."""
+    by_code: dict[str, dict[str, CommandWarning]] = {}
+    for label, findings in zip(commands.program.labels, rows, strict=True):
+        for finding in findings:
+            by_code.setdefault(finding.code, {}).setdefault(label, finding)
+    lines = []
+    for by_row in by_code.values():
+        first, *others = by_row
+        more = f"; and {len(others)} more" if others else ""
+        words = finding_text(by_row[first], commands.nominal)
+        lines.append(fill(f"{first}: {words}{more}", "  ", "  "))
+    return lines

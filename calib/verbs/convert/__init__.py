@@ -1,0 +1,1 @@
+"""``calib convert``: a result in the files of controllers, ROS, and tables."""

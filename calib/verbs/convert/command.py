@@ -1,0 +1,200 @@
+"""``calib convert``: a calibrated robot in the formats that controllers and ROS take."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from calib.cli.notices import say_accepted
+from calib.cli.options import Accept, Base, Force, Hold, Quiet
+from calib.cli.outputs import check_outputs
+from calib.cli.verb import verb
+from calib.cli.words import parse_held
+
+if TYPE_CHECKING:
+    from calib.verbs.convert.camera.options import CameraOptions
+
+
+@dataclass(frozen=True, slots=True)
+class ArmOptions:
+    """Nominal robot and chain."""
+
+    robot: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ROBOT",
+            help="Nominal URDF, xacro or name. Default: the one in a result; a bare arm for "
+            "--ur-model.",
+        ),
+    ] = None
+    ur_model: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="Arm of Universal Robots, such as 'UR5e'."),
+    ] = None
+    base: Base = None
+    tip: Annotated[
+        str | None,
+        typer.Option(help="Link that the chain ends at. Default: that of SOURCE."),
+    ] = None
+    hold: Hold = None
+
+
+@dataclass(frozen=True, slots=True)
+class ControllerFiles:
+    """Files of the robot's own controller that a new one is made from."""
+
+    urcontrol: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="urcontrol.conf with the nominal rows."),
+    ] = None
+    hash_from: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="The robot's own kinematics.yaml or calibration.conf, whose hash a new "
+            "kinematics.yaml keeps.",
+        ),
+    ] = None
+    update: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="calibration.conf whose other lines are kept; or the robot's own file of offsets, "
+            "to which the joint zeros are added in the new one.",
+        ),
+    ] = None
+    ticks: Annotated[
+        int,
+        typer.Option(metavar="N", help="Ticks a turn of the servos, for --to lerobot."),
+    ] = 4096
+
+
+@dataclass(frozen=True, slots=True)
+class CameraNames:
+    """Links and joints that stand for a camera and a board in the URDF."""
+
+    camera: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="Which camera, where the table has several (group)."),
+    ] = None
+    camera_frame: Annotated[
+        str | None,
+        typer.Option(metavar="LINK", help="Link of the camera's optical frame in the URDF."),
+    ] = None
+    move: Annotated[
+        str | None,
+        typer.Option(
+            metavar="JOINT",
+            help="Fixed joint whose origin is changed, so that the optical frame comes out right. "
+            "Default: the only one between the link that carries the camera and --camera-frame.",
+        ),
+    ] = None
+    new_camera_frame: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="Link to add at the optical frame, where the URDF has no camera.",
+        ),
+    ] = None
+    board: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="Which board, where the table has several (target)."),
+    ] = None
+    new_board_frame: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Link to add at the board.")
+    ] = None
+
+    def options(self) -> CameraOptions:
+        """Return them as a conversion takes them."""
+        from calib.verbs.convert.camera.options import CameraOptions
+
+        return CameraOptions(
+            camera=self.camera,
+            camera_frame=self.camera_frame,
+            move=self.move,
+            new_camera_frame=self.new_camera_frame,
+            board=self.board,
+            new_board_frame=self.new_board_frame,
+        )
+
+
+def _formats() -> tuple[str, ...]:
+    """Return the names of the output formats, each with what it holds."""
+    from calib.verbs.convert.convert import FORMATS
+
+    return tuple(f"{name} ({row.what})" for name, row in FORMATS.items())
+
+
+@verb(
+    """Write a calibrated robot in the formats that controllers and ROS take.
+
+\b
+Examples:
+  calib convert result.json --to dh -o rows.csv
+  calib convert calibration.conf --ur-model UR5e -o ur5e_calibrated.urdf
+  calib convert calibration.conf --ur-model UR5e -o kinematics.yaml
+  calib convert result.json --to ur-yaml --hash-from own_kinematics.yaml -o kinematics.yaml
+  calib convert corrected.urdf --robot robot.urdf --to hayati -o rows.csv
+  calib convert result.json --to zeros -o zeros.csv
+  calib convert rows.csv --to urdf -o robot.urdf
+  calib convert result.json --to camera-mount --camera-frame color_optical --move camera_joint -o robot.urdf
+  calib convert result.json --camera-frame color_optical -o camera.launch.py
+
+What is written is read back and compared with the robot before it appears; what a format cannot hold is said. A result
+whose verdict is 'do not use', a URDF that states it, and joint zeros that are no better than none, are refused with
+exit status 3, unless --accept is given.
+""",
+    {"{formats}": _formats},
+)
+def convert(
+    source: Annotated[
+        str,
+        typer.Argument(
+            metavar="SOURCE",
+            help="result.json, calibration.conf, kinematics.yaml, origins.yaml, DH rows (.csv, .json), a "
+            "URDF or xacro, or a robot's name.",
+        ),
+    ],
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="FILE", help="File to write.")],
+    arm: ArmOptions,
+    files: ControllerFiles,
+    camera: CameraNames,
+    to: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FORMAT",
+            help="Format of FILE: {formats}; DH rows as .csv or .json. Default: by the ending of FILE.",
+        ),
+    ] = None,
+    accept: Accept = False,
+    force: Force = False,
+    quiet: Quiet = False,
+) -> None:
+    """Run the verb; its help is the text of `verb`."""
+    from calib.verbs.convert.conversion import convert as convert_robot
+    from calib.verbs.convert.convert import Options
+    from calib.verbs.convert.text import text
+
+    inputs = [source, arm.robot, files.urcontrol, files.hash_from, files.update]
+    check_outputs([output], inputs, force=force)
+    options = Options(
+        to=to,
+        robot=arm.robot,
+        ur_model=arm.ur_model,
+        urcontrol=files.urcontrol,
+        hash_from=files.hash_from,
+        update=files.update,
+        ticks=files.ticks,
+        base=arm.base,
+        tip=arm.tip,
+        held=parse_held(arm.hold or []),
+        camera=camera.options(),
+        overwrite=force,
+    )
+    conversion = convert_robot(source, output, options=options, accept=accept)
+    if not quiet:
+        typer.echo(text(conversion, source))
+    say_accepted(f"'{source}'", conversion.against)

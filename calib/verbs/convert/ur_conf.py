@@ -1,0 +1,161 @@
+"""Files of a Universal Robots controller: ``calibration.conf`` with an arm's DH deltas, ``urcontrol.conf``.
+
+``calibration.conf`` has the deltas of an arm in ``[mounting]``, ``urcontrol.conf`` its nominal rows in ``[DH]``: lists
+``key = [six numbers]``, in metres and radians.
+"""
+
+from __future__ import annotations
+
+import configparser
+import os
+import re
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from calib.basics.arrays import Array, read_only
+from calib.basics.files import read_bytes
+from calib.basics.units import NUMBER
+from calib.errors import FileError, choices
+from calib.robot.generated.universal_robots import COLUMNS
+
+PathLike = str | os.PathLike[str]
+
+#: Keys of the deltas, one for each column of the rows.
+_DELTAS = tuple(f"delta_{name}" for name in COLUMNS)
+
+#: Largest deltas that are in metres and radians [rad], [m]. d runs away between axes that are nearly parallel, theta
+#: with it.
+_LARGEST_DELTA = dict(zip(_DELTAS, (8.0 * np.pi, 10.0, 1e9, 0.5), strict=True))
+
+#: Largest nominal numbers of an arm in metres and radians [rad], [m].
+_LARGEST_NOMINAL = dict(zip(COLUMNS, (2.0 * np.pi, 10.0, 10.0, 2.0 * np.pi), strict=True))
+
+#: The ``calibration_status`` of deltas that the controller uses.
+LINEARISED = "2"
+
+#: Longest text of a file that a message quotes.
+_QUOTED = 40
+
+
+class Conf(NamedTuple):
+    """A ``calibration.conf``."""
+
+    #: Shape (6, 4), ``delta_theta``, ``delta_a``, ``delta_d`` and ``delta_alpha`` [rad], [m].
+    deltas: Array
+    #: The other keys of ``[mounting]``, such as ``joint_checksum``.
+    others: tuple[str, ...]
+    #: Its ``calibration_status``, see `LINEARISED`.
+    status: str
+    #: The whole file, a character for each byte.
+    text: str
+
+    @classmethod
+    def read(cls, path: PathLike, data: bytes | None = None) -> Conf:
+        """Read a ``calibration.conf``.
+
+        Args:
+            path: The file, for messages if ``data`` is given.
+            data: The bytes of a file that is not written yet; None: they are read from ``path``.
+
+        Returns:
+            Its deltas and other contents.
+
+        Raises:
+            FileError: The file cannot be read, or has not these numbers.
+        """
+        content = read_bytes(path, "calibration.conf") if data is None else data
+        text = content.decode("latin-1")
+        values = _section(path, text, "mounting")
+        others = tuple(key for key in values if key not in _DELTAS)
+        deltas = _columns(path, values, _LARGEST_DELTA)
+        status = values.get("calibration_status", LINEARISED)
+        return cls(deltas, others, status, text)
+
+    def with_deltas(self, deltas: Array) -> bytes:
+        """Return the bytes of the file with other deltas, (6, 4) [rad], [m], and all else as it was."""
+        text = self.text
+        for key, old, new in zip(_DELTAS, self.deltas.T, deltas.T, strict=True):
+            if (old != new).any():  # else it stays, digit for digit
+                text = re.sub(rf"(?m)^(\s*{key}\s*=\s*)\[[^\]]*\]", rf"\g<1>{_list(new)}", text)
+        return text.encode("latin-1")
+
+
+def conf_bytes(deltas: Array) -> bytes:
+    """Return the bytes of a ``calibration.conf`` with nothing but deltas, shape (6, 4) [rad], [m]."""
+    lines = [f"{key} = {_list(values)}" for key, values in zip(_DELTAS, deltas.T, strict=True)]
+    return "\n".join(["[mounting]", *lines, ""]).encode()
+
+
+def _list(values: Array) -> str:
+    """Return six numbers in brackets that read back exactly."""
+    return "[ " + ", ".join(repr(float(value) + 0.0) for value in values) + "]"
+
+
+def read_nominal(path: PathLike) -> Array:
+    """Read the nominal DH rows of a ``urcontrol.conf``.
+
+    Args:
+        path: The file, with ``a``, ``d``, ``alpha`` and perhaps ``theta`` in ``[DH]``.
+
+    Returns:
+        theta (0 where it is not given), a, d, alpha, shape (6, 4), [rad] and [m].
+
+    Raises:
+        FileError: The file cannot be read, or has not these numbers.
+    """
+    text = read_bytes(path, "urcontrol.conf").decode("latin-1")
+    values = {"theta": "0, 0, 0, 0, 0, 0", **_section(path, text, "DH")}
+    return _columns(path, values, _LARGEST_NOMINAL)
+
+
+def _section(path: PathLike, text: str, name: str) -> dict[str, str]:
+    """Return the values of a section by key; empty if there is none. It may be continued further down."""
+    parser = configparser.ConfigParser(
+        strict=False, interpolation=None, inline_comment_prefixes=("#", ";"), default_section=""
+    )
+    try:
+        parser.read_string(text)
+    except configparser.Error as error:
+        reason = " ".join(str(error).split())
+        raise FileError(f"{path} cannot be read as sections of keys: {reason}") from error
+    return dict(parser[name]) if parser.has_section(name) else {}
+
+
+def _columns(path: PathLike, values: Mapping[str, str], largest: Mapping[str, float]) -> Array:
+    """Return the six numbers of each key of ``largest``, shape (6, 4), which must not be larger."""
+    columns = []
+    for key, most in largest.items():
+        words = values.get(key, "").strip("[] ").split(",")
+        if len(words) != 6:
+            raise FileError(
+                f"{path}: {key} is no list of six numbers in brackets, one a joint; "
+                f"{choices(largest)} are wanted."
+            )
+        where = f"{path}: {key}"
+        columns.append([robot_number(where, word.strip(), most) for word in words])
+    return read_only(np.transpose(columns))
+
+
+def robot_number(where: str, word: str, largest: float) -> float:
+    """Read a number of a robot's file.
+
+    Args:
+        where: File and key, for the message.
+        word: The number as written.
+        largest: Its largest absolute value in metres or radians.
+
+    Returns:
+        The number [m or rad].
+
+    Raises:
+        FileError: It is no number, or too large for metres or radians.
+    """
+    number = float(word) if NUMBER.fullmatch(word) else np.inf
+    if not abs(number) <= largest:
+        raise FileError(
+            f"{where}: '{word[:_QUOTED]}' is no number up to {largest:.4g}. Lengths are in metres, "
+            "angles in radians."
+        )
+    return number

@@ -1,0 +1,1 @@
+"""``calib demo``: the paper's robot, calibrated."""

@@ -1,0 +1,1 @@
+"""``calib detect``: corners of boards in pictures, as a table."""

@@ -1,0 +1,1 @@
+"""``calib evaluate``: a robot on fresh rows, and acceptance by ISO 9283."""

@@ -1,0 +1,234 @@
+"""``calib evaluate``: how far a robot is off, without changing it."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
+
+from calib.basics.files import read_bytes
+from calib.cli.exit_status import ExitStatus
+from calib.cli.notices import say_coupled, say_ignored
+from calib.cli.options import (
+    CellOptions,
+    DataFile,
+    Force,
+    Quiet,
+    ResultTarget,
+    RobotFile,
+    TableOptions,
+)
+from calib.cli.outputs import check_outputs, written_lines
+from calib.cli.setup import load_with_data, read_cell, with_chain_of_result, with_target_link
+from calib.cli.terminal import command_line, say
+from calib.cli.verb import verb
+from calib.cli.words import parse_by_unit
+from calib.errors import CalibError
+from calib.verbs.detect.picture_folder import table_of
+
+if TYPE_CHECKING:
+    from calib.data.cell import Cell
+    from calib.result.calibration import Calibration
+    from calib.robot.robot import Robot
+    from calib.verbs.evaluate.acceptance import Assessment
+
+#: A tolerance as it could be typed.
+_EXAMPLE = "0.5 mm 0.1 deg"
+_METAVAR = '"LENGTH [ANGLE] [PIXELS]"'
+
+
+@dataclass(frozen=True, slots=True)
+class SetupOptions(CellOptions):
+    """Measurement setup; targets are those of the result where it has them."""
+
+    target: ResultTarget = None
+
+
+@dataclass(frozen=True, slots=True)
+class AcceptanceOptions:
+    """Acceptance test of the pose accuracy."""
+
+    tolerance: Annotated[
+        str | None,
+        typer.Option(metavar=_METAVAR, help="Tolerance of the pose accuracy."),
+    ] = None
+    uncertainty: Annotated[
+        str | None,
+        typer.Option(metavar=_METAVAR, help="Expanded measuring uncertainty (k = 2)."),
+    ] = None
+    criterion: Annotated[
+        Literal["max", "mean", "single"] | None,
+        typer.Option(help="What must be within: every AP, their mean, or every single row."),
+    ] = None
+    judge: Annotated[
+        Literal["nominal", "urdf", "calibration", "non_geometric"] | None,
+        typer.Option(help="Robot to judge. Default: calibration, or else urdf."),
+    ] = None
+
+    def limits(self) -> dict[str, Any]:
+        """Return the limits as `calib.verbs.evaluate.acceptance.assess` takes them, by unit; empty without a tolerance.
+
+        Raises:
+            CalibError: An option that needs a tolerance is given without one.
+        """
+        if self.tolerance is None:
+            if self.uncertainty or self.criterion or self.judge:
+                raise CalibError("--uncertainty, --criterion and --judge need a --tolerance.")
+            return {}
+        return {
+            "tolerance": parse_by_unit(self.tolerance, "--tolerance", _EXAMPLE),
+            "uncertainty": parse_by_unit(self.uncertainty or "0 mm", "--uncertainty", _EXAMPLE),
+            "criterion": self.criterion or "max",
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class EvaluationOutputs:
+    """Files of ``calib evaluate``."""
+
+    json: Annotated[Path | None, typer.Option("--json", help="Write the errors as JSON.")] = None
+    report: Annotated[
+        Path | None,
+        typer.Option(
+            "--report", metavar="FILE", help="Write a report to print and sign: a page, .html."
+        ),
+    ] = None
+    force: Force = False
+
+    def check(self, inputs: Iterable[str | Path | None]) -> None:
+        """Refuse files that cannot be written before the work begins; see `check_outputs`.
+
+        Args:
+            inputs: The files that are read; None: not given.
+        """
+        if self.report is not None:
+            from calib.show.page import check_ending
+
+            check_ending(self.report)
+        check_outputs([self.json, self.report], inputs, force=self.force)
+
+    def write(self, e: Assessment, calibration: Path | None, target_source: str) -> None:
+        """Write the files that were asked for.
+
+        Args:
+            e: The evaluation.
+            calibration: The result's file; None: none was given.
+            target_source: Where targets are from that were not registered.
+        """
+        if self.json is not None:
+            from calib.result.calibration_file import write_table
+            from calib.verbs.evaluate.evaluation_file import assessment_table
+
+            write_table(assessment_table(e), self.json, overwrite=self.force)
+        if self.report is not None:
+            from calib.verbs.evaluate.evaluation_report import Origins, write_evaluation_report
+
+            name, sha256 = "", ""
+            if calibration is not None:
+                contents = read_bytes(calibration, "calibration result")
+                name, sha256 = calibration.name, hashlib.sha256(contents).hexdigest()
+            origins = Origins(name, sha256, target_source, command_line())
+            write_evaluation_report(e, self.report, origins, overwrite=self.force)
+
+
+@verb("""Compare a robot with measurements, and judge its accuracy by a tolerance.
+
+\b
+Examples:
+  calib evaluate corrected.urdf data.csv --calibration result.json
+  calib evaluate robot.urdf fresh.csv --base base --tip tool0 --target "70 -70 22.5 mm"
+  calib evaluate corrected.urdf fresh.csv --calibration result.json --tolerance "0.5 mm" --report test.html
+  calib evaluate corrected.urdf fresh_images --calibration result.json
+
+A folder of pictures of the calibration's board, with their joint values in its joints.csv, may stand for DATA.
+With --calibration, targets, measurement frames and held joints are those of that result, and the robot is evaluated
+as its URDF is, with nominal and with calibrated joint origins, and with the non-geometric model. Without it, what is
+not given is registered to the rows. With --tolerance the exit code is 0 if the pose accuracy of ISO 9283 is shown to
+be within the tolerance, and 3 if not.
+""")
+def evaluate(
+    robot: RobotFile,
+    data: DataFile,
+    setup: SetupOptions,
+    table: TableOptions,
+    test: AcceptanceOptions,
+    outputs: EvaluationOutputs,
+    calibration: Annotated[
+        Path | None,
+        typer.Option("--calibration", help="Result that 'calib calibrate --json' wrote."),
+    ] = None,
+    quiet: Quiet = False,
+) -> None:
+    """Run the verb; its help is the text of `verb`."""
+    from calib.result.calibration_file import read_result
+    from calib.verbs.evaluate.acceptance import assess
+
+    outputs.check([robot, data, setup.cell, calibration, table.points])
+    limits = test.limits()
+    cell = read_cell(**asdict(setup))
+    result = None
+    if calibration is not None:
+        result = read_result(calibration)
+        cell = with_chain_of_result(cell, result, str(calibration))
+    boards = cell.boards or ({} if result is None else result.nominal_boards)
+    cameras = cell.cameras or ({} if result is None else result.nominal_cameras)
+    with table_of(data, list(boards.values()), list(cameras.values()), quiet=quiet) as path:
+        arm, measurements = load_with_data(robot, cell, path, table)
+    cell, target_source = _with_target(arm, cell, setup, result)
+    assessment = assess(
+        arm, measurements, cell, result, which=_not_given(setup), judge=test.judge, limits=limits
+    )
+    outputs.write(assessment, calibration, target_source)
+    if not quiet:
+        say_ignored(measurements, arm)
+        say_coupled(arm)
+        _say_assessment(assessment, calibration, target_source, outputs)
+    if assessment.accepted is not None and assessment.accepted.outcome != "pass":
+        raise typer.Exit(ExitStatus.NOT_ACCEPTED)
+
+
+def _not_given(setup: SetupOptions) -> tuple[str, ...]:
+    """Return which of ``"frame"`` and ``"target"`` the options do not give, so that a result's are taken."""
+    return tuple(name for name in ("frame", "target") if getattr(setup, name) is None)
+
+
+def _say_assessment(
+    assessment: Assessment,
+    calibration: Path | None,
+    target_source: str,
+    outputs: EvaluationOutputs,
+) -> None:
+    """Print the assessment and the names of the files that were written.
+
+    Args:
+        assessment: The evaluation.
+        calibration: The result's file; None: none was given.
+        target_source: The source, in words, of targets that were not registered.
+        outputs: The files.
+    """
+    from calib.verbs.evaluate.text import assessment_text
+
+    name = calibration.name if calibration else ""
+    say(assessment_text(assessment, name, target_source))
+    written = written_lines(outputs.json, outputs.report)
+    if written:
+        typer.echo("\n".join(["", *written]))
+
+
+def _with_target(
+    arm: Robot,
+    cell: Cell,
+    setup: SetupOptions,
+    result: Calibration | None,
+) -> tuple[Cell, str]:
+    """Return the cell with the URDF's target where nothing else gives one, and words for where targets are from."""
+    if result is not None:
+        words = "as the result has it" if setup.target is None else "as given"
+        return cell, words
+    if cell.target is None and not cell.targets:
+        return with_target_link(arm, cell), "as the URDF's link 'calib_target' has it"
+    return cell, "as given"

@@ -1,0 +1,168 @@
+"""``calib fleet``: many robots, a row of a manifest each, calibrated and compared with each other."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from calib.cli.executor import executor_of
+from calib.cli.exit_status import ExitStatus
+from calib.cli.options import (
+    Accept,
+    ColumnChoice,
+    FitOptions,
+    JobOptions,
+    PointsUnit,
+    Quiet,
+    SolverOptions,
+    TargetLink,
+)
+from calib.cli.terminal import command_line, progress_bar, say_table
+from calib.cli.verb import verb
+from calib.errors import FileError, choices
+
+if TYPE_CHECKING:
+    from calib.verbs.fleet.fleet import Fleet
+    from calib.verbs.fleet.fleet_robot import FleetRobot
+    from calib.verbs.fleet.job import FleetOptions
+
+
+@dataclass(frozen=True, slots=True)
+class FleetTables(ColumnChoice):
+    """Reading of the tables of all robots; a row of the manifest wins."""
+
+    points_unit: PointsUnit = None
+
+
+@dataclass(frozen=True, slots=True)
+class FleetOutputs:
+    """Files that are written for each robot."""
+
+    target_link: TargetLink = False
+    reports: Annotated[
+        bool,
+        typer.Option(
+            help="Write a report for each robot, which takes longer than its calibration."
+        ),
+    ] = True
+    accept: Accept = False
+    force: Annotated[
+        bool, typer.Option("--force", help="Calibrate all robots anew, finished ones too.")
+    ] = False
+
+
+@verb("""Calibrate a batch of robots and flag outliers.
+
+\b
+Examples:
+  calib fleet manifest.csv --out results
+  calib fleet manifest.csv --out results --base base --tip tool0 --target "70 -70 22.5 mm" --no-reports
+  calib fleet manifest.csv --out results --dask tcp://192.168.0.10:8786
+
+The manifest has a robot a row: its name, its robot (a URDF, a xacro, or a name such as ur3) and its data, and may say
+cell, points, points_unit, base, tip, target, frame, model, kind, payload, hold, columns, orientation and joint_unit of
+it, as the options of 'calib calibrate' do. Options on the line are for all robots; what a row says wins. Each robot
+gets a folder with corrected.urdf, result.json, report.html and summary.txt; fleet.csv and fleet.json compare them.
+Given again, the same command keeps what is finished and unchanged. The exit status is 1 if a robot failed; otherwise 3
+if one got no corrected.urdf because its verdict is 'do not use', which --accept writes all the same. See docs/fleet.md.
+""")
+def fleet(
+    manifest: Annotated[
+        Path, typer.Argument(metavar="MANIFEST", help="CSV table of the robots, one a row.")
+    ],
+    out: Annotated[
+        Path,
+        typer.Option(
+            "--out", metavar="FOLDER", help="The folder for the results; made if missing."
+        ),
+    ],
+    setup: FitOptions,
+    estimation: SolverOptions,
+    tables: FleetTables,
+    outputs: FleetOutputs,
+    jobs: JobOptions,
+    quiet: Quiet = False,
+) -> None:
+    """Run the verb; its help is the text of `verb`."""
+    from calib.verbs.fleet.fleet import CSV
+    from calib.verbs.fleet.job import FleetOptions
+    from calib.verbs.fleet.manifest import read_manifest
+
+    if manifest.resolve() == (out / CSV).resolve():
+        raise FileError(f"{manifest} would be the table of results too; choose another --out.")
+    robots = read_manifest(manifest, setup, tables, tables.points_unit)
+    estimation.check()
+    options = FleetOptions(
+        solver=estimation.solver,
+        robust=estimation.robust,
+        validate=estimation.validate,
+        reports=outputs.reports,
+        target_link=outputs.target_link,
+        accept=outputs.accept,
+        command=command_line(),
+    )
+    calibrated = _calibrate(robots, out, options, jobs, force=outputs.force, quiet=quiet)
+    if not quiet:
+        _say_results(calibrated, out)
+    _say_failed_and_withheld(calibrated)
+    if calibrated.failed:
+        raise typer.Exit(ExitStatus.REFUSED)
+    if calibrated.withheld:
+        raise typer.Exit(ExitStatus.NOT_ACCEPTED)
+
+
+def _calibrate(
+    robots: tuple[FleetRobot, ...],
+    folder: Path,
+    options: FleetOptions,
+    jobs: JobOptions,
+    *,
+    force: bool,
+    quiet: bool,
+) -> Fleet:
+    """Calibrate the robots into a folder; an interruption says how to go on."""
+    from calib.verbs.fleet.fleet import run_fleet
+
+    try:
+        with (
+            executor_of(jobs.workers, jobs.dask, len(robots)) as executor,
+            progress_bar("robots", quiet=quiet) as progress,
+        ):
+            return run_fleet(
+                robots, folder, options, executor=executor, progress=progress, force=force
+            )
+    except KeyboardInterrupt as error:
+        text = f"Finished robots are kept in {folder}: the same command goes on with the others."
+        raise KeyboardInterrupt(text) from error
+
+
+def _say_results(calibrated: Fleet, folder: Path) -> None:
+    """Print the table of robots, the outliers, and the files."""
+    from calib.verbs.fleet.fleet import CSV, JSON
+    from calib.verbs.fleet.text import fleet_cells, fleet_text
+
+    table = calibrated.table()
+    heads, rows = fleet_cells(table)
+    say_table("Errors and noise, rms [mm]", heads, rows)
+    for paragraph in fleet_text(table, calibrated.kept):
+        typer.echo(paragraph)
+    for name in (CSV, JSON):
+        typer.echo(f"Written: {folder / name}")
+
+
+def _say_failed_and_withheld(calibrated: Fleet) -> None:
+    """Say on stderr how many robots failed, and which verdicts were obeyed or overridden."""
+    if calibrated.failed:
+        failed, every = len(calibrated.failed), len(calibrated.rows)
+        typer.echo(f"calib: {failed} of {every} robots failed.", err=True)
+    consequences = (
+        (calibrated.withheld, "No URDF was written; to write it anyway, add --accept."),
+        (calibrated.accepted, "Because of --accept the URDF was written anyway."),
+    )
+    for rows, consequence in consequences:
+        if rows:
+            names = choices(row.name for row in rows)
+            typer.echo(f"calib: the verdict on {names} is 'do not use'. {consequence}", err=True)

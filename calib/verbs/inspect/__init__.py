@@ -1,0 +1,1 @@
+"""``calib inspect``: a chain, its DH rows, and what can be identified."""

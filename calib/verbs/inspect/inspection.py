@@ -1,0 +1,127 @@
+"""Inspection: which combinations of a model's parameters poses determine, before anything is fitted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calib.data.cell import AUTO, Cell
+from calib.data.generic import GENERIC_ANCHOR, GENERIC_TARGET, table_of_poses
+from calib.data.inputs import CellInput, RobotInput, TableInput, cell_of, inputs_of, robot_of
+from calib.fit.estimate.problem import Problem
+from calib.fit.estimate.task import Task
+from calib.fit.registration.known_distances import known_distances
+from calib.fit.registration.registration import register
+from calib.fit.registration.rows import Rows
+from calib.fit.registration.setup import Setup
+from calib.fit.registration.table_rows import rows_and_setup
+from calib.model.kinematics import Kinematics
+from calib.model.observability import Observability
+from calib.model.parameters import ErrorModel
+from calib.robot.ranges import spread_poses
+from calib.robot.robot import Robot
+
+#: The model that is inspected in place of ``"auto"``.
+_MODEL = "dh"
+
+
+@dataclass(frozen=True, slots=True)
+class Inspection:
+    """Observability of a model at the nominal robot."""
+
+    #: The error model
+    model: ErrorModel
+    #: Rank and combinations of its parameters
+    observability: Observability
+    #: Number of poses
+    poses: int
+    #: File of the table they are from; None: spread over the joint limits
+    source: str | None
+    #: What was put at a generic place: ``"target"`` or ``"anchor"``
+    assumed: tuple[str, ...] = ()
+
+
+def inspect(
+    robot: RobotInput,
+    cell: CellInput = None,
+    measurements: TableInput | None = None,
+) -> Inspection:
+    """Analyse which combinations of the cell's model a table, or poses over the joint limits, determine.
+
+    Args:
+        robot: The nominal robot; or the path of a URDF or xacro, or a name such as ``"ur3"``, with the cell's base and
+            tip, or those that the table's joint columns tell.
+        cell: Its model is analysed, ``"auto"`` as ``"dh"``; or the path of a cell file; None: the default cell. Errors
+            of single corners of its boards are left out.
+        measurements: Their estimation rows are analysed, with frames and targets registered; or the path of their
+            table. None: 200 poses over the
+            joint limits, with a target or anchor that the cell does not give at a generic place.
+
+    Raises:
+        ArgumentError: Robot, cell or measurements are of another type.
+        ModelError: An unknown model or parameter, or a kind of rows that poses alone do not make.
+        MeasurementError: Too few rows for the registration.
+    """
+    assumed: tuple[str, ...] = ()
+    source: str | None = None
+    if measurements is None:
+        known = cell_of(cell)
+        arm = robot_of(robot, known)
+        rows, setup, assumed = _rows_over_joint_limits(arm, known)
+    else:
+        arm, table, known = inputs_of(robot, measurements, cell)
+        known = _with_exact_corners(known)
+        rows, setup = rows_and_setup(arm, table, known)
+        rows = rows.select(table.estimation)
+        setup = register(arm.poses(rows.joints), setup, rows)
+        source = table.source
+    name = _MODEL if known.model == AUTO else known.model
+    model = setup.aligned(Task(arm, known, setup, name).error_model())
+    kinematics = Kinematics(arm, model, setup.T_frame_base, setup.T_tip_target)
+    problem = Problem.initial(kinematics, rows, known_distances(known, setup))
+    return Inspection(
+        model=model,
+        observability=problem.observability(np.zeros(len(model))),
+        poses=len(rows),
+        source=source,
+        assumed=assumed,
+    )
+
+
+def _with_exact_corners(cell: Cell) -> Cell:
+    """Return a cell whose boards have their corners in place.
+
+    Errors of single corners have a narrow prior each, and without it any of them would be mistaken for an error of the
+    robot or of the print as a whole.
+    """
+    boards = {name: replace(board, sigma_corner=0.0) for name, board in cell.boards.items()}
+    return replace(cell, boards=boards)
+
+
+def _rows_over_joint_limits(robot: Robot, cell: Cell) -> tuple[Rows, Setup, tuple[str, ...]]:
+    """Make rows of perfect measurements at poses over the joint limits.
+
+    Args:
+        robot: The nominal robot.
+        cell: It says the kind of the rows, points by default, and which frames and targets are known.
+
+    Returns:
+        The rows; their frames and targets, at which the measurements are perfect; and what was put at a generic place:
+        ``"target"``, ``"anchor"``, both or nothing.
+    """
+    table = table_of_poses(robot, cell.kind or "point", spread_poses(robot))
+    rows, setup = rows_and_setup(robot, table, cell)
+    T_frame_base = setup.T_frame_base.copy()
+    T_tip_target = setup.T_tip_target.copy()
+    assumed = []
+    if not np.all(setup.target_given):
+        T_tip_target[:, :3, 3] = GENERIC_TARGET
+        assumed.append("target")
+    has_anchor = any(kind.name == "distance" for kind in rows.present)
+    if has_anchor and not np.all(setup.frame_given):
+        T_frame_base[:, :3, 3] = np.negative(GENERIC_ANCHOR)
+        assumed.append("anchor")
+    setup = setup.placed(T_frame_base, T_tip_target)
+    T_frame_target = setup.target_poses(robot.poses(rows.joints), rows.samples)
+    return rows.as_measured_at(T_frame_target), setup, tuple(assumed)

@@ -1,0 +1,354 @@
+"""Forecast of what a calibration will reach, before anything is measured.
+
+The parameters' covariance after a fit of the linearised measurements,
+
+    C = (diag(1 / tau^2) + sum_i A_i^T A_i)^-1,
+
+gives the standard deviation of each parameter, and that of a predicted position, sqrt(tr(J C J^T)). One calibration's
+rms error over the workspace is a draw: rms^2 = x^T B x with x ~ N(0, C), a sum of chi-squares weighted by the
+eigenvalues of C B. It knows nothing of errors that the model lacks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import solve_triangular
+
+import calib.data.kinds as registry
+from calib.basics.arrays import Array, read_only
+from calib.basics.mappings import keep_read_only
+from calib.basics.values import Value
+from calib.data.cell import Cell
+from calib.data.measurements import Measurements
+from calib.fit.registration.registration import register
+from calib.fit.registration.table_rows import rows_and_setup
+from calib.robot.kernel import over_blocks
+from calib.robot.ranges import spread_between
+from calib.robot.robot import Robot
+from calib.verbs.plan.candidates import planning_ranges
+from calib.verbs.plan.sensitivity import Sensitivity
+
+#: Poses over which a forecast without a plan is made.
+_POSES = 4096
+
+#: Share of calibrations whose rms lies inside the range.
+_RANGE = 0.90
+
+
+class Workspace(NamedTuple):
+    """Poses over which accuracy is forecast, as `Sensitivity` differentiates them by the p parameters."""
+
+    #: Shape (n, d, p), derivative of the d scalars that are measured at each of n poses, whitened, see
+    #: `Sensitivity.measured`.
+    measured: Array
+    #: Shape (n, 3 k, p), derivative of the positions of the k targets, [m per unit], see `Sensitivity.located`.
+    located: Array
+    #: Number of parameters, or combinations, that all these poses determine.
+    rank: int
+
+    @classmethod
+    def of(cls, sensitivity: Sensitivity, q: Array, measurable: Array | None = None) -> Workspace:
+        """Differentiate what is measured, and the positions of the targets, at the poses over which accuracy counts.
+
+        Args:
+            sensitivity: The nominal robot in its cell, with k targets, under the error model of the fit with p
+                parameters.
+            q: Joint values of n poses, shape (n, m), [rad] or for sliding joints [m], columns as ``robot.joint_names``.
+            measurable: Joint values of n poses at which something can be measured, shape (n, m), for what is measured
+                in a part of the workspace only, such as images; None: those of ``q``.
+
+        Returns:
+            Derivatives by the parameters: ``measured``, of the d scalars measured at a pose, shape (n, d, p), in
+            standard deviations of the noise per unit; ``located``, of the positions of the targets, shape (n, 3 k, p),
+            [m per unit]. And ``rank``, the number of parameters or combinations that all these poses determine.
+        """
+        if measurable is None:
+            measurable = q
+        measured = sensitivity.measured(measurable)
+        located = sensitivity.located(q)
+        return cls(measured, located, sensitivity.analysed(measurable, measured).rank)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Forecast(Value):
+    """Accuracy that a calibration at some poses will reach.
+
+    The variances are of what is measured over the workspace, as the calibrated robot predicts it, in variances of the
+    noise.
+    """
+
+    #: Names of the p parameters.
+    names: tuple[str, ...]
+    #: Unit of each parameter.
+    units: tuple[str, ...]
+    #: Shape (p,), expected standard deviation after the fit, in the units.
+    parameter_std: Array
+    #: Shape (p,), whether these poses determine a parameter by itself.
+    identifiable: NDArray[np.bool_]
+    #: Number of poses.
+    poses: int
+    #: Expected rms error of a predicted position over the workspace [m].
+    rms: float
+    #: Lower end of the range in which the rms error of 90 % of calibrations lies [m].
+    rms_low: float
+    #: Upper end of that range [m].
+    rms_high: float
+    #: Largest standard deviation of a predicted position over the workspace [m].
+    max: float
+    #: Noise of one scalar, rms over the poses, by the units that are measured: ``"m"`` [m] and so on.
+    sigma: Mapping[str, float]
+    #: Number of parameters, or combinations, that the poses determine.
+    rank: int
+    #: Number of parameters.
+    columns: int
+    #: Number that the poses of the whole workspace could determine.
+    workspace_rank: int
+    #: Mean over the workspace of the variance of what is measured at a pose, in variances of the noise.
+    mean_variance: float
+    #: Largest over the workspace, likewise.
+    worst_variance: float
+    #: Observability indices by name, ``"O1"`` to ``"O5"``.
+    indices: Mapping[str, float]
+
+    def __post_init__(self) -> None:
+        """Keep a read-only copy of the mapping."""
+        keep_read_only(self, "indices")
+
+    @classmethod
+    def of(cls, sensitivity: Sensitivity, workspace: Workspace, q: Array) -> Forecast:
+        """Forecast the accuracy of a fit of measurements at poses.
+
+        The parameters' covariance after the fit, by measurements and priors, is propagated to the workspace.
+
+        Args:
+            sensitivity: The nominal robot in its cell under the error model of the fit with p parameters;
+                ``precision``, shape (p,), is 1 / tau^2 of their priors.
+            workspace: The poses over which accuracy counts, with the derivatives there, by the parameters, of what is
+                measured and of the targets' positions.
+            q: Joint values of the N poses to measure, shape (N, m), [rad] or for sliding joints [m], columns as
+                ``robot.joint_names``.
+
+        Returns:
+            Expected standard deviations of the parameters, in their units, and which of them the N poses determine; rms
+            with its range of 90 %, and largest standard deviation, of predicted positions (x, y, z together) over the
+            workspace [m]; the noise by unit; ranks and observability indices.
+        """
+        measured = sensitivity.measured(q)
+        root = covariance_root(measured, sensitivity.precision)
+        variance, relative, squares = _spreads(workspace, root)
+        rms_low, rms_high = _range_of_rms(squares)
+        observability = sensitivity.analysed(q, measured)
+        return cls(
+            names=sensitivity.names,
+            units=sensitivity.units,
+            parameter_std=read_only(np.linalg.norm(root, axis=1)),
+            identifiable=observability.identifiable,
+            poses=len(q),
+            rms=float(np.sqrt(np.mean(variance))),
+            rms_low=rms_low,
+            rms_high=rms_high,
+            max=float(np.sqrt(np.max(variance))),
+            sigma=sensitivity.sigma_by_unit(q),
+            rank=observability.rank,
+            columns=len(sensitivity.names),
+            workspace_rank=workspace.rank,
+            mean_variance=float(np.mean(relative)),
+            worst_variance=float(np.max(relative)),
+            indices=dict(observability.indices),
+        )
+
+
+def _range_of_rms(squares: Array) -> tuple[float, float]:
+    """Compute between which rms position errors over the workspace 90 % of calibrations lie.
+
+    The squared rms is x^T S x with x ~ N(0, I): a sum of chi-squares of one degree of freedom, weighted by the
+    eigenvalues of S. Its quantiles are those of 20,000 draws, always the same ones.
+
+    Args:
+        squares: S = root^T B root, shape (p, p) [m^2], with a root of the covariance of the p parameters, C = root
+            root^T, and the mean B of J^T J over the positions, with the derivative J, shape (3, p), of one of them by
+            the parameters.
+
+    Returns:
+        The quantiles 0.05 and 0.95 of the rms error [m].
+    """
+    weights = np.maximum(np.linalg.eigvalsh(squares), 0.0)
+    draws = _chi_squares(len(squares)) @ weights
+    ends = [0.5 - 0.5 * _RANGE, 0.5 + 0.5 * _RANGE]
+    low, high = np.sqrt(np.quantile(draws, ends))
+    return float(low), float(high)
+
+
+def forecast(robot: Robot, cell: Cell, joints: ArrayLike) -> Forecast:
+    """Forecast the accuracy of a calibration that is measured at poses, over the joint ranges.
+
+    Args:
+        robot: The nominal robot.
+        cell: The measurement setup that the fit will use: frames, targets, noise, priors and model; the model
+            ``"auto"`` is taken as ``"placement"``. Its ``ranges`` narrow the joint ranges.
+        joints: Joint values of the N poses to measure, shape (N, m), [rad] or for sliding joints [m], columns as
+            ``robot.joint_names``.
+
+    Returns:
+        The expected standard deviations of the parameters, in their units, and of predicted positions [m], over 4096
+        poses that are spread over the joint ranges.
+
+    Raises:
+        ModelError: A kind of measurement, or a parameter, that cannot be planned for.
+    """
+    sensitivity = Sensitivity.of(robot, cell)
+    values = spread_between(planning_ranges(robot, cell.ranges, 0.0), _POSES)
+    everywhere = robot.readings(values)
+    workspace = Workspace.of(sensitivity, everywhere)
+    return Forecast.of(sensitivity, workspace, np.asarray(joints))
+
+
+def position_std(sensitivity: Sensitivity, measured: Array, joints: Array) -> Array:
+    """Forecast how far a calibrated robot's targets are from where it predicts them, at single poses.
+
+    The root of the variances of x, y, z added up, sqrt(tr(J C J^T)); its rms over the workspace is `Forecast.rms`.
+
+    Args:
+        sensitivity: The nominal robot in its cell, with k targets, under the error model of the fit.
+        measured: Joint values of the poses to measure and to fit, shape (N, m), [rad] or for sliding joints [m].
+        joints: Joint values of the poses in question, shape (n, m), likewise.
+
+    Returns:
+        Shape (n, k), [m].
+    """
+    root = covariance_root(sensitivity.measured(measured), sensitivity.precision)
+    moves = sensitivity.located(joints) @ root
+    return np.asarray(np.linalg.norm(moves.reshape(len(joints), -1, 3 * len(root)), axis=2))
+
+
+def forecast_of_table(robot: Robot, cell: Cell, measurements: Measurements) -> Forecast | None:
+    """Forecast a fit of a table's estimation rows, by their poses alone.
+
+    The measured values serve to register the target, and for distances the anchor: these are then taken to be where the
+    table puts them.
+
+    Args:
+        robot: The nominal robot.
+        cell: The measurement setup that the fit will use: frames, targets, noise, priors and model.
+        measurements: The table: joint values and what was measured there; rows of the set ``validate`` do not count.
+
+    Returns:
+        The forecast, over 4096 poses that are spread over the joint ranges; None where rows are of several kinds,
+        targets or stations, or of a kind whose poses cannot be chosen freely, such as a ball in a socket, or images.
+
+    Raises:
+        ModelError: A parameter that cannot be planned for.
+        MeasurementError: Too few rows for the registration.
+    """
+    fitted = measurements.select(measurements.estimation)
+    sorts = set(zip(fitted.kinds, fitted.targets, fitted.groups, strict=True))
+    kind = fitted.kinds[0]
+    if len(sorts) > 1 or not registry.get(kind).free or registry.get(kind).optical:
+        return None
+    rows, setup = rows_and_setup(robot, measurements, cell)
+    rows = rows.select(measurements.estimation)
+    registered = register(robot.poses(rows.joints), setup, rows)
+    T_frame_base = cell.T_frame_base
+    if kind == "distance":
+        T_frame_base = registered.T_frame_base[0]
+    known = replace(
+        cell,
+        kind=kind,
+        T_frame_base=T_frame_base,
+        target=registered.T_tip_target[0, :3, 3],
+        targets={},
+        frames={},
+    )
+    return forecast(robot, known, fitted.joints_for(robot.joint_names))
+
+
+def covariance_root(measured: Array, precision: Array) -> Array:
+    """Compute a root of the parameters' covariance after measurements, C = root root^T.
+
+        C = (diag(1 / tau^2) + sum_i A_i^T A_i)^-1
+
+    By a QR decomposition of measurements and priors below each other: what a fine instrument determines, and what
+    nothing but a weak prior holds, are too far apart for their squares.
+
+    Args:
+        measured: Derivatives A of the d scalars measured at each of n poses by the p parameters, shape (n, d, p), in
+            standard deviations of the noise per unit of the parameter.
+        precision: 1 / tau^2 of each parameter's prior, with its standard deviation tau in its unit, shape (p,).
+
+    Returns:
+        The root, upper triangular, shape (p, p), rows in the parameters' units.
+    """
+    by_scalar = measured.reshape(-1, measured.shape[2])
+    by_prior = np.diag(np.sqrt(precision))
+    R = np.linalg.qr(np.concatenate([by_scalar, by_prior]), mode="r")
+    return np.asarray(solve_triangular(R, np.eye(len(R))))
+
+
+def _spreads(workspace: Workspace, root: Array) -> tuple[Array, Array, Array]:
+    """Propagate the covariance C = root root^T of p parameters to a workspace of n poses with k targets.
+
+    Args:
+        workspace: Derivatives by the parameters at the n poses: ``measured``, of the d scalars measured at a pose,
+            shape (n, d, p), in standard deviations of the noise per unit; and ``located``, of the positions of the
+            targets, shape (n, 3 k, p), [m per unit].
+        root: A root of the covariance, shape (p, p), rows in the parameters' units.
+
+    Returns:
+        The variance of each target's position, x, y, z added up, shape (n k,) [m^2], the k targets at the first pose
+        first; the variance of what is predicted for the d scalars at each pose, added up, shape (n,), in variances of
+        the noise; and root^T B root, shape (p, p) [m^2], with the mean B of J^T J over the n k positions, J of each of
+        shape (3, p).
+    """
+    p = len(root)
+
+    def work(block: slice) -> tuple[Array, Array, Array]:
+        """Return these three for a slice of the poses, the last one as a sum over its positions, not a mean."""
+        moves = workspace.located[block].reshape(-1, p) @ root
+        by_target = moves.reshape(-1, 3 * p)
+        measured = workspace.measured[block]
+        changes = (measured.reshape(-1, p) @ root).reshape(len(measured), -1)
+        variance = np.einsum("nk,nk->n", by_target, by_target)
+        relative = np.einsum("nk,nk->n", changes, changes)
+        return variance, relative, moves.T @ moves
+
+    parts = over_blocks(work, len(workspace.located))
+    variances, relatives, squares = zip(*parts, strict=True)
+    variance = np.concatenate(variances)
+    mean_squares = np.sum(squares, axis=0) / len(variance)
+    return variance, np.concatenate(relatives), mean_squares
+
+
+def information(A: Array) -> Array:
+    """Compute the information matrix sum_i A_i^T A_i of measurements at n poses.
+
+    Args:
+        A: Derivative of the d scalars at each pose by p parameters (or coordinates along p directions of these), in
+            standard deviations of the noise per unit, shape (n, d, p); n may be 0. A derivative in other units gives
+            the same sum.
+
+    Returns:
+        Shape (p, p), symmetric, per product of two parameters' units.
+    """
+    flat = A.reshape(-1, A.shape[2])
+    return np.asarray(flat.T @ flat)
+
+
+@lru_cache(maxsize=4)
+def _chi_squares(count: int) -> Array:
+    """Return random draws of independent chi-squares of one degree of freedom, always the same ones.
+
+    They are kept: drawing them takes longer than a forecast.
+
+    Args:
+        count: Number of chi-squares of each draw.
+
+    Returns:
+        Shape (20000, count), [-], one draw a row.
+    """
+    return np.random.default_rng(20170401).chisquare(1, size=(20_000, count))

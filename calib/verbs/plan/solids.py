@@ -1,0 +1,290 @@
+"""Solids: the shapes of a robot and of what is around it, as coal compares them.
+
+A link has the shapes of its ``<collision>``, or else of its ``<visual>``; a target and what holds it are a capsule from
+the tip to the target; boxes are those of the cell. All below the mounting plane is a large box.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike
+from pinocchio import hppfcl
+
+from calib.basics.arrays import Array
+from calib.data.cell import Box
+from calib.errors import UrdfError
+from calib.robot.full_model import full_model, link_frame
+from calib.robot.kernel import turns_to
+from calib.robot.meshes import LinkShape, find_mesh, link_shapes, load_mesh, mesh_folders
+from calib.robot.robot import Robot
+from calib.robot.urdf import Urdf, UrdfJoint
+
+#: Thickness of the box that stands for all below the mounting plane; it is twice as wide [m].
+_GROUND = 20.0
+
+#: Simple shapes of a URDF that coal has under the same name.
+_SIMPLE = ("Box", "Cylinder", "Capsule", "Sphere")
+
+
+class Solid(NamedTuple):
+    """One shape of coal."""
+
+    #: Name of the link, target, box or plane that it belongs to.
+    owner: str
+    #: Kind of the owner.
+    kind: Literal["link", "target", "box", "plane"]
+    #: Name of the link that it is fixed to.
+    link: str
+    #: Shape (4, 4), pose of the shape in that link [m].
+    T_link_shape: Array
+    #: Shape of coal, which has no types.
+    geometry: Any
+
+
+def read_solids(
+    urdf: Urdf, package_dirs: Iterable[str | Path] = ()
+) -> tuple[list[Solid], list[str]]:
+    """Read the shapes of all links of a robot, to check them for collisions; each mesh file is read once.
+
+    A link has the shapes of its ``<collision>`` elements, or without any those of its ``<visual>`` elements.
+
+    Args:
+        urdf: The URDF of the whole robot.
+        package_dirs: Folders in which ``package://`` meshes are looked for before all others.
+
+    Returns:
+        The solids, in the order of the URDF's links: of each the name of its link, its pose there, shape (4, 4), [m],
+        and the shape of coal. And the names of the links of which not all shapes can be used, or that carry a mass and
+        have no shape.
+
+    Raises:
+        UrdfError: A mesh is missing or cannot be read, or no link has a shape.
+    """
+    folders = mesh_folders(urdf, package_dirs)
+    collision = list(link_shapes(urdf, "collision"))
+    visual = list(link_shapes(urdf, "visual"))
+    bodies = _links_with_mass(urdf)
+    meshes: dict[tuple[str, tuple[float, ...]], Any] = {}
+    solids, unchecked = [], []
+    for link in urdf.links:
+        proper = [shape for shape in collision if shape.link == link]
+        shapes = proper or [shape for shape in visual if shape.link == link]
+        usable = []
+        for shape in shapes:
+            geometry = _geometry(urdf, shape, folders, meshes)
+            if geometry is not None:
+                usable.append(Solid(link, "link", link, shape.T_link_shape, geometry))
+        if len(usable) < len(shapes) or (not shapes and link in bodies):
+            unchecked.append(link)
+        solids += usable
+    if not solids:
+        raise UrdfError(
+            f"{urdf.source}: no link has a <collision> or <visual> with a geometry that can be "
+            "used. Take a URDF with geometry, or plan without collisions (--no-collisions)."
+        )
+    return solids, unchecked
+
+
+def _links_with_mass(urdf: Urdf) -> set[str]:
+    """Return the names of the links whose ``<inertial>`` states a mass other than 0.
+
+    By the URDF's text, for Pinocchio keeps the inertias of joints, not of links.
+    """
+    bodies = set()
+    for link in urdf.elements().findall("link"):
+        masses = [mass.get("value", "0") for mass in link.findall("inertial/mass")]
+        if any(mass.strip("0. ") for mass in masses):
+            bodies.add(link.get("name", ""))
+    return bodies
+
+
+def target_solids(
+    robot: Robot, targets: Mapping[str, ArrayLike], holder_radius: float
+) -> list[Solid]:
+    """Return a capsule from the origin of the tip to each target, which stands for the target and what holds it.
+
+    Args:
+        robot: The robot; its link ``robot.tip`` is that to which the capsules are fixed.
+        targets: Positions of the targets in the tip by name, shape (3,), [m].
+        holder_radius: Radius of the capsules [m]; their round ends reach as far beyond tip and target.
+
+    Returns:
+        A solid for each target, of the kind ``"target"``, in the order given.
+    """
+    solids = []
+    for name, place in targets.items():
+        end = np.array([place], dtype=np.float64)
+        T_tip_rod, half_length = rods(np.zeros((1, 3)), end)
+        capsule = hppfcl.Capsule(holder_radius, 2.0 * float(half_length[0]))
+        owner = f"{name} and its holder"
+        solids.append(Solid(owner, "target", robot.tip, T_tip_rod[0], capsule))
+    return solids
+
+
+def box_solids(robot: Robot, boxes: Iterable[Box]) -> list[Solid]:
+    """Return the boxes of a cell as solids that are fixed to the robot's base.
+
+    Args:
+        robot: The robot; its link ``robot.base`` is that to which the boxes are fixed.
+        boxes: Obstacles: of each ``name``, ``size``, the lengths of its edges along its own axes, shape (3,), [m], and
+            ``T_base_box``, the pose of its centre in the robot's base, shape (4, 4), [m].
+
+    Returns:
+        A solid for each box, of the kind ``"box"``, in the order given.
+    """
+    solids = []
+    for box in boxes:
+        geometry = hppfcl.Box(*box.size)
+        solids.append(Solid(box.name, "box", robot.base, box.T_base_box, geometry))
+    return solids
+
+
+def rods(starts: Array, ends: Array) -> tuple[Array, Array]:
+    """Place straight rods between pairs of points.
+
+    Args:
+        starts: First end of each rod, shape (n, 3), [m], all in one frame.
+        ends: Second end of each in the same frame, shape (n, 3), [m]; where both are the same point, the rod has no
+            length and points along z.
+
+    Returns:
+        Pose of the middle of each rod in that frame, z from its first end to its second, shape (n, 4, 4), [m]; the turn
+        about z is arbitrary. And half the distance between its ends, shape (n,), [m].
+    """
+    along = ends - starts
+    lengths = np.linalg.norm(along, axis=1)
+    along[lengths == 0.0] = 0.0, 0.0, 1.0
+    directions = along / np.where(lengths > 0.0, lengths, 1.0)[:, None]
+    T = np.tile(np.eye(4), (len(along), 1, 1))
+    T[:, :3, :3] = turns_to(directions)
+    T[:, :3, 3] = 0.5 * (starts + ends)
+    return T, 0.5 * lengths
+
+
+def _geometry(
+    urdf: Urdf,
+    shape: LinkShape,
+    folders: tuple[Path, ...],
+    meshes: dict[Any, Any],
+) -> Any:  # noqa: ANN401  coal has no types
+    """Return the geometry of a link's shape as coal has it.
+
+    Args:
+        urdf: The URDF, whose name messages state.
+        shape: One ``<visual>`` or ``<collision>`` of a link: ``shape.sizes``, the sizes of a box, cylinder, capsule or
+            sphere as the URDF states them [m]; or ``shape.mesh``, the file name of a mesh and its scale along x, y, z;
+            None: no mesh.
+        folders: Folders in which mesh files are looked for, in this order.
+        meshes: Geometries of the meshes that were read already, by file name and scale; a mesh that is read here is
+            added.
+
+    Returns:
+        The geometry, lengths in [m]; None for a kind of shape that coal does not have, or sizes that are missing or not
+        positive.
+
+    Raises:
+        UrdfError: The mesh is missing or cannot be read.
+    """
+    if shape.mesh is None:
+        tag = shape.geometry.tag.capitalize()
+        if shape.sizes is None or tag not in _SIMPLE:
+            return None
+        return getattr(hppfcl, tag)(*shape.sizes)
+    if shape.mesh not in meshes:
+        name, scale = shape.mesh
+        path = find_mesh(name, folders)
+        problem = "was not found; name its folder by --package-dir"
+        if path is not None:
+            meshes[shape.mesh], problem = load_mesh(path, scale)
+        if problem:
+            raise UrdfError(
+                f"{urdf.source}: link '{shape.link}': the mesh '{path or name}' {problem}; or plan "
+                "without collisions (--no-collisions)."
+            )
+    return meshes[shape.mesh]
+
+
+def clusters(urdf: Urdf, joints: Iterable[UrdfJoint]) -> dict[str, str]:
+    """Group the links that some joints hold together.
+
+    Args:
+        urdf: The URDF of the whole robot.
+        joints: Joints that do not move, such as the fixed ones.
+
+    Returns:
+        For the name of each link the name of the topmost link of its group, nearest to the URDF's root; its own where
+        none of the joints holds it to a parent.
+    """
+    parents = {joint.child: joint.parent for joint in joints}
+
+    def top(link: str) -> str:
+        """Return the name of the topmost link that a link is held to, by its name."""
+        topmost = link
+        while topmost in parents:
+            topmost = parents[topmost]
+        return topmost
+
+    return {link: top(link) for link in urdf.links}
+
+
+def mounting_plane(
+    robot: Robot,
+    links: Sequence[Solid],
+    rigid: Mapping[str, str],
+    configuration: Array,
+) -> Solid:
+    """Return a large box that stands for all below the mounting plane.
+
+    The plane is z = 0 of the base, or touches the lowest link that is fixed to the base where that is lower.
+
+    Args:
+        robot: The robot; where its base link moves, the URDF's root link stands for the base.
+        links: The solids of the robot's links: of each its ``link``, ``geometry``, and its pose in the link, shape
+            (4, 4), [m].
+        rigid: For the name of each link the name of the topmost link of those that never move against it.
+        configuration: Pinocchio's configuration of the whole robot, shape (nq,), [rad] or [m]; only the values of held
+            joints matter.
+
+    Returns:
+        The box, 40 m x 40 m x 20 m, fixed to the base link, with its top in the plane; it is named after the height of
+        the plane.
+    """
+    base = robot.urdf.root if robot.base_moves else robot.base
+    model = full_model(robot.urdf)
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, configuration)
+    T_base_root = data.oMf[link_frame(model, base)].inverse()
+    height = 0.0
+    for solid in links:
+        if rigid[solid.link] == rigid[base]:
+            T_root_link = data.oMf[link_frame(model, solid.link)]
+            T_base_shape = T_base_root * T_root_link * pin.SE3(solid.T_link_shape)
+            height = min(height, _lowest(solid.geometry, T_base_shape))
+    T_base_ground = np.eye(4)
+    T_base_ground[2, 3] = height - 0.5 * _GROUND
+    # Rounded: a product of poses leaves 1e-11 mm, and never -0.
+    name = f"the mounting plane (z = {round(1e3 * height, 3) + 0.0:.4g} mm of '{base}')"
+    box = hppfcl.Box(2.0 * _GROUND, 2.0 * _GROUND, _GROUND)
+    return Solid(name, "plane", base, T_base_ground, box)
+
+
+def _lowest(geometry: Any, T_base_shape: pin.SE3) -> float:  # noqa: ANN401  coal has no types
+    """Return the least z of a shape in the base [m], negative below its origin.
+
+    Args:
+        geometry: The shape: a mesh, or a simple shape of coal.
+        T_base_shape: Pose of the shape in the base [m].
+    """
+    rotation, translation = T_base_shape.rotation, T_base_shape.translation
+    if isinstance(geometry, hppfcl.BVHModelBase):
+        return float(np.min(geometry.vertices() @ rotation[2] + translation[2]))
+    ground = hppfcl.Halfspace(np.array([0.0, 0.0, 1.0]), 0.0)
+    placement = hppfcl.Transform3s(rotation, translation)
+    request, result = hppfcl.DistanceRequest(), hppfcl.DistanceResult()
+    unmoved = hppfcl.Transform3s()
+    return float(hppfcl.distance(geometry, placement, ground, unmoved, request, result))

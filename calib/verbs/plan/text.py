@@ -1,0 +1,244 @@
+"""Plans of poses, and regions of the workspace, as `calib plan` and `calib workspace` print them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING
+
+from calib.basics.channels import RESIDUAL_UNITS
+from calib.basics.short import one_line
+from calib.show.lines import mm, paragraphs, plural, wrap
+from calib.show.notebook import chain_name, html_table
+from calib.show.readings import coupling_sentence
+from calib.show.tables import Column, labelled, name_column, table_lines
+from calib.verbs.plan.images.text import image_facts, image_head
+from calib.verbs.plan.plan import Plan
+
+if TYPE_CHECKING:
+    from calib.verbs.plan.forecast import Forecast
+    from calib.verbs.plan.notes import Code, Note
+    from calib.verbs.plan.ordering import Blocked
+    from calib.verbs.plan.plan import Plan
+
+_CRITERIA = {
+    "V": "least mean error over the workspace (V-optimal)",
+    "D": "most information on the parameters (D-optimal)",
+    "A": "least mean variance of the parameters (A-optimal)",
+}
+
+_REASONS = {
+    "region": "outside the region",
+    "tracker_range": "out of the tracker's range",
+    "reflector_cone": "with the reflector turned away",
+    "beam": "with the line of sight obstructed",
+    "limits": "not within the joint ranges",
+    "focus": "too near or too far",
+    "tilt": "too slanted",
+    "image": "not in the image",
+    "collision": "in collision",
+}
+
+#: The sentence of each note; {0}, {1} are its values.
+_NOTES: dict[Code, str] = {
+    "generic_target": "No target was given: planned for one at {0} m in the tip (--target).",
+    "orientation_noise": "Assumed noise of an orientation: {0} rad about each axis (sigma_angle_deg in the cell).",
+    "camera_assumed": "Nothing is known of the camera's intrinsics: planned for a focal length of {0} px and no "
+    "distortion.",
+    "image_noise": "Assumed noise of a corner: {0} px in u and v (sigma_image_px in the cell).",
+    "board_scale": "Most of the expected error comes from the scale of the print, which is known to {0} %: with an "
+    "exact one it would be {1}. Measure the print with a caliper, and state it in the board's description.",
+    "reflector_not_checked": "The reflector's direction was not checked: the tracker's position is not known "
+    "(--tracker).",
+    "collisions_not_checked": "Collisions were not checked.",
+    "images_checked": "Checked for collisions: links, the board as a plate of 10 mm, and the camera as a ball, in the "
+    "hand as a rod, with each other{0}; and that no link is between the camera and the board. Not checked: obstacles "
+    "that the cell file does not name, cables, hoses, brackets, people. Run the first round slowly.",
+    "collisions_checked": "Checked for collisions: links, and each target with a rod of {0} as its holder, with each "
+    "other{1}. Not checked: obstacles that the cell file does not name, cables, hoses, other holders, the "
+    "instrument, people. Run the first round slowly.",
+    "no_geometry": "Not checked for collisions, without geometry in the URDF: {0}.",
+    "always_close": "Always closer than the clearance, rejected only where they touch: {0}.",
+    "always_touching": "Not checked against each other, since they touch at (nearly) all poses: {0}.",
+}
+
+#: Columns from a label of the plan's head to its text.
+_PLAN_LABEL = 15
+
+
+def plan_text(plan: Plan) -> str:
+    """Write a plan: its head, the forecasts, notes."""
+    notes = [*map(note_text, plan.notes), *_blocked(plan)]
+    return paragraphs(_head(plan), _forecasts(plan), [f"Note: {note}" for note in notes])
+
+
+def note_text(note: Note) -> str:
+    """Word a note of a plan."""
+    if note.code == "board_scale":
+        scale, rms = map(float, note.values)
+        return _NOTES[note.code].format(f"{100 * scale:.2g}", _mm(rms))
+    if note.code == "images_checked":
+        return _NOTES[note.code].format(_and_with(note.values))
+    if note.code == "collisions_checked":
+        radius, *obstacles = note.values
+        others = _and_with(obstacles)
+        return _NOTES[note.code].format(f"{1e3 * float(radius):g} mm radius", others)
+    return _NOTES[note.code].format(", ".join(map(str, note.values)))
+
+
+def _and_with(obstacles: Sequence[str | float]) -> str:
+    """Word further bodies that are compared; empty where there are none."""
+    return f" and with {', '.join(map(str, obstacles))}" if obstacles else ""
+
+
+def _mm(value: float) -> str:
+    """Format a length [m] in mm with four significant digits."""
+    size = abs(1e3 * value)
+    digits = 4
+    for limit, fewer in ((1, 3), (10, 2), (100, 1)):
+        if size >= limit:
+            digits = fewer
+    return f"{1e3 * value:.{digits}f} mm"
+
+
+def _head(plan: Plan) -> Iterator[str]:
+    """Write the robot, the numbers of poses and candidates, and the model."""
+    if plan.sight is None:
+        yield _instrument_head(plan)
+    else:
+        yield image_head(plan)
+    for label, text in _labelled_facts(plan):
+        yield labelled(label, text, _PLAN_LABEL, "  ")
+    coupling = coupling_sentence(plan.robot)
+    if coupling:
+        yield wrap(coupling, "  ")
+
+
+def _instrument_head(plan: Plan) -> str:
+    """Word the robot, its chain, the numbers of poses and the targets."""
+    robot, count = plan.robot, len(plan.estimation)
+    taken = f" beside {len(plan.taken)} measured already" if len(plan.taken) else ""
+    return (
+        f"Plan for '{robot.name}' ({robot.urdf.source}), chain {robot.base} to {robot.tip}: {count} poses for "
+        f"calibration{taken}, {len(plan.joints) - count} for validation; targets at each: {', '.join(plan.targets)}."
+    )
+
+
+def _labelled_facts(plan: Plan) -> Iterator[tuple[str, str]]:
+    """Word how the poses were chosen, each fact with its label."""
+    forecast = plan.forecast
+    auto = ", for 'auto'" if plan.cell.model != plan.model else ""
+    indices = ", ".join(f"{name} {value:.3g}" for name, value in forecast.indices.items())
+    rejected = ", ".join(f"{n} {_REASONS[why]}" for why, n in plan.refused.items() if n)
+    if plan.sight is not None:
+        yield from image_facts(plan)
+    yield "criterion", _CRITERIA[plan.request.criterion]
+    yield (
+        "error model",
+        f"{plan.model}{auto}: {forecast.columns} parameters, rank {forecast.rank} (whole workspace "
+        f"{forecast.workspace_rank})",
+    )
+    yield "observability", f"{indices} (1 mm, 1 mrad)"
+    yield "candidates", f"{plan.candidates} of {plan.drawn} drawn"
+    yield "rejected", rejected or "none"
+
+
+def _forecasts(plan: Plan) -> Iterator[str]:
+    """Write the table of expected errors: of the plan, of random poses, of those taken, of other numbers of poses."""
+    forecast, count, taken = plan.forecast, len(plan.estimation), len(plan.taken)
+    planned, random, beside = f"these {count} poses", f"{count} random ones", ""
+    if taken:
+        planned = f"those taken and these, {taken + count}"
+        random += " in place of these"
+        beside = f" beside the {taken} taken"
+    rows = [
+        (planned, forecast),
+        (random, plan.at_random),
+        (f"the {taken} taken alone", plan.before),
+    ]
+    for number, other in plan.ladder:
+        if number != count:
+            rows.append((f"{number} poses{beside}", other))
+    columns = [
+        name_column("", 34),
+        Column("rms", 10),
+        Column("of 90 % of calibrations", 27),
+        Column("worst place", 13),
+    ]
+    cells = [_forecast_row(label, f) for label, f in rows if f is not None]
+    yield "Expected error of a predicted position after the calibration, over the workspace:"
+    yield from table_lines(columns, cells)
+    yield f"{noise_text(forecast.sigma)}. Unmodelled errors are not included."
+    unknown = forecast.columns - sum(map(bool, forecast.identifiable))
+    if unknown:
+        yield f"{unknown} parameters are known in combinations only."
+
+
+def noise_text(sigma: Mapping[str, float]) -> str:
+    """Word the noise of a forecast, without a full stop.
+
+    Args:
+        sigma: Standard deviation of one scalar by its unit.
+    """
+    parts = []
+    for symbol, std in sigma.items():
+        unit = RESIDUAL_UNITS[symbol]
+        size = f"{unit.to_shown * std:.4f} {unit.shown}"
+        parts.append(
+            f"of one measured coordinate: {size}" if symbol == "m" else f"{unit.per}: {size}"
+        )
+    return f"Noise {', '.join(parts)}"
+
+
+def _forecast_row(label: str, forecast: Forecast) -> tuple[str, str, str, str]:
+    """Cells of a forecast."""
+    span = f"{_mm(forecast.rms_low)} to {_mm(forecast.rms_high)}"
+    return f"  {label}", _mm(forecast.rms), span, _mm(forecast.max)
+
+
+def _blocked(plan: Plan) -> Iterator[str]:
+    """Word the moves whose straight way collides, each with a pose to move through, if one was found."""
+    moves = [_blocked_move(plan, blocked) for blocked in plan.blocked]
+    if moves:
+        yield f"The straight way in joint space collides from {', '.join(moves)}."
+    if any(blocked.by is None for blocked in plan.blocked):
+        yield "Put a posture between the rows where no way around is named."
+
+
+def _blocked_move(plan: Plan, blocked: Blocked) -> str:
+    """Word a move by the rows at its ends: pose k has one row for each target."""
+    rows = len(plan.targets)
+    start = f"row {rows * (blocked.start - 1) + 1}" if blocked.start else "the start"
+    text = f"{start} to row {rows * (blocked.end - 1) + 1}"
+    if blocked.by is None:
+        return text
+    values = []
+    for joint, value in zip(plan.robot.inputs, blocked.by, strict=True):
+        slides = joint.type == "prismatic"
+        values.append(f"{1e3 * value:.1f} mm" if slides else f"{math.degrees(value):.1f} deg")
+    return f"{text} (via {', '.join(values)})"
+
+
+# The workspace
+
+
+def plan_html(p: Plan) -> str:
+    """Write a plan: numbers of poses, expected error of these and of random poses."""
+    count = len(p.estimation)
+    rows = [
+        ("poses", f"{count}, and {len(p.joints) - count} for validation"),
+        ("expected rms error", f"{mm(p.forecast.rms)} mm"),
+        ("of random poses", f"{mm(p.at_random.rms)} mm"),
+        ("model", p.model),
+        ("candidates", f"{p.candidates} of {p.drawn} drawn"),
+    ]
+    if p.blocked:
+        rows.append(("moves that are not free", str(len(p.blocked))))
+    return html_table(f"Plan for {chain_name(p.robot)}", rows)
+
+
+def plan_line(p: Plan) -> str:
+    """Write a plan in one line: robot, poses, expected error."""
+    count = len(p.estimation)
+    poses = f"{plural(count, 'pose')} and {len(p.joints) - count} for validation"
+    return one_line("Plan", chain_name(p.robot), poses, f"expected rms {mm(p.forecast.rms)} mm")

@@ -1,0 +1,170 @@
+"""Where a camera and a board may be mounted: on the flange, on the table or a wall, beside the robot.
+
+Up is z of the link that does not move. A camera's z axis is the line of sight, a board's points into the page.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from calib.basics.arrays import Array
+from calib.robot.ranges import spread_poses
+from calib.robot.robot import Robot
+
+#: Distance of a camera from the axis of the flange that carries it [m].
+_BESIDE_FLANGE = (0.05, 0.12)
+
+#: Place of this camera along the axis, from the flange outwards [m].
+_ALONG_FLANGE = (0.0, 0.04)
+
+#: Largest turn of a mount from where it points [rad].
+_TURN = np.deg2rad(15.0)
+
+#: Distance of a board from the flange that carries it, along its axis [m].
+_BEFORE_FLANGE = (0.03, 0.08)
+
+#: Distance of a camera beside the robot from the middle of the workspace [m].
+_BESIDE_ROBOT = (1.0, 1.5)
+
+#: It stays as far as this from there, in reaches of the arm, however small the board is.
+_OUTSIDE = 0.9
+
+#: Its elevation seen from there [rad].
+_ELEVATION = (np.deg2rad(5.0), np.deg2rad(50.0))
+
+#: Share of the boards that hang on a wall; the others lie on a table.
+_ON_WALL = 0.3
+
+#: Along an axis that is less than this share of the way to the flange, the flange does not point.
+_POINTS = 0.3
+
+
+def outward(arm: Robot) -> Array:
+    """Return the direction into which a flange points, in its frame, shape (3,).
+
+    That is along the axis of the last joint, on the side away from the joint before it; where that axis is across, the
+    way from that joint to the flange.
+
+    Args:
+        arm: The chain that ends at the flange.
+    """
+    if len(arm.joints) < 2:
+        return np.array([0.0, 0.0, 1.0])
+    wrist = arm.rebuilt(base=arm.joints[-2].child)
+    T = wrist.poses(np.zeros(len(wrist.inputs)))[0]
+    way = T[:3, :3].T @ T[:3, 3]
+    axis = arm.placements[-1][:3, :3].T @ np.asarray(arm.joints[-1].axis)
+    along = float(axis @ way)
+    length = float(np.linalg.norm(way))
+    if arm.joints[-1].type != "prismatic" and abs(along) > _POINTS * length:
+        return np.asarray(np.sign(along) * axis)
+    if length == 0.0:
+        return np.asarray(axis)
+    return np.asarray(way / length)
+
+
+def reach(arm: Robot) -> float:
+    """Return how far a flange gets from the foot of its arm [m]: farther than at 95 % of the poses."""
+    positions = arm.poses(spread_poses(arm))[:, :3, 3]
+    return float(np.quantile(np.linalg.norm(positions, axis=1), 0.95))
+
+
+def frame_along(z: Array, roll: float) -> Array:
+    """Return a rotation whose z axis has a direction (3,), turned about it by an angle [rad], shape (3, 3)."""
+    other = np.eye(3)[int(np.argmin(np.abs(z)))]
+    x = np.cross(other, z)
+    x /= np.linalg.norm(x)
+    frame = np.column_stack([x, np.cross(z, x), z])
+    return np.asarray(frame @ Rotation.from_rotvec([0.0, 0.0, roll]).as_matrix())
+
+
+def camera_on_flange(arm: Robot, rng: np.random.Generator) -> Array:
+    """Draw a camera beside the flange that looks outward; returns T_flange_camera, shape (4, 4) [m]."""
+    flange = frame_along(outward(arm), rng.uniform(0.0, 2.0 * np.pi))
+    place = [rng.uniform(*_BESIDE_FLANGE), 0.0, rng.uniform(*_ALONG_FLANGE)]
+    return pose(flange @ _turned(rng), flange @ place)
+
+
+def board_on_flange(arm: Robot, centre: Array, rng: np.random.Generator) -> Array:
+    """Draw a board before the flange that faces outward.
+
+    Args:
+        arm: The chain that ends at the flange.
+        centre: The board's middle in its frame, shape (3,) [m].
+        rng: Random numbers.
+
+    Returns:
+        T_flange_board, shape (4, 4) [m].
+    """
+    direction = outward(arm)
+    R = frame_along(-direction, rng.uniform(0.0, 2.0 * np.pi)) @ _turned(rng)
+    beside = rng.uniform(-0.04, 0.04, size=3)
+    beside -= (beside @ direction) * direction
+    middle = rng.uniform(*_BEFORE_FLANGE) * direction + beside
+    return pose(R, middle - R @ centre)
+
+
+def board_in_workspace(arm: Robot, centre: Array, rng: np.random.Generator) -> Array:
+    """Draw a board on the table, or on a wall, about as far as the arm reaches.
+
+    Args:
+        arm: The chain from the link that does not move to the flange.
+        centre: The board's middle in its frame, shape (3,) [m].
+        rng: Random numbers.
+
+    Returns:
+        T_base_board, shape (4, 4) [m], in the arm's base.
+    """
+    length = reach(arm)
+    azimuth = rng.uniform(0.0, 2.0 * np.pi)
+    direction = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
+    up = np.array([0.0, 0.0, 1.0])
+    if rng.uniform() < _ON_WALL:
+        into_page = direction
+        middle = length * (rng.uniform(0.8, 1.2) * direction + rng.uniform(0.1, 0.7) * up)
+    else:
+        into_page = -up
+        middle = length * (rng.uniform(0.35, 0.75) * direction + rng.uniform(-0.2, 0.15) * up)
+    R = frame_along(into_page, rng.uniform(0.0, 2.0 * np.pi)) @ _turned(rng, _TURN / 5.0)
+    return pose(R, middle - R @ centre)
+
+
+def camera_beside(arm: Robot, farthest: float, rng: np.random.Generator) -> Array:
+    """Draw a camera beside the robot that looks at its workspace.
+
+    Args:
+        arm: The chain from the link that does not move to the flange.
+        farthest: From where the camera still sees the board well [m].
+        rng: Random numbers.
+
+    Returns:
+        T_base_camera, shape (4, 4) [m], in the arm's base.
+    """
+    length = reach(arm)
+    azimuth = rng.uniform(0.0, 2.0 * np.pi)
+    elevation = rng.uniform(*_ELEVATION)
+    across = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
+    up = np.array([0.0, 0.0, 1.0])
+    middle = length * (rng.uniform(0.2, 0.5) * across + rng.uniform(0.2, 0.6) * up)
+    distance = max(_OUTSIDE * length, min(rng.uniform(*_BESIDE_ROBOT), farthest))
+    towards_camera = np.cos(elevation) * across + np.sin(elevation) * up
+    # Upright in the picture is up in the cell, give or take what a hand does.
+    line_of_sight = -towards_camera
+    right = np.cross(line_of_sight, up)
+    right /= np.linalg.norm(right)
+    upright = np.column_stack([right, np.cross(line_of_sight, right), line_of_sight])
+    return pose(upright @ _turned(rng), middle + distance * towards_camera)
+
+
+def pose(R: Array, p: Array) -> Array:
+    """Return the pose of a rotation (3, 3) and a position (3,) [m], shape (4, 4)."""
+    T = np.eye(4)
+    T[:3, :3] = R
+    T[:3, 3] = p
+    return T
+
+
+def _turned(rng: np.random.Generator, most: float = _TURN) -> Array:
+    """Draw a small rotation about each axis, at most an angle [rad], shape (3, 3)."""
+    return np.asarray(Rotation.from_rotvec(rng.uniform(-most, most, size=3)).as_matrix())

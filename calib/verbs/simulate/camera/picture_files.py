@@ -1,0 +1,112 @@
+"""Pictures of a virtual cell as a folder of files: what a person has before corners are detected.
+
+That is a PNG of every picture, ``joints.csv`` with the joint values at each, ``board.toml`` with the description of the
+board, and ``camera.yaml`` with the numbers of the camera that its maker states, in the format of ROS 2's camera_info.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from calib.basics.files import check_writable, csv_bytes, make_folder, write_atomically
+from calib.basics.jobs import Progress
+from calib.boards.board_file import board_toml
+from calib.boards.render import USUAL_SCENE, Scene, render, write_png
+from calib.camera.camera_file import camera_info_yaml
+from calib.data.columns import SETS
+from calib.verbs.simulate.camera.pictures import Pictures
+from calib.verbs.simulate.random_streams import stream
+
+#: Names of the files beside the pictures.
+JOINTS = "joints.csv"
+BOARD = "board.toml"
+CAMERA = "camera.yaml"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Quality:
+    """Quality of pictures."""
+
+    #: Standard deviation of the blur [px].
+    blur: float = 0.6
+    #: Standard deviation of a pixel's grey value, of 255.
+    noise: float = 1.5
+    #: Paper, ink, light and background.
+    scene: Scene = USUAL_SCENE
+
+
+#: The quality of a usual camera that is in focus.
+USUAL_QUALITY = Quality()
+
+
+def picture_paths(pictures: Pictures, folder: str | Path) -> tuple[Path, ...]:
+    """Return the files that `write_pictures` writes, the pictures first."""
+    others = [JOINTS, BOARD]
+    if pictures.cell.stated.values is not None:
+        others.append(CAMERA)
+    return tuple(Path(folder) / name for name in (*pictures.images, *others))
+
+
+def write_pictures(
+    pictures: Pictures,
+    folder: str | Path,
+    quality: Quality = USUAL_QUALITY,
+    *,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> tuple[Path, ...]:
+    """Draw the pictures, and write them with the files beside them.
+
+    Args:
+        pictures: What the camera sees.
+        folder: Made if it does not exist.
+        quality: Blur, noise and light.
+        overwrite: Whether existing files are replaced.
+        progress: Called after each picture with the number drawn and the number of all; None: nothing is called.
+
+    Returns:
+        The files. ``camera.yaml`` is not among them where nothing is stated of the camera but the size of its images.
+
+    Raises:
+        FileError: A file exists, or cannot be written.
+        CalibError: OpenCV is not installed.
+    """
+    paths = picture_paths(pictures, make_folder(folder))
+    for path in paths:
+        check_writable(path, overwrite=overwrite)
+    cell = pictures.cell
+    rng = stream(pictures.seed, "pictures")
+    for k, T in enumerate(pictures.T_camera_board):
+        image = render(
+            cell.printed,
+            cell.camera,
+            T,
+            scene=quality.scene,
+            blur=quality.blur,
+            noise=quality.noise,
+            seed=rng,
+        )
+        write_png(image, paths[k], overwrite=overwrite)
+        if progress is not None:
+            progress(k + 1, len(pictures.images))
+    contents = [csv_bytes(_joint_rows(pictures)), board_toml(cell.printed.board).encode()]
+    if cell.stated.values is not None:
+        contents.append(camera_info_yaml(cell.stated).encode())
+    for path, content in zip(paths[len(pictures.images) :], contents, strict=True):
+        write_atomically(path, content, overwrite=overwrite)
+    return paths
+
+
+def _joint_rows(pictures: Pictures) -> Iterator[list[object]]:
+    """Yield the rows of the table of joint values, its header first."""
+    robot = pictures.cell.truth.nominal
+    headers = [
+        f"{joint.name} [m]" if joint.type == "prismatic" else f"{joint.name} [rad]"
+        for joint in robot.inputs
+    ]
+    has_sets = SETS[1] in pictures.sets
+    yield ["image", *headers, *(["set"] if has_sets else [])]
+    for image, q, name in zip(pictures.images, pictures.readings, pictures.sets, strict=True):
+        yield [image, *q.tolist(), *([name] if has_sets else [])]

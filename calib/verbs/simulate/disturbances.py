@@ -1,0 +1,139 @@
+"""Disturbances of a measurement besides noise: outliers, a target that is knocked, the encoders' resolution."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.basics.arrays import Array, Mask, read_only
+from calib.basics.values import Value
+from calib.errors import CalibError, choices
+from calib.verbs.simulate.random_streams import stream
+
+
+@dataclass(frozen=True, slots=True)
+class Outliers:
+    """Rows whose measurement is displaced in any direction; lengths are that much longer or shorter."""
+
+    #: Of the rows to estimate from, 0 to 1; at least one row if it is above 0.
+    share: float = 0.0
+    #: Number of rows, in place of a share; None: by the share.
+    count: int | None = None
+    #: Displacement [m].
+    size: float = 5e-3
+
+    @classmethod
+    def parse(cls, text: str, size: float) -> Outliers:
+        """Parse a number of rows, ``3``, or a share of them, ``5 %``.
+
+        Args:
+            text: As typed.
+            size: Displacement [m].
+
+        Raises:
+            CalibError: It is neither.
+        """
+        number = re.fullmatch(r"\s*(\d{1,9}|\d*\.?\d+(?=\s*%))\s*(%?)\s*", text)
+        if number is None:
+            raise CalibError(
+                f'--outliers was given as "{text}"; it must be a number of rows, "3", or a share '
+                'of them, "5 %".'
+            )
+        if number[2]:
+            return cls(share=float(number[1]) / 100.0, size=size)
+        return cls(count=int(number[1]), size=size)
+
+    def choose(self, candidates: Sequence[int], seed: int) -> list[int]:
+        """Choose the outliers among rows; with more outliers, the same ones and others.
+
+        Args:
+            candidates: Numbers of rows.
+            seed: Of the random numbers.
+
+        Returns:
+            Numbers of the outliers, in order.
+
+        Raises:
+            CalibError: There are fewer rows than outliers.
+        """
+        rows = len(candidates)
+        number = self.count
+        if number is None:
+            number = max(round(self.share * rows), 1) if self.share > 0.0 and rows else 0
+        if number > rows:
+            raise CalibError(
+                f"{number} outliers were asked for among {rows} measurements to estimate from."
+            )
+        order = stream(seed, "outlier rows").permutation(rows)
+        return sorted(candidates[i] for i in order[:number])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MovedTarget(Value):
+    """A target that is elsewhere from some row on, as if it had been knocked."""
+
+    #: Number of the first row, from 1, that finds it moved.
+    row: int
+    #: Shape (3,), displacement in the tip [m].
+    by: Array
+    #: Its name; None: all targets.
+    target: str | None = None
+
+    def __post_init__(self) -> None:
+        """Keep a read-only copy of the displacement."""
+        object.__setattr__(self, "by", read_only(self.by))
+
+    def rows(self, targets: Sequence[str]) -> Mask:
+        """Find the rows that find the target moved.
+
+        Args:
+            targets: Name of the target of each row, (R,).
+
+        Returns:
+            shape (R,).
+
+        Raises:
+            CalibError: There is no such row or target.
+        """
+        if not 1 <= self.row <= len(targets) or self.target not in (None, *targets):
+            raise CalibError(
+                f"The target '{self.target or 'of all'}' is to move before row {self.row}; there "
+                f"are the rows 1 to {len(targets)} and the targets "
+                f"{choices(dict.fromkeys(targets))}."
+            )
+        moved = np.array([self.target in (None, name) for name in targets])
+        moved[: self.row - 1] = False
+        return moved
+
+
+@dataclass(frozen=True, slots=True)
+class Encoder:
+    """Smallest steps in which joint values are read.
+
+    The robot stops somewhere within half a step of where it is sent, and what is read is the nearest step.
+    """
+
+    #: Step of joints that turn [rad]; 0: none.
+    angle: float = 0.0
+    #: Step of joints that slide [m]; 0: none.
+    length: float = 0.0
+
+    def measure(self, q: Array, sliding: Sequence[bool], seed: int) -> tuple[Array, Array]:
+        """Draw where the robot stops when it is sent to joint values, and what is read there.
+
+        Args:
+            q: shape (N, m), [rad] or [m].
+            sliding: Which joints slide, (m,).
+            seed: Of the random numbers.
+
+        Returns:
+            True joint values and those read, shape (N, m) each, [rad] or [m].
+        """
+        step = np.where(sliding, self.length, self.angle)
+        true = q + stream(seed, "encoder").uniform(-0.5, 0.5, q.shape) * step
+        divisor = np.where(step > 0.0, step, 1.0)
+        read = np.where(step > 0.0, np.round(true / divisor) * step, true)
+        return true, read

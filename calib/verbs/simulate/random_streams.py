@@ -1,0 +1,53 @@
+"""Random numbers of a virtual cell: each purpose has its own, all from one seed.
+
+So one thing can be changed about a virtual cell and the rest stays: outliers leave the noise of other rows as it was.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from calib.basics.arguments import check_type
+from calib.basics.channels import RESIDUAL_UNITS
+from calib.errors import CalibError
+
+#: Purposes of random numbers. A new one goes to the end: the numbers of the others then stay.
+STREAMS = (
+    "errors",
+    "targets",
+    "frames",
+    "tracker noise",
+    "robot noise",
+    "angle noise",
+    "encoder",
+    "outlier rows",
+    "outlier directions",
+    "poses",
+    "validation poses",
+    # The noise of units of residuals that came later, each behind those before it.
+    *(f"{unit.quantity} noise" for unit in tuple(RESIDUAL_UNITS.values())[2:]),
+    # Of cells with a camera.
+    "camera",
+    "board",
+    "mounts",
+    "views",
+    "validation views",
+    "pictures",
+)
+
+
+def stream(seed: int, purpose: str) -> np.random.Generator:
+    """Return the random numbers of a purpose.
+
+    Args:
+        seed: A whole number, 0 or more.
+        purpose: One of `STREAMS`.
+
+    Raises:
+        CalibError: The seed is negative.
+    """
+    check_type("seed", seed, (int, np.integer), "a whole number, 0 or more")
+    if seed < 0:
+        raise CalibError(f"The seed is {seed}; it must be a whole number, 0 or more.")
+    sequence = np.random.SeedSequence(int(seed), spawn_key=(STREAMS.index(purpose),))
+    return np.random.default_rng(sequence)

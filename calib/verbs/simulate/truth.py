@@ -1,0 +1,433 @@
+"""Truth of a virtual cell: the robot as it really is, and the true poses of targets and frames.
+
+    T_frame_target(q) = T_frame_base  T_base_tip(true placements, q + dq)  T_tip_target
+
+with the joints' errors dq of `families`; the load of a compliance is that of the nominal URDF's masses and the payload
+at the joint values that are read, as `calib.fit.estimate` takes it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
+
+import calib.data.kinds as registry
+from calib.basics.arrays import Array, read_only, rigid_inverse
+from calib.basics.mappings import ReadOnlyMapping
+from calib.basics.units import parse_amount
+from calib.basics.values import Value
+from calib.data.cell import Cell
+from calib.data.columns import DEFAULT_TARGET
+from calib.errors import CalibError, ModelError, choices
+from calib.model.error_model import error_model, split_name
+from calib.model.families import FAMILIES, unit_of
+from calib.model.kinematics import Kinematics, Samples
+from calib.model.parameters import ErrorModel, Parameter
+from calib.robot.gravity import gravity_loads
+from calib.robot.payload import Payload
+from calib.robot.ranges import random_joint_values
+from calib.robot.readback import check_written
+from calib.robot.robot import Robot
+from calib.verbs.simulate.random_streams import stream
+
+#: Stated place of the target in the tip, if nothing else is given [m]: off the last axis, so that all is seen.
+DEFAULT_PLACE = read_only((0.05, 0.05, 0.05))
+
+#: Standard deviation of a target's true position about its stated one [m].
+TARGET_ERROR = 1e-3
+
+#: Standard deviation of its orientation about each axis [rad].
+TARGET_TURN = 10e-3
+
+#: Distance of the tracker of a drawn station from the base [m].
+_DISTANCE = 3.0
+
+#: Least and greatest height of the tracker of a drawn station [m].
+_HEIGHTS = (-0.5, 1.0)
+
+#: Standard deviation of its tilt about each horizontal axis [rad].
+_TILT = 0.01
+
+#: Word for none of something.
+NONE = "none"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Truth(Value):
+    """Truth of a virtual cell."""
+
+    #: The robot of the nominal URDF
+    nominal: Robot
+    #: The errors of the robot by name
+    model: ErrorModel
+    #: shape (p,), their values, in the units of ``model``. Of a robot that was given as a URDF, what of it the model
+    #: can express
+    x: Array
+    #: The true geometry, where it was given as a URDF
+    given: Robot | None
+    #: Names of the groups; ``("",)`` for the only one
+    groups: tuple[str, ...]
+    #: Shape (F, 4, 4), true pose of the base in each measurement frame [m]
+    T_frame_base: Array
+    #: Names of the targets
+    targets: tuple[str, ...]
+    #: Shape (T, 4, 4), their true poses in the tip [m]
+    T_tip_target: Array
+    #: Shape (T, 4, 4), their stated poses in the tip [m]
+    stated_T_tip_target: Array
+    #: What the tip carries
+    payload: Payload | None
+    #: Shape (3,), acceleration in the URDF's root [m/s^2]
+    gravity: Array
+
+    @property
+    def robot(self) -> Robot:
+        """The robot with its true placements, made anew each time; errors of the joints' state are no part of it."""
+        return self.model.apply(self.nominal, self.x) if self.given is None else self.given
+
+    def write_urdf(self, path: str | Path, *, overwrite: bool = False) -> Path:
+        """Write the URDF of the true geometry, after reading it back with Pinocchio and yourdfpy.
+
+        Args:
+            path: The file.
+            overwrite: Whether an existing file is replaced.
+
+        Returns:
+            The file.
+        """
+        robot = self.robot
+        q = random_joint_values(robot)
+        check_written(robot, robot.poses(q), q)
+        # A verdict that the nominal URDF states is on another geometry.
+        return robot.urdf.with_verdict("").write(path, overwrite=overwrite)
+
+    def value(self, name: str) -> float:
+        """Return the value of one error, in its unit; a `ModelError` if there is none of this name."""
+        return float(self.x[self.model.index(name)])
+
+    def tip_poses(self, q: ArrayLike) -> Array:
+        """Compute T_base_tip, shape (N, 4, 4), [m].
+
+        Args:
+            q: Joint values that are read, shape (N, m) or (m,), [rad] or [m].
+        """
+        robot, x, load = self.nominal, self.x, None
+        if self.given is not None:
+            robot = self.given
+            x = np.where([p.factor is not None for p in self.model.parameters], x, 0.0)
+        if any(term.factor and term.factor.loaded for term in self.model.terms):
+            load = gravity_loads(self.nominal, q, self.payload, self.gravity)
+        kinematics = Kinematics(robot, self.model, np.eye(4), np.eye(4))
+        return kinematics.poses(x, Samples.at(q, load))
+
+    def poses(self, q: ArrayLike, target: str | None = None, group: str | None = None) -> Array:
+        """Compute T_frame_target, shape (N, 4, 4), [m].
+
+        Args:
+            q: Joint values that are read, shape (N, m) or (m,), [rad] or [m].
+            target: Name of the target; None: the first.
+            group: Name of the group whose frame it is; None: the first.
+        """
+        t = 0 if target is None else self.targets.index(target)
+        g = 0 if group is None else self.groups.index(group)
+        T: Array = self.T_frame_base[g] @ self.tip_poses(q) @ self.T_tip_target[t]
+        return T
+
+    def points(self, q: ArrayLike, target: str | None = None, group: str | None = None) -> Array:
+        """Compute the true positions of a target in a frame.
+
+        Args:
+            q: See `poses`.
+            target: See `poses`.
+            group: See `poses`.
+
+        Returns:
+            shape (N, 3), [m].
+        """
+        return self.poses(q, target, group)[:, :3, 3]
+
+    def nominal_errors(self, q: ArrayLike) -> Array:
+        """Compute how far the nominal robot predicts the first target from its true place, by the robot's errors alone.
+
+        Args:
+            q: Joint values that are read, shape (N, m), [rad] or [m].
+
+        Returns:
+            Distances, shape (N,), [m].
+        """
+        difference = (self.tip_poses(q) - self.nominal.poses(q)) @ self.T_tip_target[0]
+        return np.asarray(np.linalg.norm(difference[:, :3, 3], axis=1))
+
+
+def draw_truth(
+    robot: Robot,
+    model: str = "placement",
+    sizes: Mapping[str, float] | None = ReadOnlyMapping(),
+    seed: int = 0,
+    *,
+    cell: Cell | None = None,
+    errors: Mapping[str, float] | None = None,
+    true_robot: Robot | None = None,
+    target_error: float = TARGET_ERROR,
+) -> Truth:
+    """Draw the truth of a virtual cell.
+
+    Args:
+        robot: The nominal robot.
+        model: Errors of the robot: a parameter set, and families appended, ``"placement+gain"``.
+        sizes: Standard deviations of the errors by family, in its unit; of a family that is missing they are typical.
+            None: no errors are drawn.
+        seed: Of the random numbers.
+        cell: Targets, frames, payload, gravity, kind, and what is frozen, tied, bounded or has a prior of its own.
+            Frames whose poses it does not give are drawn where it estimates them, or its kind has a frame of its own.
+        errors: Values of single errors by name, in their units [m], [rad]...; they win over what is drawn.
+        true_robot: The true geometry; then only errors of the joints' state are drawn.
+        target_error: Standard deviation of a target's place about its stated one [m]; none if the cell says that the
+            targets are known.
+
+    Returns:
+        The truth.
+
+    Raises:
+        ModelError: An unknown error, or one that the true robot has already, or a true robot with other joints.
+    """
+    cell = cell or Cell()
+    given = dict(errors or {})
+    if true_robot is not None:
+        model = "+".join(("placement", *split_name(model)[1]))
+    all_errors = error_model(robot, model, target=False, gravity=cell.gravity)
+    free = {p.name for p in all_errors.parameters if true_robot is None or p.factor}
+    if true_robot is not None:
+        _check_free(given, all_errors, free)
+        true_robot = _as_nominal(robot, true_robot)
+        given |= _placement_errors(robot, true_robot)
+    drawn_model = _with_ties(all_errors, cell, free)
+    groups, T_frame_base = _frames(cell, seed)
+    targets, stated, true = _targets(cell, seed, target_error)
+    return Truth(
+        nominal=robot,
+        model=drawn_model,
+        x=_draw_errors(drawn_model, sizes, seed, cell, given),
+        given=true_robot,
+        groups=groups,
+        T_frame_base=T_frame_base,
+        targets=targets,
+        T_tip_target=true,
+        stated_T_tip_target=stated,
+        payload=cell.payload,
+        gravity=cell.gravity,
+    )
+
+
+def _check_free(given: Mapping[str, float], model: ErrorModel, free: set[str]) -> None:
+    """Refuse errors that a true robot has already; raises `ModelError`."""
+    fixed = [name for name in given if name in model.names and name not in free]
+    if fixed:
+        raise ModelError(f"The true robot has the errors {choices(fixed)} already.")
+
+
+def _with_ties(model: ErrorModel, cell: Cell, free: set[str]) -> ErrorModel:
+    """Return the model with the cell's ties, and without its frozen parameters.
+
+    A cell may be made for a fit of another model: what that alone has does not count here.
+    """
+    ties = {name: tie for name, tie in cell.ties.items() if name in free and tie[0] in free}
+    frozen = [name for name in cell.frozen if name in free and name in model.names]
+    return model.tied(ties).without(frozen)
+
+
+def parse_error_sizes(cell: Cell, text: str | None, *, named: bool) -> Mapping[str, float] | None:
+    """Parse standard deviations of errors, ``length 0.5 mm, angle 3 mrad``, or ``none``.
+
+    Args:
+        cell: Its priors are the default where they are given.
+        text: As typed; None: the default, which is typical sizes, or none beside named errors.
+        named: Whether single errors are given by name.
+
+    Returns:
+        Standard deviations by family, in its unit; empty: typical ones; None: no errors are drawn.
+
+    Raises:
+        CalibError: It is neither.
+    """
+    if text is None and not named:
+        if cell.priors.source == "given":
+            return {family: cell.priors.of(family) for family in FAMILIES}
+        return {}
+    if text is None or text.strip() == NONE:
+        return None
+    sizes: dict[str, float] = {}
+    for part in text.split(","):
+        name, _, value = part.strip().partition(" ")
+        if name not in FAMILIES:
+            raise CalibError(
+                f"--sizes was given as \"{text}\"; it must be '{NONE}', or standard deviations "
+                'with commas between them such as "length 0.5 mm, angle 3 mrad", of '
+                f"{choices(FAMILIES)}."
+            )
+        unit = FAMILIES[name].unit
+        sizes[name] = parse_amount(value, f"--sizes, {name}", unit.quantity, unit.example)
+    return sizes
+
+
+def tracker_pose(position: ArrayLike, rng: np.random.Generator) -> Array:
+    """Draw T_frame_base of a tracker at a point, levelled to about 10 mrad, in any heading.
+
+    Args:
+        position: In the base, shape (3,), [m].
+        rng: Draws heading and tilt.
+
+    Returns:
+        shape (4, 4), [m].
+    """
+    heading = Rotation.from_euler("z", rng.uniform(-np.pi, np.pi))
+    tilt = Rotation.from_rotvec(np.append(rng.normal(0.0, _TILT, 2), 0.0))
+    T_base_frame = np.eye(4)
+    T_base_frame[:3, :3] = (heading * tilt).as_matrix()
+    T_base_frame[:3, 3] = position
+    return rigid_inverse(T_base_frame)
+
+
+def _draw_errors(
+    model: ErrorModel,
+    sizes: Mapping[str, float] | None,
+    seed: int,
+    cell: Cell,
+    given: Mapping[str, float],
+) -> Array:
+    """Draw the errors of a robot.
+
+    Args:
+        model: The errors.
+        sizes: Standard deviations by family, in its unit; None: only given errors.
+        seed: Of the random numbers.
+        cell: Has standard deviations and bounds of single errors.
+        given: Values of single errors by name; the others are drawn.
+
+    Returns:
+        shape (p,), in the units of the model.
+
+    Raises:
+        ModelError: A given error that the model does not have.
+        CalibError: An error is larger than calib allows.
+    """
+    for name in given:
+        model.index(name)  # refuses one that the model does not have
+    x = np.zeros(len(model))
+    unit_normal = stream(seed, "errors").standard_normal(len(model))
+    for k, parameter in enumerate(model.parameters):
+        if parameter.name in given:
+            x[k] = given[parameter.name]
+        elif sizes is not None:
+            x[k] = _draw_error(parameter, sizes, cell, float(unit_normal[k]))
+        largest = unit_of(parameter.unit).largest
+        if abs(x[k]) > largest:
+            raise CalibError(
+                f"The error '{parameter.name}' is {x[k]:.3g} {parameter.unit}; it is at most "
+                f"{largest:g}."
+            )
+    return read_only(x)
+
+
+def _draw_error(
+    parameter: Parameter,
+    sizes: Mapping[str, float],
+    cell: Cell,
+    unit_normal: float,
+) -> float:
+    """Return one error: a standard normal number times its standard deviation, inside of its bounds."""
+    family = FAMILIES[parameter.family]
+    size = sizes.get(family.name, family.typical)
+    if family.sliding is not None and parameter.unit == family.sliding.symbol:
+        size *= family.lever
+    size = cell.parameter_priors.get(parameter.name, size)
+    low, high = cell.bounds.get(parameter.name, (-np.inf, np.inf))
+    value = size * (abs(unit_normal) if family.positive else unit_normal)
+    return min(max(value, low), high)
+
+
+def _as_nominal(nominal: Robot, true: Robot) -> Robot:
+    """Return the nominal robot with the placements of a true one, whose URDF may differ in more than that."""
+    same_joints = true.joint_names == nominal.joint_names and _axes(true) == _axes(nominal)
+    if not same_joints:
+        raise ModelError(
+            f"The true robot '{true.urdf.source}' has other joints, types or axes between "
+            f"'{true.base}' and '{true.tip}' than the nominal robot; they must be the same."
+        )
+    placements = true.placements.copy()
+    placements[0] = nominal.T_root_base @ rigid_inverse(true.T_root_base) @ placements[0]
+    return nominal.with_placements(placements)
+
+
+def _axes(robot: Robot) -> list[tuple[str, str, float, float, float]]:
+    """Return name, type and rounded axis of each joint."""
+    return [(joint.name, joint.type, *np.round(joint.axis, 9)) for joint in robot.joints]
+
+
+def _placement_errors(nominal: Robot, true: Robot) -> dict[str, float]:
+    """Return a true robot's placements as errors of the set ``placement``: along, then about moving axes x, y, z."""
+    errors: dict[str, float] = {}
+    for i, joint in enumerate(nominal.joints):
+        if nominal.carriers[i] is None:
+            continue
+        T_nominal_true = rigid_inverse(nominal.placements[i]) @ true.placements[i]
+        angles = Rotation.from_matrix(T_nominal_true[:3, :3]).as_euler("XYZ")
+        names = [f"{joint.name}.{direction}" for direction in ("x", "y", "z", "rx", "ry", "rz")]
+        values = map(float, (*T_nominal_true[:3, 3], *angles))
+        errors |= dict(zip(names, values, strict=True))
+    return errors
+
+
+def _frames(cell: Cell, seed: int) -> tuple[tuple[str, ...], Array]:
+    """Return names of groups and the true pose of the base in each one's frame: as given, drawn, or the base itself."""
+    groups = tuple(cell.frames) or ("",)
+    has_own_frame = cell.kind is not None and registry.get(cell.kind).own_frame
+    rng = stream(seed, "frames")
+    frames = []
+    for group in groups:
+        angle = rng.uniform(-np.pi, np.pi)
+        height = rng.uniform(*_HEIGHTS)
+        position = np.array([_DISTANCE * np.cos(angle), _DISTANCE * np.sin(angle), height])
+        if cell.tracker is not None:
+            position = cell.tracker.position
+        # Drawn even if it is given, so that the numbers of the next group do not depend on it.
+        drawn = tracker_pose(position, rng)
+        given = cell.frames.get(group, cell.T_frame_base)
+        if given is not None:
+            frames.append(given)
+        elif cell.estimate_frame or has_own_frame:
+            frames.append(drawn)
+        else:
+            frames.append(np.eye(4))
+    return groups, read_only(frames)
+
+
+def _targets(cell: Cell, seed: int, position_std: float) -> tuple[tuple[str, ...], Array, Array]:
+    """Return names of targets, their stated poses, and their true poses in the tip.
+
+    Args:
+        cell: States the targets.
+        seed: Of the random numbers.
+        position_std: Standard deviation of the true position about the stated one [m].
+    """
+    names = tuple(cell.targets) or (DEFAULT_TARGET,)
+    rng = stream(seed, "targets")
+    stated = np.tile(np.eye(4), (len(names), 1, 1))
+    true = stated.copy()
+    for t, name in enumerate(names):
+        place = cell.targets.get(name, cell.target)
+        stated[t, :3, 3] = DEFAULT_PLACE if place is None else place
+        if cell.target_rotation is not None:
+            stated[t, :3, :3] = cell.target_rotation
+        displacement, turn = rng.normal(size=(2, 3))
+        true[t] = stated[t]
+        if cell.estimate_target and position_std > 0.0:
+            true[t, :3, 3] += position_std * displacement
+            true[t, :3, :3] = stated[t, :3, :3] @ pin.exp3(TARGET_TURN * turn)
+    return names, read_only(stated), read_only(true)

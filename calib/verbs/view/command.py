@@ -1,0 +1,170 @@
+"""``calib view``: robots and measurements in the browser, or as a page."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from calib.cli.options import CellOptions, Force, Quiet, ResultTarget, RobotFile, TableOptions
+from calib.cli.outputs import check_outputs
+from calib.cli.setup import (
+    load,
+    load_with_data,
+    read_cell,
+    with_chain_of_result,
+    with_target_link,
+)
+from calib.cli.verb import verb
+from calib.errors import CalibError
+
+if TYPE_CHECKING:
+    from calib.data.cell import Cell
+    from calib.data.measurements import Measurements
+    from calib.robot.robot import Robot
+    from calib.verbs.view.view import View
+
+
+@dataclass(frozen=True, slots=True)
+class SetupOptions(CellOptions):
+    """Measurement setup; targets are those of the result or of the URDF where it has them."""
+
+    target: ResultTarget = None
+
+
+@dataclass(frozen=True, slots=True)
+class PageOptions:
+    """The page: served to this computer, or written as a file."""
+
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="Write the page as a file.")
+    ] = None
+    port: Annotated[
+        int, typer.Option(min=0, max=65535, metavar="N", help="Port of 127.0.0.1; 0: any.")
+    ] = 0
+    no_browser: Annotated[bool, typer.Option("--no-browser", help="Do not open the browser.")] = (
+        False
+    )
+    force: Force = False
+
+    def show(self, view: View, say: Callable[[str], None]) -> None:
+        """Serve the page, or write it.
+
+        Args:
+            view: What it shows.
+            say: Prints a line.
+        """
+        from calib.verbs.view.live import serve
+        from calib.verbs.view.page import view_page
+
+        if self.output is None:
+            serve(view, port=self.port, browser=not self.no_browser, say=say)
+            return
+        page = view_page(view)
+        page.write(self.output, overwrite=self.force)
+        for warning in page.warnings:
+            say(f"Not drawn as in the URDF: {warning}")
+        say(f"Written: {self.output}")
+
+
+@verb("""Show robots, and what was measured, in the browser.
+
+\b
+Examples:
+  calib view robot.urdf --base base
+  calib view robot.urdf corrected.urdf --base base --data data.csv
+  calib view robot.urdf --calibration result.json --data data.csv -o view.html
+
+One robot, or the nominal and the calibrated side by side: the two URDFs given, or with --calibration the joint origins
+before and after it. --data adds the measured points. The page is served to this computer only, until Ctrl-C; -o writes
+it as a file, which opens without calib.
+""")
+def view(
+    robot: RobotFile,
+    setup: SetupOptions,
+    table: TableOptions,
+    page: PageOptions,
+    other: Annotated[
+        str | None, typer.Argument(metavar="[OTHER]", help="The calibrated robot's URDF.")
+    ] = None,
+    data: Annotated[
+        Path | None, typer.Option(help="CSV table of joint values and measured points.")
+    ] = None,
+    calibration: Annotated[
+        Path | None, typer.Option(help="Result that 'calib calibrate --json' wrote.")
+    ] = None,
+    quiet: Quiet = False,
+) -> None:
+    """Run the verb; its help is the text of `verb`."""
+    if other is not None and calibration is not None:
+        raise CalibError("OTHER and --calibration are both the second robot; leave out one.")
+    if data is None and any((*asdict(table).values(), setup.kind, setup.frame)):
+        raise CalibError("--points, --columns, --kind, --frame: name the table with --data.")
+    inputs = [robot, other, data, setup.cell, calibration, table.points]
+    check_outputs([page.output], inputs, force=page.force)
+    cell = read_cell(**asdict(setup))
+    if calibration is None:
+        arm, measurements = _load(robot, cell, data, table)
+        shown = _view_of_robots(arm, other, measurements, cell)
+    else:
+        shown = _view_of_result(robot, cell, setup, data, table, calibration)
+    page.show(shown, _no_text if quiet else partial(print, flush=True))
+
+
+def _load(
+    robot: str,
+    cell: Cell,
+    data: Path | None,
+    table: TableOptions,
+) -> tuple[Robot, Measurements | None]:
+    """Load the robot, and the table if there is one."""
+    if data is None:
+        return load(robot, cell), None
+    return load_with_data(robot, cell, data, table)
+
+
+def _view_of_result(
+    robot: str,
+    cell: Cell,
+    setup: SetupOptions,
+    data: Path | None,
+    table: TableOptions,
+    calibration: Path,
+) -> View:
+    """Return the view of a result: the robot with the joint origins before and after it."""
+    from calib.result.calibration_file import read_result
+    from calib.verbs.view.view import view_of_result
+
+    result = read_result(calibration)
+    cell = with_chain_of_result(cell, result, str(calibration))
+    arm, measurements = _load(robot, cell, data, table)
+    from_result = [name for name in ("frame", "target") if getattr(setup, name) is None]
+    return view_of_result(
+        result, arm, measurements, cell, known=from_result, source=calibration.name
+    )
+
+
+def _view_of_robots(
+    arm: Robot,
+    other: str | None,
+    measurements: Measurements | None,
+    cell: Cell,
+) -> View:
+    """Return the view of one URDF or of two."""
+    from calib.verbs.view.view import view_of_robots
+
+    second = None
+    if other is not None:
+        second = load(other, replace(cell, base=arm.base, tip=arm.tip))
+    cells = [cell, cell]
+    if cell.target is None and not cell.targets:
+        cells = [with_target_link(shown, cell) for shown in (arm, second or arm)]
+    return view_of_robots(arm, second, measurements, cells=cells)
+
+
+def _no_text(_text: str) -> None:
+    """Print nothing."""

@@ -1,0 +1,215 @@
+"""``calib workspace``: where the target lies, how often, and the region to measure in."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from calib.cli.options import CellOptions, ColumnChoice, Force, Quiet, RobotFile, Seed
+from calib.cli.outputs import check_outputs, written_lines
+from calib.cli.setup import load, read_cell
+from calib.cli.terminal import progress_bar
+from calib.cli.verb import verb
+
+if TYPE_CHECKING:
+    from calib.basics.arrays import Array
+    from calib.data.cell import Cell
+    from calib.data.measurements import Measurements
+    from calib.robot.robot import Robot
+    from calib.verbs.workspace.region_rows import Checked, RegionView
+
+_File = Path | None
+
+
+@dataclass(frozen=True, slots=True)
+class RangeOptions(ColumnChoice):
+    """Ranges of the joints, and a table whose rows are checked."""
+
+    like: Annotated[_File, typer.Option(help="Table whose estimation rows give the ranges.")] = None
+    margin: Annotated[
+        str,
+        typer.Option(metavar="ANGLE", help="Margin around --like (5 mm for prismatic joints)."),
+    ] = "0 deg"
+    check: Annotated[_File, typer.Option(help="Table: which of its rows lie in the region.")] = None
+
+
+@dataclass(frozen=True, slots=True)
+class SamplingOptions:
+    """Samples of the joint values, and the region that is made of them."""
+
+    share: Annotated[float, typer.Option(metavar="P", help="Probability in the region.")] = 0.95
+    samples: Annotated[
+        int, typer.Option(min=1000, max=2**24, metavar="N", help="Samples of the joint values.")
+    ] = 2**19
+    voxel: Annotated[
+        str | None,
+        typer.Option(metavar="LENGTH", help="Edge of a voxel. Default: by the samples."),
+    ] = None
+    seed: Seed = 0
+
+
+@dataclass(frozen=True, slots=True)
+class WorkspaceOutputs:
+    """Files that are written."""
+
+    output: Annotated[
+        _File,
+        typer.Option("-o", "--output", help="Region file, for 'calib plan --region'."),
+    ] = None
+    picture: Annotated[_File, typer.Option(help="Density and region: .png, .svg or .pdf.")] = None
+    view: Annotated[_File, typer.Option(help="3D page of robot and region.")] = None
+    force: Force = False
+
+    def check(self, inputs: list[str | Path | None]) -> None:
+        """Refuse outputs that cannot be written before the work begins."""
+        check_outputs([self.output, self.picture, self.view], inputs, force=self.force)
+        if self.picture is not None:
+            from calib.verbs.workspace.figures import check_ending  # with matplotlib
+
+            check_ending(self.picture)
+
+    def write(self, view: RegionView, seed: int) -> list[str]:
+        """Write the files that were asked for; returns a line for each."""
+        from calib.verbs.workspace.region_file import write_region
+
+        if self.output is not None:
+            write_region(view, self.output, seed, overwrite=self.force)
+        if self.picture is not None:
+            from calib.verbs.workspace.figures import write_picture
+
+            write_picture(view, self.picture, overwrite=self.force)
+        if self.view is not None:
+            from calib.verbs.workspace.view import region_page
+
+            region_page(view).write(self.view, overwrite=self.force)
+        return written_lines(self.output, self.picture, self.view)
+
+
+@verb("""Sample the reachable workspace of the target, and find the region to measure in.
+
+\b
+Examples:
+  calib workspace ur3 --base base --tip tool0 --target "50 50 50 mm" -o region.json
+  calib workspace robot.urdf --like data.csv --margin "5 deg" --check data.csv --picture region.png
+
+The joints take all values in their ranges equally often ([ranges] of the cell file narrows them). The region is the
+smallest part of space that holds the target with a probability of --share; 'calib plan --region region.json' chooses
+poses inside it. Collisions are not checked here.
+""")
+def workspace(
+    robot: RobotFile,
+    setup: CellOptions,
+    ranges: RangeOptions,
+    sampling: SamplingOptions,
+    outputs: WorkspaceOutputs,
+    quiet: Quiet = False,
+) -> None:
+    """Run the verb; its help is the text of `verb`."""
+    from calib.verbs.workspace.text import workspace_text
+
+    outputs.check([robot, ranges.like, ranges.check, setup.cell])
+    cell = read_cell(**asdict(setup))
+    view = _region_view(robot, cell, ranges, sampling, quiet=quiet)
+    lines = outputs.write(view, sampling.seed)
+    if quiet:
+        return
+    origin = ""
+    if ranges.like is not None:
+        origin = f"the estimation rows of {ranges.like.name}, {ranges.margin} wider"
+    text = workspace_text(view, origin, sampling.seed, every_row=ranges.check is not None)
+    typer.echo("\n".join([text, "", *lines]))
+
+
+def _region_view(
+    robot: str,
+    cell: Cell,
+    ranges: RangeOptions,
+    sampling: SamplingOptions,
+    *,
+    quiet: bool,
+) -> RegionView:
+    """Sample the workspace, find the region, and check the rows of a table, if there is one."""
+    from calib.basics.units import LENGTH, parse_amount
+    from calib.verbs.workspace.region import Density
+    from calib.verbs.workspace.region_rows import RegionView
+    from calib.verbs.workspace.workspace import workspace_points
+
+    voxel = None
+    if sampling.voxel is not None:
+        voxel = parse_amount(sampling.voxel, "--voxel", LENGTH, "20 mm")
+    arm, tables = _load_with_tables(robot, cell, ranges)
+    limits = _joint_ranges(arm, cell, ranges, tables)
+    target = _target(cell)
+    with progress_bar("workspace", quiet=quiet) as progress:
+        points = workspace_points(arm, target, limits, sampling.samples, sampling.seed, progress)
+    density = Density.of(points, voxel)
+    checked = _checked_rows(arm, cell, ranges, tables)
+    region = density.region(sampling.share)
+    return RegionView(arm, target, limits, density, region, checked)
+
+
+def _load_with_tables(
+    robot: str, cell: Cell, ranges: RangeOptions
+) -> tuple[Robot, Mapping[Path, Measurements]]:
+    """Load the robot and the tables of ``--like`` and ``--check``, whose common joints tell the chain."""
+    from calib.basics.tables import Table
+    from calib.data.columns import column_names
+    from calib.verbs.workspace.region_rows import read_rows
+
+    paths = [path for path in (ranges.like, ranges.check) if path is not None]
+    renamed = ranges.parsed()
+    columns = [column_names(Table.read(path), renamed) for path in paths]
+    known = [names for names in columns if names is not None]
+    common = set.intersection(*known) if known else None
+    arm = load(robot, cell, common)
+    tables = {path: read_rows(path, arm, renamed, cell.kind) for path in paths}
+    return arm, tables
+
+
+def _joint_ranges(
+    arm: Robot,
+    cell: Cell,
+    ranges: RangeOptions,
+    tables: Mapping[Path, Measurements],
+) -> Array:
+    """Return the lowest and highest value of each joint, shape (m, 2), [rad] or [m]."""
+    from calib.basics.units import ANGLE, parse_amount
+    from calib.robot.ranges import joint_ranges, margins_by_joint
+
+    margin = parse_amount(ranges.margin, "--margin", ANGLE, "5 deg")
+    measured = None
+    if ranges.like is not None:
+        rows = tables[ranges.like]
+        measured = rows.joints_for(arm.joint_names)[rows.estimation]
+    return joint_ranges(arm, cell.ranges, measured, margins_by_joint(arm, margin))
+
+
+def _target(cell: Cell) -> Array:
+    """Return the cell's target in the tip [m], shape (3,): its only named one, or else the tip itself."""
+    import numpy as np
+
+    if cell.target is not None:
+        return cell.target
+    if len(cell.targets) == 1:
+        return next(iter(cell.targets.values()))
+    return np.zeros(3)
+
+
+def _checked_rows(
+    arm: Robot,
+    cell: Cell,
+    ranges: RangeOptions,
+    tables: Mapping[Path, Measurements],
+) -> Checked | None:
+    """Return the points of the table that is checked; None without a table."""
+    from calib.verbs.workspace.region_rows import Checked, row_points
+
+    path = ranges.check or ranges.like
+    if path is None:
+        return None
+    points, measured = row_points(arm, tables[path], cell, _target(cell))
+    return Checked(tables[path], points, measured)

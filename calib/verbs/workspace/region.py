@@ -1,0 +1,369 @@
+"""Density and region: how often samples of a workspace lie in each voxel, and the voxels that hold most of them.
+
+The positions of a target are counted in the voxels of a grid. The count n of a voxel of edge h, among N samples, is the
+density
+
+    f = n / (N h^3),
+
+smoothed over neighbours by (1, 2, 1) / 4 along each axis and among reached voxels alone, so that nothing leaks out of
+the workspace. The region of a share p of the samples is made of voxels in falling order of the smoothed density, until
+their counts come to p N.
+
+Unless it is given, the voxel is the smallest round length for which a smoothed count rests on `SAMPLES_PER_VOXEL`
+samples in the mean, a statistical error of 6 % (10 % at the border of 95 %).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import ndimage
+
+from calib.basics.arguments import check_number, check_type, finite_numbers, numbers, wrong_type
+from calib.basics.arrays import Array, Mask
+from calib.basics.short import one_line
+from calib.basics.values import Value
+from calib.errors import CalibError, ModelError
+from calib.numerics.geometry import vector
+
+#: Samples that a smoothed count rests on, in the mean over reached voxels, where the voxel's size is chosen.
+SAMPLES_PER_VOXEL = 300.0
+
+#: The most voxels of a grid: 4 million take 32 MB for their counts.
+MOST_VOXELS = 4_000_000
+
+#: The most voxels along an axis where their size is chosen.
+_FINEST = 128
+
+#: Weights of a voxel and its two neighbours along an axis.
+_WEIGHTS = np.array([0.25, 0.5, 0.25])
+
+#: First digits of a round length.
+_ROUND_DIGITS = (1, 1.2, 1.5, 2, 2.5, 3, 4, 5, 6, 8)
+
+#: Round lengths in rising order [m].
+_ROUND_LENGTHS = tuple(float(f"{n}e{k}") for k in range(-9, 6) for n in _ROUND_DIGITS)
+
+#: Points that lie within this share of a voxel outside the grid count as inside: they made it, but for rounding.
+_FACE = 1e-9
+
+#: A side within this of a whole number of voxels is that number, but for rounding.
+_WHOLE = 1e-6
+
+#: Points nearer to each other than this are one point, whose voxel is as large as `_SPOT_VOXEL` [m].
+_SPOT = 1e-9
+_SPOT_VOXEL = 1e-3
+
+
+#: What messages call positions of points.
+_POSITIONS = "positions of shape (N, 3), [m]"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Region(Value):
+    """Part of space that a robot is measured in: voxels of a grid in the base frame."""
+
+    #: Shape (3,), the grid's least corner [m].
+    origin: Array
+    #: Edge of a voxel [m].
+    voxel: float
+    #: Shape (nx, ny, nz), whether a voxel belongs to the region.
+    cells: Mask
+    #: Share of the samples that the region was made for, 0 to 1.
+    share: float
+    #: Share of the samples that the voxels hold: not less than ``share``.
+    held: float
+
+    def __post_init__(self) -> None:
+        """Check the values, and keep read-only copies of the arrays."""
+        object.__setattr__(self, "origin", vector(self.origin, "origin"))
+        for name in ("voxel", "share", "held"):
+            check_number(name, getattr(self, name))
+        cells = np.array(self.cells)
+        if cells.dtype != np.bool_ or cells.ndim != 3:
+            raise wrong_type(
+                "cells", self.cells, "True or False for each voxel, shape (nx, ny, nz)"
+            )
+        cells.setflags(write=False)
+        object.__setattr__(self, "cells", cells)
+
+    def __repr__(self) -> str:
+        """Return one line: volume, voxels, share of the samples."""
+        volume = f"{1e3 * self.volume:.4g} litres"
+        voxels = f"{np.count_nonzero(self.cells)} voxels of {1e3 * self.voxel:g} mm"
+        return one_line("Region", volume, voxels, f"{100.0 * self.held:.4g} % of the samples")
+
+    @classmethod
+    def of_points(
+        cls, points: ArrayLike, share: float = 0.95, *, voxel: float | None = None
+    ) -> Region:
+        """Make the smallest region that holds a share of points.
+
+        Args:
+            points: Positions in the robot's base frame, shape (N, 3), [m], such as
+                `calib.verbs.workspace.workspace.workspace_points` samples.
+            share: Share of the points, greater than 0 and at most 1.
+            voxel: Edge of a voxel [m]; None: chosen by the points, see `Density.of`.
+
+        Raises:
+            CalibError: No points, a share outside of that range, or too many voxels.
+        """
+        return Density.of(points, voxel).region(share)
+
+    @property
+    def points(self) -> Array:
+        """Centres of the region's voxels, in the base frame, shape (n, 3), [m]."""
+        return np.asarray(self.origin + self.voxel * (np.argwhere(self.cells) + 0.5))
+
+    @property
+    def volume(self) -> float:
+        """Volume of all voxels of the region [m^3]."""
+        return float(np.count_nonzero(self.cells) * self.voxel**3)
+
+    @property
+    def bounds(self) -> Array:
+        """Least and greatest corner of the box about the region, in the base frame, shape (2, 3), [m]."""
+        index = np.argwhere(self.cells)
+        corners = np.array([index.min(axis=0), index.max(axis=0) + 1])
+        return self.origin + self.voxel * corners
+
+    def contains(self, points: ArrayLike) -> Mask:
+        """Test which points lie in one of the region's voxels.
+
+        Args:
+            points: Positions in the robot's base frame, shape (N, 3) or (3,), [m].
+
+        Returns:
+            True inside, shape (N,).
+
+        Raises:
+            ArgumentError: They are no numbers.
+            ModelError: They have another shape, or are not finite.
+        """
+        positions = np.atleast_2d(numbers("points", points, _POSITIONS))
+        positions = finite_numbers("points", positions, (None, 3), _POSITIONS)
+        index, in_grid = _voxel_of(positions, self.origin, self.voxel, self.cells.shape)
+        inside: Mask = in_grid & self.cells[tuple(index.T)]
+        return inside
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Density(Value):
+    """Counts of samples in the voxels of a grid in the base frame."""
+
+    #: Shape (3,), the grid's least corner [m].
+    origin: Array
+    #: Edge of a voxel [m].
+    voxel: float
+    #: Shape (nx, ny, nz), samples in each voxel.
+    counts: NDArray[np.int64]
+    #: Shape (nx, ny, nz), the counts smoothed over neighbours, 0 where there is no sample.
+    smooth: Array
+    #: Shape (nx, ny, nz), the smallest share of the samples, 0 to 1, whose region has a voxel; infinite without a
+    #: sample.
+    needed: Array
+
+    @classmethod
+    def of(cls, points: ArrayLike, voxel: float | None = None) -> Density:
+        """Count samples of a workspace in the voxels of a grid.
+
+        Args:
+            points: Positions of a target in the robot's base frame, shape (N, 3), [m].
+            voxel: Edge of a voxel [m]; None: the smallest round length for which a smoothed count rests on 300 samples
+                in the mean.
+
+        Returns:
+            The counts, as they are and smoothed, on a grid that lies evenly about the points.
+
+        Raises:
+            CalibError: The grid would have more than `MOST_VOXELS` voxels.
+        """
+        samples = finite_numbers("points", points, (None, 3), _POSITIONS)
+        if not len(samples):
+            raise ModelError(f"There are no points; 'points' must be {_POSITIONS}.")
+        if voxel is not None:
+            check_number("voxel", voxel)
+        edge = _chosen_voxel(samples) if voxel is None else float(voxel)
+        origin, counts = _count(samples, edge)
+        smooth, _ = _smooth(counts)
+        densest_first = np.argsort(-smooth.ravel(), kind="stable")
+        reached = densest_first[: np.count_nonzero(counts)]
+        needed = np.full(counts.size, np.inf)
+        needed[reached] = np.cumsum(counts.ravel()[reached]) / len(samples)
+        return cls(origin, edge, counts, smooth, needed.reshape(counts.shape))
+
+    @property
+    def samples(self) -> int:
+        """Number of samples in all voxels together."""
+        return int(self.counts.sum())
+
+    @property
+    def extent(self) -> Array:
+        """Least and greatest corner of the box about all voxels that hold samples.
+
+        In the base frame, shape (2, 3), [m].
+        """
+        return Region(self.origin, self.voxel, self.counts > 0, 1.0, 1.0).bounds
+
+    def region(self, share: float = 0.95) -> Region:
+        """Collect voxels in falling order of the smoothed density until they hold a share of the samples.
+
+        The order is that of smoothed counts, the share that of the counts themselves; so other voxels may hold the same
+        share and be a few fewer.
+
+        Args:
+            share: Share of the samples, greater than 0 and at most 1.
+
+        Returns:
+            The voxels, on the same grid in the robot's base frame; ``held`` is the share of the samples in them, not
+            less than ``share``.
+
+        Raises:
+            CalibError: The share is outside of that range.
+        """
+        check_type("share", share, (int, float, np.number), "a number greater than 0 and at most 1")
+        if not 0.0 < share <= 1.0:
+            raise CalibError(
+                f"The share is {share:g}; it must be greater than 0 and at most 1, such as 0.95."
+            )
+        # Sums of counts are exact, so that 0.95 of 100 samples is 95 of them.
+        enough = self.needed[self.needed >= share * (1.0 - 1e-12)]
+        held = float(enough.min())
+        return Region(self.origin, self.voxel, self.needed <= held, float(share), held)
+
+    def share_of(self, points: ArrayLike) -> Array:
+        """Return for each point the smallest share of the samples, 0 to 1, whose region holds it.
+
+        Args:
+            points: Positions in the robot's base frame, shape (N, 3), [m].
+
+        Returns:
+            Shape (N,): near 0 where the target is most often, 1 at the rim of the workspace, infinite where no sample
+            came.
+        """
+        index, in_grid = _voxel_of(np.asarray(points), self.origin, self.voxel, self.counts.shape)
+        return np.where(in_grid, self.needed[tuple(index.T)], np.inf)
+
+
+def _voxel_of(
+    points: Array,
+    origin: Array,
+    voxel: float,
+    shape: tuple[int, ...],
+) -> tuple[NDArray[np.intp], Mask]:
+    """Find the voxel of each point in a grid.
+
+    Args:
+        points: Positions in the robot's base frame, shape (N, 3), [m].
+        origin: The grid's corner with the least x, y, z, in the same frame, shape (3,), [m].
+        voxel: Edge of a voxel [m].
+        shape: Number of voxels along x, y and z.
+
+    Returns:
+        Indices of the voxels along x, y and z, from 0, shape (N, 3), of a point outside the grid those of the nearest
+        one; and whether a point lies in the grid or on its faces, shape (N,).
+    """
+    place = (points - origin) / voxel
+    last = np.array(shape)
+    # Rounding must not put a point that made the grid outside of it.
+    in_grid: Mask = np.all((place >= -_FACE) & (place <= last + _FACE), axis=1)
+    index = np.floor(np.clip(place, 0.0, last - 0.5)).astype(np.intp)
+    return index, in_grid
+
+
+def _count(points: Array, voxel: float) -> tuple[Array, NDArray[np.int64]]:
+    """Count points in the voxels of a grid that lies evenly about them.
+
+    Args:
+        points: Positions in the robot's base frame, shape (N, 3), [m].
+        voxel: Edge of a voxel [m].
+
+    Returns:
+        The grid's corner with the least x, y, z in the base frame, shape (3,), [m]; and the number of points in each
+        voxel, shape (nx, ny, nz).
+
+    Raises:
+        CalibError: The grid would have more than `MOST_VOXELS` voxels.
+    """
+    low = points.min(axis=0)
+    high = points.max(axis=0)
+    sides = np.full(3, np.inf)
+    if voxel > 0.0:
+        # A length that is a multiple of the voxel's, but for rounding, gets no voxel more.
+        sides = np.ceil((high - low) / voxel - _WHOLE).clip(1.0)
+    if np.prod(sides) > MOST_VOXELS:
+        raise CalibError(
+            f"Voxels of {1e3 * voxel:g} mm make a grid of {np.prod(sides):.3g}; at most "
+            f"{MOST_VOXELS:,} are made. Give larger ones."
+        )
+    origin = 0.5 * (low + high) - 0.5 * voxel * sides
+    shape = tuple(int(n) for n in sides)
+    index, _ = _voxel_of(points, origin, voxel, shape)
+    flat = np.ravel_multi_index(tuple(index.T), shape)
+    counts = np.bincount(flat, minlength=int(np.prod(shape)))
+    return origin, counts.reshape(shape)
+
+
+def _smooth(counts: NDArray[np.int64]) -> tuple[Array, Array]:
+    """Average the count of each voxel that holds samples with those of its neighbours that do.
+
+    The weights are (1, 2, 1) / 4 along each axis.
+
+    Args:
+        counts: Number of samples in each voxel of a grid, shape (nx, ny, nz).
+
+    Returns:
+        The weighted means, shape (nx, ny, nz), 0 where there is no sample; and the number of voxels that each mean
+        stands for, by its variance: (sum w)^2 / sum w^2, of the same shape, 0 likewise.
+    """
+    reached = (counts > 0).astype(np.float64)
+    weight = _spread(reached, _WEIGHTS)
+    total = _spread(counts.astype(np.float64), _WEIGHTS)
+    mean = reached * total / np.maximum(weight, np.finfo(float).tiny)
+    squares = _spread(reached, _WEIGHTS**2)
+    return mean, reached * weight**2 / np.maximum(squares, 1e-300)
+
+
+def _spread(values: Array, weights: Array) -> Array:
+    """Convolve values of a grid with weights along each of its axes; outside the grid values are 0.
+
+    Args:
+        values: Shape (nx, ny, nz).
+        weights: Weights of a voxel and its two neighbours along an axis, shape (3,), symmetric.
+
+    Returns:
+        Shape (nx, ny, nz).
+    """
+    spread = values
+    for axis in range(3):
+        spread = ndimage.convolve1d(spread, weights, axis=axis, mode="constant")
+    return spread
+
+
+def _chosen_voxel(points: Array) -> float:
+    """Choose the edge of a voxel, the smallest round length for which smoothed counts rest on 300 samples in the mean.
+
+    Args:
+        points: Positions in the robot's base frame, shape (N, 3), [m].
+
+    Returns:
+        The edge [m]; there are no more than 128 voxels along an axis. Where no length is enough, the first round one
+        that is as long as the points' extent; 1 mm for points that are all the same.
+    """
+    longest = float(np.ptp(points, axis=0).max())
+    if longest < _SPOT:
+        return _SPOT_VOXEL
+    finest = longest / _FINEST * (1.0 - 1e-9)
+    for voxel in _ROUND_LENGTHS:
+        if not finest <= voxel < longest:
+            continue
+        _, counts = _count(points, voxel)
+        _, voxels_per_mean = _smooth(counts)
+        reached = np.count_nonzero(counts)
+        # The mean over the voxels that hold samples.
+        samples_per_mean = float(voxels_per_mean.sum()) / reached * len(points) / reached
+        if samples_per_mean >= SAMPLES_PER_VOXEL:
+            return voxel
+    return next(length for length in _ROUND_LENGTHS if length >= longest)

@@ -1,0 +1,120 @@
+"""A region of the workspace in words, as ``calib workspace`` prints it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from calib.robot.ranges import range_text
+from calib.show.lines import fill, row_ranges
+from calib.show.tables import Column, labelled, name_column, table_lines
+
+if TYPE_CHECKING:
+    from calib.basics.arrays import Array
+    from calib.robot.robot import Robot
+    from calib.verbs.workspace.region_rows import Checked, RegionView
+from calib.show.lines import paragraphs
+
+#: Columns from a label of the region to its text.
+_REGION_LABEL = 12
+
+
+def workspace_text(view: RegionView, origin: str, seed: int, *, every_row: bool) -> str:
+    """Write a region of the workspace.
+
+    Args:
+        view: The region, and the rows that were checked against it.
+        origin: What the joint ranges are taken from; empty for the limits.
+        seed: Seed of the sampled joint values.
+        every_row: Whether each checked row has a line.
+
+    Returns:
+        Joint ranges, region, and checked rows, in lines of 100 columns.
+    """
+    rows: Iterable[str] = ()
+    if view.checked is not None:
+        rows = _row_lines(view, view.checked, every_row=every_row)
+    return paragraphs(_joints(view, origin), _region(view, seed), rows)
+
+
+def _joints(view: RegionView, origin: str) -> Iterator[str]:
+    """Write the robot, its target and the ranges of its joints."""
+    robot: Robot = view.robot
+    target = " ".join(f"{1e3 * value:.6g}" for value in view.target)
+    yield (
+        f"Robot '{robot.name}', base '{robot.base}', tip '{robot.tip}', target at {target} mm in the tip."
+    )
+    columns = [name_column("  joint", 33), Column("range", left=True)]
+    ranges = zip(robot.joint_names, view.ranges, strict=True)
+    rows = [(f"  {name}", range_text(robot, name, ends)) for name, ends in ranges]
+    yield from table_lines(columns, rows)
+    if origin:
+        yield fill(f"Ranges of {origin}.", "  ")
+
+
+def _region(view: RegionView, seed: int) -> Iterator[str]:
+    """Write extent, volume and voxels of the region."""
+    density, region = view.density, view.region
+    voxels, reached = np.count_nonzero(region.cells), np.count_nonzero(density.counts)
+    yield (
+        f"The smallest region that holds {100 * region.held:.4g} % of the target's positions, in the frame of "
+        f"'{view.robot.base}':"
+    )
+    volume = f"{1e3 * region.volume:,.4g} litres, {voxels:,} of {reached:,} reached voxels"
+    for label, text in (
+        ("samples", f"{density.samples:,} (seed {seed})"),
+        ("workspace", _extent(density.extent)),
+        ("region", _extent(region.bounds)),
+        ("volume", volume),
+        ("voxel", f"{1e3 * density.voxel:g} mm"),
+    ):
+        yield labelled(label, text, _REGION_LABEL, "  ")
+
+
+def _extent(ends: Array) -> str:
+    """Format a box in mm; its lower and upper corner [m] are the rows of ``ends``, shape (2, 3)."""
+    lower, upper = np.round(1e3 * ends) + 0.0
+    axes = [f"{axis} {lower[k]:.0f} to {upper[k]:.0f}" for k, axis in enumerate("xyz")]
+    return ", ".join(axes) + " mm"
+
+
+def _row_lines(view: RegionView, checked: Checked, *, every_row: bool) -> Iterator[str]:
+    """Count the rows inside of the region, by set; with a table of all of them if ``every_row``."""
+    rows, points, measured = checked
+    inside = view.region.contains(points)
+    yield f"Targets of {rows.source}, {sum(measured)} measured, {sum(~measured)} predicted:"
+    if every_row:
+        yield from _row_table(view, checked)
+    for name, chosen in (("estimation", rows.estimation), ("validation", rows.validation)):
+        if not chosen.any():
+            continue
+        text = f"{np.count_nonzero(chosen & inside)} of {np.count_nonzero(chosen)} {name} rows lie in the region"
+        outside = row_ranges(rows.rows[i] for i in np.flatnonzero(chosen & ~inside))
+        if outside:
+            text += f"; outside: {outside}"
+        yield fill(f"{text}.", "  ")
+
+
+def _row_table(view: RegionView, checked: Checked) -> list[str]:
+    """Write a line for each checked row: its target's position, and the share of densest voxels that reaches it."""
+    rows, points, _ = checked
+    columns = [
+        Column("row", 8),
+        Column("set", 10, left=True, gap=2),
+        Column("x", 9, gap=0),
+        Column("y", 8),
+        Column("z [mm]", 8),
+        Column("region", 9, left=True, gap=3),
+        Column("within densest", 14, gap=0),
+    ]
+    shares = view.density.share_of(points)
+    inside = view.region.contains(points)
+    cells = []
+    for i, word in enumerate(rows.sets):
+        share = f"{100 * shares[i]:.1f} %" if np.isfinite(shares[i]) else "not reached"
+        place = [f"{1e3 * value:.1f}" for value in points[i]]
+        region = "inside" if inside[i] else "OUTSIDE"
+        cells.append([str(rows.rows[i]), word, *place, region, share])
+    return table_lines(columns, cells)

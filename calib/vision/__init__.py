@@ -1,1 +1,0 @@
-"""Pictures of printed boards: drawn, recognised, searched for corners. These modules need OpenCV."""

@@ -1,0 +1,42 @@
+from __future__ import annotations
+
+from concurrent.futures import BrokenExecutor, Future, ThreadPoolExecutor
+
+import pytest
+
+from calib.basics.jobs import batch_size, run
+from calib.errors import CalibError
+
+
+def product(shared: int, item: int) -> int:
+    return shared * item
+
+
+def test_without_an_executor_they_run_in_order():
+    assert list(run(product, 3, iter([1, 2, 4]))) == [(0, 3), (1, 6), (2, 12)]
+
+
+@pytest.mark.parametrize("batch", [1, 3, 100])
+def test_an_executor_gives_every_result_with_its_number(batch):
+    with ThreadPoolExecutor(2) as executor:
+        results = dict(run(product, 2, range(10), executor, batch=batch))
+    assert results == {k: 2 * k for k in range(10)}
+
+
+class Killed(ThreadPoolExecutor):
+    """An executor whose workers are killed."""
+
+    def submit(self, *_args, **_kwargs):
+        future: Future = Future()
+        future.set_exception(BrokenExecutor("terminated abruptly"))
+        return future
+
+
+def test_a_killed_worker_is_an_error_that_says_what_to_try():
+    with pytest.raises(CalibError, match=r"terminated abruptly.*fewer --workers"):
+        list(run(product, 2, range(3), Killed()))
+
+
+@pytest.mark.parametrize(("count", "largest", "size"), [(3, 50, 1), (240, 50, 10), (9999, 50, 50)])
+def test_batches_are_many_enough_for_all_workers(count, largest, size):
+    assert batch_size(count, largest) == size

@@ -1,0 +1,59 @@
+import pytest
+from hypothesis import given, strategies as st
+
+from calib.basics.units import (
+    UNITS,
+    Angle,
+    Length,
+    find_unit,
+    split_header,
+    unit_fault,
+)
+from calib.errors import CalibError
+
+
+@pytest.mark.parametrize("symbol", ["Nm", "N m", "N.m", "N*m", "N\u00b7m", "N\u22c5m"])
+def test_a_torque_is_written_in_many_ways(symbol):
+    assert find_unit(symbol) is UNITS["Nm"]
+
+
+@pytest.mark.parametrize("symbol", ["", "MM", "degree", "m m", "furlong"])
+def test_unknown_unit_names_the_allowed_ones(symbol):
+    with pytest.raises(CalibError) as caught:
+        find_unit(symbol)
+    text = str(caught.value)
+    assert f"'{symbol}' is not a unit" in text
+    assert all(f"'{allowed}'" in text for allowed in UNITS)
+
+
+@pytest.mark.parametrize(
+    ("header", "name", "symbol"),
+    [
+        ("x [mm]", "x", "mm"),
+        ("  x[mm]  ", "x", "mm"),
+        ("arm[0] [deg]", "arm[0]", "deg"),
+        ("wrist 1 joint [ rad ]", "wrist 1 joint", "rad"),
+        ("set", "set", None),
+        ("x [mm", "x [mm", None),
+        ("x (mm)", "x (mm)", None),
+        ("force [N]", "force", "N"),
+        ("x []", "x", ""),
+        ("", "", None),
+    ],
+)
+def test_split_header(header, name, symbol):
+    assert split_header(header) == (name, symbol)
+
+
+@given(st.text(alphabet="abcJ_0 .:/-", min_size=1).map(str.strip), st.sampled_from(list(UNITS)))
+def test_a_header_that_was_put_together_comes_apart(name, symbol):
+    assert split_header(f"{name} [{symbol}]") == (name, symbol)
+
+
+def test_a_unit_is_held_against_the_joint():
+    assert unit_fault(Length(0.3), slides=True) is None
+    assert unit_fault(Angle(0.3), slides=False) is None
+    assert unit_fault(Angle(0.3), slides=True).startswith("is an angle, and the joint slides")
+    assert unit_fault(Length(0.3), slides=False).startswith("is a length, and the joint turns")
+    # Of a plain number nothing is known.
+    assert unit_fault(0.3, slides=True) is unit_fault(0.3, slides=False) is None

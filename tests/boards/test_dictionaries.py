@@ -1,0 +1,30 @@
+"""Dictionaries of markers: those of OpenCV, and what is too large for them."""
+
+from __future__ import annotations
+
+import cv2
+import pytest
+
+from calib.boards.dictionaries import DICTIONARIES, check_markers
+from calib.errors import CalibError
+
+
+def test_the_dictionaries_are_those_of_opencv():
+    names = {name for name in dir(cv2.aruco) if name.startswith("DICT_")}
+    # Two spellings of each AprilTag family.
+    assert {name.casefold() for name in names} == {name.casefold() for name in DICTIONARIES}
+    for name, row in DICTIONARIES.items():
+        dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
+        assert (row.bits, row.markers) == (dictionary.markerSize, len(dictionary.bytesList)), name
+
+
+def test_a_dictionary_that_is_too_small_names_larger_ones():
+    check_markers("DICT_4X4_50", 0, 50, "A board")
+    with pytest.raises(CalibError, match=r"Large enough are 'DICT_4X4_100', 'DICT_4X4_250'"):
+        check_markers("DICT_4X4_50", 1, 50, "A board")
+    with pytest.raises(CalibError, match="Large enough are 'DICT_APRILTAG_36h10'"):
+        check_markers("DICT_APRILTAG_36h11", 0, 2000, "A board")
+    with pytest.raises(CalibError, match=r"did you mean 'DICT_5X5_100'"):
+        check_markers("DICT_5X5_10O", 0, 5, "A board")
+    with pytest.raises(CalibError):
+        check_markers("DICT_4X4_50", -1, 5, "A board")

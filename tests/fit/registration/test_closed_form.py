@@ -1,0 +1,100 @@
+"""Closed forms against the truth of a scene without noise, on the true poses of the tip."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from calib.data.cell import Cell
+from calib.fit.registration.closed_form import (
+    linear_setup,
+    nearest_rotation,
+    orientation_setup,
+    with_frames_fitted,
+    with_measured_target_rotations,
+)
+from calib.fit.registration.table_rows import rows_and_setup
+
+
+def measured(scene, table, cell):
+    """True poses of the tip, the setup as given, and the rows."""
+    rows, setup = rows_and_setup(scene.robot, table, cell)
+    return scene.tip(rows.joints), setup, rows
+
+
+def test_a_target_and_a_translation_are_the_least_squares_solution(make_scene):
+    scene = make_scene(0)
+    cell = Cell(estimate_frame=True, frame_directions=("x", "y", "z"))
+    T_base_tip, setup, rows = measured(scene, scene.points(12), cell)
+    T_frame_base = scene.kinematics.T_frame_base.copy()
+    T_frame_base[0, :3, 3] += (0.3, -0.2, 0.1)
+    found = linear_setup(setup.placed(T_frame_base, setup.T_tip_target), T_base_tip, rows)
+    assert found is not None
+    np.testing.assert_allclose(found.T_frame_base, scene.kinematics.T_frame_base, atol=1e-10)
+    target = scene.kinematics.T_tip_target[0, :3, 3]
+    np.testing.assert_allclose(found.T_tip_target[0, :3, 3], target, atol=1e-10)
+
+
+@pytest.mark.parametrize("kind", ["rotation", "distance"])
+def test_rotations_and_other_kinds_are_not_linear(make_scene, kind):
+    scene = make_scene(1)
+    if kind == "rotation":
+        table, cell = scene.points(12), Cell(estimate_frame=True)
+    else:
+        table, cell = scene.distances(12), Cell()
+    T_base_tip, setup, rows = measured(scene, table, cell)
+    assert linear_setup(setup, T_base_tip, rows) is None
+
+
+def test_orientations_determine_frame_and_target(make_scene):
+    scene = make_scene(2)
+    T_base_tip, setup, rows = measured(scene, scene.poses(8), Cell(estimate_frame=True))
+    found = orientation_setup(setup, T_base_tip, rows)
+    assert found is not None
+    np.testing.assert_allclose(found.T_frame_base, scene.kinematics.T_frame_base, atol=1e-8)
+    np.testing.assert_allclose(found.T_tip_target, scene.kinematics.T_tip_target, atol=1e-8)
+    assert found.unknown == setup.unknown
+    points = measured(scene, scene.points(8), Cell(estimate_frame=True))
+    assert orientation_setup(points[1], points[0], points[2]) is None
+
+
+@pytest.mark.parametrize(("frame", "target"), [(True, False), (False, True), (True, True)])
+def test_orientations_of_a_known_frame_or_target_need_no_start(make_scene, frame, target):
+    scene = make_scene(2)
+    T_base_tip, setup, rows = measured(scene, scene.poses(8), Cell(estimate_frame=True))
+    fixed = setup.with_fixed(np.array([frame]), np.array([target]))
+    assert orientation_setup(fixed, T_base_tip, rows) is None
+
+
+def test_a_frame_is_fitted_to_points_of_known_targets(make_scene):
+    scene = make_scene(3)
+    T_base_tip, setup, rows = measured(scene, scene.points(3), Cell(estimate_frame=True))
+    start = setup.placed(setup.T_frame_base, scene.kinematics.T_tip_target)
+    found = with_frames_fitted(start, T_base_tip, rows)
+    np.testing.assert_allclose(found.T_frame_base, scene.kinematics.T_frame_base, atol=1e-9)
+    # Of a frame that is estimated along one axis only that coordinate changes.
+    one_axis = replace(start, unknown=(("y",),))
+    moved = with_frames_fitted(one_axis, T_base_tip, rows)
+    change = moved.T_frame_base[0] - start.T_frame_base[0]
+    assert change[1, 3] != 0.0
+    change[1, 3] = 0.0
+    assert not np.any(change)
+
+
+def test_targets_turn_as_they_were_measured(make_scene):
+    scene = make_scene(4)
+    T_base_tip, setup, rows = measured(scene, scene.poses(5), Cell())
+    start = setup.placed(scene.kinematics.T_frame_base, setup.T_tip_target)
+    found = with_measured_target_rotations(start, T_base_tip, rows)
+    true = scene.kinematics.T_tip_target[0, :3, :3]
+    np.testing.assert_allclose(found.T_tip_target[0, :3, :3], true, atol=1e-9)
+    np.testing.assert_array_equal(found.T_tip_target[0, :3, 3], setup.T_tip_target[0, :3, 3])
+
+
+def test_the_nearest_rotation_is_right_handed():
+    R = Rotation.from_rotvec([0.3, -0.2, 0.9]).as_matrix()
+    np.testing.assert_allclose(nearest_rotation(2.5 * R), R, atol=1e-12)
+    assert np.linalg.det(nearest_rotation(np.diag([1.0, 1.0, -0.1]))) == pytest.approx(1.0)

@@ -1,0 +1,104 @@
+"""Rows of a table of every kind: measured values, pairs, noise."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from calib.basics.channels import RESIDUAL_UNITS
+from calib.data.cell import Cell
+from calib.data.measurements import Measurements
+from calib.fit.registration.rows import NONE
+from calib.fit.registration.table_rows import rows_and_setup
+from tests.fit.registration.tables import as_kind
+
+
+def test_every_kind_has_its_number_and_nothing_is_nan(four_frames, join, ur3):
+    table = join(
+        four_frames.points(2),
+        four_frames.poses(2, 1, 1),
+        four_frames.distances(2, 2),
+        four_frames.pairs(1, 0, 1),
+        as_kind(four_frames.points(1, 3), "fixed"),
+        as_kind(four_frames.points(1, 1), "plane"),
+    )
+    rows, setup = rows_and_setup(ur3, table, Cell())
+    names = [kind.name for kind in rows.kinds]
+    assert names == ["point", "pose", "distance", "pair", "fixed", "plane"]
+    np.testing.assert_array_equal(rows.kind, [0, 0, 1, 1, 2, 2, 3, NONE, 4, 5])
+    for values in (rows.measured, rows.scales):
+        assert np.all(np.isfinite(values))
+    np.testing.assert_array_equal(rows.measured[:4, :3], table.points[:4])
+    np.testing.assert_array_equal(rows.measured[2:4, 3:], table.rotations[2:4].reshape(2, 9))
+    np.testing.assert_array_equal(rows.measured[4:7, 0], table.distances[4:7])
+    np.testing.assert_array_equal(rows.measured[7:], 0.0)
+    np.testing.assert_array_equal(rows.samples.frame, [0, 0, 1, 1, 2, 2, 0, 0, 3, 1])
+    np.testing.assert_array_equal(rows.samples.target, [0, 0, 1, 1, 0, 0, 1, 1, 0, 0])
+    assert setup.rotation
+
+
+def test_the_first_row_of_a_pair_carries_the_distance(four_frames, ur3):
+    table = four_frames.pairs(3)
+    order = np.array([0, 2, 5, 4, 1, 3])
+    mixed = Measurements(
+        table.joint_names,
+        table.joints[order],
+        table.points[order],
+        kinds=("pair",) * 6,
+        pairs=tuple(table.pairs[k] for k in order),
+        distances=table.distances[order],
+    )
+    rows, _ = rows_and_setup(ur3, mixed, Cell())
+    assert [kind.name for kind in rows.kinds] == ["pair"]
+    np.testing.assert_array_equal(rows.kind, [0, 0, 0, NONE, NONE, NONE])
+    np.testing.assert_array_equal(rows.partner, [4, 5, 3, -1, -1, -1])
+    np.testing.assert_array_equal(rows.measured[:3, 0], table.distances[[0, 2, 4]])
+    # Both rows of a pair are left out together.
+    np.testing.assert_array_equal(rows.blocks, [0, 1, 2, 2, 0, 1])
+
+
+def test_noise_is_the_rows_the_cells_or_a_first_guess(four_frames, ur3):
+    table = four_frames.poses(3)
+    rows, _ = rows_and_setup(ur3, table, Cell())
+    for symbol, unit in RESIDUAL_UNITS.items():
+        assert set(rows.sigma[symbol]) == {unit.assumed_sigma}
+    told = replace(table, sigma={"m": np.array([4e-5, 5e-5, 6e-5])})
+    rows, _ = rows_and_setup(ur3, told, Cell(sigma={"m": 2e-4, "rad": 3e-3}))
+    np.testing.assert_array_equal(rows.sigma["m"], [4e-5, 5e-5, 6e-5])
+    np.testing.assert_array_equal(rows.sigma["rad"], [3e-3] * 3)
+
+
+def test_repeats_are_of_one_pose_target_frame_and_kind(ur3):
+    """Of six rows at one pose the first three are repeats; another kind, target or frame makes another number."""
+    q = np.zeros((7, 6))
+    q[6] = 0.5
+    table = Measurements(
+        ur3.joint_names,
+        q,
+        np.zeros((7, 3)),
+        kinds=("point",) * 3 + ("fixed",) + ("point",) * 3,
+        targets=("a", "a", "a", "a", "b", "a", "a"),
+        groups=("s",) * 5 + ("t", "s"),
+    )
+    rows, _ = rows_and_setup(ur3, table, Cell())
+    assert rows.poses[0] == rows.poses[1] == rows.poses[2]
+    assert len(set(rows.poses[2:])) == 5
+    np.testing.assert_array_equal(rows.blocks, [0] * 6 + [1])
+
+
+def test_repeats_of_a_pair_repeat_both_its_rows(ur3):
+    """Poses 0 to 1, again 0 to 1, and 0 to 2."""
+    q = np.array([0.0, 0.5, 0.0, 0.5, 0.0, 1.0])[:, None] * np.ones(6)
+    table = Measurements(
+        ur3.joint_names,
+        q,
+        np.full((6, 3), np.nan),
+        kinds=("pair",) * 6,
+        pairs=("a", "a", "b", "b", "c", "c"),
+        distances=np.full(6, 0.2),
+    )
+    rows, _ = rows_and_setup(ur3, table, Cell())
+    first_rows = rows.poses[::2]
+    assert first_rows[0] == first_rows[1] != first_rows[2]
+    np.testing.assert_array_equal(rows.blocks, [0] * 6)

@@ -1,0 +1,126 @@
+"""Folds: each row is in one, and rows that tell of each other are in the same."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calib.data.cell import Cell, GroupDistance
+from calib.errors import MeasurementError
+from calib.fit.selection.folds import Folds
+from tests.fit.selection.models import task_of, task_of_case
+
+#: Number of the kind "pose" in the registry.
+POSE = 1
+
+
+@pytest.mark.parametrize("rows", [1, 2, 30, 60, 61, 1000])
+def test_each_row_is_held_out_once(rows):
+    folds = Folds.of(np.arange(rows))
+    assert folds.method == ("leave-one-out" if rows <= 60 else "10-fold")
+    assert len(folds.masks) == (rows if rows <= 60 else 10)
+    np.testing.assert_array_equal(np.sum(folds.masks, axis=0), np.ones(rows))
+
+
+def test_repeats_are_held_out_together():
+    blocks = np.array([4, 4, 7, 9, 7])
+    folds = Folds.of(blocks)
+    assert folds.method == "leave-one-pose-out"
+    assert [np.flatnonzero(mask).tolist() for mask in folds.masks] == [[0, 1], [2, 4], [3]]
+
+
+def test_of_pairs_one_row_measures():
+    """Three pairs without repeats, of two rows each."""
+    blocks = np.array([0, 0, 1, 1, 2, 2])
+    assert Folds.of(blocks, measured_rows=3).method == "leave-one-out"
+    assert Folds.of(blocks, measured_rows=6).method == "leave-one-pose-out"
+
+
+@pytest.mark.parametrize("names", [[0, 1], [3, 5, 9], range(4), range(150)])
+def test_from_three_stations_on_each_is_held_out_as_a_whole(names):
+    stations = np.repeat(list(names), 4)
+    folds = Folds.of(np.arange(len(stations)), stations)
+    if len(names) < 3:
+        assert folds.method == "leave-one-out"
+        return
+    np.testing.assert_array_equal(np.sum(folds.masks, axis=0), np.ones(len(stations)))
+    for mask in folds.masks:
+        assert set(stations[mask]).isdisjoint(stations[~mask])
+    assert len(folds.masks) == min(len(names), 50)
+    assert folds.method == ("leave-one-station-out" if len(names) < 60 else "leave-stations-out")
+
+
+def test_every_row_is_held_out_once(case):
+    task, rows = task_of_case(case)
+    folds = Folds.of_task(task, rows)
+    np.testing.assert_array_equal(np.sum(folds.masks, axis=0), np.ones(len(rows)))
+
+
+def test_stations_are_held_out_whole_from_three_on(calibrated):
+    task, rows = task_of_case(calibrated("set-ups"))
+    folds = Folds.of_task(task, rows)
+    assert folds.method == "leave-one-station-out"
+    assert len(folds.masks) == 3
+    for mask in folds.masks:
+        assert len(set(rows.samples.frame[mask])) == 1
+    two = rows.select(rows.samples.frame < 2)
+    assert Folds.of_task(task, two).method != "leave-one-station-out"
+
+
+def test_sockets_on_one_bar_are_one_station(make_scene, join):
+    frames = [np.eye(4) for _ in range(4)]
+    for k, T in enumerate(frames):
+        T[:3, 3] = [-0.3, 0.1 * k, -0.3]
+    scene = make_scene(81, frames=frames, length=3e-4, angle=3e-3, noise=2e-5)
+    table = join(*(scene.fixed(10, f) for f in range(4)))
+    bars = (GroupDistance("0", "1", 0.1, 1e-5), GroupDistance("2", "3", 0.1, 1e-5))
+    task, rows = task_of(scene, table, Cell(distances=bars[:1]))
+    folds = Folds.of_task(task, rows)
+    together = [sorted(set(rows.samples.frame[m].tolist())) for m in folds.masks]
+    assert together == [[0, 1], [2], [3]]
+    both, rows = task_of(scene, table, Cell(distances=bars))
+    assert Folds.of_task(both, rows).method == "leave-one-out"
+
+
+def test_a_station_that_alone_measures_orientations_is_not_held_out_whole(calibrated):
+    """The others do not determine how the target is turned."""
+    case = calibrated("mixed")
+    task, rows = task_of_case(case)
+    assert len(set(rows.samples.frame[rows.where(lambda kind: kind.name == "pose")])) == 1
+    assert Folds.of_task(task, rows).method == "10-fold"
+    assert case[1].cross_validation.errors["rad"].rms < 1e-3
+
+
+def test_a_station_that_alone_has_a_known_frame_is_not_held_out_whole(calibrated):
+    """The others do not determine where the base stands."""
+    task, rows = task_of_case(calibrated("set-ups"))
+    setup = task.setup.with_fixed(np.array([True, False, False]), np.zeros(1, dtype=bool))
+    assert Folds.of_task(replace(task, setup=setup), rows).method == "10-fold"
+
+
+def test_rows_of_one_pose_are_refused(make_scene):
+    scene = make_scene(94, frames=[np.eye(4)])
+    task, rows = task_of(scene, scene.points(10), Cell())
+    with pytest.raises(MeasurementError, match="rows of one pose"):
+        Folds.of_task(task, rows.select(np.arange(10) == 3))
+
+
+def test_residuals_of_folds_are_joined(make_scene):
+    scene = make_scene(94, frames=[np.eye(4)])
+    _, rows = task_of(scene, scene.points(4), Cell())
+    folds = Folds("2-fold", (np.array([True, False, True, False]), np.array([0, 1, 0, 1]) > 0))
+    residuals = [np.full((2, 3), 1e-3), np.array([[0.0, 3e-3, 4e-3], [0.0, 0.0, 0.0]])]
+    outliers = np.array([False, True, False, False])
+    joined = folds.joined(rows, residuals, outliers)
+    expected = np.array([[1e-3] * 3, [0.0, 3e-3, 4e-3], [1e-3] * 3, [0.0] * 3])
+    np.testing.assert_array_equal(joined.residual, expected)
+    assert (joined.method, joined.folds) == ("2-fold", 2)
+    np.testing.assert_array_equal(joined.poses, np.arange(4))
+    assert (joined.errors["m"].n, joined.errors_without_outliers["m"].n) == (4, 3)
+    assert joined.errors["m"].max == pytest.approx(5e-3)
+    assert joined.errors_without_outliers["m"].max == pytest.approx(np.sqrt(3.0) * 1e-3)
+    # Nothing predicts the rows of a sole posture.
+    sole = replace(rows, sole=np.array([True, False, False, False]))
+    assert folds.joined(sole, residuals, outliers).errors["m"].n == 3

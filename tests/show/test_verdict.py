@@ -1,0 +1,76 @@
+"""Every code of the verdict has a sentence, with every number that it names."""
+
+from __future__ import annotations
+
+from string import Formatter
+
+import pytest
+
+from calib.diagnosis.reasons import CARE, NO, USE, Reason, Verdict, Why
+from calib.show.verdict import SENTENCES, against, reason_text, refusal
+
+
+@pytest.mark.parametrize("why", Why)
+def test_every_code_has_a_sentence(why):
+    made = {"before", "after", "change", "chance_p", "measured", "beyond", "outliers_aside"}
+    made |= {"named", "ranges", "better", "falls_by", "explained", "chance_explains"}
+    names = {one[1].split(":")[0] for one in Formatter().parse(SENTENCES[why]) if one[1]}
+    values = dict.fromkeys(names - made - {"rows_aside"}, 0.5)
+    more = {"before_m": 2e-3, "after_m": 1e-3, "p": 1e-9, "by_rad": 0.3, "poses": 3}
+    text = reason_text(Reason(why, more | values))
+    assert text.endswith((".", "?"))
+    assert "{" not in text.replace("{ ", "")  # as a cell file's table is written
+
+
+def test_orientations_are_told_beside_positions():
+    values = {"before_m": 2e-3, "after_m": 1e-3, "before_rad": 0.1, "after_rad": 0.01}
+    gain = Reason(Why.GAIN, values | {"method": "leave-one-out", "outliers": 2})
+    assert reason_text(gain) == (
+        "On held-out rows (leave-one-out, outliers excluded) the error falls from 2.000 mm and 5.730 deg to 1.000 "
+        "mm and 0.573 deg rms."
+    )
+
+
+def test_only_do_not_use_speaks_against_a_result():
+    reasons = (Reason.of(Why.PARAMETER_FAR, largest=0.2), Reason.of(Why.NO_LENGTH))
+    assert [against(Verdict(use, reasons)) for use in (USE, CARE)] == ["", ""]
+    assert against(None) == ""
+    assert against(Verdict(NO, ())) == "do not use"
+    said = against(Verdict(NO, reasons))
+    assert said == f"do not use (parameter_far): {reason_text(reasons[0])}"
+    assert said in refusal("'c.urdf'", said)
+
+
+def test_errors_in_three_units_are_listed():
+    before = {"before_m": 3e-3, "before_rad": 0.01, "before_px": 1.5}
+    after = {"after_m": 1e-4, "after_rad": 1e-3, "after_px": 0.25}
+    gain = Reason(Why.GAIN, before | after | {"method": "leave-one-out"})
+    assert reason_text(gain).endswith(
+        "falls from 3.000 mm, 0.573 deg and 1.500 px to 0.100 mm, 0.057 deg and 0.250 px rms."
+    )
+
+
+@pytest.mark.parametrize(
+    ("values", "size"), [({"after_px": 150.4}, "150 px"), ({"after_m": 0.264}, "264 mm")]
+)
+def test_what_is_far_off_is_said_in_its_unit(values, size):
+    far = Reason(Why.STILL_FAR_OFF, values | {"method": "leave-one-out"})
+    assert reason_text(far).endswith(f"still {size} rms off.")
+
+
+@pytest.mark.parametrize(
+    ("rows", "words"), [(1, "1 validation row lies"), (2, "2 validation rows lie")]
+)
+def test_one_row_is_no_rows(rows, words):
+    reason = Reason.of(Why.OUTSIDE, rows=rows, row=47, joint="elbow", by_rad=0.1)
+    assert reason_text(reason).startswith(words)
+
+
+@pytest.mark.parametrize(
+    ("share", "percent"),
+    [(0.0, "0"), (5e-5, "less than 0.01"), (4.4e-3, "0.4"), (0.126, "13"), (1.0, "100")],
+)
+def test_a_small_share_is_not_rounded_to_nothing(share, percent):
+    values = {"quantity": "angle", "joint": "elbow", "share": share, "chance": 2e-4, "p": 1e-9}
+    text = reason_text(Reason(Why.JOINT_PATTERN, values))
+    assert f"explains {percent} % of them (by chance 0.02 %; p < 1e-6)." in text

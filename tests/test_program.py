@@ -1,0 +1,195 @@
+"""What holds for all verbs: start-up, wrong calls, pipes, interrupts, and that the document tells the truth."""
+
+from __future__ import annotations
+
+import os
+import pty
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import calib
+from calib.data.measurements import Measurements
+from calib.robot.ranges import random_joint_values
+from calib.robot.robot import Robot
+from tests.places import ROOT
+
+DOC = ROOT / "docs" / "command-line.md"
+HEAVY = ("numpy", "scipy", "pinocchio", "meshcat", "yourdfpy", "rich.progress")
+
+WATCHED = f"""
+import atexit, os, sys
+heavy = {HEAVY!r}
+atexit.register(lambda: os.write(2, " ".join(name for name in heavy if name in sys.modules).encode()))
+from calib.__main__ import main
+sys.argv[0] = "calib"
+main()
+"""
+
+
+def imported(folder: Path, *words: str) -> list[str]:
+    """Which heavy modules a call has imported by its end."""
+    done = subprocess.run(
+        [sys.executable, "-c", WATCHED, *words],
+        cwd=folder, capture_output=True, encoding="utf-8", check=True,
+    )  # fmt: skip
+    return done.stderr.split()
+
+
+@pytest.mark.parametrize("words", [("--help",), ("demo", "--help")])
+def test_the_start_loads_nothing_heavy(tmp_path: Path, words: tuple[str, ...]):
+    """Only the help of a verb that lists what is registered reads the registries."""
+    assert imported(tmp_path, *words) == []
+
+
+def test_a_wrong_call_of_the_program_itself(run, tmp_path: Path):
+    done = run(tmp_path, "fat")
+    assert (done.code, done.out) == (2, "")
+    assert done.err.splitlines()[-1] == "Error: No such command 'fat'. Did you mean 'fit'?"
+
+
+@pytest.mark.slow
+def test_version_and_help(run, tmp_path: Path):
+    assert run(tmp_path, "--version").out == f"calib {calib.__version__}\n"
+    done = run(tmp_path, "--help")
+    assert done.code == 0
+    for verb in ("demo", "calibrate", "evaluate", "inspect"):
+        assert re.search(rf"\n  {verb} +[A-Z]", done.out)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        (),
+        ("fat",),
+        ("fit",),
+        ("fit", "robot.urdf"),
+        ("fit", "robot.urdf", "data.csv", "--nonsense"),
+        ("fit", "robot.urdf", "data.csv", "--priors", "best"),
+        ("fit", "robot.urdf", "data.csv", "--bootstrap", "39"),
+        ("demo", "folder"),
+    ],
+)
+def test_a_wrong_call_exits_2(call, tmp_path: Path, words: tuple[str, ...]):
+    done = call(tmp_path, *words)
+    assert done.code == 2
+    assert "Usage: calib" in done.out + done.err or "Error: " in done.err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_every_example_of_the_document_works(examples):
+    assert len(examples.done) >= 10
+    for call, done in examples.done.items():
+        assert (done.code, done.err) == (0, ""), call
+    made = {path.name for path in examples.folder.iterdir()}
+    assert {
+        "corrected.urdf",
+        "result.json",
+        "report.html",
+        "plan.csv",
+        "results",
+        "rows.csv",
+    } <= made
+
+
+def test_the_printed_text_is_plain_and_fits_100_columns(examples):
+    for call, done in examples.done.items():
+        assert all(line.isprintable() for line in done.lines), call
+        assert all(line == line.rstrip() for line in done.lines), call
+        assert max(map(len, done.lines), default=0) <= 100, call
+
+
+@pytest.mark.slow
+def test_a_reader_that_goes_away_does_not_cost_the_files(program, shop: Path):
+    words = ("fit", "robot.urdf", "data.csv", "--base", "base", "--no-validate")
+    words = (*words, "-o", "c.urdf", "--json", "r.json")
+    assert closed_pipe(program, shop, *words) == (0, "")
+    assert (shop / "c.urdf").is_file()
+    assert (shop / "r.json").is_file()
+
+
+@pytest.mark.slow
+def test_a_program_that_is_started_without_stdout_and_stderr(program, shop: Path):
+    call = ["sh", "-c", 'exec "$@" >&- 2>&-', "sh", *program]
+    words = ("fit", "robot.urdf", "data.csv", "--base", "base", "--no-validate", "-o", "c.urdf")
+    assert subprocess.run([*call, *words], cwd=shop).returncode == 0
+    assert (shop / "c.urdf").read_bytes().startswith((shop / "robot.urdf").read_bytes()[:20])
+
+
+def closed_pipe(program: list[str], folder: Path, *words: str) -> tuple[int, str]:
+    """Run with a stdout whose reader has gone; exit code and stderr."""
+    reader, writer = os.pipe()
+    os.close(reader)
+    done = subprocess.run(
+        [*program, *words],
+        cwd=folder, stdout=writer, stderr=subprocess.PIPE, encoding="utf-8", check=False,
+    )  # fmt: skip
+    os.close(writer)
+    return done.returncode, done.stderr
+
+
+@pytest.fixture
+def long_work(shop: Path) -> list[str]:
+    """A call that computes for much longer than a test may take."""
+    robot = Robot.load(shop / "robot.urdf", "base", "tool0")
+    q = random_joint_values(robot, 20_000)
+    poses = robot.poses(q)
+    rng = np.random.default_rng(1)
+    points = poses[:, :3, :3] @ [0.05, 0.06, 0.07] + poses[:, :3, 3]
+    points += rng.normal(0.0, 1e-4, points.shape)
+    Measurements(robot.joint_names, q, points).write(shop / "many.csv")
+    return [
+        "fit", "robot.urdf", "many.csv", "--base", "base", "--model", "placement",
+        "--frame", "estimate", "-o", "c.urdf", "--json", "r.json",
+    ]  # fmt: skip
+
+
+@pytest.mark.slow
+def test_ctrl_c_leaves_no_file(program, shop: Path, long_work: list[str]):
+    before = set(shop.iterdir())
+    process = subprocess.Popen(
+        [*program, *long_work],
+        cwd=shop, stdout=subprocess.PIPE, stderr=subprocess.PIPE, encoding="utf-8",
+    )  # fmt: skip
+    time.sleep(3.0)
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=60)
+    assert (process.returncode, out) == (130, "")
+    assert err == "calib: interrupted; no file was left half written.\n"
+    assert set(shop.iterdir()) == before
+
+
+@pytest.mark.slow
+def test_a_terminal_sees_progress_and_a_pipe_does_not(program, shop: Path):
+    terminal, theirs = pty.openpty()
+    process = subprocess.Popen(
+        [
+            *program, "fit", "robot.urdf", "data.csv", "--base", "base", "--model", "zeros",
+            "--bootstrap", "200",
+        ],
+        cwd=shop, stdout=subprocess.PIPE, stderr=theirs, encoding="utf-8",
+        env={**os.environ, "TERM": "xterm", "COLUMNS": "100"},
+    )  # fmt: skip
+    os.close(theirs)
+    seen = b""
+    while True:
+        try:
+            piece = os.read(terminal, 65536)
+        except OSError:  # Linux's way to say that the other side has closed
+            break
+        if not piece:
+            break
+        seen += piece
+    out, _ = process.communicate(timeout=60)
+    os.close(terminal)
+    assert process.returncode == 0
+    assert b"cross-validation" in seen
+    assert b"bootstrap" in seen
+    assert "\x1b" not in out
+    assert "Verdict: use" in out

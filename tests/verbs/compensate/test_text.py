@@ -1,0 +1,103 @@
+"""What is said of commands: each code in words."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from typing import get_args
+
+import numpy as np
+import pytest
+
+from calib.robot.robot import Robot
+from calib.verbs.compensate.commands import Commands, compensate
+from calib.verbs.compensate.expected import Contribution, Source
+from calib.verbs.compensate.program import Program
+from calib.verbs.compensate.text import (
+    _REMEDIES,
+    _SOURCES,
+    _TEXTS,
+    _errors_and_corrections,
+    finding_text,
+    text,
+)
+from calib.verbs.compensate.warnings import Code, CommandWarning
+from tests.hard_cases import made
+
+
+@pytest.mark.parametrize(
+    ("finding", "said"),
+    [
+        (CommandWarning("unreachable", (1e-3, np.radians(2))), "cannot reach it: 1.0000 mm, 2.0000 deg would be left"),
+        (CommandWarning("unreachable", (1e-3, np.nan)), "cannot reach it: 1.0000 mm would be left"),
+        (CommandWarning("beyond limit", (np.radians(370), np.radians(360)), "elbow_joint"),
+         "'elbow_joint' would have to be at 370.0000 deg, beyond its limit 360.0000"),
+        (CommandWarning("jump", (np.radians(20),), "elbow_joint", "row 4"),
+         "a jump: from row 4 'elbow_joint' moves 20.0 deg"),
+    ],
+)  # fmt: skip
+def test_codes_in_words(ur3: Robot, finding: CommandWarning, said: str):
+    assert said in finding_text(finding, ur3)
+
+
+def test_every_code_has_words():
+    assert tuple(_TEXTS) == get_args(Code)
+
+
+def test_every_source_has_words_and_a_remedy():
+    assert tuple(_SOURCES) == get_args(Source)
+    assert tuple(_REMEDIES) == get_args(Source)
+
+
+def said(found: Commands) -> str:
+    """The text in one line."""
+    return " ".join(text(found, "result.json", None).split())
+
+
+def mainly(found: Commands, source: Source, **changes: object) -> Commands:
+    """The commands with expected errors of one source above all."""
+    squares = dict.fromkeys(get_args(Source), 1e-08) | {source: 1e-6}
+    contributions = tuple(Contribution(name, square) for name, square in squares.items())
+    expected = replace(found.expected, contributions=contributions, **changes)
+    return replace(found, expected=expected)
+
+
+@pytest.fixture(scope="module")
+def found() -> Commands:
+    result = made("paper")
+    q = result.ranges.mean(axis=1)
+    q[4] += 0.5  # away from the wrist's singularity
+    return compensate(result, Program.of_joints(q), tool=(0.0, 0.0, 0.15))
+
+
+def test_the_expected_error_stands_once_and_its_sources_below(found: Commands):
+    printed = said(found)
+    mean = 1e3 * found.expected.mean
+    assert printed.count("Expect position errors of ") == 1
+    assert f"Expect position errors of {mean:.3f} mm" in printed
+    low, high = found.expected.band
+    assert f"{1e3 * low:.3f} and {1e3 * high:.3f} mm" in printed
+    shares = [int(word) for word in re.findall(r"(\d+) %", printed)]
+    assert sum(shares) == pytest.approx(100, abs=2)
+
+
+def test_the_remedy_is_that_of_the_largest_source(found: Commands):
+    for source in ("parameters", "poses", "tool"):
+        assert " ".join(_REMEDIES[source].split()) in said(mainly(found, source))
+    assert "sigma_mm" in said(mainly(found, "model", noise="unknown"))
+    assert "sigma_mm" not in said(mainly(found, "model", noise="stated"))
+    in_frame = said(mainly(found, "base", in_measured_frame=1.234e-4))
+    assert "--poses-in measured (0.123 mm)" in in_frame
+    assert "--poses-in" not in said(mainly(found, "base", in_measured_frame=None))
+    assert "was not cross-validated" in said(mainly(found, "tool", validated=False))
+
+
+def test_errors_and_corrections_are_lengths_and_angles_of_the_rows_with_a_command(found: Commands):
+    pairs = _errors_and_corrections(found)
+    rows = found.reached
+    lengths, angles = pairs["error without compensation"]
+    np.testing.assert_array_equal(lengths, found.missed[rows, 0])
+    np.testing.assert_array_equal(angles, found.missed[rows, 1])
+    lengths, angles = pairs["correction of a joint"]
+    assert lengths.size == 0  # no joint slides
+    np.testing.assert_array_equal(angles, np.abs(found.joint_corrections[rows]))

@@ -1,0 +1,229 @@
+"""Every source in every format: what was written, read by other programs' readers, is the robot that was read."""
+
+from __future__ import annotations
+
+import configparser
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+import yaml
+from scipy.spatial.transform import Rotation
+
+import calib.example
+from calib.errors import CalibError, ModelError
+from calib.robot.generated.universal_robots import chain_of_rows, ur_model
+from calib.robot.robot import Robot
+from calib.verbs.convert.conversion import convert
+from calib.verbs.convert.convert import FORMATS, KINDS, Options, chosen_format
+from calib.verbs.convert.source import Source
+from calib.verbs.convert.source_kinds import source_kind
+from calib.verbs.convert.ur_arms import chain_poses
+from tests.verbs.convert.forms import UR3, write_forms
+from tests.verbs.convert.ur_cases import CALIBRATIONS, rows, write_deltas
+
+URDF = str(calib.example.paper_urdf())
+LINKS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
+#: A UR3 and the case with d2 = 439 m.
+CASES = [case for case in CALIBRATIONS if case["robot"] in ("UR3", "UR10e")][:2]
+CHAIN = Options(base="base", tip="tool0")
+Q = np.random.default_rng(4).uniform(-2, 2, (3, 6))
+
+
+@pytest.fixture(scope="module")
+def shop(tmp_path_factory) -> Path:
+    """One robot in every form."""
+    return write_forms(tmp_path_factory.mktemp("forms"))
+
+
+OPTIONS = {
+    "result.json": Options(),
+    "calibration.conf": Options(ur_model="UR3"),
+    "kinematics.yaml": Options(),
+    "origins.yaml": replace(CHAIN, robot=URDF),
+    "corrected.urdf": replace(CHAIN, robot=URDF),
+}
+
+
+@pytest.fixture(scope="module", params=OPTIONS)
+def source(request, shop) -> Source:
+    return read_source(str(shop / request.param), OPTIONS[request.param])
+
+
+def read_source(source: str, options: Options) -> Source:
+    return KINDS[source_kind(source)].read(source, options)
+
+
+def write(source: Source, path: Path, name: str, **options):
+    return FORMATS[name].write(source, path, Options(**options))
+
+
+def codes(notes) -> list[str]:
+    return [note.code for note in notes]
+
+
+def poses_of_urdf(path: Path, robot: Robot, q: np.ndarray) -> np.ndarray:
+    """Tip in base by Pinocchio alone."""
+    model = pin.buildModelFromUrdf(str(path))
+    data = model.createData()
+    found = []
+    for row in q:
+        values = pin.neutral(model)
+        for name, value in zip(robot.joint_names, row, strict=True):
+            joint = model.joints[model.getJointId(name)]
+            values[joint.idx_q : joint.idx_q + joint.nq] = (
+                value if joint.nq == 1 else (np.cos(value), np.sin(value))
+            )
+        pin.framesForwardKinematics(model, data, values)
+        base, tip = (
+            data.oMf[model.getFrameId(n, pin.FrameType.BODY)] for n in (robot.base, robot.tip)
+        )
+        found.append((base.inverse() * tip).homogeneous)
+    return np.array(found)
+
+
+def poses_of_yaml(path: Path, q: np.ndarray) -> np.ndarray:
+    """Flange in the controller's base, as Universal Robots' description makes it of the file."""
+    table = yaml.safe_load(path.read_text())["kinematics"]
+    found = []
+    for row in q:
+        T = np.eye(4)  # base_link_inertia is turned by half a turn in base_link, and so is base
+        for link, value in zip(LINKS, row, strict=True):
+            one = table[link]
+            P, J = np.eye(4), np.eye(4)
+            angles = [one[k] for k in ("roll", "pitch", "yaw")]
+            P[:3, :3] = Rotation.from_euler("xyz", angles).as_matrix()
+            P[:3, 3] = [one[k] for k in "xyz"]
+            J[:3, :3] = Rotation.from_euler("z", value).as_matrix()
+            T = T @ P @ J
+        found.append(T)
+    return np.array(found)
+
+
+def deltas_of_conf(path: Path) -> np.ndarray:
+    parser = configparser.ConfigParser()
+    parser.read(path)
+    keys = ("theta", "a", "d", "alpha")
+    return np.transpose([json.loads(parser["mounting"][f"delta_{key}"]) for key in keys])
+
+
+def own_hash(path: Path) -> str:
+    return yaml.safe_load(path.read_text())["kinematics"]["hash"]
+
+
+# Every source in every format is the same robot
+
+
+def test_a_urdf_and_origins(source, tmp_path):
+    assert write(source, tmp_path / "o.urdf", "urdf") == ()
+    found = poses_of_urdf(tmp_path / "o.urdf", source.robot, Q)
+    np.testing.assert_allclose(found, source.robot.poses(Q), rtol=0, atol=1e-9)
+    write(source, tmp_path / "o.yaml", "origins")
+    table = yaml.safe_load((tmp_path / "o.yaml").read_text())["origins"]
+    for joint, T in source.robot.origins().items():
+        one = table.pop(joint)
+        xyz, rpy = ([float(word) for word in one[key].split()] for key in ("xyz", "rpy"))
+        np.testing.assert_allclose(xyz, T[:3, 3], rtol=0, atol=1e-12)
+        R = Rotation.from_euler("xyz", rpy).as_matrix()
+        np.testing.assert_allclose(R, T[:3, :3], rtol=0, atol=1e-12)
+    assert table == {}
+
+
+def test_files_of_universal_robots(source, shop, tmp_path):
+    own = shop / "kinematics.yaml"
+    assert write(source, tmp_path / "o.yaml", "ur-yaml", hash_from=own) == ()
+    found = poses_of_yaml(tmp_path / "o.yaml", Q)
+    np.testing.assert_allclose(found, source.robot.poses(Q), rtol=0, atol=1e-9)
+    assert own_hash(tmp_path / "o.yaml") == own_hash(own)
+    notes = write(source, tmp_path / "o.conf", "ur-conf")
+    assert codes(notes) == []
+    full = rows(UR3["nominal"]) + deltas_of_conf(tmp_path / "o.conf")
+    found = chain_poses(chain_of_rows(full), Q)
+    np.testing.assert_allclose(found, source.robot.poses(Q), rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case["name"])
+def test_factory_calibrations_against_their_own_rows(case, tmp_path):
+    conf = write_deltas(tmp_path / "own.conf", rows(case["delta"]))
+    conf.write_text(conf.read_text() + "joint_checksum = [ 0x1, 0x2]\ncalibration_status = 2\n")
+    arm = Options(ur_model=case["robot"])
+    source = read_source(str(conf), arm)
+    assert source.hash == case["driver_hash"]
+    # The deltas alone do not tell a UR3 from a UR3e, nor a UR10e from a UR10.
+    assert codes(source.notes) == ["arm not certain"]
+    # Though d2 is hundreds of metres, no frame lies far from its nominal place.
+    moved = source.robot.placements[:, :3, 3] - source.nominal.placements[:, :3, 3]
+    assert np.linalg.norm(moved, axis=1).max() < 0.02
+    q, wanted = (np.array(case["fk"][key]) for key in ("q", "T"))
+    write(source, tmp_path / "o.urdf", "urdf")
+    found = poses_of_urdf(tmp_path / "o.urdf", source.robot, q)
+    np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-9)
+    write(source, tmp_path / "o.yaml", "ur-yaml")
+    np.testing.assert_allclose(poses_of_yaml(tmp_path / "o.yaml", q), wanted, rtol=0, atol=1e-9)
+    again = read_source(str(tmp_path / "o.yaml"), arm)
+    assert again.hash == source.hash
+    # A conf of a conf has the same numbers, and the other lines if they are to be kept.
+    assert codes(write(source, tmp_path / "o.conf", "ur-conf")) == ["other lines left out"]
+    before, after = deltas_of_conf(conf), deltas_of_conf(tmp_path / "o.conf")
+    np.testing.assert_allclose(after, before, rtol=1e-12, atol=1e-12)
+    kept = write(source, tmp_path / "p.conf", "ur-conf", update=conf)
+    assert codes(kept) == ["other lines kept"]
+    assert (tmp_path / "p.conf").read_bytes() == conf.read_bytes()
+
+
+def test_a_calibration_of_the_ends_alone_is_not_lost(tmp_path):
+    # The axes of such an arm are the nominal ones: its base and flange are not.
+    ends = np.zeros((6, 4))
+    ends[0, 0], ends[5, 0], ends[0, 2], ends[5, 2] = 0.01, 0.02, 1e-3, 2e-3
+    conf = write_deltas(tmp_path / "ends.conf", ends)
+    convert(str(conf), tmp_path / "mid.urdf", options=Options(ur_model="UR5e"))
+    wanted = chain_poses(chain_of_rows(ur_model("UR5e").rows + ends), Q)
+    alone = read_source(str(tmp_path / "mid.urdf"), CHAIN)
+    assert (alone.nominal, alone.model) == (None, None)
+    source = read_source(str(tmp_path / "mid.urdf"), replace(CHAIN, ur_model="UR5e"))
+    assert write(source, tmp_path / "o.conf", "ur-conf") == ()
+    np.testing.assert_allclose(deltas_of_conf(tmp_path / "o.conf"), ends, rtol=0, atol=1e-12)
+    # A file of the arm's own on this URDF, which has it already, is not added to it.
+    again = read_source(str(conf), replace(CHAIN, robot=str(tmp_path / "mid.urdf")))
+    np.testing.assert_allclose(again.robot.poses(Q), wanted, rtol=0, atol=1e-9)
+
+
+# Formats
+
+
+@pytest.mark.parametrize(
+    ("name", "asked", "kind", "format"),
+    [
+        ("o.urdf", None, "result", "urdf"),
+        ("o.conf", None, "result", "ur-conf"),
+        ("o.yaml", None, "ur-conf", "ur-yaml"),
+        ("o.YML", "ur-yaml", "result", "ur-yaml"),
+    ],
+)
+def test_the_format_of_a_file(name, asked, kind, format):
+    assert chosen_format(Path(name), asked, kind) == format
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "said"),
+    [
+        ("o.yaml", {}, r"'.yaml' does not say which format .*: --to ur-yaml \(kinem.*origins"),
+        ("o.urdf", {"to": "excel"}, "no format 'excel'. Give one of: --to urdf"),
+        ("o.yaml", {"to": "ur-yaml"}, "compares with what the controller reports"),
+    ],
+)
+def test_formats_and_options_that_are_refused(shop, tmp_path, name, options, said):
+    with pytest.raises(CalibError, match=said):
+        convert(str(shop / "result.json"), tmp_path / name, options=Options(**options))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_other_robots_have_no_files_of_universal_robots(shop, tmp_path):
+    panda = Source("robot", Robot.load("panda"), Robot.load("panda"))
+    for source in (read_source(str(shop / "corrected.urdf"), CHAIN), panda):
+        for format in ("ur-yaml", "ur-conf"):
+            with pytest.raises(ModelError, match="for arms of Universal Robots"):
+                write(source, tmp_path / "o", format, hash_from=shop / "kinematics.yaml")

@@ -1,0 +1,90 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from calib.errors import FileError, UrdfError
+from calib.robot.ranges import random_joint_values
+from calib.robot.robot import Robot
+from calib.robot.urdf import Urdf
+from calib.verbs.convert.origins import origins_of, read_origins, with_origins, write_origins
+from tests.places import ROOT
+
+URDF = ROOT / "urdf"
+
+
+@pytest.fixture(scope="module")
+def corrected() -> Robot:
+    return Robot.load(URDF / "ur3_calibrated.urdf", base="base", tip="tool0")
+
+
+def test_written_and_read_they_are_the_urdfs_own_numbers(corrected: Robot, tmp_path: Path):
+    path = write_origins(corrected, tmp_path / "o.yaml")
+    read = read_origins(path)
+    assert read == origins_of(corrected)
+    assert list(read) == [*corrected.joint_names, "wrist_3_link-tool0_fixed_joint"]
+    for name, origin in read.items():
+        joint = corrected.urdf.joint(name)
+        assert (origin.xyz, origin.rpy) == (tuple(joint.xyz), tuple(joint.rpy))
+        np.testing.assert_array_equal(origin.T_parent_joint, joint.T_parent_joint)
+    # Other programs read them as text.
+    table = yaml.safe_load(path.read_bytes())["origins"]
+    assert all(isinstance(table[name][key], str) for name in table for key in ("xyz", "rpy"))
+    assert "xacro.load_yaml('o.yaml')['origins']" in path.read_text()
+
+
+@pytest.mark.parametrize(
+    ("urdf", "kept"),
+    [("ur3.urdf", "ur3_nominal_origins.yaml"), ("ur3_calibrated.urdf", "ur3_origins.yaml")],
+)
+def test_the_examples_files_are_written_from_the_urdfs(urdf: str, kept: str, tmp_path: Path):
+    path = write_origins(Robot.load(URDF / urdf, "base", "tool0"), tmp_path / kept)
+    assert path.read_bytes() == (URDF / kept).read_bytes()
+
+
+def test_the_nominal_robot_with_them_is_the_corrected_one(corrected: Robot):
+    nominal = Robot.load(URDF / "ur3.urdf", base="base", tip="tool0")
+    with_them = with_origins(nominal, origins_of(corrected))
+    q = random_joint_values(corrected, 50, np.random.default_rng(1))
+    np.testing.assert_allclose(with_them.poses(q), corrected.poses(q), rtol=0, atol=1e-12)
+    assert np.abs(nominal.poses(q) - corrected.poses(q)).max() > 1e-3
+    assert with_origins(nominal, origins_of(nominal)).urdf.data == nominal.urdf.data
+    arm = Robot.from_urdf(nominal.urdf, "base", "tool0", held={"elbow_joint": 0.5})
+    assert with_origins(arm, origins_of(arm)).held == {"elbow_joint": 0.5}
+    with pytest.raises(UrdfError, match="joint"):
+        with_origins(Robot.load("panda"), origins_of(corrected))
+
+
+@pytest.mark.parametrize("name", ["yes", "null", "1.5", "a: b", "#", "it's", 'say "a"', "ü", "~"])
+def test_names_that_yaml_would_take_for_something_else(name: str, tmp_path: Path, serial_urdf):
+    urdf = serial_urdf([("revolute", (0, 0, 0.1), (0, 0, 0), (0, 0, 1))])
+    quoted = name.replace('"', "&quot;").encode()
+    robot = Robot.from_urdf(Urdf.from_bytes(urdf.data.replace(b'"j1"', b'"' + quoted + b'"'), "r"))
+    read = read_origins(write_origins(robot, tmp_path / "o.yaml"))
+    assert next(iter(read)) == name
+    assert with_origins(robot, read) == robot
+
+
+def test_a_list_of_numbers_does_too(tmp_path: Path):
+    (tmp_path / "o.yaml").write_text("origins:\n  j: {xyz: [0, 0.1, 1e-05], rpy: [0.0, 0, -1]}\n")
+    read = read_origins(tmp_path / "o.yaml")
+    assert read == {"j": ((0.0, 0.1, 1e-5), (0.0, 0.0, -1.0))}
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "no section 'origins:'"),
+        ('origins:\n  j: {xyz: "0 0 0"}\n', "joint 'j': xyz and rpy are wanted"),
+        ('origins:\n  j: {xyz: "0 0", rpy: "0 0 0"}\n', r"three numbers \[m\]"),
+        ('origins:\n  j: {xyz: "0 0 nan", rpy: "0 0 0"}\n', "three numbers"),
+        ("origins: [\n", "cannot be read as YAML"),
+    ],
+)
+def test_files_that_are_refused(text: str, said: str, tmp_path: Path):
+    (tmp_path / "o.yaml").write_text(text)
+    with pytest.raises(FileError, match=said):
+        read_origins(tmp_path / "o.yaml")

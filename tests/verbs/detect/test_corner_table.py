@@ -1,0 +1,110 @@
+"""The table of corners: what a reader of its own finds in it."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calib.boards.board import Board
+from calib.boards.detection.board_search import BoardView
+from calib.boards.detection.detect import Detection
+from calib.boards.detection.image_files import ImageFile
+from calib.boards.detection.picture import Picture
+from calib.errors import MeasurementError
+from calib.verbs.detect.corner_table import corner_table, with_cameras, with_rows_only
+from calib.verbs.detect.matching import JointTable, Matches, match, read_joint_table
+from tests.boards.board_views import CHARUCO_BOARD, TAG_BOARD
+
+BOARD = CHARUCO_BOARD
+
+
+def picture(name: str, *views: BoardView, camera: str = "") -> Picture:
+    return Picture(file=ImageFile(Path(name), name, camera), size=(640, 480), views=views)
+
+
+def view(board: str = "board", reason: str = "") -> BoardView:
+    return BoardView(
+        board=board,
+        ids=np.array([3, 7]),
+        pixels=np.array([[10.25, 20.5], [300.123456, -0.25]]),
+        sigma=np.array([0.02, 0.3]),
+        reason=reason,
+    )
+
+
+def detection(*pictures: Picture, boards: Sequence[Board] = (BOARD,)) -> Detection:
+    return Detection(tuple(boards), pictures, (), 12)
+
+
+def joints_of(folder: Path, text: str, **columns: str) -> JointTable:
+    path = folder / "joints.csv"
+    path.write_text(text, encoding="utf-8")
+    return read_joint_table(path, columns)
+
+
+def table(found: Detection, joints: JointTable) -> list[dict[str, str]]:
+    matches = match(joints, [entry.file for entry in found.pictures])
+    text = corner_table(with_rows_only(found, matches), joints, matches).decode()
+    return list(csv.DictReader(io.StringIO(text)))
+
+
+def test_a_row_a_corner_with_the_joints_as_written(tmp_path: Path):
+    joints = joints_of(tmp_path, "set,image,J1,mass [kg]\nestimate,1.png,010.50,3\n", J1="j1 [deg]")
+    rows = table(detection(picture("1.png", view())), joints)
+    assert list(rows[0].items()) == [
+        ("set", "estimate"),
+        ("j1 [deg]", "010.50"),
+        ("mass [kg]", "3"),
+        ("image", "1.png"),
+        ("corner", "3"),
+        ("board_x [m]", "0.12"),
+        ("board_y [m]", "0.03"),
+        ("board_z [m]", "0.0"),
+        ("u [px]", "10.25"),
+        ("v [px]", "20.5"),
+        ("sigma_image [px]", "0.02"),
+        ("kind", "pixel"),
+    ]
+    assert (rows[1]["u [px]"], rows[1]["v [px]"]) == ("300.1235", "-0.25")
+    assert len(rows) == 2
+
+
+def test_pictures_that_are_not_used_have_no_rows(tmp_path: Path):
+    joints = joints_of(tmp_path, "image,j1 [deg]\n1.png,1\n2.png,2\n")
+    found = detection(
+        picture("1.png", view()), picture("2.png", view(reason="cut")), picture("3.png", view())
+    )
+    assert {row["image"] for row in table(found, joints)} == {"1.png"}
+    matches = Matches((0, 1, None), ("", "", ""), ())
+    assert [entry.reason for entry in with_rows_only(found, matches).pictures] == ["", "", "no_row"]
+
+
+def test_targets_are_boards_places_or_both(tmp_path: Path):
+    joints = joints_of(tmp_path, "part,image,j1 [deg]\na,1.png,1\n", part="target")
+    rows = table(detection(picture("1.png", view())), joints)
+    assert {row["target"] for row in rows} == {"a"}
+    both = picture("1.png", view(), view("tags"))
+    boards = [BOARD, replace(TAG_BOARD, name="tags")]
+    rows = table(detection(both, boards=boards), joints)
+    assert [row["target"] for row in rows] == ["board/a", "board/a", "tags/a", "tags/a"]
+    plain = joints_of(tmp_path, "image,j1 [deg]\n1.png,1\n")
+    rows = table(detection(both, boards=boards), plain)
+    assert [row["target"] for row in rows] == ["board", "board", "tags", "tags"]
+
+
+def test_cameras_are_groups(tmp_path: Path):
+    joints = joints_of(tmp_path, "camera,image,j1 [deg]\nwide,1.png,1\n,2.png,1\n")
+    files = [ImageFile(Path(name), name) for name in ("1.png", "2.png")]
+    named = with_cameras(files, match(joints, files))
+    assert [file.camera for file in named] == ["wide", ""]
+    found = detection(picture("1.png", view(), camera="wide"), picture("2.png", view(reason="cut")))
+    assert {row["group"] for row in table(found, joints)} == {"wide"}
+    found = detection(picture("1.png", view(), camera="wide"), picture("2.png", view()))
+    with pytest.raises(MeasurementError, match=r"camera of the picture .2\.png."):
+        table(found, joints)

@@ -1,0 +1,143 @@
+"""Fleet outliers: those that are, no others, and none where there are too few robots."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calib.verbs.fleet.outliers import FEWEST, fleet_outliers, limit, scores
+from calib.verbs.fleet.record import DONE, FAILED, FleetParameter, FleetRow
+from calib.verbs.fleet.text import few_text
+
+
+def row(k: int, rng: np.random.Generator, parameters: int = 10) -> FleetRow:
+    """One of many alike."""
+    spread = np.exp(rng.normal(size=3) * (0.3, 0.15, 0.15))
+    nominal, held_out, sigma = (spread * (3e-3, 8e-5, 4e-5)).tolist()
+    changes = [float(rng.normal(0.0, 3e-4)) for _ in range(parameters)]
+    return FleetRow(
+        f"r{k}",
+        DONE,
+        verdict="use",
+        model="dh",
+        rows=30,
+        nominal_rms={"m": nominal},
+        held_out_rms={"m": held_out},
+        sigma={"m": sigma},
+        kind="ur3 base tool0 j1",
+        data=f"{k}.csv",
+        measured=str(rng.random()),
+        parameters=tuple(
+            FleetParameter(f"p{i}", "m", change, 1e-5) for i, change in enumerate(changes)
+        ),
+    )
+
+
+def fleet_of(count: int, seed: int = 0, **more: int) -> list[FleetRow]:
+    """Robots that are alike."""
+    rng = np.random.default_rng(seed)
+    return [row(k, rng, **more) for k in range(count)]
+
+
+@pytest.mark.parametrize("count", [5, 12, 60])
+def test_few_fleets_without_outliers_have_one(count):
+    fleets = 120
+    flagged = sum(bool(fleet_outliers(fleet_of(count, seed))[0]) for seed in range(fleets))
+    # 5 % of them, and three standard deviations.
+    assert flagged <= 0.05 * fleets + 3.0 * math.sqrt(0.05 * 0.95 * fleets)
+
+
+def test_outliers_are_flagged_with_their_figures():
+    rows = fleet_of(40)
+    rows[3] = replace(
+        rows[3],
+        sigma={"m": 5.0 * rows[3].sigma["m"]},
+        held_out_rms={"m": 5.0 * rows[3].held_out_rms["m"]},
+    )
+    large = FleetParameter("p0", "m", 0.02, 1e-5)
+    rows[7] = replace(rows[7], parameters=(large, *rows[7].parameters[1:]))
+    rows[9] = replace(rows[9], nominal_rms={"m": rows[9].nominal_rms["m"] / 40.0})
+    rows[11] = replace(rows[11], measured=rows[12].measured)
+    rows[30] = FleetRow("r30", FAILED, "why")
+    outliers, notes = fleet_outliers(rows)
+    assert notes == ()
+    figures = [(outlier.name, outlier.figure) for outlier in outliers]
+    assert set(figures[:2]) == {("r3", "noise"), ("r3", "cross-validated error")}
+    assert figures[2:] == [
+        ("r7", "p0"),
+        ("r9", "nominal error"),
+        ("r11", "data"),
+        ("r12", "data"),
+    ]
+    texts = [outlier.text for outlier in outliers]
+    assert texts[2].startswith("p0 20 mm, usually ")
+    assert texts[4] == "the same measurements as r12 (11.csv)"
+    # r11 and r12 count once.
+    assert abs(outliers[0].z) > outliers[0].limit == limit(38, 3, 0.025)
+    assert abs(outliers[0].z) >= abs(outliers[1].z)
+    assert outliers[3].z < 0.0
+    assert outliers[3].value == pytest.approx(rows[9].nominal_rms["m"])
+    assert outliers[2].value == 0.02
+
+
+def test_data_given_many_times_count_once():
+    rows = fleet_of(12)
+    rows[0] = replace(rows[0], nominal_rms={"m": 50.0 * rows[0].nominal_rms["m"]})
+    alone, _ = fleet_outliers(rows)
+    assert [(one.name, one.figure) for one in alone] == [("r0", "nominal error")]
+    copies = [replace(rows[0], name=f"c{k}", data=f"c{k}.csv") for k in range(20)]
+    outliers, _ = fleet_outliers([*rows, *copies])
+    figures = [outlier for outlier in outliers if outlier.figure != "data"]
+    assert [outlier.name for outlier in figures] == ["r0", *(copy.name for copy in copies)]
+    numbers = {(outlier.z, outlier.usual, outlier.limit) for outlier in figures}
+    assert numbers == {(alone[0].z, alone[0].usual, alone[0].limit)}
+    few = fleet_of(FEWEST - 1)
+    _, notes = fleet_outliers([*few, replace(few[0], name="copy")])
+    assert notes[0] == few_text(robots=5, counted=4, needed=FEWEST, kind="")
+
+
+def test_robots_are_compared_with_their_own_kind():
+    rows = fleet_of(20)
+    others = [
+        replace(
+            r,
+            name=f"o{r.name}",
+            kind="ur5 base tool0",
+            nominal_rms={"m": 30 * r.nominal_rms["m"]},
+            measured=r.name,
+        )
+        for r in rows[:6]
+    ]
+    single = replace(rows[0], name="x", kind="panda a b", measured="x")
+    outliers, notes = fleet_outliers([*rows, *others, single])
+    assert outliers == ()
+    assert notes[0] == few_text(robots=1, counted=1, needed=FEWEST, kind="panda")
+
+
+def test_parameters_that_are_not_determined_are_not_compared():
+    rows = fleet_of(20)
+    undetermined = FleetParameter("p0", "m", 0.02, math.nan)
+    rows[7] = replace(rows[7], parameters=(undetermined, *rows[7].parameters[1:]))
+    assert fleet_outliers(rows) == ((), ())
+
+
+def test_scores():
+    x = np.array([0.0, 1.0, 2.0, 3.0, 104.0, np.nan])
+    z = scores(x, np.zeros(6), 0.0, np.ones(6, dtype=bool))
+    assert z[:5] == pytest.approx((x[:5] - 2.0) / 1.4826)
+    assert np.isnan(z[5])
+    every = np.ones(4, dtype=bool)
+    assert scores(np.ones(4), np.zeros(4), 0.0, every).tolist() == [0.0] * 4
+    assert scores(np.array([1.0, 1.0, 1.0, 2.0]), np.zeros(4), 0.0, every)[3] == math.inf
+
+
+def test_the_scale_of_a_score_is_the_largest_of_mad_floor_and_std():
+    x = np.array([0.0, 1.0, 2.0, 3.0, 4.0])
+    every = np.ones(5, dtype=bool)
+    assert scores(x, np.zeros(5), 4.0, every) == pytest.approx((x - 2.0) / 4.0)
+    stds = np.array([8.0, 0.0, 0.0, np.nan, 8.0])
+    expected = (x - 2.0) / np.array([8.0, 4.0, 4.0, 4.0, 8.0])
+    assert scores(x, stds, 4.0, every) == pytest.approx(expected)

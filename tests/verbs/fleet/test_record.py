@@ -1,0 +1,82 @@
+"""The row of a robot: as in its files, and a hash of its measurements."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from dataclasses import replace
+
+import pytest
+
+from calib.basics.json_files import json_bytes
+from calib.data.measurements import Measurements
+from calib.verbs.fleet.record import (
+    DONE,
+    FAILED,
+    ROWS,
+    FleetParameter,
+    FleetRow,
+    csv_bytes,
+    measured_hash,
+)
+
+PARAMETERS = (
+    FleetParameter("p", "m", 3e-4, 1e-5),
+    FleetParameter("q", "rad", 0.1, math.nan),
+)
+ROW = FleetRow(
+    "SN-1",
+    DONE,
+    verdict="use",
+    model="dh",
+    rows=30,
+    nominal_rms={"m": 3e-3},
+    held_out_rms={"m": 8.1234567e-5},
+    sigma={"m": 4e-5},
+    kind="ur3 base tool0 j1",
+    data="1.csv",
+    measured="1",
+    parameters=PARAMETERS,
+)
+
+
+def test_the_same_measurements_in_another_order_or_unit_have_the_same_hash(paper_table):
+    m = paper_table
+    turned = Measurements(m.joint_names, m.joints[::-1] * (1.0 + 1e-13), m.points[::-1])
+    assert measured_hash(turned) == measured_hash(m)
+    moved = m.points.copy()
+    moved[4, 1] += 1e-6
+    assert measured_hash(Measurements(m.joint_names, m.joints, moved)) != measured_hash(m)
+
+
+def test_a_row_survives_its_file():
+    table = json.loads(json_bytes(ROWS.table(ROW)))
+    assert repr(ROWS.read(FleetRow, table)) == repr(ROW)
+
+
+def test_the_csv_table_is_in_mm_with_texts_and_empty_cells():
+    failed = FleetRow("SN-2", FAILED, "no rows,\n  at all")
+    content = csv_bytes([ROW, failed], {"SN-1": ["noise 9 mm", "p 20 mm"]})
+    first, second = csv.DictReader(content.decode().splitlines())
+    assert first["nominal_rms [mm]"] == "3"
+    assert first["held_out_rms [mm]"] == "0.0812346"
+    assert first["calibrated_rms [mm]"] == ""
+    assert "sigma [mrad]" not in first
+    assert first["rows"] == "30"
+    assert first["outlier"] == "noise 9 mm; p 20 mm"
+    assert (second["outlier"], second["sigma [mm]"]) == ("", "")
+    assert second["message"] == "no rows, at all"
+    assert {"kind", "measured", "parameters"}.isdisjoint(first)
+
+
+def test_names_that_utf_8_does_not_have_are_escaped():
+    content = csv_bytes([replace(ROW, data="a\udcff.csv")], {})
+    assert b"a\\udcff.csv" in content
+
+
+@pytest.mark.parametrize("text", ["a,b", 'say "x"'])
+def test_texts_with_commas_and_quotes_survive(text):
+    content = csv_bytes([replace(ROW, data=text)], {})
+    (row,) = csv.DictReader(content.decode().splitlines())
+    assert row["data"] == text

@@ -1,0 +1,101 @@
+"""Camera and board as bodies: what is refused near them, and what hides the board."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from calib.data.cell import Box
+from calib.robot.robot import Robot
+from calib.robot.urdf import Urdf
+from calib.verbs.plan.collision import CollisionCheck
+from calib.verbs.plan.images.bodies import ImageBodies
+from tests.verbs.plan.images.views import BOARD, pose, sight
+
+#: A slide along z on a foot, with a ball of 50 mm beside it, and on it a hand.
+SLIDE = """<robot name="s"><link name="foot"/>
+  <link name="hand"><collision><origin xyz="0 0 -0.3"/><geometry><sphere radius="0.05"/></geometry></collision></link>
+  <joint name="j" type="prismatic"><parent link="foot"/><child link="hand"/><axis xyz="0 0 1"/>
+    <limit lower="0" upper="2" effort="1" velocity="1"/></joint></robot>"""
+
+NO_FLOOR = CollisionCheck(floor=False)
+
+
+def slide(base: str, tip: str) -> Robot:
+    return Robot.from_urdf(Urdf.from_bytes(SLIDE.encode(), "s.urdf"), base, tip)
+
+
+def board_ahead(x: float = 0.0) -> np.ndarray:
+    """The board's centre on the z axis of its link, x beside it, its print towards -z."""
+    return pose((x - BOARD.centre[0], -BOARD.centre[1], 0.0))
+
+
+def held_by_foot(T_tip_board: np.ndarray, boxes=()) -> ImageBodies:
+    """The camera in the hand looks down along -z at the board on the foot, face up."""
+    # In the hand z is up: the camera is turned about x.
+    T_frame_base = pose((0.0, 0.0, 0.0), (np.pi, 0.0, 0.0))
+    robot = slide("hand", "foot")
+    return ImageBodies.of(robot, sight(T_frame_base, T_tip_board), boxes, NO_FLOOR)
+
+
+#: Face up: turned about the x axis through its middle.
+FACE_UP = pose((-BOARD.centre[0], BOARD.centre[1], 0.0), (np.pi, 0.0, 0.0))
+
+
+def test_the_ball_below_the_hand_hides_the_board_and_hits_it():
+    bodies = held_by_foot(FACE_UP)
+    # The ball's middle is 300 mm below the hand: in the line of sight from 350 mm on, 50 mm above the board.
+    q = np.array([[1.0], [0.6]])
+    assert bodies.view_free(q).tolist() == [False, False]
+    # At 300 mm it is in the board; 10 mm below the print the board ends.
+    heights = np.array([[0.4], [0.351], [0.349], [0.3], [0.241], [0.239]])
+    assert bodies.model.free(heights).tolist() == [True, True, False, False, False, True]
+
+
+def test_a_board_aside_is_seen_past_the_ball():
+    aside = FACE_UP.copy()
+    aside[0, 3] += 0.5
+    bodies = held_by_foot(aside)
+    assert bodies.view_free(np.array([[1.0]])).tolist() == [True]
+    # One of its corners is behind the ball.
+    near = FACE_UP.copy()
+    near[0, 3] += 0.5 * BOARD.size[0]
+    near[1, 3] -= 0.5 * BOARD.size[1]
+    assert held_by_foot(near).view_free(np.array([[1.0]])).tolist() == [False]
+
+
+def test_boxes_stand_with_the_board_where_the_camera_is_in_the_hand():
+    aside = FACE_UP.copy()
+    aside[0, 3] += 0.5
+    box = Box("block", (0.2, 0.2, 0.2), pose((0.0, 0.0, 0.5)))
+    bodies = held_by_foot(aside, [box])
+    heights = np.array([[0.75], [0.96]])
+    # The ball is at 0.45 m, in the block, whose top is at 0.6 m, then above it.
+    assert bodies.model.free(heights).tolist() == [False, True]
+    names = bodies.model.notes[0]
+    assert names.code == "images_checked"
+    assert "block" in names.values
+
+
+def test_a_camera_that_stands_is_not_touched():
+    robot = slide("foot", "hand")
+    T_base_camera = pose((0.0, 0.0, 0.7))
+    T_tip_board = board_ahead() + 0.0
+    T_tip_board[2, 3] = 1.0
+    bodies = ImageBodies.of(robot, sight(np.linalg.inv(T_base_camera), T_tip_board), (), NO_FLOOR)
+    # The ball, 300 mm below the hand, has a radius of 50 mm and the camera one of 35 mm.
+    heights = np.array([[0.914], [0.916], [1.0], [1.084], [1.086]])
+    assert bodies.model.free(heights).tolist() == [True, False, False, False, True]
+
+
+@pytest.mark.parametrize("length", [0.05, 0.2])
+def test_the_camera_in_the_hand_is_a_rod_from_its_link(length):
+    T_tip_board = FACE_UP.copy()
+    robot = slide("hand", "foot")
+    T_base_camera = pose((0.0, 0.0, -length), (np.pi, 0.0, 0.0))
+    bodies = ImageBodies.of(robot, sight(np.linalg.inv(T_base_camera), T_tip_board), (), NO_FLOOR)
+    assert bodies.eye == pytest.approx([0.0, 0.0, -length])
+    # Its end is a half ball of 20 mm; the ball of the hand touches the board before, unless the hand is below.
+    heights = np.array([[length + 0.02 + 1e-3], [length + 0.02 - 1e-3]])
+    free = bodies.model.free(heights)
+    assert free.tolist() == [True, False] if length == 0.05 else not free[1]

@@ -1,0 +1,52 @@
+"""What a plan says of moves that collide, and of parameters that no pose tells apart."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import get_args
+
+import numpy as np
+import pytest
+
+from calib.data.cell import Cell
+from calib.verbs.plan.choice import PlanRequest
+from calib.verbs.plan.notes import Code, Note
+from calib.verbs.plan.ordering import Blocked
+from calib.verbs.plan.plan import Plan, plan
+from calib.verbs.plan.text import note_text, plan_text
+
+
+@pytest.fixture(scope="module")
+def planned(ur3) -> Plan:
+    cell = Cell(model="zeros", target=np.array([0.05, 0.07, 0.03]))
+    return plan(ur3, cell, PlanRequest(8, 2, candidates=100), collisions=None)
+
+
+def said(one: Plan) -> str:
+    return " ".join(plan_text(one).split())
+
+
+def test_moves_that_collide_are_named_with_poses_to_drive_by(planned: Plan):
+    degrees = ", ".join(f"{d:.1f} deg" for d in np.degrees(planned.joints[3]))
+    blocked = Blocked(0, 1, None), Blocked(1, 5, planned.joints[3]), Blocked(1, 2, None)
+    many = replace(planned, blocked=blocked)
+    assert (
+        "Note: The straight way in joint space collides from the start to row 1, row 1 to row 5 (via "
+        f"{degrees}), row 1 to row 2."
+    ) in said(many)
+    assert "collides" not in said(planned)
+
+
+def test_parameters_of_which_none_is_known_by_itself(planned: Plan):
+    unknown = replace(planned.forecast, identifiable=(False,) * len(planned.forecast.names))
+    count = len(unknown.names)
+    text = said(replace(planned, forecast=unknown))
+    assert (f"{count} parameters are known in combinations only.") in text
+
+
+def test_every_note_is_a_sentence():
+    for code in get_args(Code):
+        values = (0.003, 4e-4) if code == "board_scale" else (0.02, "a box")
+        text = note_text(Note(code, values))
+        assert text.endswith((".", ")."))
+        assert "{" not in text

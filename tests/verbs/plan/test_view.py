@@ -1,0 +1,184 @@
+"""The pages of a plan and a region: targets, way, boxes, lines of sight, voxels and rows where they are."""
+
+from __future__ import annotations
+
+import csv
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calib import example
+from calib.data.cell import Box, Cell, Tracker
+from calib.data.measurements import Measurements
+from calib.robot.ranges import joint_ranges, random_joint_values
+from calib.verbs.plan.choice import PlanRequest
+from calib.verbs.plan.plan import plan
+from calib.verbs.plan.plan_file import write_plan
+from calib.verbs.plan.view import plan_page
+from calib.verbs.workspace.region import Density
+from calib.verbs.workspace.region_rows import Checked, RegionView
+from calib.verbs.workspace.view import region_page
+from calib.verbs.workspace.workspace import workspace_points
+from tests.verbs.view.test_page import floats, table_of
+from tests.view_fixtures import scene_of
+
+TARGET = np.array(example.PAPER_TARGET)
+
+
+def moved(scene: dict, pattern: str) -> np.ndarray:
+    """The transforms of some nodes, shape (N, 4, 4)."""
+    found = [
+        np.array(c["matrix"]).reshape(4, 4).T
+        for c in scene["commands"]
+        if c["type"] == "set_transform" and re.fullmatch(f"/robots/{pattern}", c["path"])
+    ]
+    return np.array(found)
+
+
+def positions(scene: dict, node: str) -> np.ndarray:
+    """The points of a cloud or of lines, shape (N, 3)."""
+    (command,) = [
+        c for c in scene["commands"] if c["type"] == "set_object" and c["path"] == f"/robots/{node}"
+    ]
+    (name,) = command["object"]["geometries"]
+    packed = scene["geometries"][name]["data"]["attributes"]["position"]["array"]
+    return np.frombuffer(packed.data, dtype="<f4").reshape(-1, 3).astype(float)
+
+
+# A plan
+
+
+@pytest.fixture(scope="module")
+def planned(ur3):
+    T_base_table = np.eye(4)
+    T_base_table[:3, 3] = (0.1, 0.0, -0.03)
+    cell = Cell(
+        target=TARGET,
+        model="zeros",
+        tracker=Tracker(np.array([2.5, 1.0, 0.8])),
+        boxes=(Box("the <table>", np.array([1.2, 0.8, 0.04]), T_base_table),),
+    )
+    request = PlanRequest(6, 2, candidates=200, ladder=False)
+    return plan(ur3, cell, request, taken=random_joint_values(ur3, 3), collisions=None)
+
+
+def test_targets_way_tracker_and_boxes_of_a_plan(planned):
+    page = plan_page(planned)
+    scene, sets = scene_of(page), np.array(planned.sets)
+    for word in ("estimate", "validate"):
+        # The measurement frame is the base: what to expect is the same place.
+        expected = planned.expected[sets == word][:, 0]
+        np.testing.assert_allclose(
+            moved(scene, rf"nominal/{word}/\d+")[:, :3, 3], expected, atol=1e-12
+        )
+    taken = moved(scene, r"nominal/taken/\d+")[:, :3, 3]
+    np.testing.assert_allclose(taken, planned.places(planned.taken)[:, 0], atol=1e-12)
+    places = planned.places(planned.joints)[:, 0]
+    way = positions(scene, "nominal/way").reshape(-1, 2, 3)
+    np.testing.assert_allclose(way, np.stack([places[:-1], places[1:]], axis=1), atol=1e-6)
+    table = table_of(page)
+    assert table["tracker"] == [2.5, 1.0, 0.8]
+    np.testing.assert_allclose(floats(table["targets"], 8, 1, 3)[:, 0], places, atol=1e-6)
+    (box,) = moved(scene, r"nominal/around/\d+")
+    np.testing.assert_allclose(box, planned.cell.boxes[0].T_base_box, atol=1e-12)
+
+
+def test_the_poses_of_a_plan_come_one_by_one_with_the_numbers_of_its_table(planned, tmp_path):
+    table = table_of(plan_page(planned, first_row=4))
+    file = write_plan(planned, tmp_path / "plan.csv", first_row=4)
+    rows = list(csv.DictReader(file.read_text(encoding="utf-8").splitlines()))
+    assert table["labels"] == [f"pose {k} of 8" for k in range(1, 9)]
+    assert [
+        {"estimation": "estimate", "validation": "validate"}[kind] for kind in table["kinds"]
+    ] == list(planned.sets)
+    numbers = table["numbers"]
+    for k, row in enumerate(rows):
+        assert numbers["point"][k] == row["point"]
+        for joint in planned.robot.joint_names:
+            assert numbers[joint][k] == f"{row[f'{joint} [deg]']} deg"
+        for axis in "xyz":
+            assert numbers[f"expected {axis}"][k] == f"{row[f'expected {axis} [mm]']} mm"
+    movers = table["robots"]["nominal"]["movers"]
+    poses = floats(table["robots"]["nominal"]["poses"], 8, movers, 7)
+    np.testing.assert_allclose(poses[:, -1, :3], planned.expected[:, 0], atol=1e-6)
+    legend = re.findall(
+        r'<input type="checkbox"( checked)? data-show="nominal/(\w+)"',
+        plan_page(planned).html.decode(),
+    )
+    on = {node: bool(checked) for checked, node in legend}
+    assert (on["tracker"], on["sight"], on["next"], on["way"]) == (True, False, True, False)
+
+
+def test_a_plan_without_a_tracker_has_no_line_of_sight(planned):
+    blind = replace(planned, cell=replace(planned.cell, tracker=None))
+    page = plan_page(blind)
+    table = table_of(page)
+    assert (table["tracker"], table["targets"], table["planned"]) == (None, "", True)
+    assert b'data-show="nominal/sight"' not in page.html
+
+
+@pytest.mark.slow
+def test_chromium_shows_the_tracker_s_line_of_sight_to_each_pose(browser, planned, tmp_path):
+    page = plan_page(planned).write(tmp_path / "plan.html")
+    ends = (
+        "[...viewer.scene_tree.find(['robots', 'nominal', 'tracker']).object.children"
+        ".find((one) => one.isLineSegments).geometry.attributes.position.array]"
+    )
+    with browser.open(page.as_uri(), size=(1400, 900)) as tab:
+        for k in (0, 1):
+            expected = [[2.5, 1.0, 0.8], planned.expected[k, 0]]
+            np.testing.assert_allclose(np.reshape(tab.evaluate(ends), (2, 3)), expected, atol=1e-6)
+            shown = tab.evaluate("document.getElementById('numbers').innerText")
+            assert f"P{k + 1}" in shown
+            assert f"{planned.expected[k, 0, 0] * 1e3:.3f} mm" in shown
+            tab.click("#forward")
+        label = "document.querySelector('.label').getBoundingClientRect()"
+        assert tab.evaluate(f"{label}.left") >= 0
+        assert tab.evaluate(f"{label}.right") <= 1400
+        assert tab.complaints == []
+
+
+# A region
+
+
+@pytest.fixture(scope="module")
+def view(ur3):
+    rows = Measurements.read(example.paper_measurements(), ur3.joint_names, ur3.joint_types)
+    q = rows.joints_for(ur3.joint_names)
+    ranges = joint_ranges(ur3, like=q[rows.estimation], margin=np.radians(5.0))
+    density = Density.of(workspace_points(ur3, TARGET, ranges, 2**16))
+    checked = Checked(rows, rows.points, np.ones(len(rows), dtype=bool))
+    return RegionView(ur3, TARGET, ranges, density, density.region(0.95), checked)
+
+
+def test_bands_rows_and_target_of_a_region(view):
+    page = region_page(view)
+    scene = scene_of(page)
+    clouds = [positions(scene, f"band{i}") for i in range(3)]
+    assert sum(map(len, clouds)) == np.count_nonzero(view.region.cells)
+    for cloud, (low, high) in zip(clouds, ((0, 0.5), (0.5, 0.8), (0.8, 0.951)), strict=True):
+        needed = view.density.share_of(cloud)
+        # A point rounded to 32 bits may fall into the next voxel.
+        assert np.mean((needed > low) & (needed <= high + 1e-3)) > 0.999
+    assert b"the densest 50 %" in page.html
+    assert b"up to 95 %" in page.html
+    rows = view.checked
+    for node, row in (("estimation/003", 3), ("validation/004", 34)):
+        np.testing.assert_allclose(moved(scene, node)[0, :3, 3], rows.points[row], atol=1e-12)
+    T = view.robot.poses(view.ranges.mean(axis=1))[0]
+    target = moved(scene, "nominal/target")[0, :3, 3]
+    np.testing.assert_allclose(target, T[:3, :3] @ view.target + T[:3, 3], atol=1e-12)
+    assert page.warnings == ()
+
+
+def test_many_voxels_are_thinned_out_and_a_share_has_its_bands(view, ur3):
+    small = region_page(replace(view, region=view.density.region(0.3)))
+    assert b"the densest 30 %" in small.html
+    assert b"band1" not in small.html
+    density = Density.of(workspace_points(ur3, count=2**18), 0.02)
+    big = replace(view, density=density, region=density.region(1.0), checked=None)
+    assert np.count_nonzero(big.region.cells) > 70_000
+    scene = scene_of(region_page(big))
+    assert sum(len(positions(scene, f"band{i}")) for i in range(3)) == 60_000

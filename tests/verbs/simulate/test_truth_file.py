@@ -1,0 +1,149 @@
+"""The truth file: complete, read back, and read by others."""
+
+import json
+import re
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from calib.data.cell import Cell
+from calib.robot.gravity import gravity_loads
+from calib.robot.payload import Payload
+from calib.robot.ranges import random_joint_values
+from calib.verbs.simulate.disturbances import Encoder, MovedTarget, Outliers
+from calib.verbs.simulate.scenario import Scenario
+from calib.verbs.simulate.truth import tracker_pose
+from calib.verbs.simulate.truth_file import SCHEMA, write_truth
+from tests.places import ROOT
+
+MANY = "placement+gain+eccentricity+compliance"
+FRAMES = {n: tracker_pose((2, y, 0), np.random.default_rng(1)) for n, y in (("a", 1), ("b", -1))}
+CELL = Cell(
+    targets={"upper": (0.1, 0, 0), "lower": (0, 0.1, 0.05)},
+    frames=FRAMES,
+    payload=Payload(3.0, np.array([0.0, 0.02, 0.1])),
+    frozen=("elbow_joint.x",),
+    ties={"wrist_3_joint.x": ("wrist_2_joint.x", -2.0)},
+)
+
+
+@pytest.fixture(scope="module")
+def scenario(ur3):
+    return Scenario(
+        ur3,
+        CELL,
+        MANY,
+        outliers=Outliers(count=2),
+        moved=MovedTarget(30, (0, 0, 1e-3), "lower"),
+        drift=(0, 0, 1e-4),
+        encoder=Encoder(1e-5),
+        visits=2,
+    )
+
+
+@pytest.fixture(scope="module")
+def made(ur3, scenario):
+    return scenario.draw(8).measure(random_joint_values(ur3, 10, seed=1), 4)
+
+
+@pytest.fixture
+def path(scenario, made, tmp_path):
+    return write_truth(scenario, made, tmp_path / "truth.json")
+
+
+def chain(path, nominal: bytes) -> pin.Model:
+    """Pinocchio's own model of the nominal URDF with the file's origins, by lxml-free text work."""
+    from calib.robot.urdf import Urdf
+
+    origins = {
+        one["joint"]: pin.SE3(
+            pin.rpy.rpyToMatrix(*one["rpy_rad"]), np.array(one["xyz_m"])
+        ).homogeneous
+        for one in json.loads(path.read_text())["origins"]
+    }
+    return pin.buildModelFromXML(Urdf.from_bytes(nominal, "x").with_origins(origins).data.decode())
+
+
+def test_another_reader_finds_every_true_position(ur3, path, made):
+    """From the JSON and the nominal URDF alone: joints' errors, origins, targets, frames, events."""
+    said = json.loads(path.read_text())
+    model = chain(path, ur3.urdf.data)
+    data = model.createData()
+    base, tip = model.getFrameId("base"), model.getFrameId("tool0")
+    payload = Payload(said["payload"]["mass_kg"], np.array(said["payload"]["com_m"]))
+    targets = {one["target"]: np.array(one["xyz_m"]) for one in said["targets"]}
+    frames = {
+        one["group"]: pin.SE3(
+            pin.rpy.rpyToMatrix(*one["frame_base_rpy_rad"]), np.array(one["frame_base_xyz_m"])
+        )
+        for one in said["set_ups"]
+    }
+    moved = said["events"]["moved_target"]
+    assert len(said["rows"]) == 40
+    for i, row in enumerate(said["rows"]):
+        q = np.array(row["joints"])
+        load = dict(zip(ur3.joint_names, gravity_loads(ur3, q, payload)[0, :, 0], strict=True))
+        value = dict(zip(said["robot"]["joints"], q, strict=True))
+        true = dict(value)
+        for one in said["displacements"]:
+            if one["times"]:
+                number = {
+                    "gain": value[one["place"]],
+                    "sin": np.sin(value[one["place"]]),
+                    "cos": np.cos(value[one["place"]]),
+                    "compliance": load[one["place"]],
+                }[one["times"]]
+                true[one["place"]] += one["value"] * number
+        configuration = pin.neutral(model)
+        for name, angle in true.items():
+            joint = model.joints[model.getJointId(name)]
+            turn = [angle] if joint.nq == 1 else [np.cos(angle), np.sin(angle)]
+            configuration[joint.idx_q : joint.idx_q + joint.nq] = turn
+        pin.framesForwardKinematics(model, data, configuration)
+        point = targets[row["target"]].copy()
+        if row["row"] >= moved["from_row"] and row["target"] == moved["target"]:
+            point += moved["displacement_m"]
+        found = frames[row["group"]].act((data.oMf[base].inverse() * data.oMf[tip]).act(point))
+        assert found == pytest.approx(np.array(row["xyz_m"]), abs=1e-9)
+        assert found == pytest.approx(made.points[i], abs=1e-9)
+
+
+def test_events_and_instrument(path, made):
+    said = json.loads(path.read_text())
+    assert said["schema"] == SCHEMA == "truth 2"
+    assert said["seed"] == 4
+    events = said["events"]
+    assert tuple(one["row"] for one in events["outliers"]) == made.outlier_rows
+    for one in events["outliers"]:
+        assert np.linalg.norm(one["displacement_m"]) == pytest.approx(5e-3)
+    assert events["moved_target"] == {
+        "from_row": 30, "target": "lower", "displacement_m": [0, 0, 1e-3],
+    }  # fmt: skip
+    assert events["drift_m"] == [0, 0, 1e-4]
+    assert said["instrument"]["noise"] == {
+        "constant_m": 15e-6, "per_length_m_per_m": 6e-6, "repeatability_m": 20e-6,
+    }  # fmt: skip
+    assert said["instrument"]["encoder_step_rad"] == 1e-5
+    assert said["instrument"]["visits"] == 2
+    assert said["model"]["ties"] == [
+        {"name": "wrist_3_joint.x", "other": "wrist_2_joint.x", "factor": -2.0}
+    ]
+    sigma = [row["sigma_m"] for row in said["rows"]]
+    assert sigma == made.sigma.tolist()
+
+
+DOC = ROOT / "docs" / "simulation.md"
+
+
+def test_the_document_has_every_key_and_no_other(path):
+    said = json.loads(path.read_text())
+    section = DOC.read_text(encoding="utf-8").split("## The truth file")[1].split("\n## ")[0]
+    rows = [line.split("|")[1:3] for line in section.splitlines() if line.startswith("| `")]
+    keys = [key for first, _ in rows for key in re.findall(r"`(\w+)", first)]
+    assert sorted(keys) == sorted(said)
+    for first, content in rows:
+        for key in re.findall(r"`(\w+)", first):
+            value = said[key][0] if isinstance(said[key], list) else said[key]
+            if isinstance(value, dict):
+                assert set(value) <= set(re.findall(r"`(\w+)", content)), key
