@@ -83,10 +83,10 @@ def test_a_station_is_flagged_by_its_share_of_outliers(
 def test_a_station_whose_rows_are_flagged(calibrated):
     """A joint slipped further: the robust fit takes that station's rows for outliers, and the station is named."""
     scene, good = calibrated("set-ups")
-    m = good.measurements
+    m = good.fit.measurements
     joints = m.joints.copy()
     joints[np.array(m.groups) == "1", 2] += 2e-3
-    slipped = calibrate(scene.robot, replace(m, joints=joints), cell=good.cell)
+    slipped = calibrate(scene.robot, replace(m, joints=joints), cell=good.fit.cell)
     assert reasons(slipped)[Why.SETUP_FLAGGED]["setup"] == "1"
     assert slipped.verdict.use != "use"
     assert Why.SETUP_FLAGGED not in reasons(good)

@@ -115,11 +115,13 @@ def test_the_ladder_names_every_model_and_marks_the_chosen(calibrations):
     figure = candidates(c)
     left, right = figure.axes
     names = [text.get_text() for text in left.get_yticklabels()]
-    assert names == [f"{one.name} ({one.parameters})" for one in c.candidates]
-    rms = [1e3 * one.cross_validation.errors_without_outliers["m"].rms for one in c.candidates]
+    assert names == [f"{one.name} ({one.parameters})" for one in c.method.candidates]
+    rms = [
+        1e3 * one.cross_validation.errors_without_outliers["m"].rms for one in c.method.candidates
+    ]
     assert sorted(patch.get_width() for patch in left.patches) == pytest.approx(sorted(rms))
-    best = max(one.evidence for one in c.candidates)
-    gains = [one.evidence - best for one in c.candidates]
+    best = max(one.evidence for one in c.method.candidates)
+    gains = [one.evidence - best for one in c.method.candidates]
     assert sorted(patch.get_width() for patch in right.patches) == pytest.approx(sorted(gains))
     assert {text.get_text() for text in left.texts} == {f"{value:.3f}" for value in rms}
     labels = [text.get_text() for text in figure.legends[0].get_texts()]

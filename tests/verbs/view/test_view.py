@@ -107,7 +107,7 @@ def test_measured_points_are_shown_in_the_base_frame_and_the_tracker_where_it_st
 @pytest.mark.slow
 def test_errors_in_the_picture_are_those_of_the_tables_when_the_frame_is_estimated(result):
     cell = Cell(estimate_frame=True)
-    calibrated = calibrate(result.nominal, result.measurements, cell=cell, validate=False)
+    calibrated = calibrate(result.nominal, result.fit.measurements, cell=cell, validate=False)
     view = view_of(calibrated)
     off = np.linalg.norm(calibrated.rows.residual_nominal, axis=1)
     np.testing.assert_allclose(distances(view)[0], off, atol=1e-12)
