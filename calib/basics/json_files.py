@@ -1,8 +1,8 @@
 """JSON files of calib's own: tables with a ``schema``, made of dataclasses and read back into them.
 
 A `JsonLayout` makes tables of dataclasses and back: an attribute's type says how it is written, its key is its name
-unless the layout has another path. Dots separate nested tables; an empty path, or one that ends in a dot, puts the
-attribute's own keys beside the others.
+unless the layout has another path. Dots separate nested tables; an empty path, or one that ends in a dot, puts the keys
+of an attribute that is a dataclass beside the others.
 """
 
 from __future__ import annotations
@@ -137,11 +137,20 @@ class JsonLayout:
 
     def table(self, value: Any) -> dict[str, Any]:  # noqa: ANN401  a dataclass
         """Return a dataclass as nested tables."""
+        return nested(self.entries(value))
+
+    def entries(self, value: Any) -> dict[str, Any]:  # noqa: ANN401  a dataclass
+        """Return the entries of a dataclass's table by their paths, such as ``"robot.base"``."""
         entries = {}
         for name, key in self._keys_of(type(value)):
-            write = key.write or self._write
-            entries[key.path] = write(getattr(value, name))
-        return nested(entries)
+            attribute = getattr(value, name)
+            if key.path == "" or key.path.endswith("."):
+                for path, entry in self.entries(attribute).items():
+                    entries[key.path + path] = entry
+            else:
+                write = key.write or self._write
+                entries[key.path] = write(attribute)
+        return entries
 
     def values(self, kind: type, table: Json, excluded: Collection[str] = ()) -> dict[str, Any]:
         """Return the attributes of a dataclass by name, from its table.
@@ -169,7 +178,7 @@ class JsonLayout:
             place: Any = table
             for folder in folders:
                 place = place[folder]
-            if name in excluded or (name in with_default and last not in place):
+            if name in excluded or (last and name in with_default and last not in place):
                 continue
             entry = place[last] if last else place
             if key.read:
@@ -246,15 +255,12 @@ class JsonLayout:
 
 
 def nested(flat: Json) -> dict[str, Any]:
-    """Return nested tables from values by their paths, such as ``"robot.base"``; see the module's text."""
+    """Return nested tables from values by their paths, such as ``"robot.base"``."""
     result: dict[str, Any] = {}
     for path, value in flat.items():
         *folders, last = path.split(".")
         place = result
         for folder in folders:
             place = place.setdefault(folder, {})
-        if last:
-            place[last] = value
-        else:
-            place.update(value)
+        place[last] = value
     return result

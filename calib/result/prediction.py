@@ -71,18 +71,6 @@ class ParameterEstimate:
     data_gradient: float = np.nan
 
 
-@dataclass(frozen=True, slots=True)
-class Outlier:
-    """A row that does not belong to the others."""
-
-    #: Its number in the table
-    row: int
-    #: Norm of measured minus predicted over the scalars of each unit that the row measures, by its symbol
-    residual: Mapping[str, float]
-    #: Distance from what the others predict, in standard deviations
-    score: float
-
-
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class FittedModel(Value):
     """One fitted error model: its parameters, their covariance, and what it predicts."""

@@ -100,7 +100,9 @@ def made(
         "evaluation": evaluate(ur3, table, arm),
         "comparison": compare(default_result, default_result),
         "program": program,
-        "commands": compensate(bent, Program.of_joints(bent.measurements.joints[:3]), accept=True),
+        "commands": compensate(
+            bent, Program.of_joints(bent.fit.measurements.joints[:3]), accept=True
+        ),
         "plan": plan(ur3, arm, small, collisions=None),
         "region": Density.of(points, 0.5).region(),
         "scenario": scenario,
@@ -150,9 +152,9 @@ def test_a_robot_is_pickled_without_models_of_pinocchio(made):
 def test_one_robot_in_many_places_is_pickled_once(made):
     result = made["calibration"]
     again = pickle.loads(pickle.dumps(result))
-    assert result.nominal is result.kinematics.robot
-    assert again.nominal is again.kinematics.robot
-    assert again.fitted.kinematics.robot is again.nominal
+    assert result.nominal is result.geometry.kinematics.robot
+    assert again.nominal is again.geometry.kinematics.robot
+    assert again.fit.geometry.kinematics.robot is again.nominal
 
 
 def test_a_result_can_be_evaluated_and_written_after_pickling(made, tmp_path: Path):
@@ -161,7 +163,7 @@ def test_a_result_can_be_evaluated_and_written_after_pickling(made, tmp_path: Pa
     assert again.summary() == result.summary()
     here = result.write_json(tmp_path / "here.json").read_bytes()
     assert again.write_json(tmp_path / "there.json").read_bytes() == here
-    q = result.measurements.joints
+    q = result.fit.measurements.joints
     assert np.array_equal(again.predict_poses(q), result.predict_poses(q))
 
 

@@ -128,13 +128,13 @@ def test_the_scale_of_an_instrument(clean, share):
 def test_a_known_distance_between_sockets_tells_the_scale(calibrated):
     """Sockets measure nothing: only the distance grows, and the error that it then has is found."""
     scene, result = calibrated("sockets")
-    scale = instrument_scale(result.fitted)
+    scale = instrument_scale(result.fit.geometry)
     assert not scale.measured
     assert abs(scale.share) < 3.0 * scale.std
-    wrong = tuple(replace(one, length=1.01 * one.length) for one in result.cell.distances)
-    cell = replace(result.cell, distances=wrong)
-    rows, setup = rows_and_setup(scene.robot, result.measurements, cell)
-    task = replace(result.fitted.task, cell=cell, setup=setup)
+    wrong = tuple(replace(one, length=1.01 * one.length) for one in result.fit.cell.distances)
+    cell = replace(result.fit.cell, distances=wrong)
+    rows, setup = rows_and_setup(scene.robot, result.fit.measurements, cell)
+    task = replace(result.fit.geometry.task, cell=cell, setup=setup)
     from calib.fit.registration.known_distances import known_distances
 
     found = fit(replace(task, distances=known_distances(cell, setup)), rows)

@@ -17,11 +17,12 @@ ENOUGH_FREEDOM = 6.0
 def noise_text(c: Calibration) -> str:
     """Word the estimated noise in each unit, and its source."""
     noise = [
-        f"{with_unit(std, unit)} {per_scalar(c.channels, unit)}" for unit, std in c.sigma.items()
+        f"{with_unit(std, unit)} {per_scalar(c.rows.channels, unit)}"
+        for unit, std in c.noise.sigma.items()
     ]
     source = "mostly assumed: too few rows"
-    if c.freedom >= ENOUGH_FREEDOM:
-        source = f"from residuals, {c.freedom:.0f} d.o.f."
+    if c.noise.freedom >= ENOUGH_FREEDOM:
+        source = f"from residuals, {c.noise.freedom:.0f} d.o.f."
     return f"{listed(noise)} (1 sigma, {source})."
 
 

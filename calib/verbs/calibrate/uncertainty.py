@@ -207,7 +207,7 @@ def bootstrap(
             f"A bootstrap of {count} samples with seed {seed} was asked for; it takes {FEWEST_SAMPLES} to "
             f"{MOST_SAMPLES} samples, 1000 for intervals to be trusted, and a seed of 0 or more."
         )
-    fitted = calibration.fitted
+    fitted = calibration.fit.geometry
     _check_solver(fitted)
     draws = _draws(fitted.estimate.problem, count, seed)
     x, stopped = np.empty((count, len(fitted.estimate.x))), 0
@@ -352,8 +352,8 @@ def profile_interval(calibration: Calibration, name: str, level: float = 0.95) -
         CalibError: The level is not between 0 and 1.
     """
     parameter = calibration.parameter(name)
-    fitted = calibration.fitted
-    non_geometric = calibration.fit_in_memory.non_geometric
+    fitted = calibration.fit.geometry
+    non_geometric = calibration.fit.non_geometric
     if non_geometric is not None and name not in calibration.model.names:
         fitted = non_geometric
     _check_solver(fitted)

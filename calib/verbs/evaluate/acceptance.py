@@ -391,7 +391,7 @@ def assess(
     """
     _refuse_commands(robot, table, calibration)
     if calibration is not None:
-        cell = calibration.with_optics(cell)
+        cell = calibration.optics.given_to(cell)
     evaluations = _evaluations(robot, table, cell, calibration, which)
     seen = np.zeros(len(table), dtype=bool)
     if calibration is not None:
@@ -443,7 +443,7 @@ def _evaluations(
     nominal, corrected = calibration.uncorrected(robot), calibration.corrected(robot)
     setup = calibration.setup
     evaluations = {}
-    if calibration.nominal_is_judged:
+    if calibration.rows.nominal_is_judged:
         known = calibration.nominal_setup
         evaluations["nominal"] = evaluate(nominal, table, cell, known=known, which=which)
     evaluations["urdf"] = evaluate(robot, table, cell, known=setup, which=which)

@@ -207,9 +207,8 @@ def _calibrate(trials: Trials, simulated: _Measured) -> _Calibrated:
     if trials.validate:
         result = calibrate(robot, table, cell=simulated.cell, solver=trials.solver)
         assert result.verdict is not None
-        assert result.fit is not None
         fitted = result.fit.non_geometric or result.fit.geometry
-        flagged = frozenset(outlier.row for outlier in result.outliers)
+        flagged = frozenset(outlier.row for outlier in result.rows.outliers)
         return _Calibrated(fitted, result.verdict.use, flagged)
     fits = fit_table(robot, table, simulated.cell, solver=trials.solver)
     rows = np.array(table.rows)[table.estimation]

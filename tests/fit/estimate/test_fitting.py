@@ -187,10 +187,12 @@ def test_a_parameter_set_and_a_solver_of_ones_own(ur3, monkeypatch, make_scene):
     found = calibrate(ur3, table, model="shoulder", solver="gauss-newton")
     assert calls
     assert found.model.names == model.names
-    assert np.all(np.abs(found.x - true)[:2] < 5.0 * np.sqrt(np.diag(found.covariance))[:2])
-    assert found.solver == "gauss-newton"
+    assert np.all(
+        np.abs(found.geometry.x - true)[:2] < 5.0 * np.sqrt(np.diag(found.covariance))[:2]
+    )
+    assert found.method.solver == "gauss-newton"
     other = calibrate(ur3, table, model="shoulder")
-    np.testing.assert_allclose(found.x, other.x, atol=1e-9)
+    np.testing.assert_allclose(found.geometry.x, other.geometry.x, atol=1e-9)
 
 
 @pytest.mark.parametrize("model", ["dh", "placement"])
@@ -209,7 +211,7 @@ def test_what_an_estimated_frame_takes_leaves_no_trace_on_the_first_joint(
     monkeypatch.setattr("calib.fit.estimate.estimate._TRACE", 0.0)
     traced = calibrate(ur3, paper_table, cell=cell, validate=False)
     assert any(1e-8 < abs(p.delta) < 1e-7 for p in traced.parameters if p.name in own)
-    apart = np.abs(traced.residual_calibrated - result.residual_calibrated).max()
+    apart = np.abs(traced.rows.residual_calibrated - result.rows.residual_calibrated).max()
     assert apart < 1e-9
 
 

@@ -101,8 +101,8 @@ def test_parts_and_blocks_do_not_matter(ur3, table, monkeypatch):
     monkeypatch.setattr(problem, "PART", 300)
     parts = calibrate(ur3, table, model="dh")
     std = np.sqrt(np.diag(whole.covariance))
-    np.testing.assert_allclose(parts.x, whole.x, atol=1e-6 * std.min())
-    np.testing.assert_allclose(parts.scores, whole.scores, rtol=1e-6)
+    np.testing.assert_allclose(parts.geometry.x, whole.geometry.x, atol=1e-6 * std.min())
+    np.testing.assert_allclose(parts.rows.scores, whole.rows.scores, rtol=1e-6)
     assert parts.cross_validation.errors["m"].rms == pytest.approx(
         whole.cross_validation.errors["m"].rms, rel=1e-9
     )

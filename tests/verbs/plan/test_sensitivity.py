@@ -254,10 +254,10 @@ def test_the_forecast_is_what_a_calibration_then_says_of_itself(ur3, name):
     f = forecast(ur3, cell, q)
     table = simulated(ur3, cell, q, np.random.default_rng(3))
     c = calibrate(ur3, table, cell=cell, validate=False, robust=False)
-    found = c.fitted.estimate
+    found = c.fit.geometry.estimate
     assert c.model.names == f.names
     # What the poses tell, parameter by parameter, and over the workspace.
-    sure = c.observability.identifiable
+    sure = c.trust.observability.identifiable
     assert sure.sum() >= 5
     std = np.sqrt(np.diag(found.covariance))
     np.testing.assert_allclose(f.parameter_std[sure], std[sure], rtol=0.15)

@@ -61,7 +61,7 @@ def calibrated_camera(calibration: Calibration, name: str | None) -> Camera:
     Raises:
         ModelError: See `camera_of_station`.
     """
-    return camera_of_station(calibration.cameras, calibration.setup.groups, name)
+    return camera_of_station(calibration.optics.cameras, calibration.setup.groups, name)
 
 
 def camera_of_station(

@@ -79,7 +79,7 @@ def _errors_of_robots(calibration: Calibration, rows: str) -> dict[str, Errors]:
     if rows != HELD_OUT:
         return {name: errors[rows] for name, errors in calibration.errors.items()}
     validations = {
-        "nominal": calibration.nominal_cross_validation,
+        "nominal": calibration.trust.nominal_cross_validation,
         "calibrated": calibration.cross_validation,
     }
     if calibration.non_geometric is not None:
