@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from calib.diagnosis.reasons import NO, Reason, Verdict, Why
-from calib.show.doubtful_rows import joint_unit, row_or_image, rows_lie
 from calib.show.image_reasons import OF_IMAGES
 from calib.show.lines import listed, mm, plural
 from calib.show.sizes import absurd_size, sizes_of
+from calib.show.words import joint_unit
 
 _DEG = float(np.degrees(1.0))
 
@@ -246,8 +246,8 @@ def _words(values: Mapping[str, Any]) -> dict[str, str]:
         "named": "",
         "of_station": "",
         "ranges": _ranges(values),
-        "rows_lie": rows_lie(values),
-        "place": row_or_image(values),
+        "rows_lie": _rows_lie(values),
+        "place": f"'{values['image']}'" if "image" in values else f"row {values.get('row', 0)}",
         "better": "",
         "before_off": absurd_size(values, "before"),
         "after_off": absurd_size(values, "after"),
@@ -363,6 +363,15 @@ def _ranges(values: Mapping[str, Any]) -> str:
         limits = f"{factor * low:.0f} to {factor * high:.0f} {unit}"
         parts.append(f"'{joint}' from {limits} ({100.0 * share:.0f} %)")
     return ", ".join(parts)
+
+
+def _rows_lie(values: Mapping[str, Any]) -> str:
+    """Word how many validation rows, or images, lie somewhere; rows of other reasons may be a list."""
+    if "image" in values:
+        images = values["images"]
+        return f"{plural(images, 'validation image')} {'lies' if images == 1 else 'lie'}"
+    rows = values.get("rows", 0)
+    return "1 validation row lies" if rows == 1 else f"{rows} validation rows lie"
 
 
 def against(verdict: Verdict | None) -> str:

@@ -74,3 +74,10 @@ def test_a_small_share_is_not_rounded_to_nothing(share, percent):
     values = {"quantity": "angle", "joint": "elbow", "share": share, "chance": 2e-4, "p": 1e-9}
     text = reason_text(Reason(Why.JOINT_PATTERN, values))
     assert f"explains {percent} % of them (by chance 0.02 %; p < 1e-6)." in text
+
+
+def test_rows_outside_may_be_images():
+    values = {"rows": 80, "row": 3, "images": 2, "image": "b.png", "joint": "elbow", "by_rad": 0.1}
+    text = reason_text(Reason(Why.OUTSIDE, values))
+    assert text.startswith("2 validation images lie outside")
+    assert "'elbow' in 'b.png' by 5.73 deg" in text

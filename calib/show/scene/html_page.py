@@ -14,8 +14,8 @@ import meshcat
 import numpy as np
 from numpy.typing import ArrayLike
 
-import calib.show.figure_base as look
 from calib.basics.files import write_atomically
+from calib.show.look import CALIBRATED, INK, NOMINAL
 
 #: Addresses that a page which came from a server on this computer may connect to: a rule of its security policy.
 _LIVE = "; connect-src 'self' ws://127.0.0.1:* ws://localhost:*"
@@ -27,7 +27,7 @@ _FOLDER = Path(__file__).parent
 _SCRIPTS = ("robots.js", "marks.js", "words.js", "images.js", "controls.js")
 
 #: Colours of robots and measured positions.
-COLOURS = {"nominal": look.NOMINAL, "calibrated": look.CALIBRATED, "measured": look.INK}
+COLOURS = {"nominal": NOMINAL, "calibrated": CALIBRATED, "measured": INK}
 
 
 class Page(NamedTuple):

@@ -18,9 +18,9 @@ from meshcat import geometry as mc
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-import calib.show.figure_base as look
 from calib.basics.arrays import Array
 from calib.robot.robot import Robot
+from calib.show.look import NOMINAL
 from calib.show.scene.html_page import Key, Page, filled_page
 from calib.show.scene.puppet import Mesh, Puppet, read_visuals, translation
 
@@ -435,7 +435,7 @@ def single_page(
     puppet = Puppet.of(robot, q[None], visuals, np.eye(4)[None], np.eye(4))
     size = span(np.concatenate([puppet.outline(), points]))
     scene, base = _scene_of_one(puppet, points, size)
-    keys = [Key(legend, look.NOMINAL, "nominal"), *draw(base, size)]
+    keys = [Key(legend, NOMINAL, "nominal"), *draw(base, size)]
     html = filled_page(
         "page.html",
         scene.window.scene(),
@@ -467,7 +467,7 @@ def _scene_of_one(puppet: Puppet, points: Array, size: float) -> tuple[Scene, me
     scene = new_scene(camera, size, floor)
     base = scene.root[SCENE]
     base.set_transform(translation(-camera.centre))
-    draw_puppet(base["nominal"], puppet, 0, solid(look.NOMINAL))
+    draw_puppet(base["nominal"], puppet, 0, solid(NOMINAL))
     return scene, base
 
 

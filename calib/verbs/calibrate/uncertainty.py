@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,6 +43,9 @@ FEWEST_SAMPLES = 40
 
 #: More samples make intervals no better, and do not fit into memory.
 MOST_SAMPLES = 100_000
+
+#: Probability that an interval holds the true value.
+LEVEL = 0.95
 
 #: Poses over which the predicted scatter of a bootstrap is averaged.
 _POSES = 200
@@ -118,6 +122,26 @@ class Bootstrap(Value):
         ends = np.quantile(self.x, (tail, 1.0 - tail), axis=0).T
         values = np.array([p.value for p in self.parameters])
         return np.asarray(ends + (values - self.fitted.estimate.x)[:, None])
+
+    def table(self) -> dict[str, Any]:
+        """Return the intervals as nested tables of plain values in SI units, for the result file."""
+        parameters = []
+        ends = self.intervals(LEVEL)
+        for p, std, (low, high) in zip(self.parameters, self.std, ends, strict=True):
+            parameters.append(
+                {"name": p.name, "unit": p.unit, "std": std, "low": low, "high": high}
+            )
+        return {
+            "samples": len(self.x),
+            "seed": self.seed,
+            "stopped": self.stopped,
+            "level": LEVEL,
+            "parameters": parameters,
+            "expected": {
+                "measured_rms_m": self.measured_rms,
+                "everywhere_rms_m": self.everywhere_rms,
+            },
+        }
 
     def positions(self, where: SamplesOrValues) -> Array:
         """Predict the target's position in the measurement frame by the parameters of each of the bootstrap's draws.

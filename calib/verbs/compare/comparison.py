@@ -5,7 +5,7 @@ The difference and its test are those of `calib.verbs.compare.difference`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -19,15 +19,18 @@ from calib.data.inputs import ROBOT, RobotInput, chain_of, robot_of
 from calib.diagnosis.reasons import NO
 from calib.errors import ModelError
 from calib.result.calibration import Calibration
-from calib.result.calibration_file import write_table
+from calib.result.calibration_file import versions, write_table
 from calib.result.result_input import ResultInput, result_of
 from calib.robot.robot import Robot
 from calib.verbs.compare.difference import Differences, Displacement, differences_of
-from calib.verbs.compare.drift import DriftTest
+from calib.verbs.compare.drift import LEVEL, DriftTest
 
 Outcome = Literal["drift", "no drift shown", "cannot tell"]
 #: Reason why nothing can be told; empty otherwise.
 Why = Literal["", "same data", "bad verdict", "nothing known", "other errors"]
+
+#: The layout of `Comparison.table`; a word, so that it is not taken for a result.
+SCHEMA = "comparison 5"
 
 #: Joint origins and held values that differ by less are the same [m], [rad].
 _SAME = 1e-9
@@ -63,6 +66,11 @@ class Comparison(Value):
     #: The same of b
     only_b: tuple[str, ...]
 
+    @property
+    def results(self) -> tuple[tuple[str, str, Calibration], ...]:
+        """Letter, name and value of each result."""
+        return ("a", self.names[0], self.a), ("b", self.names[1], self.b)
+
     def _repr_html_(self) -> str:
         """A small table for notebooks: the answer, and both results."""
         return str(shown_by("verbs.compare.text").comparison_html(self))
@@ -72,9 +80,44 @@ class Comparison(Value):
         return str(shown_by("verbs.compare.text").comparison_text(self))
 
     def table(self) -> dict[str, Any]:
-        """Return the comparison as nested tables of plain values; docs/comparison.md has the keys."""
-        table: dict[str, Any] = shown_by("verbs.compare.text").comparison_table(self)
-        return table
+        """Return the comparison as nested tables of plain values in SI units; docs/comparison.md has the keys."""
+        robot = self.a.nominal
+        moves = [
+            {
+                "where": move.where,
+                "moved_rms_m": move.moved,
+                "rms_rad": move.rms_angle,
+                "rms_m": move.rms,
+                "max_m": move.max,
+                "noise_rms_m": move.noise,
+                "moved_std_m": move.std,
+            }
+            for move in self.moves
+        ]
+        results = [
+            {
+                "name": name,
+                "set": result.model.name,
+                "verdict": None if result.verdict is None else result.verdict.use,
+                "sigma": result.noise.sigma,
+                "urdf_sha256": result.nominal.urdf.sha256,
+                "measurements_sha256": result.source.sha256,
+            }
+            for _, name, result in self.results
+        ]
+        return {
+            "schema": SCHEMA,
+            "robot": {"name": robot.name, "base": robot.base, "tip": robot.tip},
+            "outcome": self.outcome,
+            "why": self.why,
+            "test": {**asdict(self.test), "level": LEVEL},
+            "moves": moves,
+            "compensated": list(self.compensated),
+            "only_a": list(self.only_a),
+            "only_b": list(self.only_b),
+            "results": results,
+            "versions": versions(),
+        }
 
     def write_json(self, path: str | Path, *, overwrite: bool = False) -> Path:
         """Write the comparison as JSON.

@@ -125,14 +125,14 @@ class EvaluationOutputs:
 
             write_table(assessment_table(e), self.json, overwrite=self.force)
         if self.report is not None:
-            from calib.verbs.evaluate.evaluation_report import Origins, write_evaluation_report
+            from calib.verbs.evaluate.report import Origins, write_report
 
             name, sha256 = "", ""
             if calibration is not None:
                 contents = read_bytes(calibration, "calibration result")
                 name, sha256 = calibration.name, hashlib.sha256(contents).hexdigest()
             origins = Origins(name, sha256, target_source, command_line())
-            write_evaluation_report(e, self.report, origins, overwrite=self.force)
+            write_report(e, self.report, origins, overwrite=self.force)
 
 
 @verb("""Compare a robot with measurements, and judge its accuracy by a tolerance.
@@ -210,10 +210,10 @@ def _say_assessment(
         target_source: The source, in words, of targets that were not registered.
         outputs: The files.
     """
-    from calib.verbs.evaluate.text import assessment_text
+    from calib.verbs.evaluate.report import Origins, summary
 
     name = calibration.name if calibration else ""
-    say(assessment_text(assessment, name, target_source))
+    say(summary(assessment, Origins(result=name, target=target_source)))
     written = written_lines(outputs.json, outputs.report)
     if written:
         typer.echo("\n".join(["", *written]))

@@ -82,11 +82,11 @@ class Evaluation(Value):
 
     def _repr_html_(self) -> str:
         """A small table for notebooks: errors by set."""
-        return str(shown_by("verbs.evaluate.text").evaluation_html(self))
+        return str(shown_by("verbs.evaluate.report").evaluation_html(self))
 
     def summary(self) -> str:
         """Return the evaluation as text, without colours, in 100 columns, as ``calib evaluate`` prints it."""
-        return str(shown_by("verbs.evaluate.text").evaluation_text(self))
+        return str(shown_by("verbs.evaluate.report").evaluation_text(self))
 
     def write_report(
         self, path: str | Path, *, accepted: Value | None = None, overwrite: bool = False
@@ -107,8 +107,8 @@ class Evaluation(Value):
             FileError: The file exists, or cannot be written.
         """
         check_path("path", path)
-        report = shown_by("verbs.evaluate.evaluation_report")
-        return Path(report.write_evaluation_report_of(self, accepted, path, overwrite=overwrite))
+        report = shown_by("verbs.evaluate.report")
+        return Path(report.write_evaluation_report(self, accepted, path, overwrite=overwrite))
 
     @property
     def used(self) -> Mask:

@@ -11,7 +11,7 @@ import meshcat
 import numpy as np
 
 from calib.basics.arrays import Array
-from calib.show.figure_base import BEAM, ESTIMATION, VALIDATION
+from calib.show.look import BEAM, ESTIMATION, VALIDATION
 from calib.show.scene.html_page import Key, Page
 from calib.show.scene.scene import (
     Dots,

@@ -9,8 +9,8 @@ import meshcat
 import numpy as np
 from meshcat import geometry as mc
 
-import calib.show.figure_base as look
 from calib.basics.arrays import Array
+from calib.show.look import INK
 from calib.show.scene.html_page import COLOURS, Key, floats
 from calib.show.scene.puppet import Puppet
 from calib.show.scene.scene import SCENE as ROBOTS, Scene, draw_cloud, draw_lines
@@ -49,7 +49,7 @@ def draw_sight(scene: Scene, shown: Mapping[str, Puppet], sight: Sight) -> Key:
             node.set_transform(T_base_shape[which])
             _draw_shape(node, shape, COLOURS[name])
         nodes += [f"{name}/{target}", f"{name}/{_STANDING}"]
-    return Key("camera and board, as fitted with each robot", look.INK, " ".join(nodes))
+    return Key("camera and board, as fitted with each robot", INK, " ".join(nodes))
 
 
 def _draw_shape(node: meshcat.Visualizer, shape: Shape, colour: str) -> None:
@@ -60,7 +60,7 @@ def _draw_shape(node: meshcat.Visualizer, shape: Shape, colour: str) -> None:
     node["body"].set_transform(shape.T_shape_body)
     draw_lines(node["lines"], np.concatenate([shape.lines, _face(shape)]), colour)
     if is_board:
-        draw_cloud(node["corners"], shape.points, look.INK, _DOT * float(shape.edges.max()))
+        draw_cloud(node["corners"], shape.points, INK, _DOT * float(shape.edges.max()))
 
 
 def _face(shape: Shape) -> Array:

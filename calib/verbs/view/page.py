@@ -15,11 +15,11 @@ from typing import Any
 import meshcat
 import numpy as np
 
-import calib.show.figure_base as look
 import calib.show.scene.scene as stage
 from calib.basics.arrays import Array
 from calib.basics.channels import RESIDUAL_UNITS
 from calib.result.calibration import Calibration
+from calib.show.look import BEAM, ESTIMATION, OUTLIER, VALIDATION
 from calib.show.scene.html_page import COLOURS, Key, Page, filled_page, floats
 from calib.show.scene.puppet import Puppet, Visual, packed, read_visuals, translation
 from calib.show.scene.scene import Scene
@@ -29,9 +29,9 @@ from calib.verbs.view.view import View, view_of
 
 #: Colour and text in the legend of the rows of each kind.
 _ROWS = {
-    "estimation": (look.ESTIMATION, "measured, estimation"),
-    "validation": (look.VALIDATION, "measured, validation"),
-    "flagged": (look.OUTLIER, "measured, flagged"),
+    "estimation": (ESTIMATION, "measured, estimation"),
+    "validation": (VALIDATION, "measured, validation"),
+    "flagged": (OUTLIER, "measured, flagged"),
 }
 
 #: Radius of the target's ball, as a part of the scene's size.
@@ -129,7 +129,7 @@ def view_page(view: View, *, live: bool = False, about: About | None = None) -> 
         grid=scene.square,
         legend=_legend(view),
         names=names,
-        beam=look.BEAM,
+        beam=BEAM,
         groups=list(shown),
         view=view,
         two=len(shown) > 1,
@@ -311,7 +311,7 @@ def script_table(view: View, shown: Mapping[str, Puppet]) -> dict[str, Any]:
         "labels": list(view.labels),
         "kinds": list(view.kinds),
         "names": [name for name, _ in view.names],
-        "colours": {**COLOURS, **colours, "beam": look.BEAM, "way": WAY_COLOUR},
+        "colours": {**COLOURS, **colours, "beam": BEAM, "way": WAY_COLOUR},
         "robots": {name: _robot_table(puppet, links) for name, puppet in shown.items()},
         "measured": floats(view.measured),
         "errors": [_errors_table(unit, errors) for unit, errors in view.errors.items()],

@@ -12,10 +12,19 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-import calib.show.figure_base as base
 from calib.basics.arrays import Array, Mask
 from calib.basics.files import write_atomically
-from calib.show.figure_base import VIEWS, flat, limits_of
+from calib.show.look import ESTIMATION, INK, LITTLE_TO_MUCH, VALIDATION
+from calib.show.plotting import (
+    VIEWS,
+    check_kind,
+    new_figure,
+    number_points,
+    picture_bytes,
+    set_view,
+    styled,
+    view_limits,
+)
 from calib.verbs.workspace.region import Density
 from calib.verbs.workspace.region_rows import RegionView
 
@@ -37,7 +46,7 @@ def check_ending(path: str | Path) -> str:
         FileError: It is none of `KINDS`.
     """
     kind = Path(path).suffix.lower().removeprefix(".")
-    base.check_kind(kind)
+    check_kind(kind)
     return kind
 
 
@@ -66,14 +75,14 @@ def write_picture(view: RegionView, path: str | Path, *, overwrite: bool = False
         FileError: Another ending, or the file exists or cannot be written.
     """
     kind = check_ending(path)
-    with base.styled():
-        data = base.saved(draw_region(view), kind, *headings(view), dpi=_DPI)
+    with styled():
+        data = picture_bytes(draw_region(view), kind, *headings(view), dpi=_DPI)
     return write_atomically(Path(path), data, overwrite=overwrite)
 
 
 def draw_region(view: RegionView) -> Figure:
     """Draw a region: views in the upper row, cuts through the mean of the samples below."""
-    figure = base.new_figure(*_SIZE)
+    figure = new_figure(*_SIZE)
     figure.suptitle("\n".join(headings(view)), x=0.01, ha="left")
     axes = figure.subplots(2, 3)
     limits = _limits(view)
@@ -82,9 +91,9 @@ def draw_region(view: RegionView) -> Figure:
         upper, lower = axes[:, column]
         density = _draw_view(upper, view, (i, j))
         upper.set_title(f"Seen {name}")
-        flat(upper, limits, (i, j))
+        set_view(upper, limits, (i, j))
         cut = _draw_cut(lower, view, (i, j), centre)
-        flat(lower, limits, (i, j))
+        set_view(lower, limits, (i, j))
         _mark(upper, view, (i, j))
     _colour_bar(figure, density, axes[0], "density along the line of sight; 1: highest")
     _colour_bar(figure, cut, axes[1], "density in the cut; 1: highest")
@@ -102,7 +111,7 @@ def _colour_bar(figure: Figure, image: Any, panels: Iterable[Axes], label: str) 
 def _limits(view: RegionView) -> Array:
     """Return the limits of all panels, shape (2, 3), [mm]: around the density and the points of the table."""
     points = np.zeros((0, 3)) if view.checked is None else view.checked.points
-    return limits_of(1e3 * np.vstack([view.density.extent, points]))
+    return view_limits(1e3 * np.vstack([view.density.extent, points]))
 
 
 def _mean_voxel(density: Density) -> Array:
@@ -154,7 +163,7 @@ def _panel(ax: Axes, values: Array, inside: Mask, low: Array, voxel: float) -> A
         np.ma.masked_where(values.T <= 0.0, share),
         origin="lower",
         extent=(low[0], high[0], low[1], high[1]),
-        cmap=LinearSegmentedColormap.from_list("often", list(base.LITTLE_TO_MUCH)),
+        cmap=LinearSegmentedColormap.from_list("often", list(LITTLE_TO_MUCH)),
         vmin=0.0,
         vmax=1.0,
         interpolation="nearest",
@@ -174,9 +183,7 @@ def _draw_outline(ax: Axes, inside: Mask, low: Array, voxel: float) -> None:
     upright = np.stack([along - [0, 1], along], axis=1)
     level = np.stack([across - [1, 0], across], axis=1)
     edges = low + voxel * np.concatenate([upright, level])  # shape (K, 2, 2)
-    lines = LineCollection(
-        list(edges), colors=base.INK, linewidths=1.3, capstyle="projecting", zorder=3
-    )
+    lines = LineCollection(list(edges), colors=INK, linewidths=1.3, capstyle="projecting", zorder=3)
     lines.set_label("outline of the region")
     ax.add_collection(lines)
 
@@ -195,15 +202,15 @@ def _mark(ax: Axes, view: RegionView, pair: tuple[int, int]) -> None:
     places = 1e3 * view.checked.points[:, pair]
     inside = view.region.contains(view.checked.points)
     sets = (
-        (rows.estimation, "estimation", {"marker": "o", "ms": 4.5}, base.ESTIMATION),
-        (rows.validation, "validation", {"marker": "D", "ms": 6.0}, base.VALIDATION),
+        (rows.estimation, "estimation", {"marker": "o", "ms": 4.5}, ESTIMATION),
+        (rows.validation, "validation", {"marker": "D", "ms": 6.0}, VALIDATION),
     )
     for mask, name, look, colour in sets:
         filled = {"mfc": colour, "mec": "white", **look}
         hollow = {"mfc": "white", "mec": colour, **look}
         _mark_rows(ax, places[mask & inside], f"{name} rows inside", filled)
         _mark_rows(ax, places[mask & ~inside], f"{name} rows outside", hollow)
-    base.number_points(ax, rows.rows, places, rows.validation | ~inside)
+    number_points(ax, rows.rows, places, rows.validation | ~inside)
 
 
 def _mark_rows(ax: Axes, places: Array, noun: str, look: dict[str, Any]) -> None:

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.show.figure_base import CALIBRATED, NOMINAL, OUTLIER, VALIDATION
+from calib.show.look import CALIBRATED, NOMINAL, OUTLIER, VALIDATION
 from calib.show.scene.puppet import packed, read_visuals, translation
 from calib.verbs.view.page import FACTORS, magnification, puppets, script_table, view_page
 from calib.verbs.view.view import View, view_of

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.show.row_values import flagged_rows
+from calib.show.measured_rows import flagged_rows
 from calib.verbs.evaluate.evaluation import Evaluation
 from calib.verbs.view.steps import steps_of, typical_step
 from tests.hard_cases import made

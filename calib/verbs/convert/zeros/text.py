@@ -6,10 +6,10 @@ from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING
 
 from calib.basics.channels import RESIDUAL_UNITS
-from calib.show.doubtful_rows import joint_unit
 from calib.show.lines import fill, number
 from calib.show.sizes import shown
 from calib.show.tables import Column, name_column, table_lines
+from calib.show.words import joint_unit
 from calib.verbs.convert.zeros.rms_errors import RmsErrors
 from calib.verbs.convert.zeros.rounding import STORED, RoundedZeros, calibration_of, stored_number
 

@@ -12,14 +12,10 @@ import calib
 from calib.data.cell import Cell
 from calib.errors import ArgumentError, FileError
 from calib.robot.robot import Robot
+from calib.show.page import page_bytes
 from calib.show.sizes import shown
 from calib.verbs.evaluate.acceptance import Assessment
-from calib.verbs.evaluate.evaluation_report import (
-    Origins,
-    evaluation_report_bytes,
-    write_evaluation_report,
-)
-from calib.verbs.evaluate.text import assessment_text
+from calib.verbs.evaluate.report import report, summary, write_report
 from tests.show.pages import FULL_RECORD, Page
 from tests.verbs.evaluate.evaluations import RECORD, made, measured, page_of
 
@@ -32,7 +28,7 @@ def assessment(ur3: Robot) -> Assessment:
 
 
 def test_every_number_is_printed_too(assessment: Assessment):
-    text = assessment_text(assessment, "", "as given")
+    text = summary(assessment)
     printed = {*NUMBER.findall(text)}
     tables = [(caption, rows) for caption, rows in page_of(assessment).tables if caption]
     assert len(tables) == 1 + 1 + 2 + 1 + 1 + 2
@@ -102,7 +98,7 @@ def test_python_writes_what_the_command_line_writes(ur3: Robot, tmp_path: Path):
 
 @pytest.mark.slow
 def test_the_first_page_is_one_sheet(browser, ur3: Robot, tmp_path: Path):
-    page = write_evaluation_report(made(ur3, record=FULL_RECORD), tmp_path / "full.html")
+    page = write_report(made(ur3, record=FULL_RECORD), tmp_path / "full.html")
     with browser.open(page.as_uri(), size=(794, 1123)) as tab:
         assert tab.complaints == []
         assert tab.elsewhere == []
@@ -130,7 +126,7 @@ def test_on_a_phone_a_wide_table_scrolls_and_shows_that_it_does(
     browser, assessment: Assessment, tmp_path: Path
 ):
     page = tmp_path / "acceptance.html"
-    page.write_bytes(evaluation_report_bytes(assessment, Origins()))
+    page.write_bytes(page_bytes(report(assessment)))
     with browser.open(page.as_uri(), size=(412, 860)) as tab:
         assert tab.evaluate("document.documentElement.scrollWidth") == 412
         captions = "[...document.querySelectorAll('caption')].map(e => e.getBoundingClientRect())"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.show.row_values import flagged_rows, measured_in_base, setup_of_rows
+from calib.show.measured_rows import flagged_rows, measured_in_base, setup_of_rows
 
 
 def test_flagged_are_outliers_and_suspects(calibrations):

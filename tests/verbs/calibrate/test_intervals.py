@@ -9,10 +9,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from calib.basics.arrays import read_only
+from calib.data.cell import Cell
+from calib.example import PAPER_TARGET
 from calib.model.parameters import FRAME
+from calib.result.calibrate import calibrate
 from calib.result.calibration import Calibration
-from calib.verbs.calibrate.interval_text import LEVEL, bootstrap_table, bootstrap_text, profile_text
-from calib.verbs.calibrate.uncertainty import Profile
+from calib.verbs.calibrate.report import bootstrap_text, profile_text
+from calib.verbs.calibrate.uncertainty import LEVEL, Bootstrap, Profile, bootstrap
 
 
 def numbers(line: str) -> list[float]:
@@ -67,10 +71,39 @@ def test_a_long_name_gets_a_line_of_its_own(default_result: Calibration):
 
 
 def test_the_table_is_in_si_units(default_result: Calibration, samples: SimpleNamespace):
-    table = bootstrap_table(samples)
+    table = Bootstrap.table(samples)
     first = default_result.parameters[0]
     assert table["parameters"][0]["name"] == first.name
     assert table["parameters"][0]["low"] == first.value - 5e-4
     assert table["parameters"][0]["std"] == 2.5e-4
     assert table["expected"] == {"measured_rms_m": 1.5e-4, "everywhere_rms_m": 3.5e-4}
     assert (table["samples"], table["level"]) == (200, LEVEL)
+
+
+@pytest.fixture(scope="module")
+def zeros(ur3, paper_table) -> Calibration:
+    cell = Cell(target=read_only(PAPER_TARGET), model="zeros")
+    return calibrate(ur3, paper_table, cell=cell, validate=False)
+
+
+def test_samples_that_did_not_converge_are_counted(zeros: Calibration):
+    found = bootstrap(zeros, 40, seed=0)
+    said = "The solver did not converge on 3 of the samples."
+    assert said not in bootstrap_text(zeros, replace(found, stopped=0))
+    assert bootstrap_text(zeros, replace(found, stopped=3)).splitlines()[-1] == said
+
+
+def test_a_long_name_at_its_bound_has_a_line_of_its_own(zeros):
+    one = zeros.parameters[0]
+    long = replace(
+        one, name="a_joint_with_a_name_that_is_much_longer_than_a_column.zero", at_bound=True
+    )
+    lines = profile_text(
+        [(one, Profile(-1.0, float("inf"), 0.95)), (long, Profile(0.0, 1.0, 0.95))]
+    )
+    head, first, name, values = lines.splitlines()[1:]
+    assert head.endswith("profile")
+    assert first.split()[-2:] == ["open", "deg"]
+    assert name == long.name
+    assert values.startswith("    ")
+    assert "at bound" in values

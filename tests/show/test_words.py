@@ -1,4 +1,4 @@
-"""Results in one line."""
+"""Words that verbs share: rows outside of the measured range, errors in their units."""
 
 from __future__ import annotations
 
@@ -7,16 +7,23 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.data.cell import Cell
+from calib.diagnosis.coverage import Beyond, OutsideRow
 from calib.numerics.errors import Errors
 from calib.result.calibration import Calibration
-from calib.show.short import before_and_after, rms_text
-from calib.verbs.evaluate.evaluation import evaluate
+from calib.show.words import before_and_after, outside_text, rms_text
 from tests.parts import with_part
 from tests.residuals import lengths_and_angles
 
 
-def test_a_calibration_says_verdict_errors_and_rows(default_result: Calibration):
+def test_rows_outside():
+    rows = [OutsideRow(i, (Beyond("a", False, 0.1), Beyond("b", True, 0.3))) for i in range(5)]
+    assert (
+        outside_text(rows[:1], [7]) == "row 7: 'a' 5.73 deg, 'b' 300 mm beyond the measured range"
+    )
+    assert outside_text(rows, range(5)).endswith("; and 2 more rows")
+
+
+def test_a_calibration_in_one_line_says_verdict_errors_and_rows(default_result: Calibration):
     c = default_result
     before = c.trust.nominal_cross_validation.errors_without_outliers["m"].rms
     after = c.cross_validation.errors_without_outliers["m"].rms
@@ -41,14 +48,6 @@ def test_without_held_out_rows_the_errors_are_those_of_validation_or_fitted_rows
     assert "no verdict" in repr(c)
     fitted = replace(c, rows=replace(c.rows, sets=("estimate",) * len(c.rows)))
     assert before_and_after(fitted)[0] == "fitted"
-
-
-def test_an_evaluation_says_its_error(ur3, table):
-    made = evaluate(ur3, table, Cell())
-    assert (
-        repr(made)
-        == f"Evaluation('ur3', base to tool0, rms {1e3 * made.errors['all']['m'].rms:.3f} mm, 35 rows)"
-    )
 
 
 @pytest.mark.parametrize(

@@ -1,22 +1,13 @@
-"""Values of the rows of a calibration that figures, tables and pages show: errors, flags, places in the base frame."""
+"""The rows of a calibration: which of them are flagged, and where their targets were measured."""
 
 from __future__ import annotations
-
-from collections import Counter
 
 import numpy as np
 
 from calib.basics.arrays import Array, Mask, rigid_inverse
-from calib.data.kinds import get as kind_named
 from calib.data.measurements import Measurements
 from calib.fit.registration.setup import Setup
 from calib.result.calibration import Calibration
-
-
-def kinds_text(m: Measurements) -> str:
-    """Word the kinds of measurements with their numbers of rows."""
-    counts = Counter(m.kinds)
-    return "; ".join(f"{kind_named(kind).words} ({n:,} rows)" for kind, n in counts.items())
 
 
 def flagged_rows(c: Calibration) -> Mask:

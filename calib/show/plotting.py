@@ -1,56 +1,30 @@
-"""The look that all figures of a calibration share: colours, marks of rows, legends, axes, and the files.
+"""Figures by matplotlib: their look, legends, axes, and the files that they are written into.
 
 A figure belongs to no window and leaves no trace in matplotlib's global state. Names from files are plain text: none is
-read as a formula. Pages in the browser take the colours too, so matplotlib is imported by what draws.
+read as a formula. Matplotlib is an extra, so it is imported when something is drawn.
 """
 
 from __future__ import annotations
 
+import importlib.util
 import io
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from calib.basics.arrays import Array, Mask
-from calib.errors import FileError, choices
-from calib.result.calibration import Calibration
-from calib.show.row_values import flagged_rows
+from calib.errors import CalibError, FileError, choices
+from calib.show.blocks import Drawing
+from calib.show.look import INK, SOFT
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
     from matplotlib.ticker import MaxNLocator
-
-#: Colour of the nominal robot.
-NOMINAL = "#45709c"
-
-#: Colour of the calibrated robot.
-CALIBRATED = "#ee8420"
-
-#: Colour of the estimation rows.
-ESTIMATION = "#16202a"
-
-#: Colour of the validation rows.
-VALIDATION = "#009e73"
-
-#: Colour of the flagged rows of either set.
-OUTLIER = "#c8323c"
-
-#: Colour of lines of sight and of the instruments that they come from.
-BEAM = "#a0569a"
-
-#: Colours from little (pale) to much (dark): density of the target's positions, uncertainty.
-LITTLE_TO_MUCH = ("#fbe3b0", "#f5b13a", "#d6602a", "#8c2a4f")
-
-#: Colour of text and axes.
-INK = "#16202a"
-
-#: Colour of what stands behind text and axes.
-SOFT = "#5a6875"
 
 #: Kinds of picture files, by the ending of their name.
 KINDS = ("png", "svg", "pdf")
@@ -70,11 +44,20 @@ _FALLBACKS = ("Noto Sans", "Noto Sans CJK JP", "Arial Unicode MS", "Microsoft Ya
 #: Metadata that PDF and SVG must not hold, since it would differ between two files of one figure.
 _UNDATED: dict[str, dict[str, Any]] = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
 
-#: Markers of more outliers than this are half as large.
-_MANY_OUTLIERS = 40
 
-#: Markers of more rows that are no outliers than this are half as large and have no white edge.
-_MANY_ROWS = 400
+def require_matplotlib(what: str) -> None:
+    """Refuse work whose result could not be drawn.
+
+    Args:
+        what: What is drawn, such as ``"A report"``.
+
+    Raises:
+        CalibError: Matplotlib is not installed.
+    """
+    if importlib.util.find_spec("matplotlib") is None:
+        raise CalibError(
+            f"{what} needs matplotlib, which is not installed: pip install 'robot-calib[report]'"
+        )
 
 
 @contextmanager
@@ -94,7 +77,9 @@ def styled() -> Iterator[None]:
         yield
 
 
-def saved(figure: Figure, kind: str, title: str = "", caption: str = "", dpi: int = 180) -> bytes:
+def picture_bytes(
+    figure: Figure, kind: str, title: str = "", caption: str = "", dpi: int = 180
+) -> bytes:
     """Return a figure as a picture file; the same figure gives the same bytes. Call it within `styled`.
 
     Args:
@@ -190,110 +175,6 @@ def few_ticks(count: int, *, integers: bool = False) -> MaxNLocator:
     return MaxNLocator(count, integer=integers, min_n_ticks=fewest, steps=[1, 2, 2.5, 5, 10])
 
 
-def short_names(names: Sequence[str], longest: int = 26) -> list[str]:
-    """Shorten names that are too long for an axis: their middle becomes an ellipsis.
-
-    Args:
-        names: Names of joints, parameters and the like; line breaks and tabs become blanks.
-        longest: Letters of a name at most.
-    """
-    return [_short_name(" ".join(name.split()), longest) for name in names]
-
-
-def _short_name(name: str, longest: int) -> str:
-    """Shorten one name to ``longest`` letters."""
-    if len(name) <= longest:
-        return name
-    head = longest // 2
-    return f"{name[:head]}…{name[head + 1 - longest :]}"
-
-
-class RobotStyle(NamedTuple):
-    """Style in which a robot's errors are drawn; robots differ by more than their colour."""
-
-    #: Text in the legend
-    label: str
-    #: Colour of lines and areas
-    colour: str
-    #: Matplotlib's letter of the marker
-    marker: str
-    #: Matplotlib's line style
-    line: str
-    #: Matplotlib's pattern of areas
-    hatch: str
-
-    @property
-    def area(self) -> dict[str, Any]:
-        """Properties of the robot's boxes and bars, as matplotlib takes them."""
-        return {"alpha": 0.5, "fc": self.colour, "ec": self.colour, "hatch": self.hatch}
-
-
-BEFORE = RobotStyle("before (nominal)", NOMINAL, "s", "--", "////")
-AFTER = RobotStyle("after (calibrated)", CALIBRATED, "o", "-", "")
-
-
-class RowKind(NamedTuple):
-    """A group of rows, and how its rows are marked in every figure."""
-
-    #: ``"estimation"``, ``"validation"`` or ``"outlier"``
-    name: str
-    #: Shape (N,), its rows among all rows of the table
-    mask: Mask
-    #: Colour of the markers
-    colour: str
-    #: Matplotlib's letter of the marker
-    marker: str
-    #: Size of the markers [pt]
-    size: float
-
-    def style(self, factor: float = 1.0) -> dict[str, Any]:
-        """Return matplotlib's properties of a line of markers; its label holds the number of rows.
-
-        Args:
-            factor: Factor of the markers' size; where many rows are drawn they are half as large.
-        """
-        is_outlier = self.name == "outlier"
-        count = int(np.count_nonzero(self.mask))
-        size = factor * self.size
-        if count > (_MANY_OUTLIERS if is_outlier else _MANY_ROWS):
-            size *= 0.5
-        edge = self.colour if is_outlier or count > _MANY_ROWS else "white"
-        return {
-            "ls": "none",
-            "marker": self.marker,
-            "ms": size,
-            "color": self.colour,
-            "mec": edge,
-            "mew": 1.4 if is_outlier else 0.4,
-            "label": rows_text(self.mask, self.name, "" if is_outlier else " row"),
-        }
-
-
-def row_kinds(c: Calibration) -> tuple[RowKind, ...]:
-    """Return estimation rows, validation rows and flagged rows of either set; each row is in one, none is empty."""
-    m = c.fit.measurements
-    flagged = flagged_rows(c)
-    kinds = (
-        RowKind("estimation", m.estimation & ~flagged, ESTIMATION, "o", 4.2),
-        RowKind("validation", m.validation & ~flagged, VALIDATION, "D", 5.0),
-        RowKind("outlier", flagged, OUTLIER, "x", 6.0),
-    )
-    return tuple(kind for kind in kinds if np.any(kind.mask))
-
-
-def rows_text(mask: Mask, kind: str, noun: str = " row") -> str:
-    """Word the number of rows of a mask, such as ``"1 estimation row"``.
-
-    Args:
-        mask: shape (N,), the rows that count.
-        kind: The word before the noun.
-        noun: The noun in singular, with a blank before it; empty where ``kind`` is the noun.
-    """
-    count = int(np.count_nonzero(mask))
-    plural = "" if count == 1 else "s"
-    return f"{count:,} {kind}{noun}{plural}"
-
-
 def number_points(ax: Axes, rows: Sequence[int], places: Array, chosen: Mask) -> None:
     """Write row numbers beside points, if not more than a dozen are chosen.
 
@@ -321,12 +202,12 @@ def write_beside(ax: Axes, text: str, at: Array) -> None:
 VIEWS = ((0, 1, "from above"), (0, 2, "from the front"), (1, 2, "from the side"))
 
 
-def flat(ax: Axes, limits: Array, pair: tuple[int, int]) -> None:
-    """Give a view equal scales and labels, and mark the base where it lies inside.
+def set_view(ax: Axes, limits: Array, pair: tuple[int, int]) -> None:
+    """Give a view equal scales and labels, and mark the base if it lies inside.
 
     Args:
         ax: The panel.
-        limits: shape (2, 3), lowest and highest x, y, z [mm]; see `limits_of`.
+        limits: shape (2, 3), lowest and highest x, y, z [mm]; see `view_limits`.
         pair: Indices of the horizontal and the vertical axis.
     """
     i, j = pair
@@ -339,7 +220,7 @@ def flat(ax: Axes, limits: Array, pair: tuple[int, int]) -> None:
         ax.plot(0.0, 0.0, "+", ms=8, mew=1.4, color=SOFT, zorder=4, label="base")
 
 
-def limits_of(places: Array) -> Array:
+def view_limits(places: Array) -> Array:
     """Return the limits of views of points: around all of them, and the base if it is near.
 
     Args:
@@ -359,3 +240,20 @@ def limits_of(places: Array) -> Array:
     least = 0.3 * max(float(half.max()), 25.0)
     half = np.maximum(1.1 * half, least)
     return np.array([middle - half, middle + half])
+
+
+def render(drawing: Drawing, kind: str = "png") -> bytes:
+    """Draw a figure and return its file; the same figure gives the same bytes.
+
+    Args:
+        drawing: The figure.
+        kind: One of `KINDS`.
+
+    Raises:
+        CalibError: Matplotlib is not installed.
+        FileError: Another kind.
+    """
+    check_kind(kind)
+    require_matplotlib("A figure")
+    with styled():
+        return picture_bytes(drawing.draw(), kind, drawing.title, drawing.caption)
