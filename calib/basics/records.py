@@ -1,12 +1,13 @@
 """Records: dataclasses whose fields say in one place how they are written, checked, given by an option, and explained.
 
 A field says with `key` what its key in a file is called (its unit is in the name), in which `Form` its value stands
-there, and what it means; further a check of the value in memory, and the option of the command line that gives it:
+there, and what it means; further its default, a check of the value in memory, and the option of the command line that
+gives it:
 
     @dataclass(frozen=True, slots=True)
     class Instrument:
-        position: Array = field(metadata=key("xyz_mm", POINT_MM, "Centre of rotation of the beam."))
-        farthest: float = field(default=80.0, metadata=key("farthest_mm", MM, "Largest distance that it measures."))
+        position: Array = key("xyz_mm", POINT_MM, "Centre of rotation of the beam.")
+        farthest: float = key("farthest_mm", MM, "Largest distance that it measures.", default=80.0)
 
 Everything else is made from the fields: `read_values` and `read_record` read tables of TOML and JSON, `toml_lines`
 writes them, `keep_checked` is the body of ``__post_init__``, `options` and `changes` serve the command line, and
@@ -22,9 +23,10 @@ the key as the file has it, what was given, and what is allowed.
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import MISSING, Field, dataclass, fields, is_dataclass, replace
+import dataclasses
+import json as json_text
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import MISSING, Field, dataclass, replace
 from functools import cache
 from types import UnionType
 from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
@@ -36,18 +38,14 @@ from calib.basics.mappings import ReadOnlyMapping
 from calib.basics.value_forms import TABLE, Check, Form, Place, checked, list_of
 from calib.errors import CalibError, choices, did_you_mean
 
-R = TypeVar("R")
+T = TypeVar("T")
+Label = TypeVar("Label")
 
 #: Name of the entry in the metadata of a field.
 _METADATA = "calib"
 
 
-# Keys and options of the fields
-
-
-def added(of_file: Any, given: Any) -> Any:  # noqa: ANN401  two mappings, or two tuples
-    """Return the entries of a file with those of an option added; of two of one name the option's counts."""
-    return {**of_file, **given} if isinstance(given, Mapping) else (*of_file, *given)
+# Fields with their keys and options
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,23 +54,28 @@ class Option:
 
     #: ``"--target"``.
     flag: str
-    #: Verbs take options by groups: ``"fit"``; empty: every verb that reads the record.
+    #: Verbs take options by groups, such as ``"fit"``; empty: every verb that reads the record takes it.
     group: str = ""
     #: Stands for the value in the help: ``'"X Y Z UNIT"'``.
     metavar: str | None = None
-    #: What the command line makes of the words: a text, a path, a list, a truth value.
+    #: Type of the words: a text, a path, a list of texts, a truth value; or the words that are allowed.
     type: Any = str
-    #: Help; empty: the key's.
+    #: Help; empty: that of the key, with what counts without it.
     help: str = ""
     #: (what was typed, flag) to the value in SI units; None: it is read as the file's value of the key.
     parse: Callable[[Any, str], Any] | None = None
-    #: (the field's value so far, the parsed value) to the new one; None: the parsed one.
+    #: (the value so far, the parsed one) to the new value of the field; None: the parsed one.
     merge: Callable[[Any, Any], Any] | None = None
 
     @property
     def name(self) -> str:
         """The flag as a name of Python: ``"fix_target"``."""
         return self.flag.lstrip("-").replace("-", "_")
+
+
+def added(of_file: Any, given: Any) -> Any:  # noqa: ANN401  two mappings, or two tuples
+    """Return the entries of a file with those of an option added, which count where both have a name."""
+    return {**of_file, **given} if isinstance(given, Mapping) else (*of_file, *given)
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,12 +85,12 @@ class Key:
     #: As the file has it, with its unit: ``"target_mm"``.
     name: str
     form: Form
-    #: One or more sentences.
+    #: What it means, in full sentences; empty: another field that shares the key says it.
     help: str
     #: What counts without the key, in words; empty: the default of the field.
-    default: str = ""
+    absent: str = ""
     options: tuple[Option, ...] = ()
-    #: The argument of `keys`'s ``join`` that it gives.
+    #: Of a field with several keys: the argument that it gives.
     part: str = ""
     #: True if a table must have it.
     needed: bool = False
@@ -95,18 +98,15 @@ class Key:
 
 @dataclass(frozen=True, slots=True)
 class _Written:
-    """What the metadata of a field say of how it is written."""
+    """The entry in the metadata of a field: how it is written, and checked in memory."""
 
     #: Gives the keys; a registry may have grown since the class was made.
     make: Callable[[], Sequence[Key]]
     #: Makes the value of the values of several keys, by their parts; None: there is one key.
     join: Callable[..., Any] | None
-    #: Of the value in memory.
     check: Check | None
-    #: Of each entry of a mapping or a tuple in memory.
-    each: Check | None
-    #: Key of result files, with the SI unit; empty: the name of the field.
-    json: str
+    each: Check | None = None
+    json: str = ""
 
 
 def key(
@@ -114,49 +114,68 @@ def key(
     form: Form,
     help: str,
     *,
-    default: str = "",
+    default: Any = MISSING,  # noqa: ANN401
+    default_factory: Any = MISSING,  # noqa: ANN401
+    absent: str = "",
     option: Option | Sequence[Option] = (),
     check: Check | None = None,
     each: Check | None = None,
     json: str = "",
-) -> Mapping[str, _Written]:
-    """Return the metadata of a field that one key gives.
+) -> Any:  # noqa: ANN401  a field
+    """Return a field of a record that one key gives.
 
     Args:
         name: The key, with its unit: ``"target_mm"``.
         form: The form of its value.
         help: What it means, in full sentences; for the documentation, the options, and comments in files.
-        default: What counts without the key, in words; empty: the default of the field, as a file has it.
+        default: Its default in memory, in SI units. Without one, and without ``default_factory``, the key is needed.
+        default_factory: Makes the default.
+        absent: What counts without the key, in words; empty: the default, as a file has it.
         option: The option, or options, that give the field too.
         check: Check of the value in memory, in place of that of its type.
         each: Check of each entry of a mapping or a tuple in memory.
         json: Key of the value in SI units in result files; empty: the name of the field.
     """
     options = (option,) if isinstance(option, Option) else tuple(option)
-    single = Key(name, form, help, default, options)
-    return {_METADATA: _Written(lambda: (single,), None, check, each, json)}
+    single = Key(name, form, help, absent, options)
+    metadata = {_METADATA: _Written(lambda: (single,), None, check, each, json)}
+    return dataclasses.field(default=default, default_factory=default_factory, metadata=metadata)
 
 
 def keys(
     make: Callable[[], Sequence[Key]],
     join: Callable[..., Any],
     *,
+    default: Any = MISSING,  # noqa: ANN401
+    default_factory: Any = MISSING,  # noqa: ANN401
     check: Check | None = None,
-) -> Mapping[str, _Written]:
-    """Return the metadata of a field that several keys give, or all keys of another record.
+) -> Any:  # noqa: ANN401  a field
+    """Return a field of a record that several keys give.
 
     Args:
         make: Gives the keys.
         join: Makes the value, from the values of the keys that are there, by their parts.
+        default: See `key`.
+        default_factory: See `key`.
         check: See `key`.
     """
-    return {_METADATA: _Written(make, join, check, None, "")}
+    metadata = {_METADATA: _Written(make, join, check)}
+    return dataclasses.field(default=default, default_factory=default_factory, metadata=metadata)
 
 
-def keys_of(record: type) -> list[tuple[Field[Any], Key]]:
+def embedded(kind: type, *, default_factory: Any = MISSING) -> Any:  # noqa: ANN401
+    """Return a field that is another record, whose keys stand beside those of the record that has the field."""
+
+    def make() -> Sequence[Key]:
+        return [replace(row, part=field.name) for field, row in keys_of(kind)]
+
+    return keys(make, kind, default_factory=default_factory)
+
+
+def keys_of(kind: type) -> list[tuple[Field[Any], Key]]:
     """Return the keys of a record in the order of its fields, each with the field that it gives."""
     result = []
-    for field, written in _written_fields(record):
+    for field, written in _written_fields(kind):
         has_default = field.default is not MISSING or field.default_factory is not MISSING
         for row in written.make():
             needed = row.needed or not (has_default or written.join)
@@ -164,9 +183,9 @@ def keys_of(record: type) -> list[tuple[Field[Any], Key]]:
     return result
 
 
-def _written_fields(record: type) -> Iterator[tuple[Field[Any], _Written]]:
+def _written_fields(kind: Any) -> Iterator[tuple[Field[Any], _Written]]:  # noqa: ANN401  a dataclass
     """Yield the fields of a record that say how they are written."""
-    for field in fields(record):
+    for field in dataclasses.fields(kind):
         if _METADATA in field.metadata:
             yield field, field.metadata[_METADATA]
 
@@ -185,12 +204,12 @@ class UnknownKeyError(CalibError):
 
 
 def read_values(
-    record: type, table: Mapping[str, Any], place: Place | None = None, besides: Sequence[Key] = ()
+    kind: type, table: Mapping[str, Any], place: Place | None = None, besides: Sequence[Key] = ()
 ) -> dict[str, Any]:
     """Read the values of a record's fields from a table.
 
     Args:
-        record: The record.
+        kind: The record.
         table: The table, by its keys.
         place: Where it stands; None: it is the outermost one of a file.
         besides: Keys that the table may have and that are not read here.
@@ -201,64 +220,81 @@ def read_values(
     Raises:
         CalibError: A key is unknown or missing, or a value is of the wrong form.
     """
-    place = place or Place()
-    joins = {field.name: written.join for field, written in _written_fields(record)}
-    by_key: dict[str, list[tuple[str, Key]]] = {row.name: [] for row in besides}
-    for field, row in keys_of(record):
-        by_key.setdefault(row.name, []).append((field.name, row))
+    rows = [((field.name, row.part), row) for field, row in keys_of(kind)]
+    joins = {field.name: written.join for field, written in _written_fields(kind)}
     values: dict[str, Any] = {}
     parts: dict[str, dict[str, Any]] = {}
-    for name, given in table.items():
-        if name not in by_key:
-            raise UnknownKeyError(name, place.key(name), by_key)
-        for field_name, row in by_key[name]:
-            try:
-                value = row.form.read(given, place.key(name))
-            except UnknownKeyError as error:
-                if place.heading or error.name not in by_key:
-                    raise
-                raise CalibError(
-                    f"{error.place}: this key is not of that table; write it at the top of the file, before the first "
-                    "table."
-                ) from error
-            if joins[field_name] is None:
-                values[field_name] = value
-            else:
-                parts.setdefault(field_name, {})[row.part] = value
-    missing = [row.name for _, row in keys_of(record) if row.needed and row.name not in table]
-    if missing:
-        raise CalibError(f"{place.heading or 'The file'} lacks {choices(missing)}.")
-    for field_name, of_field in parts.items():
-        join = joins[field_name]
+    for (name, part), value in _read_rows(rows, table, place or Place(), besides).items():
+        if joins[name] is None:
+            values[name] = value
+        else:
+            parts.setdefault(name, {})[part] = value
+    for name, of_field in parts.items():
+        join = joins[name]
         assert join is not None
-        values[field_name] = join(**of_field)
+        values[name] = join(**of_field)
     return values
 
 
-def read_record(record: type[R], table: Mapping[str, Any], place: Place | None = None) -> R:
+def read_parts(rows: Iterable[Key], table: Mapping[str, Any], place: Place) -> dict[str, Any]:
+    """Read the values of keys from a table, by their parts; see `read_values`."""
+    return _read_rows([(row.part, row) for row in rows], table, place)
+
+
+def _read_rows(
+    rows: Sequence[tuple[Label, Key]],
+    table: Mapping[str, Any],
+    place: Place,
+    besides: Sequence[Key] = (),
+) -> dict[Label, Any]:
+    """Read the values of keys from a table, by labels of the keys."""
+    by_key: dict[str, list[tuple[Label, Key]]] = {row.name: [] for row in besides}
+    for label, row in rows:
+        by_key.setdefault(row.name, []).append((label, row))
+    unknown = [name for name in table if name not in by_key]
+    if unknown:
+        raise UnknownKeyError(unknown[0], place.key(unknown[0]), by_key)
+    values = {}
+    try:
+        for name, given in table.items():
+            for label, row in by_key[name]:
+                values[label] = row.form.read(given, place.key(name))
+    except UnknownKeyError as error:
+        if place.heading or error.name not in by_key:
+            raise
+        raise CalibError(
+            f"{error.place}: this key is not of that table; write it at the top of the file, before the first table."
+        ) from error
+    missing = [row.name for _, row in rows if row.needed and row.name not in table]
+    if missing:
+        raise CalibError(f"{place.heading or 'The file'} lacks {choices(missing)}.")
+    return values
+
+
+def read_record(kind: type[T], table: Mapping[str, Any], place: Place | None = None) -> T:
     """Read a record from a table, see `read_values`."""
-    return record(**read_values(record, table, place))
+    return kind(**read_values(kind, table, place))
 
 
-def table_of(record: type) -> Form:
+def table_of(kind: type) -> Form:
     """Return the form of a table with the keys of a record."""
 
     def read(value: Any, place: Place) -> Any:  # noqa: ANN401
-        return read_record(record, TABLE.read(value, place), place)
+        return read_record(kind, TABLE.read(value, place), place)
 
     return Form("a table", read, toml_values)
 
 
-def tables_of(record: type, heading: str) -> Form:
+def tables_of(kind: type, heading: str) -> Form:
     """Return the form of tables with the keys of a record, each headed ``[[heading]]``."""
     head = f"[[{heading}]]"
-    return list_of(table_of(record), f"a list of tables, each headed {head}", head)
+    return list_of(table_of(kind), f"a list of tables, each headed {head}", head)
 
 
 def toml_values(value: Any) -> dict[str, Any]:  # noqa: ANN401  any record
     """Return the table of a record by its keys, without values that are None; fields of several keys are left out."""
     result = {}
-    for field, written in _written_fields(type(value)):
+    for field, written in _written_fields(value):
         given = getattr(value, field.name)
         if written.join is None and given is not None:
             (row,) = written.make()
@@ -284,7 +320,7 @@ def toml_lines(value: Any, *, without: Collection[str] = ()) -> list[str]:  # no
 def toml(value: Any) -> str:  # noqa: ANN401
     """Return a text, a truth value, a number or a list of these as TOML."""
     if isinstance(value, bool | str):
-        return json.dumps(value, ensure_ascii=False)
+        return json_text.dumps(value, ensure_ascii=False)
     if isinstance(value, list | tuple):
         return f"[{', '.join(map(toml, value))}]"
     return repr(value)
@@ -314,7 +350,7 @@ def keep_checked(value: Any, name: str) -> None:  # noqa: ANN401  any record
         CalibError: A check refuses it.
     """
     types = _types(value.__class__)
-    for field, written in _written_fields(type(value)):
+    for field, written in _written_fields(value):
         kind, is_optional = types[field.name]
         given = getattr(value, field.name)
         if given is not None or not is_optional:
@@ -324,10 +360,10 @@ def keep_checked(value: Any, name: str) -> None:  # noqa: ANN401  any record
 
 
 @cache
-def _types(record: Any) -> Mapping[str, tuple[Any, bool]]:  # noqa: ANN401  a class
+def _types(kind: Any) -> Mapping[str, tuple[Any, bool]]:  # noqa: ANN401  a class
     """Return the type of each field, without None, and whether it may be None."""
     result = {}
-    for name, hint in get_type_hints(record).items():
+    for name, hint in get_type_hints(kind).items():
         is_optional = get_origin(hint) in (Union, UnionType) and type(None) in get_args(hint)
         result[name] = (get_args(hint)[0] if is_optional else hint, is_optional)
     return result
@@ -377,7 +413,7 @@ def _check_class(
     allowed: str,
 ) -> None:
     """Refuse a value of another class, where the type says a truth value, a text or a record."""
-    if kind in (bool, str) or is_dataclass(kind):
+    if kind in (bool, str) or dataclasses.is_dataclass(kind):
         classes = (bool, np.bool_) if kind is bool else kind
         check_type(argument, given, classes, allowed.format(_words(kind, written)))
 
@@ -394,15 +430,15 @@ def _words(kind: Any, written: _Written) -> str:  # noqa: ANN401
 # The command line, and the documentation
 
 
-def options(record: type, groups: Collection[str] = ()) -> Iterator[Option]:
+def options(kind: type, groups: Collection[str] = ()) -> Iterator[Option]:
     """Yield the options of a record's fields with their help: those of all verbs, and those of some groups."""
-    for _, row in keys_of(record):
+    for _, row in keys_of(kind):
         for option in row.options:
             if option.group and option.group not in groups:
                 continue
             help_text = option.help or row.help
-            if row.default and not option.help:
-                help_text += f" Default: {row.default}."
+            if row.absent and not option.help:
+                help_text += f" Default: {row.absent}."
             if get_origin(option.type) is list:
                 help_text += " Can be repeated."
             yield replace(option, help=help_text)
@@ -422,25 +458,25 @@ def changes(value: Any, given: Mapping[str, Any]) -> dict[str, Any]:  # noqa: AN
         CalibError: A text that the option does not take; or two options of one field say different things.
     """
     result: dict[str, Any] = {}
-    pairs = keys_of(type(value))
-    for field, row in pairs:
+    rows = keys_of(type(value))
+    for field, row in rows:
         typed = [option for option in row.options if option.name in given]
         if not typed:
             continue
         option = typed[0]
-        for other in typed[1:]:
-            if given[other.name] != given[option.name]:
-                raise CalibError(
-                    f"{option.flag} is '{given[option.name]}' and {other.flag} is '{given[other.name]}': they mean the "
-                    "same. Give one of them."
-                )
         words = given[option.name]
+        for other in typed[1:]:
+            if given[other.name] != words:
+                raise CalibError(
+                    f"{option.flag} is '{words}' and {other.flag} is '{given[other.name]}': they mean the same. Give "
+                    "one of them."
+                )
         if option.parse is not None:
             parsed = option.parse(words, option.flag)
         else:
             parsed = row.form.read(words, Place(option.flag))
-            for sharing, shared in pairs:  # such as `frame`, which gives two fields
-                if shared.name == row.name and not shared.options:
+            for sharing, shared in rows:  # such as `frame`, which gives two fields
+                if shared.name == row.name and sharing is not field:
                     result[sharing.name] = shared.form.read(words, Place(option.flag))
         if option.merge is not None:
             parsed = option.merge(getattr(value, field.name), parsed)
@@ -448,17 +484,18 @@ def changes(value: Any, given: Mapping[str, Any]) -> dict[str, Any]:  # noqa: AN
     return result
 
 
-def key_rows(record: type) -> list[tuple[str, str, str, str]]:
+def key_rows(kind: type) -> list[tuple[str, str, str, str]]:
     """Return the rows of the table of keys in the documentation: key, value, default, and what the key means."""
-    rows = {}
-    for field, row in keys_of(record):
-        default = row.default or "none"
+    result = []
+    for field, row in keys_of(kind):
+        if not row.help:
+            continue
+        default = row.absent or "none"
         if row.needed:
             default = "needed"
-        elif not row.default and field.default not in (MISSING, None):
+        elif not row.absent and field.default not in (MISSING, None):
             default = toml(row.form.write(field.default))
         flags = [f"`{option.flag}`" for option in row.options]
         meaning = f"{row.help} ({', '.join(flags)})" if flags else row.help
-        if row.help:
-            rows[row.name] = (row.name, row.form.words, default, meaning)
-    return list(rows.values())
+        result.append((row.name, row.form.words, default, meaning))
+    return result

@@ -27,6 +27,8 @@ class Place:
     heading: str = ""
     #: Folder at which relative names of files begin.
     folder: Path = Path()
+    #: The key alone, such as the name of a parameter.
+    name: str = ""
 
     def __str__(self) -> str:
         """Return the words."""
@@ -35,9 +37,9 @@ class Place:
     def key(self, name: str) -> Place:
         """Return the place of a key of the table that stands here."""
         if not self.heading:
-            return Place(f"'{name}'", f"[{name}]", self.folder)
+            return Place(f"'{name}'", f"[{name}]", self.folder, name)
         words = f"'{name}' in {self.heading}"
-        return Place(words, words, self.folder)
+        return Place(words, words, self.folder, name)
 
 
 def same(value: Any) -> Any:  # noqa: ANN401

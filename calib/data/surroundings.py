@@ -4,16 +4,28 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass, field
-from typing import TypeVar
+from dataclasses import dataclass
+from typing import Any, TypeVar
 
 import numpy as np
 
 from calib.basics.arrays import Array, read_only
+from calib.basics.records import embedded, key, keys
+from calib.basics.units import parse_noise
+from calib.basics.value_forms import (
+    DEGREES,
+    MM,
+    POINT_MM,
+    Form,
+    Place,
+    checked,
+    text,
+    three_numbers,
+)
 from calib.basics.values import Value
-from calib.data.cell_file import checked
+from calib.data.cell_keys import pose_keys
 from calib.errors import CalibError, choices
-from calib.numerics.geometry import pose_or_none, vector
+from calib.numerics.geometry import pose_of, pose_or_none, vector
 
 Distance = TypeVar("Distance", float, Array)
 
@@ -22,6 +34,15 @@ POSE = "a 4 x 4 pose with a right-handed rotation [m]"
 
 #: A given direction that is shorter has none: its squares leave the range of doubles.
 _SHORTEST_NORMAL = 1e-100
+
+
+def _noise_form(part: int) -> Form:
+    """Return the form of an instrument's noise, of which a field keeps the constant (0) or the part per metre (1)."""
+
+    def read(value: Any, place: Place) -> float:  # noqa: ANN401
+        return parse_noise(str(value), str(place))[part]
+
+    return Form('a noise with its unit, "15 um + 6 um/m"', read)
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,11 +55,22 @@ class TrackerNoise:
     """
 
     #: Standard deviation at no distance [m].
-    constant: float = 15e-6
+    constant: float = key(
+        "noise",
+        _noise_form(0),
+        "Standard deviation of one coordinate: a constant, plus a part for each metre of distance.",
+        default=15e-6,
+        absent="15 um + 6 um/m",
+    )
     #: Increase with the distance [m/m].
-    per_length: float = 6e-6
+    per_length: float = key("noise", _noise_form(1), "", default=6e-6)
     #: Standard deviation of the robot's position, one coordinate [m].
-    repeatability: float = 20e-6
+    repeatability: float = key(
+        "repeatability_mm",
+        MM,
+        "Repeatability of the robot, as a standard deviation of one coordinate; added in square.",
+        default=20e-6,
+    )
 
     def __post_init__(self) -> None:
         """Check that no part is negative, and that not all are zero."""
@@ -64,11 +96,13 @@ class Box(Value):
     """A box that the robot must not touch and the tracker's beam must not cross."""
 
     #: For messages; each box of a cell has its own.
-    name: str
+    name: str = key("name", text("a name"), "Name of the box, its own.")
     #: Shape (3,), lengths of the edges along x, y, z of the box [m].
-    size: Array
+    size: Array = key("size_mm", POINT_MM, "Lengths of the edges along x, y, z of the box.")
     #: Shape (4, 4), pose of the box's centre in the robot's base [m].
-    T_base_box: Array
+    T_base_box: Array = keys(
+        lambda: pose_keys("", "the box's centre in the robot's base", needed=True), pose_of
+    )
 
     def __post_init__(self) -> None:
         """Check size and pose, and keep read-only copies."""
@@ -101,13 +135,15 @@ class Tracker(Value):
     """A laser tracker: its position, its range and its noise."""
 
     #: Shape (3,), point that its beam turns about, in the robot's base [m].
-    position: Array
+    position: Array = key(
+        "xyz_mm", POINT_MM, "Centre of rotation of the beam, in the robot's base."
+    )
     #: Least distance that it measures [m].
-    nearest: float = 0.0
+    nearest: float = key("nearest_mm", MM, "Smallest distance that it measures.", default=0.0)
     #: Largest distance that it measures [m].
-    farthest: float = 80.0
+    farthest: float = key("farthest_mm", MM, "Largest distance that it measures.", default=80.0)
     #: Standard deviation of a coordinate, as a function of the distance.
-    noise: TrackerNoise = field(default_factory=TrackerNoise)
+    noise: TrackerNoise = embedded(TrackerNoise, default_factory=TrackerNoise)
 
     def __post_init__(self) -> None:
         """Check position and range, and keep a read-only copy."""
@@ -124,10 +160,16 @@ class Reflector(Value):
     """A reflector that is fixed to the tip and is seen from within a cone only."""
 
     #: shape (3,), direction in the tip that the reflector's opening faces; kept as a unit vector.
-    normal: Array
-    #: Half angle of the cone: largest angle between ``normal`` and the direction to the tracker
-    #: [rad]. The default is that of a corner cube.
-    acceptance: float = math.radians(30.0)
+    normal: Array = key(
+        "normal", three_numbers(), "Viewing direction of the reflector, in the tip."
+    )
+    #: Half angle of the cone [rad]. The default is that of a corner cube.
+    acceptance: float = key(
+        "acceptance_deg",
+        DEGREES,
+        "Largest angle between the normal and the direction to the tracker.",
+        default=math.radians(30.0),
+    )
 
     def __post_init__(self) -> None:
         """Check direction and angle, and keep a read-only unit vector."""

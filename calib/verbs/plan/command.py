@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import typer
 
+from calib.cli.loading import load
 from calib.cli.notices import say_accepted
-from calib.cli.options import Accept, Force, ModelOptions, Quiet, RobotFile, Seed
+from calib.cli.options import Accept, CellOptions, Force, Quiet, RobotFile, Seed
 from calib.cli.outputs import check_outputs, written_lines
-from calib.cli.setup import load, read_cell
 from calib.cli.terminal import stages_bar
 from calib.cli.verb import verb
-from calib.cli.words import parse_held, parse_tracker
 from calib.errors import CalibError, VerdictError
 from calib.verbs.plan.image_command import ImageOptions, board_of
 
@@ -33,42 +32,74 @@ _File = Path | None
 
 
 @dataclass(frozen=True, slots=True)
+class PlanCellOptions(CellOptions):
+    """Options of the cell, with those of the errors of the robot and of the tracker."""
+
+    groups: ClassVar[tuple[str, ...]] = ("model", "tracker")
+
+
+@dataclass(frozen=True, slots=True)
 class PoseOptions:
     """Poses that are wanted."""
 
-    count: Annotated[int, typer.Option(metavar="N", help="Poses to calibrate with.")] = 30
-    validation: Annotated[int, typer.Option(metavar="N", help="Random validation poses.")] = 5
-    criterion: Annotated[str, typer.Option(metavar="V|D|A", help="Optimality criterion.")] = "V"
+    count: Annotated[int, typer.Option(metavar="N", help="Number of poses to calibrate with.")] = 30
+    validation: Annotated[
+        int, typer.Option(metavar="N", help="Number of random poses for validation.")
+    ] = 5
+    criterion: Annotated[
+        str,
+        typer.Option(
+            metavar="V|D|A",
+            help="Optimality criterion. V: the predicted errors of position in the workspace; D: the volume of the "
+            "parameters' covariance; A: the sum of the parameters' variances.",
+        ),
+    ] = "V"
     candidates: Annotated[
         int | None,
-        typer.Option(metavar="N", help="Poses to choose from. Default: 20000, of images 600."),
+        typer.Option(
+            metavar="N",
+            help="Number of random poses to choose from. Default: 20000, or 600 for images.",
+        ),
     ] = None
     seed: Seed = 0
-    margin: Annotated[str, typer.Option(metavar="ANGLE", help="Margin to joint limits.")] = "5 deg"
-    taken: Annotated[_File, typer.Option(help="Table of poses measured already, to add to.")] = None
+    margin: Annotated[
+        str, typer.Option(metavar="ANGLE", help="Margin that is kept to the limits of the joints.")
+    ] = "5 deg"
+    taken: Annotated[
+        _File,
+        typer.Option(help="Table of poses that were measured already and that the plan adds to."),
+    ] = None
     start: Annotated[
         list[str] | None,
-        typer.Option(metavar='"JOINT=VALUE UNIT"', help="Start pose; other joints are at 0."),
+        typer.Option(
+            metavar='"JOINT=VALUE UNIT"',
+            help="Joint value of the pose that the robot starts from; joints that are not named are at 0. Can be "
+            "repeated.",
+        ),
     ] = None
 
 
 @dataclass(frozen=True, slots=True)
 class SceneOptions:
-    """Tracker, region and obstacles."""
+    """Region and obstacles."""
 
-    tracker: Annotated[
-        str | None,
-        typer.Option(metavar='"X Y Z UNIT"', help="Position of the tracker, in the base."),
+    region: Annotated[
+        _File,
+        typer.Option(help="Region that the target is to stay in, as 'calib workspace' writes it."),
     ] = None
-    region: Annotated[_File, typer.Option(help="Region for the target, of calib workspace.")] = None
-    clearance: Annotated[str, typer.Option(metavar="LENGTH", help="Least distance of bodies.")] = (
-        "0 mm"
-    )
-    collisions: Annotated[bool, typer.Option(help="Check poses and moves for collisions.")] = True
-    floor: Annotated[bool, typer.Option(help="Keep above the robot's mounting plane.")] = True
+    clearance: Annotated[
+        str,
+        typer.Option(metavar="LENGTH", help="Smallest distance that is kept between two bodies."),
+    ] = "0 mm"
+    collisions: Annotated[
+        bool, typer.Option(help="Check poses and the moves between them for collisions.")
+    ] = True
+    floor: Annotated[bool, typer.Option(help="Keep the robot above its mounting plane.")] = True
     package_dir: Annotated[
         list[Path] | None,
-        typer.Option(metavar="FOLDER", help="Folder with packages of meshes."),
+        typer.Option(
+            metavar="FOLDER", help="Folder with the ROS packages of the meshes. Can be repeated."
+        ),
     ] = None
 
 
@@ -76,9 +107,13 @@ class SceneOptions:
 class PlanOutputs:
     """Files that are written."""
 
-    output: Annotated[_File, typer.Option("-o", "--output", help="Table of poses.")] = None
-    json: Annotated[_File, typer.Option(help="Plan and forecast as JSON.")] = None
-    view: Annotated[_File, typer.Option(help="3D page of the plan.")] = None
+    output: Annotated[
+        _File, typer.Option("-o", "--output", help="Write the plan as a table of poses.")
+    ] = None
+    json: Annotated[_File, typer.Option(help="Write the plan and the forecast as JSON.")] = None
+    view: Annotated[
+        _File, typer.Option(help="Write a page that shows the plan in 3D, to open in a browser.")
+    ] = None
     force: Force = False
     accept: Accept = False
 
@@ -102,22 +137,21 @@ a calibration is checked: drive a pointer to corners of the board.
 """)
 def plan(
     robot: RobotFile,
-    setup: ModelOptions,
+    cell_options: PlanCellOptions,
     poses: PoseOptions,
     images: ImageOptions,
     scene: SceneOptions,
     outputs: PlanOutputs,
     quiet: Quiet = False,
 ) -> None:
-    """Run the verb; its help is the text of `verb`."""
+    """Plan poses, images or touches, write the files and print the plan."""
     files = (outputs.output, outputs.json, outputs.view)
-    inputs = [robot, setup.cell, scene.region, poses.taken, images.touch]
+    inputs = [robot, cell_options.file, scene.region, poses.taken, images.touch]
     check_outputs(files, inputs, force=outputs.force)
-    cell = read_cell(**asdict(setup))
+    cell = cell_options.cell()
     if images.touch is not None:
         _touch(robot, cell, images, scene, outputs, quiet=quiet)
         return
-    cell = replace(cell, tracker=parse_tracker(scene.tracker, cell.tracker))
     collisions = _collision_check(scene)
     arm = _load_chain(robot, cell, poses.taken)
     taken, first_row = _read_taken(arm, poses.taken, of_images=bool(cell.cameras))
@@ -146,7 +180,7 @@ def _load_chain(robot: str, cell: Cell, taken: Path | None) -> Robot:
 
 def _request(arm: Robot, options: PoseOptions, *, of_images: bool) -> PlanRequest:
     """Return the request for the poses that are wanted."""
-    from calib.basics.units import ANGLE, parse_amount
+    from calib.basics.units import ANGLE, parse_amount, parse_joint_values
     from calib.verbs.compensate.inverse import start_values
     from calib.verbs.plan.choice import PlanRequest
     from calib.verbs.plan.images.plan import CANDIDATES
@@ -162,7 +196,9 @@ def _request(arm: Robot, options: PoseOptions, *, of_images: bool) -> PlanReques
     )
     if not options.start:
         return request
-    return replace(request, start=start_values(arm, parse_held(options.start, "--start"), 0.0))
+    return replace(
+        request, start=start_values(arm, parse_joint_values(options.start, "--start"), 0.0)
+    )
 
 
 def _collision_check(options: SceneOptions) -> CollisionCheck | None:

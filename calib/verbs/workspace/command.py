@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from calib.cli.loading import load
 from calib.cli.options import CellOptions, ColumnChoice, Force, Quiet, RobotFile, Seed
 from calib.cli.outputs import check_outputs, written_lines
-from calib.cli.setup import load, read_cell
 from calib.cli.terminal import progress_bar
 from calib.cli.verb import verb
 
@@ -29,25 +29,40 @@ _File = Path | None
 class RangeOptions(ColumnChoice):
     """Ranges of the joints, and a table whose rows are checked."""
 
-    like: Annotated[_File, typer.Option(help="Table whose estimation rows give the ranges.")] = None
+    like: Annotated[
+        _File, typer.Option(help="Table whose rows for estimation give the ranges of the joints.")
+    ] = None
     margin: Annotated[
         str,
-        typer.Option(metavar="ANGLE", help="Margin around --like (5 mm for prismatic joints)."),
+        typer.Option(
+            metavar="ANGLE",
+            help="Margin added to the ranges of --like at both ends; it is 5 mm for prismatic joints.",
+        ),
     ] = "0 deg"
-    check: Annotated[_File, typer.Option(help="Table: which of its rows lie in the region.")] = None
+    check: Annotated[
+        _File, typer.Option(help="Table whose rows are checked: which of them lie in the region.")
+    ] = None
 
 
 @dataclass(frozen=True, slots=True)
 class SamplingOptions:
     """Samples of the joint values, and the region that is made of them."""
 
-    share: Annotated[float, typer.Option(metavar="P", help="Probability in the region.")] = 0.95
+    share: Annotated[
+        float, typer.Option(metavar="P", help="Probability that the target is in the region.")
+    ] = 0.95
     samples: Annotated[
-        int, typer.Option(min=1000, max=2**24, metavar="N", help="Samples of the joint values.")
+        int,
+        typer.Option(
+            min=1000, max=2**24, metavar="N", help="Number of samples of the joint values."
+        ),
     ] = 2**19
     voxel: Annotated[
         str | None,
-        typer.Option(metavar="LENGTH", help="Edge of a voxel. Default: by the samples."),
+        typer.Option(
+            metavar="LENGTH",
+            help="Length of the edge of a voxel. Default: chosen by the number of samples.",
+        ),
     ] = None
     seed: Seed = 0
 
@@ -58,10 +73,18 @@ class WorkspaceOutputs:
 
     output: Annotated[
         _File,
-        typer.Option("-o", "--output", help="Region file, for 'calib plan --region'."),
+        typer.Option(
+            "-o", "--output", help="Write the region as a file, for 'calib plan --region'."
+        ),
     ] = None
-    picture: Annotated[_File, typer.Option(help="Density and region: .png, .svg or .pdf.")] = None
-    view: Annotated[_File, typer.Option(help="3D page of robot and region.")] = None
+    picture: Annotated[
+        _File,
+        typer.Option(help="Write a figure of the density and the region: .png, .svg or .pdf."),
+    ] = None
+    view: Annotated[
+        _File,
+        typer.Option(help="Write a page that shows robot and region in 3D, to open in a browser."),
+    ] = None
     force: Force = False
 
     def check(self, inputs: list[str | Path | None]) -> None:
@@ -102,17 +125,17 @@ poses inside it. Collisions are not checked here.
 """)
 def workspace(
     robot: RobotFile,
-    setup: CellOptions,
+    cell_options: CellOptions,
     ranges: RangeOptions,
     sampling: SamplingOptions,
     outputs: WorkspaceOutputs,
     quiet: Quiet = False,
 ) -> None:
-    """Run the verb; its help is the text of `verb`."""
+    """Sample the workspace, write the files and print the region."""
     from calib.verbs.workspace.text import workspace_text
 
-    outputs.check([robot, ranges.like, ranges.check, setup.cell])
-    cell = read_cell(**asdict(setup))
+    outputs.check([robot, ranges.like, ranges.check, cell_options.file])
+    cell = cell_options.cell()
     view = _region_view(robot, cell, ranges, sampling, quiet=quiet)
     lines = outputs.write(view, sampling.seed)
     if quiet:

@@ -11,9 +11,10 @@ import pinocchio as pin
 import pytest
 from hypothesis import given, strategies as st
 
+from calib.basics.records import keys_of
 from calib.basics.units import UNITS, parse_noise, parse_quantity
-from calib.data.cell import Cell, GroupDistance, Priors, TrackerNoise
-from calib.data.cell_file import checked, fields as keys, frame_attributes, numbers, read_cell_file
+from calib.data.cell import FILE_KEYS, Cell, GroupDistance, Priors, TrackerNoise
+from calib.data.cell_keys import frame_of
 from calib.data.record import Record
 from calib.errors import CalibError, FileError
 from calib.model.error_model import DIRECTIONS
@@ -161,20 +162,12 @@ def test_half_a_frame_and_half_the_priors(tmp_path: Path):
     assert read(tmp_path, "prior_length_mm = 1").priors == Priors("data", length=1e-3)
 
 
-def test_values_are_those_of_a_cells_attributes(tmp_path: Path):
-    path = tmp_path / "cell.toml"
-    path.write_text('frame = "x,rz"\nprior_angle_mrad = 3\n[simulation]\nx = 1', encoding="utf-8")
-    assert read_cell_file(path) == {
-        "estimate_frame": True,
-        "frame_directions": ("x", "rz"),
-        "priors": {"source": "data", "angle": 0.003},
-        "sigma": {},
-        "cameras": {},
-        "boards": {},
-    }
-    path.write_text("a = = 1", encoding="utf-8")
+def test_a_key_may_give_two_attributes_and_the_table_of_simulations_none(tmp_path: Path):
+    cell = read(tmp_path, 'frame = "x,rz"\nprior_angle_mrad = 3\n[simulation]\nx = 1')
+    assert (cell.estimate_frame, cell.frame_directions) == (True, ("x", "rz"))
+    assert cell.priors == Priors("data", angle=0.003)
     with pytest.raises(FileError, match="this is not a TOML file"):
-        read_cell_file(path)
+        read(tmp_path, "a = = 1")
 
 
 @pytest.mark.parametrize(
@@ -187,18 +180,7 @@ def test_values_are_those_of_a_cells_attributes(tmp_path: Path):
     ],
 )
 def test_a_frame_is_known_or_estimated_in_directions(value, estimate, directions):
-    expected = {"estimate_frame": estimate, "frame_directions": directions}
-    assert frame_attributes(value) == expected
-
-
-def test_a_value_is_refused_by_none_or_an_error():
-    assert checked("2", "'a'", "a number", float) == 2.0
-    for convert in (lambda _: None, float, lambda _: len(1)):
-        with pytest.raises(CalibError, match="'a' is 'x'; it must be a number"):
-            checked("x", "'a'", "a number", convert)
-    assert numbers(1, np.radians)(180, "'a'") == np.pi
-    with pytest.raises(CalibError, match=r"'a' is \[1, 2\]; it must be three numbers"):
-        numbers(3)([1, 2], "'a'")
+    assert frame_of(value) == (estimate, directions)
 
 
 @pytest.mark.parametrize(
@@ -207,15 +189,15 @@ def test_a_value_is_refused_by_none_or_an_error():
         ("targt_mm = [1, 2, 3]", "'targt_mm': unknown key (did you mean 'target_mm'"),
         ('freeze = "d2"', "'freeze' is 'd2'"),
         ('target = "fixed"', "'target' is 'fixed'"),
-        ("target_mm = [1, 2]", "'target_mm' is [1, 2]; it must be three numbers."),
+        ("target_mm = [1, 2]", "'target_mm' is [1, 2]; it must be three numbers [mm]."),
         ('target = "known"', "The target is marked as known, but its position"),
         ('frame = ["u"]', "'frame' is ['u']"),
         ('frame = "x,yaw"', "'frame' is 'x,yaw'"),
         ("sigma_angle_deg = -1", "sigma is {'rad': -0.017"),
-        ('sigma_mm = "0.1"', "'sigma_mm' is '0.1'; it must be a number."),
+        ('sigma_mm = "0.1"', "'sigma_mm' is '0.1'; it must be a number [mm]."),
         ('kind = "ball"', "There is no kind of measurement 'ball'; there are 'point', 'pose', "),
-        ('repeats = "often"', "repeats is 'often'; it must be one of 'weighted', 'average', "),
-        ('priors = "some"', "choose one of 'data', 'given', 'off'"),
+        ('repeats = "often"', "'repeats' is 'often'; it must be one of 'weighted', 'average', "),
+        ('priors = "some"', "'priors' is 'some'; it must be one of 'data', 'given', 'off'"),
         ("prior_angle_mrad = 0", "The prior's angle is 0 rad"),
         ("[coupling]\na = 1", "'a' in [coupling] is 1; it must be a table of joints and factors"),
         ('[coupling]\na = { b = "1" }', "'a' in a cell's coupling is {'b': '1'}"),
@@ -468,7 +450,9 @@ def test_the_documents_surroundings(tmp_path: Path):
 def test_the_document_has_every_key_and_no_other():
     _, keys_section, *_ = re.split("^## ", DOC.read_text(encoding="utf-8"), flags=re.MULTILINE)
     documented = re.findall(r"^\| `(\w+)` \|", keys_section, re.MULTILINE)
-    assert sorted(documented) == sorted([*keys(), "simulation"])
+    assert sorted(documented) == sorted(
+        {*(row.name for _, row in keys_of(Cell)), *(row.name for row in FILE_KEYS)}
+    )
 
 
 def test_the_documents_defaults_are_the_defaults():
