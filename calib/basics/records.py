@@ -236,9 +236,11 @@ def read_values(
     return values
 
 
-def read_parts(rows: Iterable[Key], table: Mapping[str, Any], place: Place) -> dict[str, Any]:
+def read_parts(
+    rows: Iterable[Key], table: Mapping[str, Any], place: Place | None = None
+) -> dict[str, Any]:
     """Read the values of keys from a table, by their parts; see `read_values`."""
-    return _read_rows([(row.part, row) for row in rows], table, place)
+    return _read_rows([(row.part, row) for row in rows], table, place or Place())
 
 
 def _read_rows(
@@ -484,18 +486,25 @@ def changes(value: Any, given: Mapping[str, Any]) -> dict[str, Any]:  # noqa: AN
     return result
 
 
-def key_rows(kind: type) -> list[tuple[str, str, str, str]]:
-    """Return the rows of the table of keys in the documentation: key, value, default, and what the key means."""
-    result = []
+def key_rows(kind: type, besides: Sequence[Key] = ()) -> list[tuple[str, str, str, str]]:
+    """Return the rows of the table of keys in the documentation: key, value, default, and what the key means.
+
+    Args:
+        kind: The record.
+        besides: Further keys, which give no field.
+    """
+    defaults = {row.name: row.absent for row in besides}
     for field, row in keys_of(kind):
-        if not row.help:
-            continue
-        default = row.absent or "none"
         if row.needed:
-            default = "needed"
-        elif not row.absent and field.default not in (MISSING, None):
-            default = toml(row.form.write(field.default))
-        flags = [f"`{option.flag}`" for option in row.options]
-        meaning = f"{row.help} ({', '.join(flags)})" if flags else row.help
-        result.append((row.name, row.form.words, default, meaning))
+            defaults[row.name] = "needed"
+        elif row.absent or field.default in (MISSING, None):
+            defaults[row.name] = row.absent or "none"
+        elif row.help:
+            defaults[row.name] = toml(row.form.write(field.default))
+    result = []
+    for row in (*besides, *(row for _, row in keys_of(kind))):
+        flags = ", ".join(f"`{option.flag}`" for option in row.options)
+        meaning = f"{row.help} ({flags})" if flags else row.help
+        if row.help:
+            result.append((row.name, row.form.words, defaults[row.name], meaning))
     return result

@@ -14,7 +14,7 @@ import numpy as np
 
 from calib.basics.arrays import Array
 from calib.basics.units import UNITS, is_number, parse_joint_range, parse_joint_value
-from calib.errors import CalibError, choices
+from calib.errors import CalibError, choices, did_you_mean
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,7 +125,14 @@ def one_of(names: Collection[str] | Mapping[str, Any]) -> Form:
     by_name = dict(names) if isinstance(names, Mapping) else {name: name for name in names}
     by_value = {value: name for name, value in by_name.items()}
     words = f"one of {choices(by_name)}"
-    return form(words, lambda value: by_name.get(value), by_value.__getitem__, words)
+
+    def read(value: Any, place: Place) -> Any:  # noqa: ANN401
+        if isinstance(value, str) and value in by_name:
+            return by_name[value]
+        likely = did_you_mean(value, by_name) if isinstance(value, str) else ""
+        raise CalibError(f"{place} is {value!r}{likely}; it must be {words}.")
+
+    return Form(words, read, by_value.__getitem__, words)
 
 
 def to_si(value: Any, unit_in_si: float) -> Any:  # noqa: ANN401  a number or an array

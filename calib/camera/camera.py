@@ -8,6 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.basics.arrays import Array
+from calib.basics.records import key
+from calib.basics.value_forms import TEXT, form, one_of
 from calib.basics.values import Value
 from calib.camera.lenses import LENSES
 from calib.errors import CalibError, choices, did_you_mean
@@ -17,6 +19,11 @@ UNKNOWN = np.inf
 
 #: The longest side of an image [px].
 _LARGEST = 100_000
+
+_PIXELS = form(
+    "a whole number of pixels, such as 1280",
+    lambda value: value if isinstance(value, int) and not isinstance(value, bool) else None,
+)
 
 #: A centre this far from the middle, over the image's size, and as far along both axes, is that of another size.
 _OFF_CENTRE = 0.1
@@ -34,13 +41,18 @@ class Camera(Value):
     """
 
     #: Name, as in the column ``group`` of a table of corners.
-    name: str = "camera"
+    name: str = key("name", TEXT, "Name of the camera, for messages.", default="camera")
     #: Columns of the image [px].
-    width: int
+    width: int = key("width", _PIXELS, "Width of the images.", json="width_px")
     #: Rows of the image [px].
-    height: int
-    #: A name of `calib.camera.lenses.LENSES`: ``"pinhole"`` or ``"fisheye"``.
-    lens: str = "pinhole"
+    height: int = key("height", _PIXELS, "Height of the images.", json="height_px")
+    #: A name of `calib.camera.lenses.LENSES`.
+    lens: str = key(
+        "lens",
+        one_of(tuple(LENSES)),
+        "Lens model: OpenCV's five coefficients (pinhole; ROS: plumb_bob), or cv2.fisheye (fisheye; ROS: equidistant).",
+        default="pinhole",
+    )
     #: The lens's numbers in the order of ``LENSES[lens].names``: fx, fy, cx, cy [px], then distortion, shape (m,).
     #: None: nothing of them is known, and the images tell.
     values: Array | None = None

@@ -121,7 +121,7 @@ def prior_keys() -> Sequence[Key]:
                     suffix.strip("_").replace("_per_", "/"), partial(to_si, unit_in_si=unit_in_si)
                 ),
                 f"Prior standard deviation of {meaning}.",
-                f"{family.prior / unit_in_si:g}",
+                f"{family.prior / unit_in_si:g}".replace("e-0", "e-"),
                 part=name,
             )
         )

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from calib.basics.arrays import Array
-from calib.basics.json_files import Json
+from calib.basics.json_files import Json, JsonLayout, Key
 from calib.basics.mappings import ReadOnlyMapping
 from calib.boards.board import Board
 from calib.camera.camera import UNKNOWN, Camera
@@ -31,6 +31,19 @@ _BOARD_KEYS = {
 }
 
 
+def _numbers(entries: Any) -> Array | None:  # noqa: ANN401  any JSON
+    """Return numbers from a list of the file, `UNKNOWN` where it has null; None for null."""
+    if entries is None:
+        return None
+    return np.array([UNKNOWN if entry is None else float(entry) for entry in entries])
+
+
+#: The fields of a camera; a null among its numbers is infinite.
+_CAMERA = JsonLayout(
+    {Camera: {"values": Key("values", read=_numbers), "sigma": Key("sigma", read=_numbers)}}, {}
+)
+
+
 def cameras_table(cameras: Mapping[str, Camera]) -> list[dict[str, Any]]:
     """Return cameras as a list for the file.
 
@@ -43,40 +56,15 @@ def cameras_table(cameras: Mapping[str, Camera]) -> list[dict[str, Any]]:
     """
     table = []
     for station, camera in cameras.items():
-        row = {
-            "station": station,
-            "name": camera.name,
-            "width_px": camera.width,
-            "height_px": camera.height,
-            "lens": camera.lens,
-            "lens_names": LENSES[camera.lens].names,
-            "values": camera.values,
-            "sigma": camera.sigma,
-        }
-        table.append(row)
+        lens_names = LENSES[camera.lens].names
+        table.append({"station": station, **_CAMERA.table(camera), "lens_names": lens_names})
     return table
 
 
 def read_cameras(table: Iterable[Json]) -> Mapping[str, Camera]:
     """Return cameras from their tables in the file, by the names of their stations."""
-    cameras = {}
-    for row in table:
-        cameras[row["station"]] = Camera(
-            name=row["name"],
-            width=row["width_px"],
-            height=row["height_px"],
-            lens=row["lens"],
-            values=_numbers(row["values"]),
-            sigma=_numbers(row["sigma"]),
-        )
+    cameras = {row["station"]: Camera(**_CAMERA.values(Camera, row)) for row in table}
     return ReadOnlyMapping(cameras)
-
-
-def _numbers(entries: Any) -> Array | None:  # noqa: ANN401  any JSON
-    """Return numbers from a list of the file, `UNKNOWN` where it has null; None for null."""
-    if entries is None:
-        return None
-    return np.array([UNKNOWN if entry is None else float(entry) for entry in entries])
 
 
 def boards_table(boards: Mapping[str, Board]) -> list[dict[str, Any]]:

@@ -11,9 +11,8 @@ import pinocchio as pin
 import pytest
 from hypothesis import given, strategies as st
 
-from calib.basics.records import keys_of
 from calib.basics.units import UNITS, parse_noise, parse_quantity
-from calib.data.cell import FILE_KEYS, Cell, GroupDistance, Priors, TrackerNoise
+from calib.data.cell import Cell, GroupDistance, Priors, TrackerNoise
 from calib.data.cell_keys import frame_of
 from calib.data.record import Record
 from calib.errors import CalibError, FileError
@@ -435,7 +434,7 @@ def test_the_documents_surroundings(tmp_path: Path):
     assert cell.ranges["shoulder_pan_joint"] == pytest.approx((-np.pi / 2, np.pi / 2))
     assert cell.ranges["elbow_joint"] == (-2.0, 0.0)
 
-    # Without the keys that may be left out: the defaults that the text below the example states.
+    # Without the keys that may be left out: the defaults that the tables below the example state.
     optional = "nearest_mm|farthest_mm|noise|repeatability_mm|acceptance_deg|rpy_deg"
     least = read(tmp_path, re.sub(rf"(?m)^({optional}) = .*$", "", text))
     assert least.tracker is not None
@@ -445,31 +444,3 @@ def test_the_documents_surroundings(tmp_path: Path):
     assert cell.tracker.noise.std(3.0) == pytest.approx(least.tracker.noise.std(3.0), rel=1e-12)
     assert least.reflector.acceptance == cell.reflector.acceptance == pytest.approx(np.radians(30))
     np.testing.assert_array_equal(least.boxes[1].T_base_box[:3, :3], np.eye(3))
-
-
-def test_the_document_has_every_key_and_no_other():
-    _, keys_section, *_ = re.split("^## ", DOC.read_text(encoding="utf-8"), flags=re.MULTILINE)
-    documented = re.findall(r"^\| `(\w+)` \|", keys_section, re.MULTILINE)
-    assert sorted(documented) == sorted(
-        {*(row.name for _, row in keys_of(Cell)), *(row.name for row in FILE_KEYS)}
-    )
-
-
-def test_the_documents_defaults_are_the_defaults():
-    rows = re.findall(
-        r"^\| `(\w+)` \|[^|]*\| ([^|]*) \|", DOC.read_text(encoding="utf-8"), re.MULTILINE
-    )
-    said, cell = dict(rows), Cell()
-    assert said["model"] == f'`"{cell.model}"`'
-    assert said["repeats"] == f'`"{cell.repeats}"`'
-    assert [float(v) for v in said["gravity_m_per_s2"].split(",")] == cell.gravity.tolist()
-    for key, value in (
-        ("prior_length_mm", 1e3 * cell.priors.of("length")),
-        ("prior_angle_mrad", 1e3 * cell.priors.of("angle")),
-        ("prior_zero_mrad", 1e3 * cell.priors.of("zero")),
-        ("prior_gain", cell.priors.of("gain")),
-        ("prior_eccentricity_mrad", 1e3 * cell.priors.of("eccentricity")),
-        ("prior_compliance_rad_per_Nm", cell.priors.of("compliance")),
-        ("prior_gravity_mrad_per_m", 1e3 * cell.priors.of("gravity")),
-    ):
-        assert float(said[key]) == pytest.approx(value), key
