@@ -31,9 +31,6 @@ COVARIANCE = tuple(f"covariance_{i}" for i in range(36))
 #: Columns of an orientation that are never a joint's where the joints are not known.
 ORIENTATION = (*orientations.ROTATION_VECTOR.columns, *orientations.QUATERNION.columns)
 
-#: Columns of words.
-WORDS = ("row", "set", "kind", "target", "group", "pair", "point", "approach", "image", "corner")
-
 #: The column of a table of commands that says whether a row has one.
 STATUS = "status"
 
@@ -42,6 +39,19 @@ SETS = ("estimate", "validate")
 
 #: Name of the target of rows without a column ``target``.
 DEFAULT_TARGET = "target"
+
+#: Columns of words, by the attribute of `Measurements` that holds them: the name of the column, and the word of rows
+#: without one.
+WORD_COLUMNS: Mapping[str, tuple[str, str]] = {
+    "sets": ("set", SETS[0]),
+    "kinds": ("kind", "point"),
+    "targets": ("target", DEFAULT_TARGET),
+    "groups": ("group", ""),
+    "pairs": ("pair", ""),
+    "approaches": ("approach", ""),
+    "images": ("image", ""),
+    "corners": ("corner", ""),
+}
 
 #: What follows a joint's name in the name of the column of its torque.
 TORQUE = ".torque"
@@ -71,7 +81,8 @@ Columns = tuple[Column, ...]
 def reserved() -> tuple[str, ...]:
     """Return the names of columns that no joint can have: words, noise, readings, positions."""
     noise = [*(unit.sigma_name for unit in RESIDUAL_UNITS.values()), *COVARIANCE]
-    return (*WORDS, *noise, *registry.readings(), *POINT, *BOARD_POINT)
+    words = [column for column, _ in WORD_COLUMNS.values()]
+    return ("row", "point", *words, *noise, *registry.readings(), *POINT, *BOARD_POINT)
 
 
 def list_columns(table: Table) -> str:

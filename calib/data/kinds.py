@@ -29,10 +29,10 @@ import calib.basics.plugins as plugins
 from calib.basics.arguments import check_type
 from calib.basics.arrays import Array
 from calib.basics.channels import RESIDUAL_UNITS
+from calib.basics.units import UNITS, Quantity
 from calib.basics.values import Value
 from calib.camera.optics import image_derivatives, images
 from calib.data.kind_check import check_functions
-from calib.data.reading import Reading as Reading
 from calib.errors import CalibError, MeasurementError, choices
 from calib.model.error_model import DIRECTIONS
 from calib.numerics.geometry import inverse_right_jacobian
@@ -49,6 +49,32 @@ _TINY = 1e-12
 
 #: Relative singular value below which an anchor's coordinates count as undetermined.
 _RANK_TOLERANCE = 1e-9
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """A column of the table with a number that rows of a kind measure.
+
+    Raises:
+        CalibError: The quantity is none of these.
+    """
+
+    #: Name of the column without its unit, ``"distance"``.
+    name: str
+    #: What it measures: ``"length"``, ``"angle"`` or ``"pixel"``.
+    quantity: Quantity = "length"
+    #: Whether it is always greater than zero, as a distance is.
+    positive: bool = False
+
+    def __post_init__(self) -> None:
+        """Check the quantity."""
+        allowed = [unit.quantity for unit in RESIDUAL_UNITS.values()]
+        if self.quantity not in allowed:
+            unit = UNITS.get(str(self.quantity))
+            hint = f"; '{unit.symbol}' is a unit of '{unit.quantity}'" if unit else ""
+            raise CalibError(
+                f"The reading '{self.name}' has the quantity '{self.quantity}'; allowed are {choices(allowed)}{hint}."
+            )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
