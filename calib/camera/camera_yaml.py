@@ -321,15 +321,7 @@ def _known(camera: Camera) -> Array:
 def _rows(
     key: str, rows: int, columns: int, numbers: list[float], *, opencv: bool = False
 ) -> list[str]:
-    """Return the lines of a matrix.
-
-    Args:
-        key: Its key.
-        rows: Its rows.
-        columns: Its columns.
-        numbers: Its numbers, row by row.
-        opencv: Whether it is one of OpenCV's FileStorage.
-    """
+    """Return the lines of a matrix, whose numbers are given row by row, for ROS or for OpenCV's FileStorage."""
     lines = [f"{key}: !!opencv-matrix" if opencv else f"{key}:", f"   rows: {rows}"]
     lines.append(f"   cols: {columns}")
     if opencv:

@@ -485,16 +485,9 @@ def _settled_plane(T_frame_base: Array) -> Array:
 
 
 def _plane_frame(normal: Array, distance: float) -> Array:
-    """Return the frame of a plane, with its origin and axes as near to the base's as can be.
+    """Return T_frame_base of a frame whose x-y plane is n . p = d, its origin and axes as near to the base's as can be.
 
-    Its z axis points to the side on which the largest component of the normal is positive.
-
-    Args:
-        normal: Unit normal of the plane in the base, shape (3,); its sign does not matter.
-        distance: Distance from the base to the plane along ``normal``, signed [m].
-
-    Returns:
-        T_frame_base of a frame whose x-y plane is the plane, shape (4, 4) [m].
+    The z axis points to the side on which the largest component of the unit normal n is positive.
     """
     sign = float(np.sign(normal[np.argmax(np.abs(normal))]))
     axis = np.cross(sign * normal, [0.0, 0.0, 1.0])

@@ -253,17 +253,9 @@ def _points_of_rows(
     row_numbers: Sequence[int],
     names: Sequence[str] | None,
 ) -> Array:
-    """Return the points of rows from a list of points.
+    """Return the positions (rows, 3) [m] of the rows that need a point; NaN in others, and if the list lacks the point.
 
-    Args:
-        table: The table, for messages.
-        elsewhere: The list of points.
-        rows: Which rows need a point, shape (rows,).
-        row_numbers: The table's number of each row.
-        names: Name of each row's point; None: the points are in the order of the rows.
-
-    Returns:
-        Positions, shape (rows, 3) [m]; NaN in other rows, and where the list lacks the point.
+    Without names the points of the list are in the order of the rows.
     """
     at = np.flatnonzero(rows)
     chosen_numbers = list(compress(row_numbers, rows))
