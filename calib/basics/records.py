@@ -74,7 +74,7 @@ class Option:
 
 
 def added(of_file: Any, given: Any) -> Any:  # noqa: ANN401  two mappings, or two tuples
-    """Return the entries of a file with those of an option added, which count where both have a name."""
+    """Return the entries of a file with those of an option added; the option's count if both have a name."""
     return {**of_file, **given} if isinstance(given, Mapping) else (*of_file, *given)
 
 
@@ -341,7 +341,7 @@ def keep_checked(value: Any, name: str) -> None:  # noqa: ANN401  any record
     """Check the fields of a record that is being made, and keep what their checks give; for ``__post_init__``.
 
     Without a check of its own, a truth value, a text or a record must be of the type of its field; a mapping becomes
-    read-only and a sequence a tuple, their entries checked one by one. None is allowed where the type allows it.
+    read-only and a sequence a tuple, their entries checked one by one. None is allowed if the type allows it.
 
     Args:
         value: The record.
@@ -414,7 +414,7 @@ def _check_class(
     written: _Written,
     allowed: str,
 ) -> None:
-    """Refuse a value of another class, where the type says a truth value, a text or a record."""
+    """Refuse a value of another class, if the type is a truth value, a text or a record."""
     if kind in (bool, str) or dataclasses.is_dataclass(kind):
         classes = (bool, np.bool_) if kind is bool else kind
         check_type(argument, given, classes, allowed.format(_words(kind, written)))

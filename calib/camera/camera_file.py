@@ -60,13 +60,15 @@ def read_camera(path: str | Path) -> Camera:
 
     Raises:
         FileError: The file cannot be read, or is neither YAML nor TOML.
-        CalibError: A key is unknown, missing or has a wrong value, or the lens is none that calib has.
+        CalibError: A key is unknown, missing or has a wrong value, or calib does not have the lens.
     """
     data = read_bytes(path, "File of a camera")
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise FileError(f"{path}: this is no text in UTF-8, so no file of a camera.") from error
+        raise FileError(
+            f"{path}: this is not text in UTF-8, so it is not a file of a camera."
+        ) from error
     try:
         table = tomllib.loads(text)
     except (ValueError, RecursionError) as error:  # TOMLDecodeError is a ValueError
@@ -93,7 +95,7 @@ def camera_of_table(table: Mapping[str, Any], where: str, folder: str | Path = "
 
     Raises:
         FileError: The file named cannot be read, or is neither YAML nor TOML.
-        CalibError: A key is unknown, missing or has a wrong value, or the lens is none that calib has.
+        CalibError: A key is unknown, missing or has a wrong value, or calib does not have the lens.
     """
     try:
         return _camera(table, folder)
@@ -139,7 +141,7 @@ def _named(file: object, folder: str | Path) -> Camera:
 
 
 def _changed(camera: Camera, attributes: Mapping[str, Any], file: str) -> Camera:
-    """Return the camera of a file with attributes that a table gives, of which the lens must be the file's."""
+    """Return the camera of a file with the attributes that a table gives; its lens must be the file's."""
     lens = attributes.get("lens", camera.lens)
     if camera.values is not None and lens != camera.lens:
         raise CalibError(
@@ -149,7 +151,7 @@ def _changed(camera: Camera, attributes: Mapping[str, Any], file: str) -> Camera
 
 
 def _values(table: Mapping[str, Any], lens: Lens, camera: Camera) -> Array | None:
-    """Return the numbers of a lens, shape (m,): the camera's, but for those that a table gives; None without any."""
+    """Return the numbers of a lens, shape (m,): the camera's, except for those that a table gives; None without any."""
     given = {name: table[name] for name in lens.names if name in table}
     if not given:
         return camera.values

@@ -68,7 +68,7 @@ def load_with_data(
         )
     if is_other_table(robot):
         raise CalibError(
-            f"'{robot}' is in the place of the robot, and is no table of DH rows: it has no columns of d and alpha. "
+            f"'{robot}' is in the place of the robot, and is not a table of DH rows: it has no columns of d and alpha. "
             "ROBOT comes first, then DATA."
         )
     columns = options.parsed()
@@ -107,7 +107,7 @@ def with_chain_of_result(cell: Cell, result: Calibration, name: str) -> Cell:
 
 
 def coupling_of_result(cell: Cell, result: Calibration, name: str) -> Mapping[str, Any]:
-    """Return the coupled readings of a result, by name; CalibError where the cell couples others.
+    """Return the coupled readings of a result, by name; CalibError if the cell couples others.
 
     Args:
         cell: As given.

@@ -27,7 +27,7 @@ BOARD_POINT = ("board_x", "board_y", "board_z")
 #: Columns of the covariance of a pose, row by row, as of ROS's PoseWithCovariance.
 COVARIANCE = tuple(f"covariance_{i}" for i in range(36))
 
-#: Columns of an orientation that are never a joint's where the joints are not known.
+#: Columns of an orientation; they are never a joint's if the joints are not known.
 ORIENTATION = (*orientations.ROTATION_VECTOR.columns, *orientations.QUATERNION.columns)
 
 #: The column of a table of commands that says whether a row has one.
@@ -98,7 +98,7 @@ def column_names(table: Table, columns: ColumnsInput = None) -> set[str] | None:
         columns: What is said of the columns, as by ``--columns``; None: nothing.
 
     Returns:
-        The names in the header, and those that they are mapped to; None where a brand maps them to the joints of a
+        The names in the header, and those that they are mapped to; None if a brand maps them to the joints of a
         robot, whichever these are.
     """
     options = column_options(columns)
@@ -241,7 +241,7 @@ def with_unit(
         The column.
 
     Raises:
-        MeasurementError: It has no unit, one of another quantity, or one where there is none.
+        MeasurementError: It has no unit, one of another quantity, or a unit although it must not have one.
     """
     kind_of_column = f" ({what})" if what else ""
     where = f"{table.source}, column '{column.label}'{kind_of_column}"
@@ -267,7 +267,7 @@ def with_unit(
 def joint_with_unit(
     table: Table, column: Column, joint_type: str | None, options: ColumnOptions
 ) -> Column:
-    """Return a joint's column in a unit that fits the joint, which ``options`` may say where the column has none.
+    """Return a joint's column in a unit that fits the joint, which ``options`` may say if the column has none.
 
     Args:
         table: The column's table, for messages.
@@ -294,7 +294,7 @@ def joint_with_unit(
 
 
 def cells_of(values: Array, unit: str) -> list[object]:
-    """Return the cells of a column of numbers, empty where nothing was measured.
+    """Return the cells of a column of numbers, empty if nothing was measured.
 
     Args:
         values: Numbers in SI units, shape (N,), NaN where nothing was measured.
@@ -302,7 +302,7 @@ def cells_of(values: Array, unit: str) -> list[object]:
     """
     to_si = UNITS[unit].to_si if unit else 1.0
     exact = values / to_si
-    # Fifteen digits, as a table had them, where they give the number back to the last bit.
+    # Fifteen digits, as a table had them, if they give the number back to the last bit.
     short = np.array([float(f"{number:.15g}") for number in exact])
     written = np.where(short * to_si == values, short, exact).tolist()
     return ["" if math.isnan(number) else number for number in written]

@@ -126,7 +126,7 @@ def inputs_of(
 
 
 def _check_robot(robot: object, argument: str) -> None:
-    """Refuse what is no robot, and the path of a table in its place."""
+    """Refuse what is not a robot, and the path of a table in its place."""
     check_type(argument, robot, (Robot, str, Path), ROBOT)
     if isinstance(robot, (str, Path)) and is_other_table(robot):
         raise CalibError(

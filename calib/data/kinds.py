@@ -12,8 +12,9 @@ With the pose (R, p) of the target in its measurement frame, what is measured, w
 
 P is the corner on the board, which is the target, and f the camera's lens; see `calib.camera.optics`.
 
-Ball in a socket, anchored distance and plane are thus points, of which some coordinates are measured in a frame that is
-unknown in some directions: one error model for all. `register` adds a kind from outside; see docs/extending.md.
+A ball in a socket, an anchored distance and a plane are thus points: some of their coordinates are measured, in a frame
+that is unknown in some directions. One error model serves all. `register` adds a kind from outside; see
+docs/extending.md.
 """
 
 from __future__ import annotations
@@ -89,7 +90,7 @@ class Kind(Value):
     * ``T_frame_target``, shape (n, 4, 4) [m]: pose of the target in the measurement frame.
     * ``twists``, shape (n, 6, p): derivative of these poses by p parameters, along the axes of the
       measurement frame: velocity of the target's origin [m per parameter unit], then angular
-      velocity [rad per parameter unit]. Only the first three rows, (n, 3, p), where no row of the
+      velocity [rad per parameter unit]. Only the first three rows, (n, 3, p), if no row of the
       table depends on the orientation of its target.
 
     Of a ``paired`` kind poses and twists are those of both rows: (n, 2, 4, 4), (n, 2, 6, p).
@@ -121,7 +122,7 @@ class Kind(Value):
     position: bool = False
     #: Whether an orientation is measured, with the position. The next three units are its angles, a rotation vector.
     orientation: bool = False
-    #: Whether the residual depends on the target's orientation, not on its position alone. None: it does where an
+    #: Whether the residual depends on the target's orientation, not on its position alone. None: it does if an
     #: orientation or another angle is measured.
     turns: bool | None = None
     #: The other columns that are measured.
@@ -309,7 +310,7 @@ def register(kind: Kind) -> None:
             those of a kind that is registered.
 
     Raises:
-        ArgumentError: It is no kind.
+        ArgumentError: It is not a kind.
         CalibError: A kind or a column of this name is registered, or one of its functions is wrong at generic poses;
             see `calib.data.kind_check.check_functions`.
     """

@@ -56,7 +56,7 @@ class Layout:
     blocks: Mapping[str, Columns]
     #: Kinds of the rows; more than one only with a column ``kind``.
     kinds: tuple[str, ...]
-    #: Headers of the columns that are not used, but for those that a plan has and a fit does not need.
+    #: Headers of the columns that are not used, except for those that a plan has and a fit does not need.
     ignored: tuple[str, ...] = ()
     #: The orientation; None without one.
     orientation: Orientation | None = None
@@ -261,7 +261,7 @@ def _joints(
 ) -> Columns:
     """Return the columns of joints, in the order of their names.
 
-    Without names: every column of angles, and of joints whose type is known, but for names with another meaning.
+    Without names: every column of angles, and of joints whose type is known, except for names with another meaning.
     """
     taken = {*reserved(), *ORIENTATION}
     if joint_names is None:

@@ -128,7 +128,7 @@ class Measurements(Value):
     #: Row numbers left out by `without_copies`, as the table has them.
     copies: tuple[int, ...] = ()
     #: Convention in which the table gave the orientations, one of `calib.data.forms.orientations.CONVENTIONS`; empty
-    #: where it gave none.
+    #: if it gave none.
     orientation: str = ""
     #: Names of the directions that the poses were approached from; ``""`` when not given.
     approaches: tuple[str, ...] = ()
@@ -311,7 +311,7 @@ class Measurements(Value):
 
     @property
     def paired(self) -> Mask:
-        """True for the rows of paired kinds, of which two give one measurement, shape (N,), read-only."""
+        """True for the rows of paired kinds, two of which give one measurement, shape (N,), read-only."""
         return self.where(lambda kind: kind.paired)
 
     @property
@@ -323,7 +323,7 @@ class Measurements(Value):
     def pair_rows(self) -> NDArray[np.intp]:
         """Indices, from 0, of the two rows of each pair, shape (P, 2), read-only.
 
-        A pair of which one row was deselected is left out.
+        A pair that lost one of its rows to a selection is left out.
         """
         by_pair = by_word(self.pairs, self.paired).values()
         complete = [indices for indices in by_pair if len(indices) == 2]
@@ -443,8 +443,8 @@ class Measurements(Value):
     def write(self, path: str | Path, *, overwrite: bool = False) -> None:
         """Write a CSV table in degrees and millimetres that `read` gives back.
 
-        Numbers come back to the last bit where they came from a table in these units, to 1e-15 of them where not, as
-        for hardly any number of radians are there degrees that are it exactly. Orientations come back to 1e-15.
+        Numbers that came from a table in these units come back to the last bit, others to a relative 1e-15, because
+        hardly any number of radians is exactly a number of degrees. Orientations come back to 1e-15.
 
         Args:
             path: The file.
@@ -468,7 +468,7 @@ class Measurements(Value):
         write_atomically(path, csv_bytes(rows), overwrite=overwrite)
 
     def _number_columns(self) -> Iterator[_NumberColumn]:
-        """Return the columns of numbers to write, in SI units; None or NaN where there are none."""
+        """Yield the columns of numbers to write, in SI units; None or NaN for those without numbers."""
         for i, name in enumerate(self.joint_names):
             slides = name in self.prismatic
             yield name, "length" if slides else "angle", self.joints[:, i]

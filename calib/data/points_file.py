@@ -50,8 +50,8 @@ _NAMES = (
     *("point", "name", "pointname", "point name", "point id", "pointid", "id", "label", "target"),
 )
 
-#: Symbols of units by the words for them. "in" is also a word, so it only counts where no other
-#: unit stands.
+#: Symbols of units by the words for them. "in" is also a preposition, so it only counts if no other
+#: unit is named.
 _UNIT_WORDS = {
     **dict.fromkeys(("mm", "millimeter", "millimeters", "millimetre", "millimetres"), "mm"),
     **dict.fromkeys(("m", "meter", "meters", "metre", "metres"), "m"),
@@ -67,8 +67,8 @@ def read_points(path: str | Path, unit: str | None = None) -> Points:
 
     The cells are separated by blanks, tabs, commas or semicolons; there may be labels between the numbers, ``X 1 Y 2 Z
     3``. Lines before the first point, and those that begin with #, //, !, % or ;, are remarks. A header with the cells
-    x, y, z tells the order; without one the three numbers after the name count. All coordinates together, or a remark
-    (``Decimal: comma``), tell whether a comma is decimal or stands between thousands. The unit comes from a remark
+    x, y, z gives the order; without one the three numbers after the name count. All coordinates together, or a remark
+    (``Decimal: comma``), decide whether a comma is decimal or stands between thousands. The unit comes from a remark
     (``Units: mm``), from the header (``x [mm]``) or from ``unit``.
 
     Args:

@@ -29,7 +29,7 @@ class Priors:
     """
 
     #: ``"data"``: the prior standard deviations are estimated from the measurements, starting at
-    #: those given; ``"given"``: they are those given; ``"off"``: plain least squares, but for a
+    #: those given; ``"given"``: they are those given; ``"off"``: plain least squares, except for a
     #: weak prior on what no measurement determines.
     source: str
     #: (family, prior standard deviation in the family's SI unit) of the families whose value is

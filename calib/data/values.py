@@ -238,7 +238,7 @@ def _check_sets(table: Table, layout: Layout, sets: Sequence[str], measured: Mas
     for word in set(sets) - set(SETS):
         column = layout.words["set"]
         what = (
-            f"'{word}' is no set; allowed are {choices(SETS)}. Correct it; if the column means "
+            f"'{word}' is not a set; allowed are {choices(SETS)}. Correct it; if the column means "
             f'something else, --columns "{column.label}=-" leaves it out.'
         )
         for i in np.flatnonzero(measured).tolist():

@@ -48,16 +48,16 @@ def decimal_sign_of(
     """Return the decimal sign of the numbers of a file.
 
     Args:
-        numerals: Line of each number, from 1, and the number as written; what is no number says nothing.
+        numerals: Line of each number, from 1, and the number as written; anything else is ignored.
         source: The file's name, for messages.
         stated: The sign that the file states; None: it states none.
 
     Returns:
-        ``"."`` or ``","``; ``"."`` if nothing tells and no number has a comma: 1.992 alone is less than 2.
+        ``"."`` or ``","``; ``"."`` if nothing decides and no number has a comma: 1.992 alone is less than 2.
 
     Raises:
         MeasurementError: Numbers contradict each other or what is stated, or there are commas, each with three digits
-            after it, and nothing tells what they are.
+            after it, and nothing decides what they are.
     """
     # The first line with each meaning of each sign.
     decimal: dict[str, int] = {}
@@ -85,7 +85,7 @@ def decimal_sign_of(
     if "," in either:
         raise MeasurementError(
             f"{source}, line {either[',']}: a comma may be decimal or stand between thousands: three digits follow "
-            "each, and nothing else tells. Write a first line '# Decimal: comma' or '# Decimal: point'."
+            "each, and nothing else decides. Write a first line '# Decimal: comma' or '# Decimal: point'."
         )
     return "."
 
@@ -109,7 +109,7 @@ def _check_agreement(source: str, decimal: dict[str, int], thousands: dict[str, 
 
 
 def plain(text: str, decimal_sign: str) -> str:
-    """Return a number with a decimal point and nothing between thousands; what is no number stays as it is.
+    """Return a number with a decimal point and nothing between thousands; anything else stays as it is.
 
     Args:
         text: As written.
