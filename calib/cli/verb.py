@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import sys
 import traceback
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from types import MappingProxyType
@@ -52,7 +52,11 @@ class Verb(TyperCommand):
                 names = "/".join((*option.opts, *option.secondary_opts))
                 ctx.fail(f"Option '{names}' is given {times} times. Give it once.")
         with reporting(debug="debug" in given):
-            _load_plugins(given.get("plugin", ()))
+            import calib.basics.plugins as plugins
+
+            plugins.load_installed()
+            for name in given.get("plugin", ()):
+                plugins.load(name)
         return super().parse_args(ctx, args)
 
     def format_help(self, ctx: Any, formatter: Any) -> None:  # noqa: ANN401  typer's own class
@@ -62,76 +66,35 @@ class Verb(TyperCommand):
             ctx: The context of the call.
             formatter: Writes the help.
         """
-        registered = _REGISTERED | getattr(self.callback, "registered", {})
-        for option in self.get_params(ctx):
-            help_text = getattr(option, "help", None) or ""
-            for placeholder, names in registered.items():
-                if placeholder in help_text:
-                    help_text = help_text.replace(placeholder, ", ".join(names()))
-                    option.help = help_text  # type: ignore[attr-defined]
+        parameters: list[Any] = self.get_params(ctx)
+        listing = [each for each in parameters if "{" in (getattr(each, "help", "") or "")]
+        if listing:
+            registered = _registered()
+            for placeholder, names in getattr(self.callback, "registered", {}).items():
+                registered[placeholder] = names()
+            for option in listing:
+                for placeholder, names in registered.items():
+                    option.help = option.help.replace(placeholder, ", ".join(names))
         super().format_help(ctx, formatter)
 
 
-def _load_plugins(names: Iterable[str]) -> None:
-    """Load the installed plugins and those of ``--plugin``; raises `PluginError`."""
-    import calib.basics.plugins as plugins
-
-    plugins.load_installed()
-    for name in names:
-        plugins.load(name)
-
-
-def _families() -> tuple[str, ...]:
-    """Return the names of the families of joint errors, which no URDF holds."""
-    from calib.model.families import joint_families
-
-    return joint_families()
-
-
-def _kinds() -> tuple[str, ...]:
-    """Return the names of the kinds of measurement."""
+def _registered() -> dict[str, tuple[str, ...]]:
+    """Return what the placeholders in the help of any verb stand for; the registries import NumPy."""
+    from calib.data.forms.brands import BRANDS
+    from calib.data.forms.orientations import CONVENTIONS
     from calib.data.kinds import names
-
-    return names()
-
-
-def _models() -> tuple[str, ...]:
-    """Return the names of the parameter sets."""
     from calib.model.error_model import MODELS
-
-    return tuple(MODELS)
-
-
-def _solvers() -> tuple[str, ...]:
-    """Return the names of the solvers."""
+    from calib.model.families import joint_families
     from calib.numerics.solvers import PAPER, SOLVERS
 
-    return (*SOLVERS, PAPER)
-
-
-def _brands() -> tuple[str, ...]:
-    """Return the names of the brands whose columns are known."""
-    from calib.data.forms.brands import BRANDS
-
-    return tuple(BRANDS)
-
-
-def _conventions() -> tuple[str, ...]:
-    """Return the names of the conventions of orientations."""
-    from calib.data.forms.orientations import CONVENTIONS
-
-    return tuple(CONVENTIONS)
-
-
-#: What a placeholder in a help text stands for. The registries import NumPy, so they are read when help is printed.
-_REGISTERED: dict[str, Names] = {
-    "{brands}": _brands,
-    "{conventions}": _conventions,
-    "{families}": _families,
-    "{kinds}": _kinds,
-    "{models}": _models,
-    "{solvers}": _solvers,
-}
+    return {
+        "{brands}": tuple(BRANDS),
+        "{conventions}": tuple(CONVENTIONS),
+        "{families}": joint_families(),  # those that no URDF holds
+        "{kinds}": names(),
+        "{models}": tuple(MODELS),
+        "{solvers}": (*SOLVERS, PAPER),
+    }
 
 
 def verb(
