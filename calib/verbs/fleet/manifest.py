@@ -114,15 +114,7 @@ def _load(
     from calib.verbs.fleet.fleet_robot import FleetRobot
 
     folder = defaults.folder
-    cell_options = defaults.cell_options
-    given = dict(cell_options.given)
-    for parameter in ModelOptions.parameters():
-        name = parameter.name
-        if name in cells and name != "cell":
-            given[name] = _split(cells[name]) if is_list(parameter) else cells[name]
-    cell_options = replace(cell_options, given=given)
-    if "cell" in cells:
-        cell_options = replace(cell_options, file=folder / cells["cell"])
+    cell_options = options_of_row(cells, folder, defaults.cell_options)
     changes: dict[str, Any] = {n: cells[n] for n in ("orientation", "joint_unit") if n in cells}
     if "columns" in cells:
         changes["columns"] = _split(cells["columns"])
@@ -144,6 +136,22 @@ def _load(
         return robot.load(urdf_of)
     except CalibError as error:
         raise CalibError(f"{where}: {error}") from error
+
+
+def options_of_row(cells: Mapping[str, str], folder: Path, line: FitOptions) -> FitOptions:
+    """Return the options of the cell and of the errors for a robot.
+
+    Args:
+        cells: The cells of its row that are not empty, by column; several words of one are separated by semicolons.
+        folder: Where the path of a cell file begins.
+        line: The options of the command line, which hold for what the row does not give.
+    """
+    given = dict(line.given)
+    for parameter in ModelOptions.parameters():
+        name = parameter.name
+        if name in cells and name != "cell":
+            given[name] = _split(cells[name]) if is_list(parameter) else cells[name]
+    return FitOptions(folder / cells["cell"] if "cell" in cells else line.file, given)
 
 
 def _split(cell: str) -> list[str]:
