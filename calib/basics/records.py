@@ -25,6 +25,7 @@ from __future__ import annotations
 
 import dataclasses
 import json as json_text
+import sys
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import MISSING, Field, dataclass, replace
 from functools import cache
@@ -37,6 +38,11 @@ from calib.basics.arguments import check_mapping, check_type, wrong_type
 from calib.basics.mappings import ReadOnlyMapping
 from calib.basics.value_forms import TABLE, Check, Form, Place, checked, list_of
 from calib.errors import CalibError, choices, did_you_mean
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
 
 T = TypeVar("T")
 Label = TypeVar("Label")
@@ -291,6 +297,15 @@ def tables_of(kind: type, heading: str) -> Form:
     """Return the form of tables with the keys of a record, each headed ``[[heading]]``."""
     head = f"[[{heading}]]"
     return list_of(table_of(kind), f"a list of tables, each headed {head}", head)
+
+
+def parse_toml(text: str) -> dict[str, Any]:
+    """Return the tables of a TOML text; ValueError if it is not TOML."""
+    try:
+        table: dict[str, Any] = tomllib.loads(text)
+    except RecursionError as error:
+        raise ValueError("its tables are nested too deeply") from error
+    return table
 
 
 def toml_values(value: Any) -> dict[str, Any]:  # noqa: ANN401  any record

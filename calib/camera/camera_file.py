@@ -6,7 +6,6 @@ deviations; or ``file``, which names a file of a camera whose entries the other 
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -17,17 +16,12 @@ import numpy as np
 from calib.basics.arrays import Array
 from calib.basics.files import read_bytes
 from calib.basics.mappings import ReadOnlyMapping
-from calib.basics.records import keys_of, read_parts, toml, toml_values
+from calib.basics.records import keys_of, parse_toml, read_parts, toml, toml_values
 from calib.basics.value_forms import NUMBER, Place
 from calib.camera.camera import UNKNOWN, Camera
 from calib.camera.camera_yaml import camera_info_yaml, camera_of_yaml, opencv_yaml
 from calib.camera.lenses import LENSES, Lens
 from calib.errors import CalibError, FileError, choices, did_you_mean
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
 
 __all__ = [
     "camera_info_yaml",
@@ -70,8 +64,8 @@ def read_camera(path: str | Path) -> Camera:
             f"{path}: this is not text in UTF-8, so it is not a file of a camera."
         ) from error
     try:
-        table = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:  # TOMLDecodeError is a ValueError
+        table = parse_toml(text)
+    except ValueError as error:
         if Path(path).suffix.lower() == ".toml":
             raise FileError(f"{path}: this is not a TOML file: {error}") from error
         return camera_of_yaml(text, str(path))

@@ -7,9 +7,7 @@ the robot's errors, the payload, and which parameters are estimated. All of it c
 
 from __future__ import annotations
 
-import re
-import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
@@ -21,7 +19,6 @@ import calib.basics.plugins as plugins
 import calib.data.kinds as registry
 from calib.basics.arguments import check_path
 from calib.basics.arrays import Array, read_only
-from calib.basics.channels import RESIDUAL_UNITS
 from calib.basics.files import read_bytes
 from calib.basics.mappings import ReadOnlyMapping
 from calib.basics.records import (
@@ -31,16 +28,16 @@ from calib.basics.records import (
     keep_checked,
     key,
     keys,
+    parse_toml,
     read_values,
     table_of,
     tables_of,
 )
 from calib.basics.short import one_line
-from calib.basics.units import MASS, is_number, parse_amount, parse_joint_values, parse_point
+from calib.basics.units import MASS, parse_amount, parse_joint_values, parse_point
 from calib.basics.value_forms import (
     JOINT_RANGE,
     JOINT_VALUE,
-    MM,
     NAMES,
     POINT_MM,
     TABLE,
@@ -56,11 +53,21 @@ from calib.basics.values import Value
 from calib.boards.board import Board
 from calib.camera.camera import Camera
 from calib.data.cell_keys import (
+    ARE_BOUNDS,
+    ARE_DIRECTIONS,
+    ARE_FACTORS,
+    ARE_SIGMAS,
     BOUNDS,
     CHANGE,
     FACTORS,
     FRAME_DIRECTIONS,
     FRAME_ESTIMATED,
+    IS_JOINT_VALUE,
+    IS_POSE,
+    IS_POSITION,
+    IS_PRIOR_STD,
+    IS_RANGE,
+    IS_TIE,
     RPY_DEG,
     TIE,
     board_keys,
@@ -70,12 +77,11 @@ from calib.data.cell_keys import (
     pose_keys,
     sigma_keys,
 )
-from calib.data.kinds import SIGMAS
-from calib.data.priors import PRIOR_STD_RANGE, Priors, prior_keys
+from calib.data.priors import Priors, prior_keys
 from calib.data.record import Record
 from calib.data.surroundings import (
-    POSE,
     Box,
+    GroupDistance,
     Reflector,
     Tracker,
     TrackerNoise,
@@ -84,20 +90,12 @@ from calib.data.surroundings import (
 from calib.errors import CalibError, FileError, choices
 from calib.model.error_model import DIRECTIONS
 from calib.numerics.geometry import (
-    FARTHEST,
     pose_of,
-    pose_or_none,
-    position_in_tip,
     rotation_or_none,
     vector,
 )
 from calib.robot.gravity import GRAVITY
 from calib.robot.payload import Payload
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
 
 __all__ = [
     "AUTO",
@@ -116,135 +114,6 @@ AUTO = "auto"
 
 #: What `Cell.repeats` may be.
 REPEATS = ("weighted", "average", "independent")
-
-
-@dataclass(frozen=True, slots=True)
-class GroupDistance:
-    """A known distance between the fixed points of two groups, such as two sockets on one plate.
-
-    Example:
-        >>> plate = GroupDistance("*/left", "*/right", length=0.2, sigma=1e-5)
-        >>> plate.pairs(["1/left", "1/right", "2/left", "2/right"])
-        (('1/left', '1/right'), ('2/left', '2/right'))
-    """
-
-    #: Name of a group. It may hold one ``*``, which then stands for any text.
-    first: str = key("first", text("a name"), "Name of a group; `*` stands for any text.")
-    #: Name of another one; its ``*`` stands for the same text.
-    second: str = key("second", text("a name"), "Name of another group; `*` stands for the same.")
-    #: Known distance [m].
-    length: float = key("length_mm", MM, "Known distance.")
-    #: Standard deviation of the length [m].
-    sigma: float = key("sigma_mm", MM, "Standard deviation of the distance.")
-
-    def __post_init__(self) -> None:
-        """Check the names, the length and its standard deviation."""
-        stars = (self.first.count("*"), self.second.count("*"))
-        are_names = stars in ((0, 0), (1, 1)) and self.first != self.second
-        if not are_names or min(self.length, self.sigma) <= 0.0:
-            raise CalibError(
-                f"A distance is {self.length:g} m, its sigma {self.sigma:g} m, between the groups "
-                f"'{self.first}' and '{self.second}'; it must be between two groups, with '*' once "
-                "in both names or in neither, and length and sigma above 0."
-            )
-
-    def pairs(self, groups: Iterable[str]) -> tuple[tuple[str, str], ...]:
-        """Return the pairs of groups that the distance is between.
-
-        Args:
-            groups: Names of groups, such as one for each row of a table.
-
-        Returns:
-            Names that match ``first`` and ``second``, each pair once, in the order of ``groups``.
-        """
-        present = dict.fromkeys(groups)
-        pattern = re.escape(self.first).replace(r"\*", "(.*)")
-        result = []
-        for group in present:
-            match = re.fullmatch(pattern, group, re.DOTALL)
-            if match is None:
-                continue
-            partner = self.second.replace("*", "".join(match.groups()))
-            if partner in present and partner != group:
-                result.append((group, partner))
-        return tuple(result)
-
-
-# Checks and changes of a cell's values
-
-
-def _number_within(value: Any, low: float, high: float) -> float | None:  # noqa: ANN401
-    """Return a number of a range, which stays an `Angle` or a `Length`; None for others."""
-    return value if is_number(value) and low <= value <= high else None
-
-
-def _directions(value: Iterable[str]) -> tuple[str, ...] | None:
-    """Return given directions of a frame in the order of `DIRECTIONS`; None if others are given."""
-    directions = tuple(d for d in DIRECTIONS if d in value)
-    if not directions or sorted(directions) != sorted(value):
-        return None
-    return directions
-
-
-def _tie(value: tuple[str, float]) -> tuple[str, float] | None:
-    """Return another parameter's name and a factor; None if the factor is not a number, or zero."""
-    name, factor = value
-    if not is_number(factor) or factor == 0.0:
-        return None
-    return name, float(factor)
-
-
-def _interval(value: tuple[float, float]) -> tuple[float, float] | None:
-    """Return two increasing numbers, else None; they stay `Angle` or `Length`."""
-    low, high = value
-    return (low, high) if low < high else None
-
-
-def _bounds(value: tuple[float, float]) -> tuple[float, float] | None:
-    """Return the least and the largest change of a parameter; None unless 0 is between them."""
-    low, high = value
-    return _interval(value) if low <= 0.0 <= high else None
-
-
-def _factors(value: Mapping[str, float]) -> ReadOnlyMapping[str, float] | None:
-    """Return the factors of joints' readings by name, else None."""
-    if not isinstance(value, Mapping) or not all(isinstance(name, str) for name in value):
-        return None
-    if not value or not all(is_number(factor) and factor for factor in value.values()):
-        return None
-    return ReadOnlyMapping({name: float(factor) for name, factor in value.items()})
-
-
-def _sigma(value: Mapping[str, float]) -> ReadOnlyMapping[str, float] | None:
-    """Return standard deviations by unit, else None."""
-    if not isinstance(value, Mapping) or not value.keys() <= RESIDUAL_UNITS.keys():
-        return None
-    if not all(is_number(std) and SIGMAS[0] <= std <= SIGMAS[1] for std in value.values()):
-        return None
-    return ReadOnlyMapping({unit: float(std) for unit, std in value.items()})
-
-
-_POSE = Check(POSE, pose_or_none)
-_POSITION = Check("three numbers [m]", lambda value: position_in_tip(value, "target"))
-_SIGMA = Check(
-    f"standard deviations from {SIGMAS[0]:g} to {SIGMAS[1]:g} by unit, such as {{'m': 1e-05}}; units are "
-    f"{choices(RESIDUAL_UNITS)}",
-    _sigma,
-)
-_TIE = Check("another parameter and a factor that is not zero, such as ('a2', 1.0)", _tie)
-_BOUNDS = Check("the least and the largest change, with 0 between them, (-0.001, 0.001)", _bounds)
-_PRIOR_STD = Check(
-    f"a number from {PRIOR_STD_RANGE[0]:g} to {PRIOR_STD_RANGE[1]:g} of the parameter's unit",
-    lambda value: _number_within(value, *PRIOR_STD_RANGE),
-)
-_JOINT_VALUE = Check(
-    f"a number from {-FARTHEST:g} to {FARTHEST:g} rad or m",
-    lambda value: _number_within(value, -FARTHEST, FARTHEST),
-)
-_FACTORS = Check(
-    "factors of other joints' readings by name, none of them zero, such as {'joint_2': 1.0}",
-    _factors,
-)
 
 
 def _with_mass(payload: Payload | None, mass: float) -> Payload:
@@ -333,7 +202,7 @@ class Cell(Value):
             "with it, and the estimate is checked against it.",
             parse=parse_point,
         ),
-        check=_POSITION,
+        check=IS_POSITION,
     )
     #: shape (3, 3), R_tip_target, orientation of the targets in the tip; None: not known.
     target_rotation: Array | None = key(
@@ -350,7 +219,7 @@ class Cell(Value):
         named(POINT_MM),
         "Positions of targets in the tip by name, see below.",
         default_factory=ReadOnlyMapping,
-        each=_POSITION,
+        each=IS_POSITION,
     )
     #: Whether the measurement frames are estimated.
     estimate_frame: bool = key(
@@ -374,7 +243,7 @@ class Cell(Value):
         FRAME_DIRECTIONS,
         "",
         default=DIRECTIONS,
-        check=Check(f"some of {choices(DIRECTIONS)}, each once", _directions),
+        check=ARE_DIRECTIONS,
     )
     #: shape (4, 4), pose of the base in the measurement frame [m]. None: not given; then it is
     #: estimated if ``estimate_frame``, else the measurements are in the base frame itself.
@@ -382,7 +251,7 @@ class Cell(Value):
         lambda: pose_keys("frame_", "the base in the measurement frame"),
         pose_of,
         default=None,
-        check=_POSE,
+        check=IS_POSE,
     )
     #: Poses T_frame_base by group, shape (4, 4) each [m]; they override ``T_frame_base``.
     frames: Mapping[str, Array] = key(
@@ -390,7 +259,7 @@ class Cell(Value):
         named(pose_form("the base in the measurement frame")),
         "Poses of the base in the measurement frame by station (column `group`), see below.",
         default_factory=ReadOnlyMapping,
-        each=_POSE,
+        each=IS_POSE,
     )
     #: Kind of all measurements, a name of `calib.data.kinds`; None: as the table's columns say.
     kind: str | None = key(
@@ -409,7 +278,7 @@ class Cell(Value):
     #: Standard deviation of one measured scalar by its unit: ``"m"`` of a coordinate or length [m], ``"rad"`` of an
     #: angle [rad], ``"px"`` of an image coordinate [px]; that of a unit that is missing is estimated from the data.
     sigma: Mapping[str, float] = keys(
-        sigma_keys, dict, default_factory=ReadOnlyMapping, check=_SIGMA
+        sigma_keys, dict, default_factory=ReadOnlyMapping, check=ARE_SIGMAS
     )
     #: Whether the instrument's scale was certified; else lengths of the arm may hide an error of it.
     scale_certified: bool = key(
@@ -470,7 +339,7 @@ class Cell(Value):
         named(TIE),
         "Parameters that follow others, see below.",
         default_factory=ReadOnlyMapping,
-        each=_TIE,
+        each=IS_TIE,
     )
     #: The least and the largest change of parameters by name; 0 is between them.
     bounds: Mapping[str, tuple[float, float]] = key(
@@ -478,7 +347,7 @@ class Cell(Value):
         named(BOUNDS),
         "Limits of the changes of parameters, see below.",
         default_factory=ReadOnlyMapping,
-        each=_BOUNDS,
+        each=ARE_BOUNDS,
     )
     #: Prior standard deviations of the robot's errors, by family.
     priors: Priors = keys(prior_keys, Priors, default_factory=Priors)
@@ -488,7 +357,7 @@ class Cell(Value):
         named(CHANGE),
         "Prior standard deviations of single parameters, see below.",
         default_factory=ReadOnlyMapping,
-        each=_PRIOR_STD,
+        each=IS_PRIOR_STD,
     )
     #: What the tip carries; None: nothing.
     payload: Payload | None = key(
@@ -529,7 +398,7 @@ class Cell(Value):
             parse=parse_joint_values,
             merge=added,
         ),
-        each=_JOINT_VALUE,
+        each=IS_JOINT_VALUE,
     )
     #: Of joints whose readings are coupled, by name, the factors of other joints' readings: the joint's value is its
     #: reading plus the sum of factor times reading; [rad/rad], [m/m], or [m/rad] and [rad/m] between turn and slide.
@@ -538,7 +407,7 @@ class Cell(Value):
         named(FACTORS),
         "Joints whose readings are coupled to those of others, see below.",
         default_factory=ReadOnlyMapping,
-        each=_FACTORS,
+        each=ARE_FACTORS,
     )
     #: Known distances between the fixed points of groups.
     distances: tuple[GroupDistance, ...] = key(
@@ -586,7 +455,7 @@ class Cell(Value):
         "Ranges of the URDF's joints for planned poses, see below.",
         default_factory=ReadOnlyMapping,
         absent="the URDF's limits",
-        each=Check("the least and the largest value [rad or m]", _interval),
+        each=IS_RANGE,
     )
     #: Cameras by the name of their station; ``""`` is that of a table without stations.
     cameras: Mapping[str, Camera] = keys(camera_keys, by_name, default_factory=ReadOnlyMapping)
@@ -696,7 +565,6 @@ def read_toml(path: str | Path) -> dict[str, Any]:
     """
     data = read_bytes(path, "cell file")
     try:
-        table: dict[str, Any] = tomllib.loads(data.decode("utf-8-sig"))
-    except (ValueError, RecursionError) as error:  # TOMLDecodeError is a ValueError
+        return parse_toml(data.decode("utf-8-sig"))
+    except ValueError as error:
         raise FileError(f"{path}: this is not a TOML file: {error}") from error
-    return table

@@ -1,4 +1,4 @@
-"""Keys of a cell file and their forms, as far as they need more than numbers and texts.
+"""Keys of a cell file, the forms of their values, and checks of these in memory, for the fields of `calib.data.cell`.
 
 Poses, the noise of each unit, the measurement frame, changes of parameters with their units, and cameras and boards,
 which may stand in files of their own.
@@ -16,17 +16,29 @@ from scipy.spatial.transform import Rotation
 
 from calib.basics.arrays import Array
 from calib.basics.channels import RESIDUAL_UNITS
+from calib.basics.mappings import ReadOnlyMapping
 from calib.basics.records import Key, Option, added, read_parts
-from calib.basics.units import ANGLE, COMPLIANCE, LENGTH, PLAIN, parse_quantity
-from calib.basics.value_forms import POINT_MM, TABLE, Form, Place, form, number, three_numbers
+from calib.basics.units import ANGLE, COMPLIANCE, LENGTH, PLAIN, is_number, parse_quantity
+from calib.basics.value_forms import (
+    POINT_MM,
+    TABLE,
+    Check,
+    Form,
+    Place,
+    form,
+    number,
+    three_numbers,
+)
 from calib.boards.board import Board
 from calib.boards.board_file import board_of_table, read_board
 from calib.camera.camera import Camera
 from calib.camera.camera_file import camera_of_table, read_camera
-from calib.errors import CalibError
+from calib.data.kinds import SIGMAS
+from calib.data.priors import PRIOR_STD_RANGE
+from calib.errors import CalibError, choices
 from calib.model.error_model import DIRECTIONS
 from calib.model.families import FAMILIES
-from calib.numerics.geometry import pose_of
+from calib.numerics.geometry import FARTHEST, pose_of, pose_or_none, position_in_tip
 
 #: A camera or a board.
 _Described = TypeVar("_Described")
@@ -292,3 +304,84 @@ FACTORS = form(
     "a table of joints and factors, such as { joint_2 = 1.0 }",
     lambda value: value if isinstance(value, dict) else None,
 )
+
+
+# Checks of values in memory
+
+
+def _number_within(value: Any, low: float, high: float) -> float | None:  # noqa: ANN401
+    """Return a number of a range, which stays an `Angle` or a `Length`; None for others."""
+    return value if is_number(value) and low <= value <= high else None
+
+
+def _directions(value: Iterable[str]) -> tuple[str, ...] | None:
+    """Return given directions of a frame in the order of `DIRECTIONS`; None if others are given."""
+    directions = tuple(d for d in DIRECTIONS if d in value)
+    if not directions or sorted(directions) != sorted(value):
+        return None
+    return directions
+
+
+def _tie(value: tuple[str, float]) -> tuple[str, float] | None:
+    """Return another parameter's name and a factor; None if the factor is not a number, or zero."""
+    name, factor = value
+    if not is_number(factor) or factor == 0.0:
+        return None
+    return name, float(factor)
+
+
+def _interval(value: tuple[float, float]) -> tuple[float, float] | None:
+    """Return two increasing numbers, else None; they stay `Angle` or `Length`."""
+    low, high = value
+    return (low, high) if low < high else None
+
+
+def _bounds(value: tuple[float, float]) -> tuple[float, float] | None:
+    """Return the least and the largest change of a parameter; None unless 0 is between them."""
+    low, high = value
+    return _interval(value) if low <= 0.0 <= high else None
+
+
+def _factors(value: Mapping[str, float]) -> ReadOnlyMapping[str, float] | None:
+    """Return the factors of joints' readings by name, else None."""
+    if not isinstance(value, Mapping) or not all(isinstance(name, str) for name in value):
+        return None
+    if not value or not all(is_number(factor) and factor for factor in value.values()):
+        return None
+    return ReadOnlyMapping({name: float(factor) for name, factor in value.items()})
+
+
+def _sigma(value: Mapping[str, float]) -> ReadOnlyMapping[str, float] | None:
+    """Return standard deviations by unit, else None."""
+    if not isinstance(value, Mapping) or not value.keys() <= RESIDUAL_UNITS.keys():
+        return None
+    if not all(is_number(std) and SIGMAS[0] <= std <= SIGMAS[1] for std in value.values()):
+        return None
+    return ReadOnlyMapping({unit: float(std) for unit, std in value.items()})
+
+
+IS_POSE = Check("a 4 x 4 pose with a right-handed rotation [m]", pose_or_none)
+IS_POSITION = Check("three numbers [m]", lambda value: position_in_tip(value, "target"))
+ARE_SIGMAS = Check(
+    f"standard deviations from {SIGMAS[0]:g} to {SIGMAS[1]:g} by unit, such as {{'m': 1e-05}}; units are "
+    f"{choices(RESIDUAL_UNITS)}",
+    _sigma,
+)
+IS_TIE = Check("another parameter and a factor that is not zero, such as ('a2', 1.0)", _tie)
+ARE_BOUNDS = Check(
+    "the least and the largest change, with 0 between them, (-0.001, 0.001)", _bounds
+)
+IS_PRIOR_STD = Check(
+    f"a number from {PRIOR_STD_RANGE[0]:g} to {PRIOR_STD_RANGE[1]:g} of the parameter's unit",
+    lambda value: _number_within(value, *PRIOR_STD_RANGE),
+)
+IS_JOINT_VALUE = Check(
+    f"a number from {-FARTHEST:g} to {FARTHEST:g} rad or m",
+    lambda value: _number_within(value, -FARTHEST, FARTHEST),
+)
+ARE_FACTORS = Check(
+    "factors of other joints' readings by name, none of them zero, such as {'joint_2': 1.0}",
+    _factors,
+)
+ARE_DIRECTIONS = Check(f"some of {choices(DIRECTIONS)}, each once", _directions)
+IS_RANGE = Check("the least and the largest value [rad or m]", _interval)

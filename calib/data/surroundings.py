@@ -1,8 +1,9 @@
-"""Surroundings of the robot while it is measured: instrument with its noise, reflector, obstacles."""
+"""Surroundings of the robot while it is measured: instrument with its noise, reflector, obstacles, known distances."""
 
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, TypeVar
@@ -23,14 +24,11 @@ from calib.basics.value_forms import (
     three_numbers,
 )
 from calib.basics.values import Value
-from calib.data.cell_keys import pose_keys
+from calib.data.cell_keys import IS_POSE, pose_keys
 from calib.errors import CalibError, choices
-from calib.numerics.geometry import pose_of, pose_or_none, vector
+from calib.numerics.geometry import pose_of, vector
 
 Distance = TypeVar("Distance", float, Array)
-
-#: What a pose must be, for messages.
-POSE = "a 4 x 4 pose with a right-handed rotation [m]"
 
 #: A given direction that is shorter has none: its squares leave the range of doubles.
 _SHORTEST_NORMAL = 1e-100
@@ -113,7 +111,7 @@ class Box(Value):
                 "than 0."
             )
         what = f"The pose of the box '{self.name}'"
-        T_base_box = checked(self.T_base_box, what, POSE, pose_or_none)
+        T_base_box = checked(self.T_base_box, what, IS_POSE.must, IS_POSE.convert)
         object.__setattr__(self, "size", size)
         object.__setattr__(self, "T_base_box", T_base_box)
 
@@ -183,3 +181,55 @@ class Reflector(Value):
                 "half angle above 0 and at most 180 deg."
             )
         object.__setattr__(self, "normal", read_only(normal / length))
+
+
+@dataclass(frozen=True, slots=True)
+class GroupDistance:
+    """A known distance between the fixed points of two groups, such as two sockets on one plate.
+
+    Example:
+        >>> plate = GroupDistance("*/left", "*/right", length=0.2, sigma=1e-5)
+        >>> plate.pairs(["1/left", "1/right", "2/left", "2/right"])
+        (('1/left', '1/right'), ('2/left', '2/right'))
+    """
+
+    #: Name of a group. It may hold one ``*``, which then stands for any text.
+    first: str = key("first", text("a name"), "Name of a group; `*` stands for any text.")
+    #: Name of another one; its ``*`` stands for the same text.
+    second: str = key("second", text("a name"), "Name of another group; `*` stands for the same.")
+    #: Known distance [m].
+    length: float = key("length_mm", MM, "Known distance.")
+    #: Standard deviation of the length [m].
+    sigma: float = key("sigma_mm", MM, "Standard deviation of the distance.")
+
+    def __post_init__(self) -> None:
+        """Check the names, the length and its standard deviation."""
+        stars = (self.first.count("*"), self.second.count("*"))
+        are_names = stars in ((0, 0), (1, 1)) and self.first != self.second
+        if not are_names or min(self.length, self.sigma) <= 0.0:
+            raise CalibError(
+                f"A distance is {self.length:g} m, its sigma {self.sigma:g} m, between the groups "
+                f"'{self.first}' and '{self.second}'; it must be between two groups, with '*' once "
+                "in both names or in neither, and length and sigma above 0."
+            )
+
+    def pairs(self, groups: Iterable[str]) -> tuple[tuple[str, str], ...]:
+        """Return the pairs of groups that the distance is between.
+
+        Args:
+            groups: Names of groups, such as one for each row of a table.
+
+        Returns:
+            Names that match ``first`` and ``second``, each pair once, in the order of ``groups``.
+        """
+        present = dict.fromkeys(groups)
+        pattern = re.escape(self.first).replace(r"\*", "(.*)")
+        result = []
+        for group in present:
+            match = re.fullmatch(pattern, group, re.DOTALL)
+            if match is None:
+                continue
+            partner = self.second.replace("*", "".join(match.groups()))
+            if partner in present and partner != group:
+                result.append((group, partner))
+        return tuple(result)
