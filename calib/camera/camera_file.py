@@ -105,7 +105,16 @@ def _camera(table: Mapping[str, Any], folder: str | Path) -> Camera:
     names = [row.name for row in rows]
     attributes = read_parts(rows, {name: table[name] for name in names if name in table})
     if _FILE in table:
-        camera = _changed(_named(table[_FILE], folder), attributes, table[_FILE])
+        file = table[_FILE]
+        if not isinstance(file, str):
+            raise CalibError(f"'{_FILE}' is {file!r}; it must be the name of a file in quotes.")
+        camera = read_camera(Path(folder) / file)
+        given_lens = attributes.get("lens", camera.lens)
+        if camera.values is not None and given_lens != camera.lens:
+            raise CalibError(
+                f"'lens' is '{given_lens}', and that of the file '{file}' is '{camera.lens}'; leave out one."
+            )
+        camera = replace(camera, **attributes)
     else:
         missing = [name for name in ("width", "height") if name not in table]
         if missing:
@@ -125,23 +134,6 @@ def _camera(table: Mapping[str, Any], folder: str | Path) -> Camera:
             )
     camera = replace(camera, values=_values(table, lens, camera))
     return replace(camera, sigma=_sigma(table, lens, camera))
-
-
-def _named(file: object, folder: str | Path) -> Camera:
-    """Read the camera of a file that a table names."""
-    if not isinstance(file, str):
-        raise CalibError(f"'{_FILE}' is {file!r}; it must be the name of a file in quotes.")
-    return read_camera(Path(folder) / file)
-
-
-def _changed(camera: Camera, attributes: Mapping[str, Any], file: str) -> Camera:
-    """Return the camera of a file with the attributes that a table gives; its lens must be the file's."""
-    lens = attributes.get("lens", camera.lens)
-    if camera.values is not None and lens != camera.lens:
-        raise CalibError(
-            f"'lens' is '{lens}', and that of the file '{file}' is '{camera.lens}'; leave out one."
-        )
-    return replace(camera, **attributes)
 
 
 def _values(table: Mapping[str, Any], lens: Lens, camera: Camera) -> Array | None:
