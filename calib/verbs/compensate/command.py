@@ -248,8 +248,8 @@ def compensate(
         Path,
         typer.Argument(metavar="PROGRAM", help="Table (CSV, .xlsx): joint values, poses, or both."),
     ],
-    model: ModelChoice,
-    goal: GoalOptions,
+    model_options: ModelChoice,
+    goal_options: GoalOptions,
     cell_options: ChainOptions,
     column_options: ProgramColumns,
     outputs: CommandOutputs,
@@ -259,17 +259,22 @@ def compensate(
     from calib.show.verdict import refusal
     from calib.verbs.compensate.text import no_commands, text
 
-    source = model.source
+    source = model_options.source
     inputs: list[str | Path | None] = [robot, program, source, cell_options.file]
     check_outputs([outputs.output], inputs, force=outputs.force)
     cell = cell_options.cell()
     columns = column_options.parsed()
-    models = _load_models(robot, program, model, cell, columns)
-    if models.stated and not model.accept:
+    models = _load_models(robot, program, model_options, cell, columns)
+    if models.stated and not model_options.accept:
         raise VerdictError(refusal(f"'{source}'", models.stated) + models.remedy)
-    commands = _compute(models, _read_program(program, models.nominal, goal, columns), model, goal)
+    commands = _compute(
+        models,
+        _read_program(program, models.nominal, goal_options, columns),
+        model_options,
+        goal_options,
+    )
     none_reached = not commands.reached.any()
-    if not commands.reached.all() and (none_reached or not goal.skip):
+    if not commands.reached.all() and (none_reached or not goal_options.skip):
         raise CalibError(no_commands(commands))
     convention = column_options.orientation or commands.program.form or columns.brand
     _write(commands, outputs, convention)
@@ -279,22 +284,22 @@ def compensate(
 
 
 def _load_models(
-    robot: str, program: Path, model: ModelChoice, cell: Cell, columns: ColumnOptions
+    robot: str, program: Path, model_options: ModelChoice, cell: Cell, columns: ColumnOptions
 ) -> _Models:
     """Load the nominal robot and the model of the real one."""
-    if model.calibration is not None:
-        return _models_of_result(robot, model.calibration, model, cell)
+    if model_options.calibration is not None:
+        return _models_of_result(robot, model_options.calibration, model_options, cell)
     from calib.basics.tables import Table
     from calib.data.columns import column_names
     from calib.data.inputs import chain_of
 
     joints = column_names(Table.read(program), columns)
     nominal = load(robot, cell, joints)
-    actual = load(str(model.corrected), chain_of(nominal))
+    actual = load(str(model_options.corrected), chain_of(nominal))
     return _Models(nominal, actual, payload=None, stated=actual.urdf.verdict)
 
 
-def _models_of_result(robot: str, path: Path, model: ModelChoice, given: Cell) -> _Models:
+def _models_of_result(robot: str, path: Path, model_options: ModelChoice, given: Cell) -> _Models:
     """Load a result, and the nominal robot with its chain unless the options name another."""
     from calib.result.calibration_file import read_result
     from calib.show.verdict import against
@@ -310,14 +315,16 @@ def _models_of_result(robot: str, path: Path, model: ModelChoice, given: Cell) -
     )
     nominal = load(robot, cell)
     payload = result.non_geometric.payload if result.non_geometric else None
-    stated = against(result.verdict_on(non_geometric=not model.geometry))
+    stated = against(result.verdict_on(non_geometric=not model_options.geometry))
     remedy = ""
     if stated and not against(result.verdict):
         remedy = " --geometry leaves out the non-geometric model, which this verdict is on."
     return _Models(nominal, result, payload, stated, remedy)
 
 
-def _read_program(path: Path, nominal: Robot, goal: GoalOptions, columns: ColumnOptions) -> Program:
+def _read_program(
+    path: Path, nominal: Robot, goal_options: GoalOptions, columns: ColumnOptions
+) -> Program:
     """Read the program for the nominal robot."""
     from calib.basics.units import parse_joint_values
     from calib.verbs.compensate.program_file import read_program
@@ -326,21 +333,23 @@ def _read_program(path: Path, nominal: Robot, goal: GoalOptions, columns: Column
         path,
         nominal,
         columns=columns,
-        match=goal.match,
-        start=parse_joint_values(goal.start or [], "--start"),
+        match=goal_options.match,
+        start=parse_joint_values(goal_options.start or [], "--start"),
     )
 
 
-def _compute(models: _Models, program: Program, model: ModelChoice, goal: GoalOptions) -> Commands:
+def _compute(
+    models: _Models, program: Program, model_options: ModelChoice, goal_options: GoalOptions
+) -> Commands:
     """Compute the commands."""
     from calib.basics.units import MASS, parse_amount
     from calib.robot.payload import Payload
     from calib.verbs.compensate.commands import compensate as compute_commands
 
-    length, angle = parse_pair(goal.tolerance, "--tolerance", "0.05 mm 0.01 deg")
-    non_geometric: bool | Payload = not model.geometry
-    if model.payload:
-        mass = parse_amount(model.payload, "--payload", MASS, "5 kg")
+    length, angle = parse_pair(goal_options.tolerance, "--tolerance", "0.05 mm 0.01 deg")
+    non_geometric: bool | Payload = not model_options.geometry
+    if model_options.payload:
+        mass = parse_amount(model_options.payload, "--payload", MASS, "5 kg")
         # The centre of mass is that of the calibration, or else the tip.
         known = models.payload
         non_geometric = Payload(mass) if known is None else replace(known, mass=mass)
@@ -348,11 +357,11 @@ def _compute(models: _Models, program: Program, model: ModelChoice, goal: GoalOp
         models.actual,
         program,
         nominal=models.nominal,
-        tool=parse_tool(goal.tool) if goal.tool else None,
-        frame={_BASE: None, _MEASURED: ""}.get(goal.poses_in, goal.poses_in),
+        tool=parse_tool(goal_options.tool) if goal_options.tool else None,
+        frame={_BASE: None, _MEASURED: ""}.get(goal_options.poses_in, goal_options.poses_in),
         tolerance=(length or _TOLERANCE, angle or _TOLERANCE),
         non_geometric=non_geometric,
-        accept=model.accept,
+        accept=model_options.accept,
     )
 
 

@@ -170,10 +170,10 @@ def convert(
         ),
     ],
     output: Annotated[Path, typer.Option("-o", "--output", metavar="FILE", help="File to write.")],
-    arm: ArmOptions,
+    arm_options: ArmOptions,
     cell_options: ChainOptions,
-    files: ControllerFiles,
-    camera: CameraNames,
+    file_options: ControllerFiles,
+    camera_options: CameraNames,
     to: Annotated[
         str | None,
         typer.Option(
@@ -190,21 +190,27 @@ def convert(
     from calib.verbs.convert.convert import Options
     from calib.verbs.convert.text import text
 
-    inputs = [source, arm.robot, files.urcontrol, files.hash_from, files.update]
+    inputs = [
+        source,
+        arm_options.robot,
+        file_options.urcontrol,
+        file_options.hash_from,
+        file_options.update,
+    ]
     check_outputs([output], inputs, force=force)
     chain = cell_options.cell()
     options = Options(
         to=to,
-        robot=arm.robot,
-        ur_model=arm.ur_model,
-        urcontrol=files.urcontrol,
-        hash_from=files.hash_from,
-        update=files.update,
-        ticks=files.ticks,
+        robot=arm_options.robot,
+        ur_model=arm_options.ur_model,
+        urcontrol=file_options.urcontrol,
+        hash_from=file_options.hash_from,
+        update=file_options.update,
+        ticks=file_options.ticks,
         base=chain.base,
         tip=chain.tip,
         held=dict(chain.held),
-        camera=camera.options(),
+        camera=camera_options.options(),
         overwrite=force,
     )
     conversion = convert_robot(source, output, options=options, accept=accept)

@@ -68,19 +68,31 @@ class AcceptanceOptions:
 
     tolerance: Annotated[
         str | None,
-        typer.Option(metavar=_METAVAR, help="Tolerance of the pose accuracy."),
+        typer.Option(
+            metavar=_METAVAR,
+            help='Tolerance of the pose accuracy, such as "0.5 mm 0.1 deg", for an acceptance test by ISO 9283.',
+        ),
     ] = None
     uncertainty: Annotated[
         str | None,
-        typer.Option(metavar=_METAVAR, help="Expanded measuring uncertainty (k = 2)."),
+        typer.Option(
+            metavar=_METAVAR,
+            help="Expanded measuring uncertainty U (k = 2): AP + U must be within the tolerance. Default: 0.",
+        ),
     ] = None
     criterion: Annotated[
         Literal["max", "mean", "single"] | None,
-        typer.Option(help="What must be within: every AP, their mean, or every single row."),
+        typer.Option(
+            help="What must be within the tolerance: the pose accuracy AP of every pose (max, the default), the "
+            "mean of the AP "
+            "(mean), or the error of every row (single)."
+        ),
     ] = None
     judge: Annotated[
         Literal["nominal", "urdf", "calibration", "non_geometric"] | None,
-        typer.Option(help="Robot to judge. Default: calibration, or else urdf."),
+        typer.Option(
+            help="Robot that the tolerance is applied to. Default: that of the calibration, or without one the URDF."
+        ),
     ] = None
 
     def limits(self) -> dict[str, Any]:
@@ -169,11 +181,13 @@ def evaluate(
     data: DataFile,
     cell_options: EvaluateOptions,
     table_options: TableOptions,
-    test: AcceptanceOptions,
+    acceptance_options: AcceptanceOptions,
     outputs: EvaluationOutputs,
     calibration: Annotated[
         Path | None,
-        typer.Option("--calibration", help="Result that 'calib calibrate --json' wrote."),
+        typer.Option(
+            "--calibration", help="Result of a calibration, as 'calib calibrate --json' writes it."
+        ),
     ] = None,
     quiet: Quiet = False,
 ) -> None:
@@ -182,7 +196,7 @@ def evaluate(
     from calib.verbs.evaluate.acceptance import assess
 
     outputs.check([robot, data, cell_options.file, calibration, table_options.points])
-    limits = test.limits()
+    limits = acceptance_options.limits()
     cell = cell_options.cell()
     result = None
     if calibration is not None:
@@ -196,7 +210,13 @@ def evaluate(
     # Where the options give no frame or target, those of the result are taken.
     of_result = tuple(name for name in ("frame", "target") if name not in cell_options.given)
     assessment = assess(
-        arm, measurements, cell, result, which=of_result, judge=test.judge, limits=limits
+        arm,
+        measurements,
+        cell,
+        result,
+        which=of_result,
+        judge=acceptance_options.judge,
+        limits=limits,
     )
     outputs.write(assessment, calibration, target_source)
     if not quiet:

@@ -83,7 +83,7 @@ def fleet(
     solver_options: SolverOptions,
     table_options: FleetTables,
     outputs: FleetOutputs,
-    jobs: JobOptions,
+    job_options: JobOptions,
     quiet: Quiet = False,
 ) -> None:
     """Calibrate the robots of the manifest into the folder and print their table."""
@@ -104,7 +104,7 @@ def fleet(
         accept=outputs.accept,
         command=command_line(),
     )
-    calibrated = _calibrate(robots, out, options, jobs, force=outputs.force, quiet=quiet)
+    calibrated = _calibrate(robots, out, options, job_options, force=outputs.force, quiet=quiet)
     if not quiet:
         _say_results(calibrated, out)
     _say_failed_and_withheld(calibrated)
@@ -118,7 +118,7 @@ def _calibrate(
     robots: tuple[FleetRobot, ...],
     folder: Path,
     options: FleetOptions,
-    jobs: JobOptions,
+    job_options: JobOptions,
     *,
     force: bool,
     quiet: bool,
@@ -128,7 +128,7 @@ def _calibrate(
 
     try:
         with (
-            executor_of(jobs.workers, jobs.dask, len(robots)) as executor,
+            executor_of(job_options.workers, job_options.dask, len(robots)) as executor,
             progress_bar("robots", quiet=quiet) as progress,
         ):
             return run_fleet(

@@ -138,30 +138,36 @@ a calibration is checked: drive a pointer to corners of the board.
 def plan(
     robot: RobotFile,
     cell_options: PlanCellOptions,
-    poses: PoseOptions,
-    images: ImageOptions,
-    scene: SceneOptions,
+    pose_options: PoseOptions,
+    image_options: ImageOptions,
+    scene_options: SceneOptions,
     outputs: PlanOutputs,
     quiet: Quiet = False,
 ) -> None:
     """Plan poses, images or touches, write the files and print the plan."""
     files = (outputs.output, outputs.json, outputs.view)
-    inputs = [robot, cell_options.file, scene.region, poses.taken, images.touch]
+    inputs = [
+        robot,
+        cell_options.file,
+        scene_options.region,
+        pose_options.taken,
+        image_options.touch,
+    ]
     check_outputs(files, inputs, force=outputs.force)
     cell = cell_options.cell()
-    if images.touch is not None:
-        _touch(robot, cell, images, scene, outputs, quiet=quiet)
+    if image_options.touch is not None:
+        _touch(robot, cell, image_options, scene_options, outputs, quiet=quiet)
         return
-    collisions = _collision_check(scene)
-    arm = _load_chain(robot, cell, poses.taken)
-    taken, first_row = _read_taken(arm, poses.taken, of_images=bool(cell.cameras))
-    request = _request(arm, poses, of_images=bool(cell.cameras))
+    collisions = _collision_check(scene_options)
+    arm = _load_chain(robot, cell, pose_options.taken)
+    taken, first_row = _read_taken(arm, pose_options.taken, of_images=bool(cell.cameras))
+    request = _request(arm, pose_options, of_images=bool(cell.cameras))
     with stages_bar(quiet=quiet) as progress:
         shared = {"taken": taken, "collisions": collisions, "progress": progress}
         if cell.cameras:
-            planned = _plan_images(arm, cell, images, request, scene, shared)
+            planned = _plan_images(arm, cell, image_options, request, scene_options, shared)
         else:
-            planned = _plan(arm, cell, request, scene, shared)
+            planned = _plan(arm, cell, request, scene_options, shared)
     _write(planned, outputs, first_row)
     if not quiet:
         from calib.verbs.plan.text import plan_text
@@ -239,38 +245,42 @@ def _read_taken(arm: Robot, path: Path | None, *, of_images: bool) -> tuple[Arra
 
 
 def _plan(
-    arm: Robot, cell: Cell, request: PlanRequest, scene: SceneOptions, shared: Mapping[str, Any]
+    arm: Robot,
+    cell: Cell,
+    request: PlanRequest,
+    scene_options: SceneOptions,
+    shared: Mapping[str, Any],
 ) -> Plan:
     """Plan the poses of an instrument, with the arguments that images are planned with, too."""
     from calib.verbs.plan.plan import plan as plan_poses
 
-    region = _read_region(arm, cell, scene.region)
+    region = _read_region(arm, cell, scene_options.region)
     return plan_poses(arm, cell, request, region=region, **shared)
 
 
 def _plan_images(
     arm: Robot,
     cell: Cell,
-    images: ImageOptions,
+    image_options: ImageOptions,
     request: PlanRequest,
-    scene: SceneOptions,
+    scene_options: SceneOptions,
     shared: Mapping[str, Any],
 ) -> Plan:
     """Plan images of a board."""
     from calib.verbs.plan.images.plan import plan_images
     from calib.verbs.plan.reaching import reach
 
-    if scene.region is not None:
+    if scene_options.region is not None:
         raise CalibError("--region is for targets; where the board is seen is said by --board-at.")
-    wanted = replace(images.request(), poses=request)
+    wanted = replace(image_options.request(), poses=request)
     return plan_images(arm, cell, wanted, reach, **shared)
 
 
 def _touch(
     robot: str,
     cell: Cell,
-    images: ImageOptions,
-    scene: SceneOptions,
+    image_options: ImageOptions,
+    scene_options: SceneOptions,
     outputs: PlanOutputs,
     *,
     quiet: bool,
@@ -282,20 +292,20 @@ def _touch(
     from calib.verbs.plan.touch_file import write_touch
     from calib.verbs.plan.touch_text import no_touch_text, touch_text
 
-    assert images.touch is not None
+    assert image_options.touch is not None
     if outputs.json is not None or outputs.view is not None:
         raise CalibError("--touch writes a table (-o), no --json and no --view.")
-    result = read_result(images.touch)
+    result = read_result(image_options.touch)
     stated = against(result.verdict)
     if stated and not outputs.accept:
-        raise VerdictError(refusal(f"'{images.touch}'", stated))
+        raise VerdictError(refusal(f"'{image_options.touch}'", stated))
     load(robot, replace(cell, base=result.nominal.base, tip=result.nominal.tip))
     touches = plan_touch(
         result,
         board_of(cell, result.nominal_boards),
-        images.tool(),
-        images.ids(),
-        collisions=_collision_check(scene),
+        image_options.tool(),
+        image_options.ids(),
+        collisions=_collision_check(scene_options),
     )
     if not touches.usable.any():
         raise CalibError(no_touch_text(touches))
@@ -303,7 +313,7 @@ def _touch(
         write_touch(touches, outputs.output, overwrite=outputs.force)
     if not quiet:
         typer.echo("\n".join([touch_text(touches), "", *written_lines(outputs.output)]))
-    say_accepted(f"'{images.touch}'", stated)
+    say_accepted(f"'{image_options.touch}'", stated)
 
 
 def _write(planned: Plan, outputs: PlanOutputs, first_row: int) -> None:

@@ -149,26 +149,26 @@ pictures at poses from which the whole board is seen; --images draws them, for c
 def simulate(
     robot: RobotFile,
     cell_options: ModelOptions,
-    errors: ScenarioWords,
-    poses: PoseOptions,
+    error_options: ScenarioWords,
+    pose_options: PoseOptions,
     outputs: SimulateOutputs,
-    study: StudyOptions,
-    jobs: JobOptions,
+    study_options: StudyOptions,
+    job_options: JobOptions,
     quiet: Quiet = False,
 ) -> None:
     """Simulate a table, pictures or a study, write the files and print what was simulated."""
-    _check_options(outputs, study)
+    _check_options(outputs, study_options)
     check_outputs(
         outputs.files,
-        [robot, poses.poses, cell_options.file, errors.truth_robot],
+        [robot, pose_options.poses, cell_options.file, error_options.truth_robot],
         force=outputs.force,
     )
     # Workers begin first: they import what they need while robot and scenario are prepared here.
-    with executor_of(jobs.workers, jobs.dask, study.study) as executor:
-        simulation = _prepare(robot, cell_options, errors, poses)
-        _check_kind(simulation.scenario, outputs, study)
-        if study.study is not None:
-            text, written = _run_study(simulation, study, outputs, executor, quiet=quiet)
+    with executor_of(job_options.workers, job_options.dask, study_options.study) as executor:
+        simulation = _prepare(robot, cell_options, error_options, pose_options)
+        _check_kind(simulation.scenario, outputs, study_options)
+        if study_options.study is not None:
+            text, written = _run_study(simulation, study_options, outputs, executor, quiet=quiet)
         elif simulation.scenario.kind.optical:
             text, written = _simulate_pictures(simulation, outputs, quiet=quiet)
         else:
@@ -177,7 +177,7 @@ def simulate(
         typer.echo("\n".join([f"{text}\n", *written_lines(*written)]))
 
 
-def _check_options(outputs: SimulateOutputs, study: StudyOptions) -> None:
+def _check_options(outputs: SimulateOutputs, study_options: StudyOptions) -> None:
     """Refuse options of a table with a study, and those of a study without one; raises `CalibError`."""
     of_table: dict[str, Any] = {
         "-o": outputs.output,
@@ -186,25 +186,25 @@ def _check_options(outputs: SimulateOutputs, study: StudyOptions) -> None:
         "--images": outputs.images,
     }
     of_study: dict[str, Any] = {
-        "--fit-model": study.fit_model,
+        "--fit-model": study_options.fit_model,
         "--json": outputs.json,
-        "--planned": study.planned or None,
+        "--planned": study_options.planned or None,
     }
-    if study.study is None:
+    if study_options.study is None:
         _refuse_given(of_study, "does not go without --study")
     else:
         _refuse_given(of_table, "does not go with --study")
-    if study.study is None and outputs.output is None and outputs.images is None:
+    if study_options.study is None and outputs.output is None and outputs.images is None:
         raise CalibError("Name the table to write: -o table.csv.")
 
 
-def _check_kind(scenario: Scenario, outputs: SimulateOutputs, study: StudyOptions) -> None:
+def _check_kind(scenario: Scenario, outputs: SimulateOutputs, study_options: StudyOptions) -> None:
     """Refuse pictures of other kinds, and plans of pictures in a study; raises `CalibError`."""
     if outputs.images is not None and not scenario.kind.optical:
         raise CalibError(
             "--images draws what a camera sees of a printed board: add --kind pixel, with --camera-on and --board-on."
         )
-    if study.planned and scenario.kind.optical:
+    if study_options.planned and scenario.kind.optical:
         raise CalibError(
             f"--planned does not go with the kind '{scenario.kind.name}', whose poses are those from which the board "
             "is seen; give those of a plan with --poses."
@@ -221,8 +221,8 @@ def _refuse_given(options: Mapping[str, Any], reason: str) -> None:
 def _prepare(
     robot: str,
     cell_options: ModelOptions,
-    errors: ScenarioWords,
-    poses: PoseOptions,
+    error_options: ScenarioWords,
+    pose_options: PoseOptions,
 ) -> _Simulation:
     """Load the robot, and read the scenario and the poses."""
     import calib.verbs.simulate.study  # noqa: F401  while the workers import it too
@@ -231,16 +231,18 @@ def _prepare(
 
     cell = cell_options.cell()
     arm = load(robot, cell)
-    scenario = read_scenario(arm, cell, cell_options.file, errors)
+    scenario = read_scenario(arm, cell, cell_options.file, error_options)
     joints: Array | None = None
     sets: tuple[str, ...] = ()
     default_validation = 10
-    if poses.poses is not None:
-        table = read_poses(poses.poses, arm, poses.parsed())
+    if pose_options.poses is not None:
+        table = read_poses(pose_options.poses, arm, pose_options.parsed())
         joints, sets = table.joints, table.sets
         default_validation = 0
-    validation = default_validation if poses.validation is None else poses.validation
-    return _Simulation(scenario, cell, joints, sets, poses.count, validation, poses.seed)
+    validation = default_validation if pose_options.validation is None else pose_options.validation
+    return _Simulation(
+        scenario, cell, joints, sets, pose_options.count, validation, pose_options.seed
+    )
 
 
 def _simulate_table(simulation: _Simulation, outputs: SimulateOutputs) -> tuple[str, list[Path]]:

@@ -47,10 +47,17 @@ class PageOptions:
     """The page: served to this computer, or written as a file."""
 
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", help="Write the page as a file.")
+        Path | None,
+        typer.Option("-o", "--output", help="Write the page as a file in place of serving it."),
     ] = None
     port: Annotated[
-        int, typer.Option(min=0, max=65535, metavar="N", help="Port of 127.0.0.1; 0: any.")
+        int,
+        typer.Option(
+            min=0,
+            max=65535,
+            metavar="N",
+            help="Port of 127.0.0.1 at which the page is served; 0: any free one.",
+        ),
     ] = 0
     no_browser: Annotated[bool, typer.Option("--no-browser", help="Do not open the browser.")] = (
         False
@@ -93,15 +100,16 @@ def view(
     robot: RobotFile,
     cell_options: ViewOptions,
     table_options: TableOptions,
-    page: PageOptions,
+    page_options: PageOptions,
     other: Annotated[
         str | None, typer.Argument(metavar="[OTHER]", help="The calibrated robot's URDF.")
     ] = None,
     data: Annotated[
-        Path | None, typer.Option(help="CSV table of joint values and measured points.")
+        Path | None, typer.Option(help="Table of joint values and measured points to show.")
     ] = None,
     calibration: Annotated[
-        Path | None, typer.Option(help="Result that 'calib calibrate --json' wrote.")
+        Path | None,
+        typer.Option(help="Result of a calibration, as 'calib calibrate --json' writes it."),
     ] = None,
     quiet: Quiet = False,
 ) -> None:
@@ -113,14 +121,14 @@ def view(
     ):
         raise CalibError("--points, --columns, --kind, --frame: name the table with --data.")
     inputs = [robot, other, data, cell_options.file, calibration, table_options.points]
-    check_outputs([page.output], inputs, force=page.force)
+    check_outputs([page_options.output], inputs, force=page_options.force)
     cell = cell_options.cell()
     if calibration is None:
         arm, measurements = _load(robot, cell, data, table_options)
         shown = _view_of_robots(arm, other, measurements, cell)
     else:
         shown = _view_of_result(robot, cell, cell_options, data, table_options, calibration)
-    page.show(shown, _no_text if quiet else partial(print, flush=True))
+    page_options.show(shown, _no_text if quiet else partial(print, flush=True))
 
 
 def _load(
