@@ -79,7 +79,7 @@ class Option:
         return self.flag.lstrip("-").replace("-", "_")
 
 
-def added(of_file: Any, given: Any) -> Any:  # noqa: ANN401  two mappings, or two tuples
+def add_entries(of_file: Any, given: Any) -> Any:  # noqa: ANN401  two mappings, or two tuples
     """Return the entries of a file with those of an option added; the option's count if both have a name."""
     return {**of_file, **given} if isinstance(given, Mapping) else (*of_file, *given)
 
@@ -161,9 +161,9 @@ def keys(
     Args:
         make: Gives the keys.
         join: Makes the value, from the values of the keys that are there, by their parts.
-        default: See `key`.
-        default_factory: See `key`.
-        check: See `key`.
+        default: Default in memory, and so on as of `key`.
+        default_factory: Makes the default.
+        check: Check of the value in memory.
     """
     metadata = {_METADATA: _Written(make, join, check)}
     return dataclasses.field(default=default, default_factory=default_factory, metadata=metadata)

@@ -24,7 +24,7 @@ from calib.basics.mappings import ReadOnlyMapping
 from calib.basics.records import (
     Key,
     Option,
-    added,
+    add_entries,
     keep_checked,
     key,
     keys,
@@ -330,7 +330,7 @@ class Cell(Value):
             metavar="PARAMETER",
             type=list[str],
             help="Keep this parameter at its nominal value.",
-            merge=added,
+            merge=add_entries,
         ),
     )
     #: Parameters that follow others, ``x_name = factor * x_other``: (other, factor) by name.
@@ -396,7 +396,7 @@ class Cell(Value):
             type=list[str],
             help='Value of a joint that does not move, such as "lift=0.3 m"; it needs no column in the table.',
             parse=parse_joint_values,
-            merge=added,
+            merge=add_entries,
         ),
         each=IS_JOINT_VALUE,
     )

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from calib.basics.arrays import Array
 from calib.basics.channels import RESIDUAL_UNITS
 from calib.basics.mappings import ReadOnlyMapping
-from calib.basics.records import Key, Option, added, read_parts
+from calib.basics.records import Key, Option, add_entries, read_parts
 from calib.basics.units import ANGLE, COMPLIANCE, LENGTH, PLAIN, is_number, parse_quantity
 from calib.basics.value_forms import (
     POINT_MM,
@@ -275,7 +275,7 @@ def camera_keys() -> Sequence[Key]:
         help="Intrinsics of the camera: a ROS camera_info file, an OpenCV file, or calib's own; or only the size of "
         "its images, such as 1280x720, if the intrinsics are not known. With NAME=, the camera of that station.",
         parse=_parse_cameras,
-        merge=added,
+        merge=add_entries,
     )
     meanings = (
         "The camera that took images of printed boards, see below.",
@@ -293,7 +293,7 @@ def board_keys() -> Sequence[Key]:
         help="Description of the printed board, as 'calib board' writes it, with the accuracy of its print. With "
         "NAME=, the board of that target.",
         parse=_parse_boards,
-        merge=added,
+        merge=add_entries,
     )
     meanings = ("The printed board.", "Several boards, by target (column `target`).")
     return optics_keys("board", board_of_table, option, meanings)

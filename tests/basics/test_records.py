@@ -14,7 +14,7 @@ from calib.basics.mappings import ReadOnlyMapping
 from calib.basics.records import (
     Key,
     Option,
-    added,
+    add_entries,
     changes,
     keep_checked,
     key,
@@ -87,7 +87,7 @@ class Bench:
         NAMES,
         "Marks on it.",
         default=(),
-        option=Option("--mark", group="marks", type=list[str], merge=added),
+        option=Option("--mark", group="marks", type=list[str], merge=add_entries),
     )
     known: bool = key(
         "state",
