@@ -50,6 +50,34 @@ DICTIONARIES: Mapping[str, Dictionary] = ReadOnlyMapping(
     }
 )
 
+#: The dictionaries of each kind, the smallest first. A large one begins with the markers of the smaller ones: the first
+#: 50 of DICT_5X5_1000 are those of DICT_5X5_50.
+KINDS: tuple[tuple[str, ...], ...] = (
+    ("DICT_4X4_50", "DICT_4X4_100", "DICT_4X4_250", "DICT_4X4_1000"),
+    ("DICT_5X5_50", "DICT_5X5_100", "DICT_5X5_250", "DICT_5X5_1000"),
+    ("DICT_6X6_50", "DICT_6X6_100", "DICT_6X6_250", "DICT_6X6_1000"),
+    ("DICT_7X7_50", "DICT_7X7_100", "DICT_7X7_250", "DICT_7X7_1000"),
+    ("DICT_ARUCO_ORIGINAL",),
+    ("DICT_APRILTAG_36h11",),
+    ("DICT_APRILTAG_36h10",),
+    ("DICT_APRILTAG_25h9",),
+    ("DICT_APRILTAG_16h5",),
+    ("DICT_ARUCO_MIP_36h12",),
+)
+
+
+def kind_of(dictionary: str) -> tuple[str, ...]:
+    """Return the dictionaries whose first markers are those of a dictionary, itself included, the smallest first."""
+    return next(kind for kind in KINDS if dictionary in kind)
+
+
+def smallest_dictionary(kind: tuple[str, ...], largest_id: int) -> str:
+    """Return the smallest dictionary of a kind that has a marker with this id; the largest if none has."""
+    for name in kind:
+        if largest_id < DICTIONARIES[name].markers:
+            return name
+    return kind[-1]
+
 
 def check_markers(name: str, first: int, count: int, where: str) -> None:
     """Refuse markers that a dictionary does not have.

@@ -26,8 +26,9 @@ from calib.boards.detection.findings import (
     usual_sizes,
 )
 from calib.boards.detection.image_files import ImageFile, find_images
-from calib.boards.detection.other_patterns import kind_of, other_pattern
+from calib.boards.detection.other_patterns import other_pattern
 from calib.boards.detection.picture import OTHER_SIZE, Picture, Search, look
+from calib.boards.dictionaries import kind_of
 from calib.errors import CalibError, choices
 
 

@@ -17,7 +17,7 @@ from calib.boards.detection.findings import DICTIONARY, Finding, names, without_
 from calib.boards.detection.image_files import ImageFile, read_image
 from calib.boards.detection.other_boards import SIZE
 from calib.boards.detection.picture import Picture
-from calib.boards.markers import KINDS, smallest_dictionary
+from calib.boards.dictionaries import KINDS, kind_of, smallest_dictionary
 
 #: Pictures that are searched.
 _MOST_PICTURES = 2
@@ -93,11 +93,6 @@ def _other_dictionary(
     return [
         Finding(code=DICTIONARY, board=board.name, pictures=names(nothing), dictionary=dictionary)
     ]
-
-
-def kind_of(dictionary: str) -> tuple[str, ...]:
-    """Return the dictionaries whose first markers are those of a dictionary, itself among them."""
-    return next(kind for kind in KINDS if dictionary in kind)
 
 
 def _markers_of_all(_: None, file: ImageFile) -> dict[tuple[str, ...], set[int]]:

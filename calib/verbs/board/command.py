@@ -1,8 +1,8 @@
-"""``calib board``: a board to print, the measured size of a print, and which board a picture shows."""
+"""``calib board``: a board to print, and the measured size of a print."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -69,10 +69,6 @@ class DesignOptions:
         """Return whether any of them is given."""
         return self != DesignOptions()
 
-    def without_size(self) -> DesignOptions:
-        """Return the options without the lengths."""
-        return replace(self, square=None, marker=None)
-
     def wish(self, name: str) -> Wish:
         """Return what is wanted, in SI units."""
         from calib.boards.board import CHARUCO
@@ -98,7 +94,7 @@ def _length(text: str | None, option: str) -> float | None:
     return None if text is None else parse_amount(text, option, LENGTH, "30 mm")
 
 
-@verb("""Draw a board to print, true to scale, with its description; or say which board a picture shows.
+@verb("""Draw a board to print, true to scale, with its description.
 
 \b
 Examples:
@@ -107,7 +103,6 @@ Examples:
   calib board --columns 12 --rows 9 --square "40 mm" --paper none
   calib board board.toml --measured "249.3 mm"       what the print measures, into board.toml
   calib board board.toml                             the PDF and SVG of a description
-  calib board --identify photo.png --square "30 mm" -o board
 """)
 def board(
     design: DesignOptions,
@@ -142,22 +137,12 @@ def board(
             "into BOARD.toml.",
         ),
     ] = None,
-    identify: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="PICTURE", help="Say which board a picture shows, and print its description."
-        ),
-    ] = None,
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
     """Run the verb; its help is the text of `verb`."""
     stem = _stem(output)
-    if identify is not None:
-        others = design.without_size().given() or description or paper or measured
-        _refuse(others, "--identify", "--square, --marker, -o, --name and --force")
-        lines = _identified(identify, design, stem, name, force=force)
-    elif measured is not None:
+    if measured is not None:
         _refuse(
             design.given() or paper or output or name, "--measured", "a description, BOARD.toml"
         )
@@ -245,34 +230,3 @@ def _measured(description: Path | None, measured: str) -> list[str]:
     text = read_bytes(description, "description of a board").decode("utf-8-sig")
     write_atomically(description, corrected_toml(text, corrected).encode(), overwrite=True)
     return measured_text(board, corrected, scale, description)
-
-
-def _identified(
-    picture: Path, size: DesignOptions, stem: Path | None, name: str | None, *, force: bool
-) -> list[str]:
-    """Say which board a picture shows, and write its description if an output is named."""
-    from calib.basics.files import write_atomically
-    from calib.boards.board_file import board_toml
-    from calib.boards.identify import identify, read_image, sized
-    from calib.verbs.board.identified_text import (
-        described,
-        identified_text,
-        next_lines,
-        nothing_text,
-    )
-
-    path = None if stem is None else _with_ending(stem, "toml")
-    check_outputs([path], [picture], force=force)
-    square = _length(size.square, "--square")
-    marker = _length(size.marker, "--marker")
-    identified = identify(read_image(picture))
-    if identified.board is None:
-        raise CalibError(nothing_text(identified, str(picture)))
-    board = sized(identified.board, square, marker)
-    board = replace(board, name=name or (_OUTPUT if stem is None else stem.name))
-    lines = identified_text(identified, board, str(picture), is_sized=square is not None)
-    if path is None:
-        return [*lines, *described(board)]
-    write_atomically(path, board_toml(board).encode(), overwrite=force)
-    lines.append(f"Written: {path}")
-    return lines if square is not None else [*lines, *next_lines(board, str(path))]

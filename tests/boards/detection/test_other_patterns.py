@@ -11,7 +11,7 @@ import pytest
 
 from calib.boards.board import Board
 from calib.boards.detection.image_files import ImageFile
-from calib.boards.detection.other_patterns import kind_of, other_pattern
+from calib.boards.detection.other_patterns import other_pattern
 from calib.boards.detection.picture import Picture
 from tests.boards.board_views import CHARUCO_BOARD, CHESS_BOARD, View, render
 from tests.verbs.detect.test_corner_table import picture, view
@@ -24,11 +24,6 @@ def nothing(folder: Path, printed: Board | None) -> Picture:
     path = folder / "a.png"
     path.write_bytes(cv2.imencode(".png", image)[1].tobytes())
     return replace(picture("a.png", view(reason="no_board")), file=ImageFile(path, "a.png"))
-
-
-def test_dictionaries_with_the_same_first_markers():
-    assert kind_of("DICT_5X5_100") == kind_of("DICT_5X5_1000")
-    assert kind_of("DICT_APRILTAG_36h11") != kind_of("DICT_APRILTAG_36h10")
 
 
 @pytest.mark.slow
