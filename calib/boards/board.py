@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.basics.arrays import Array, Integers
+from calib.basics.arrays import Array, Integers, Mask
 from calib.basics.mappings import ReadOnlyMapping
 from calib.basics.values import Value
 from calib.boards.dictionaries import check_markers
@@ -34,6 +34,9 @@ PATTERNS: Mapping[str, tuple[str, ...]] = ReadOnlyMapping(
 
 #: Fewest columns and rows of squares, and of tags.
 _FEWEST = {CHARUCO: 2, CHESSBOARD: 3, APRILTAG: 1}
+
+#: Corners of a square of side 1, clockwise from the top left: y points down.
+_UNIT_SQUARE = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -121,7 +124,12 @@ class Board(Value):
     @property
     def corners(self) -> Array:
         """Positions of all corners in the board's frame, in the order of their ids, shape (n, 3) [m]."""
-        grid = _tag_corners(self) if self.pattern == APRILTAG else _inner_corners(self)
+        if self.pattern == APRILTAG:
+            grid = marker_outlines(self).reshape(-1, 2)
+        else:
+            x = np.arange(1, self.columns) * self.square
+            y = np.arange(1, self.rows) * self.square
+            grid = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
         return np.column_stack([grid, np.zeros(len(grid))])
 
     @property
@@ -135,17 +143,38 @@ class Board(Value):
         return np.arange(len(self.corners))
 
 
-def _inner_corners(board: Board) -> Array:
-    """Inner corners of a chessboard, in rows along x, shape (n, 2) [m]."""
-    x = np.arange(1, board.columns) * board.square
-    y = np.arange(1, board.rows) * board.square
-    return np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+def white_squares(board: Board) -> Mask:
+    """Return which squares of a chessboard or ChArUco board are white, shape (rows, columns).
+
+    The first square is black; in the legacy layout with an even number of rows it is white.
+    """
+    row, column = np.indices((board.rows, board.columns))
+    first = 1 if board.pattern == CHARUCO and board.legacy and board.rows % 2 == 0 else 0
+    return np.asarray((row + column + first) % 2 == 1)
 
 
-def _tag_corners(board: Board) -> Array:
-    """Corners of all tags of a grid, tag after tag, each clockwise from its top left, shape (4 tags, 2) [m]."""
-    x = np.arange(board.columns) * board.square
-    y = np.arange(board.rows) * board.square
-    origins = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 1, 2)
-    of_tag = board.marker * np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
-    return np.asarray(origins + of_tag).reshape(-1, 2)
+def corner_signs(board: Board) -> Array:
+    """Return 1 for each inner corner whose square towards +x, +y is white, -1 if it is black, shape (n,)."""
+    return np.where(white_squares(board)[1:, 1:], 1.0, -1.0).reshape(-1)
+
+
+def marker_outlines(board: Board) -> Array:
+    """Return the corners of all markers or tags of a board.
+
+    Args:
+        board: The board.
+
+    Returns:
+        shape (markers, 4, 2) [m], in the order of the ids, each clockwise from its top left as in OpenCV; a chessboard
+        has none.
+    """
+    if board.pattern == CHESSBOARD:
+        return np.zeros((0, 4, 2))
+    if board.pattern == APRILTAG:
+        row, column = np.indices((board.rows, board.columns)).reshape(2, -1)
+        margin = 0.0
+    else:
+        row, column = np.nonzero(white_squares(board))
+        margin = (board.square - board.marker) / 2.0
+    first = np.column_stack([column, row]) * board.square + margin
+    return np.asarray(first[:, None] + board.marker * _UNIT_SQUARE)

@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from calib.basics.arrays import Array, rigid_inverse
 from calib.basics.files import write_atomically
 from calib.basics.values import Value
+from calib.boards.drawing import Texture, texture
 from calib.boards.opencv import opencv
 from calib.boards.printed import Print
 from calib.boards.project import NEAREST, Camera, camera_matrix, in_camera, in_image, project, rays
-from calib.boards.texture import Texture, texture
 from calib.errors import CalibError
 
 Image = NDArray[np.uint8]

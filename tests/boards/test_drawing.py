@@ -1,13 +1,16 @@
-"""The rectangles of a board against the pictures that OpenCV draws."""
+"""Rectangles and grey pictures of a board against the pictures that OpenCV draws."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
 
 from calib.boards.board import APRILTAG, CHARUCO, CHESSBOARD, Board
-from calib.boards.drawing import black_rectangles, is_white, marker_corners, marker_rectangles
+from calib.boards.drawing import black_rectangles, marker_rectangles, texture
+from tests.boards.boards import CHARUCO_BOARD, CHESS_BOARD, OLD_BOARD, TAG_BOARD
 
 #: Whole pixels for squares, margins of markers and bits of 5 x 5 and 6 x 6 dictionaries.
 PIXELS_PER_MM = 1.0
@@ -74,16 +77,62 @@ def test_a_chessboard_begins_black():
     np.testing.assert_allclose(black_rectangles(board), expected)
 
 
-def test_the_legacy_layout_matters_for_even_rows_only():
-    assert is_white(charuco(4, 4, legacy=True))[0, 0]
-    assert not is_white(charuco(4, 5, legacy=True))[0, 0]
-    np.testing.assert_allclose(marker_corners(charuco(4, 4))[0], [0.054, 0.004])
-    np.testing.assert_allclose(marker_corners(charuco(4, 4, legacy=True))[0], [0.004, 0.004])
-
-
 def test_rectangles_of_a_marker_do_not_overlap():
     rectangles = marker_rectangles("DICT_4X4_50", 0)
     # 20 bits of the border, and those of the marker that are black.
     dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
     black = np.sum(cv2.aruco.generateImageMarker(dictionary, 0, 6) == 0)
     assert np.sum(rectangles[:, 2] * rectangles[:, 3]) * 36 == pytest.approx(black)
+
+
+def opencv_dictionary(board):
+    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, board.dictionary))
+
+
+def opencv_charuco(board):
+    theirs = cv2.aruco.CharucoBoard(
+        (board.columns, board.rows), board.square, board.marker, opencv_dictionary(board)
+    )
+    theirs.setLegacyPattern(board.legacy)
+    return theirs
+
+
+@pytest.mark.parametrize(
+    "board",
+    [CHARUCO_BOARD, OLD_BOARD, replace(OLD_BOARD, legacy=False)],
+    ids=["new", "old", "even"],
+)
+def test_charuco_is_what_opencv_draws(board):
+    # 28 pixels a square, 14 a marker of 5 + 2 cells: all edges are between pixels.
+    board = replace(board, marker=board.square / 2.0)
+    size = (28 * board.columns, 28 * board.rows)
+    theirs = opencv_charuco(board).generateImage(size, marginSize=0) / 255.0
+    drawn = texture(board, board.square / 28, 0.0).white
+    np.testing.assert_allclose(drawn, theirs, atol=1e-5)
+
+
+def test_tags_are_those_of_opencv():
+    # 32 pixels a tag of 6 + 2 cells.
+    board = replace(TAG_BOARD, square=0.06, marker=0.03)
+    pixel = board.marker / 32
+    drawn = texture(board, pixel, 0.0).white
+    for tag in range(12):
+        row, column = divmod(tag, 4)
+        part = drawn[64 * row : 64 * row + 32, 64 * column : 64 * column + 32]
+        theirs = cv2.aruco.generateImageMarker(opencv_dictionary(board), 10 + tag, 32) / 255.0
+        np.testing.assert_allclose(part, theirs, atol=1e-5)
+
+
+def test_black_covers_as_much_as_the_rectangles_do():
+    for board in (CHARUCO_BOARD, CHESS_BOARD, TAG_BOARD):
+        drawn = texture(board, 0.00077, 0.0105)
+        area = np.prod(black_rectangles(board)[:, 2:], axis=1).sum()
+        np.testing.assert_allclose((1.0 - drawn.white).sum() * drawn.pixel**2, area, rtol=1e-5)
+
+
+def test_an_edge_within_a_pixel_shows_as_grey():
+    drawn = texture(CHESS_BOARD, CHESS_BOARD.square / 10.4, 0.0)
+    assert drawn.white[5, 9] == pytest.approx(0.0, abs=1e-6)
+    assert drawn.white[5, 10] == pytest.approx(0.6, abs=1e-5)
+    assert drawn.white[5, 11] == pytest.approx(1.0)
+    assert drawn.place(np.array([CHESS_BOARD.square])) == pytest.approx(10.4 - 0.5)

@@ -10,8 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from calib.basics.arrays import Array, Mask
-from calib.boards.board import CHARUCO, Board
-from calib.boards.corners.layouts import corner_signs
+from calib.boards.board import CHARUCO, Board, corner_signs
 from calib.boards.corners.planar_map import PlanarMap, fit_planar_map, in_image
 from calib.boards.corners.saddles import Saddles, find_saddles
 

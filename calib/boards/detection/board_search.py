@@ -9,10 +9,9 @@ import numpy as np
 
 from calib.basics.arrays import Array, Integers
 from calib.basics.values import Value
-from calib.boards.board import APRILTAG, CHESSBOARD, Board
+from calib.boards.board import APRILTAG, CHESSBOARD, Board, marker_outlines
 from calib.boards.corners.chessboards import find_chessboard, is_part_of_larger
 from calib.boards.corners.growth import grow, visible_corners
-from calib.boards.corners.layouts import marker_outlines
 from calib.boards.corners.markers import Markers, find_markers
 from calib.boards.corners.placing import FEWEST_MARKERS, Placement, place
 from calib.boards.corners.planar_map import PlanarMap, fit_planar_map

@@ -14,8 +14,7 @@ import numpy as np
 
 from calib.basics.arrays import Array
 from calib.basics.values import Value
-from calib.boards.board import CHARUCO, Board
-from calib.boards.corners.layouts import marker_outlines
+from calib.boards.board import CHARUCO, Board, marker_outlines
 from calib.boards.corners.markers import Markers
 from calib.boards.corners.placing import place
 from calib.boards.corners.planar_map import fit_planar_map

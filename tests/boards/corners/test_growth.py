@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from calib.basics.arrays import Array
-from calib.boards.board import Board
+from calib.boards.board import Board, marker_outlines
 from calib.boards.corners.growth import grow, visible_corners, window_size
-from calib.boards.corners.layouts import marker_outlines
 from calib.boards.corners.markers import find_markers
 from calib.boards.corners.placing import place
 from calib.boards.corners.saddles import Saddles

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from calib.boards.corners.layouts import marker_outlines
+from calib.boards.board import marker_outlines
 from calib.boards.corners.markers import Markers, _without_doubles, find_markers, no_markers
 from calib.errors import CalibError
 from tests.boards.board_views import CHARUCO_BOARD, View, render

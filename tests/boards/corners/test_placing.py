@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from calib.basics.arrays import Array
-from calib.boards.board import Board
-from calib.boards.corners.layouts import marker_outlines
+from calib.boards.board import Board, marker_outlines
 from calib.boards.corners.markers import Markers
 from calib.boards.corners.placing import _agreeing, place
 from tests.boards.board_views import CHARUCO_BOARD, View

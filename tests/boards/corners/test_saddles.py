@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from calib.basics.arrays import Array
-from calib.boards.board import Board
+from calib.boards.board import Board, corner_signs
 from calib.boards.corners.growth import window_size
-from calib.boards.corners.layouts import corner_signs
 from calib.boards.corners.planar_map import fit_planar_map
 from calib.boards.corners.saddles import Saddles, find_saddles
 from tests.boards.board_views import CHARUCO_BOARD, CHESS_BOARD, View, render

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 import calib.boards.corners.uncertainty as uncertainty_module
-from calib.boards.board import Board
-from calib.boards.corners.layouts import corner_signs
+from calib.boards.board import Board, corner_signs
 from calib.boards.corners.saddles import find_saddles
 from tests.boards.board_views import CHARUCO_BOARD, CHESS_BOARD, View, render
 from tests.boards.corners.test_saddles import windows

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.boards.corners.layouts import marker_outlines
+from calib.boards.board import marker_outlines
 from calib.boards.corners.markers import Markers
 from calib.boards.detection.findings import (
     Finding,
