@@ -13,8 +13,7 @@ import numpy as np
 
 from calib.basics.arrays import Array
 from calib.basics.values import Value
-from calib.boards.corners.saddles import Saddles
-from calib.boards.corners.uncertainty import FLOOR
+from calib.boards.corners.saddles import FLOOR, Saddles
 
 #: Bits along a side of a tag's inside, of the families in use, and its border: the black is a cell wide.
 _CELLS = 10.0
