@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from calib.basics.arrays import Array, Mask
+from calib.basics.arrays import Array
 from calib.basics.values import Value
 
 #: The values of lambda that are searched: from a fisheye lens's barrel to a strong pincushion.
@@ -191,19 +191,3 @@ def _normalisation(points: Array) -> Array:
     return np.array(
         [[scale, 0.0, -scale * mean[0]], [0.0, scale, -scale * mean[1]], [0.0, 0.0, 1.0]]
     )
-
-
-def in_image(pixels: Array, image_size: tuple[int, int], margin: float) -> Mask:
-    """Test which pixels are inside an image.
-
-    Args:
-        pixels: The pixels, shape (n, 2).
-        image_size: Width and height of the image [px].
-        margin: Least distance from the centres of the outermost pixels [px].
-
-    Returns:
-        A truth value for each, shape (n,).
-    """
-    low = np.full(2, margin)
-    high = np.array(image_size) - 1.0 - margin
-    return np.asarray(((pixels >= low) & (pixels <= high)).all(axis=1))
