@@ -75,7 +75,8 @@ def camera_matrix(camera: Camera) -> tuple[Array, Array]:
     """
     if camera.values is None:
         raise CalibError(
-            f"The camera '{camera.name}' has no focal length and principal point, without which nothing can be projected."
+            f"The camera '{camera.name}' has no focal length and principal point; nothing can be projected without "
+            "them."
         )
     fx, fy, cx, cy = camera.values[:4]
     K = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])

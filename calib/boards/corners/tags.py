@@ -105,7 +105,7 @@ def _corner(image: Array, corners: Array, j: int) -> tuple[Array, float] | None:
 def _line(image: Array, corner: Array, other: Array, inside: float) -> _Line | None:
     """Fit a line to the half of an edge that begins at a corner; None if too little of it is seen.
 
-    ``inside`` is 1 if the tag is on the left on the way from the corner to the other end, as seen in the image, else -1.
+    ``inside`` is 1 if the tag is on the left when the image is walked from the corner to the other end, otherwise -1.
     """
     length = float(np.hypot(*(other - corner)))
     direction = (other - corner) / length

@@ -14,8 +14,8 @@ from calib.boards.detection.detect import Detection
 from calib.boards.detection.findings import Finding
 from calib.errors import FileError
 from calib.verbs.detect.contact_sheet import cards_of, write_contact_sheet
+from tests.boards.detections import detection, picture, view
 from tests.browser import Browser
-from tests.verbs.detect.test_corner_table import detection, picture, view
 
 SMALL = cv2.imencode(".jpg", np.full((48, 64), 90, np.uint8))[1].tobytes()
 
