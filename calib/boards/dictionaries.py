@@ -1,14 +1,14 @@
 """Dictionaries of square markers: how many each has and of how many bits, named as OpenCV names them.
 
-The markers themselves are in OpenCV; to check the description of a board their number is enough.
+The markers themselves are in OpenCV; their number is enough to check the description of a board.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 
-from calib.basics.mappings import ReadOnlyMapping
 from calib.errors import CalibError, choices, did_you_mean
 
 
@@ -18,12 +18,12 @@ class Dictionary:
 
     #: Bits along a side, without the black border of one bit.
     bits: int
-    #: Number of markers; their ids are 0 to this less one.
+    #: Number of markers; their ids are 0 to one less than this.
     markers: int
 
 
 #: All dictionaries that OpenCV has, by name, the common ones first.
-DICTIONARIES: Mapping[str, Dictionary] = ReadOnlyMapping(
+DICTIONARIES: Mapping[str, Dictionary] = MappingProxyType(
     {
         "DICT_4X4_50": Dictionary(4, 50),
         "DICT_4X4_100": Dictionary(4, 100),
@@ -103,14 +103,8 @@ def check_markers(name: str, first: int, count: int, where: str) -> None:
         f"{where} needs {count} markers, the first with the id {first}; {name} has {dictionary.markers}, "
         "the first with the id 0."
     )
-    larger = _large_enough(dictionary.bits, first + count)
-    if first >= 0 and larger:
-        message += f" Large enough are {choices(larger)}."
+    enough = [row for row, other in DICTIONARIES.items() if other.markers >= first + count]
+    alike = [row for row in enough if DICTIONARIES[row].bits == dictionary.bits]
+    if first >= 0 and enough:
+        message += f" Large enough are {choices(alike or enough)}."
     raise CalibError(message)
-
-
-def _large_enough(bits: int, count: int) -> list[str]:
-    """Return the dictionaries with enough markers: those of as many bits, or all if there is none."""
-    enough = [name for name, row in DICTIONARIES.items() if row.markers >= count]
-    alike = [name for name in enough if DICTIONARIES[name].bits == bits]
-    return alike or enough

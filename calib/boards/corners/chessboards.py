@@ -13,10 +13,11 @@ from typing import Any
 import numpy as np
 
 from calib.basics.arrays import Array
-from calib.boards.board import Board, corner_signs
+from calib.boards.board import Board
 from calib.boards.corners.growth import windows_at
 from calib.boards.corners.planar_map import PlanarMap, fit_planar_map
 from calib.boards.corners.saddles import find_saddles
+from calib.boards.layout import corner_signs
 from calib.boards.opencv import opencv
 from calib.errors import CalibError
 

@@ -10,9 +10,10 @@ from __future__ import annotations
 import numpy as np
 
 from calib.basics.arrays import Array, Mask
-from calib.boards.board import CHARUCO, Board, corner_signs
+from calib.boards.board import CHARUCO, Board
 from calib.boards.corners.planar_map import PlanarMap, fit_planar_map
 from calib.boards.corners.saddles import Saddles, find_saddles
+from calib.boards.layout import corner_signs
 from calib.boards.project import in_image
 
 #: Width of the window around a corner of a chessboard, in squares; the largest of a ChArUco board.

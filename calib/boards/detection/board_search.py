@@ -9,7 +9,7 @@ import numpy as np
 
 from calib.basics.arrays import Array, Integers
 from calib.basics.values import Value
-from calib.boards.board import APRILTAG, CHESSBOARD, Board, marker_outlines
+from calib.boards.board import APRILTAG, CHESSBOARD, Board
 from calib.boards.corners.chessboards import find_chessboard, is_part_of_larger
 from calib.boards.corners.growth import grow, visible_corners
 from calib.boards.corners.markers import Markers, find_markers
@@ -17,6 +17,7 @@ from calib.boards.corners.placing import FEWEST_MARKERS, Placement, place
 from calib.boards.corners.planar_map import PlanarMap, fit_planar_map
 from calib.boards.corners.saddles import Saddles
 from calib.boards.corners.tags import tag_corners
+from calib.boards.layout import marker_outlines
 from calib.boards.opencv import opencv
 
 #: Default for the fewest corners of a board with which an image is used: with fewer the pose is poor.

@@ -13,10 +13,11 @@ from dataclasses import replace
 import numpy as np
 
 from calib.basics.arrays import Array
-from calib.boards.board import CHARUCO, Board, marker_outlines
+from calib.boards.board import CHARUCO, Board
 from calib.boards.corners.markers import Markers
 from calib.boards.corners.placing import place
 from calib.boards.corners.planar_map import fit_planar_map
+from calib.boards.layout import marker_outlines
 from calib.errors import CalibError
 
 #: Columns and rows are swapped.

@@ -7,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 
 from calib.basics.arrays import Array
-from calib.boards.board import Board, marker_outlines
+from calib.boards.board import Board
 from calib.boards.corners.markers import Markers
 from calib.boards.corners.placing import _agree_with_map, place
+from calib.boards.layout import marker_outlines
 from tests.boards.board_views import CHARUCO_BOARD, View
 
 SIZE = (640, 480)

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from calib.boards.board import Board, marker_outlines
+from calib.boards.board import Board
 from calib.boards.corners.markers import Markers
 from calib.boards.detection.findings import (
     Finding,
@@ -21,6 +21,7 @@ from calib.boards.detection.findings import (
 )
 from calib.boards.detection.image_files import ImageFile
 from calib.boards.detection.picture import Picture
+from calib.boards.layout import marker_outlines
 from tests.boards.board_views import CHARUCO_BOARD, CHESS_BOARD, View, render
 from tests.boards.detections import picture, view
 
