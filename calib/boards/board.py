@@ -61,9 +61,9 @@ class Board:
         default="board",
         metadata=key(
             "name",
-            text("a text in quotes"),
+            text("a text"),
             "Name, as in the column 'target' of a table of corners.",
-            option=Option("--name", "Name of the board. Default: that of its files."),
+            option=Option("--name", help="Name of the board. Default: that of its files."),
         ),
     )
     #: `CHARUCO`, `CHESSBOARD` or `APRILTAG`.
@@ -74,9 +74,9 @@ class Board:
             '"charuco", "chessboard" or "apriltag".',
             option=Option(
                 "--pattern",
-                "charuco: a chessboard with markers, found even if partly hidden (default). chessboard: all of it must "
-                "be seen. apriltag: a grid of tags.",
                 type=tuple(PATTERNS),
+                help="charuco: a chessboard with markers, found even if partly hidden (default). chessboard: all of it "
+                "must be seen. apriltag: a grid of tags.",
             ),
         )
     )
@@ -86,7 +86,7 @@ class Board:
             "columns",
             WHOLE,
             "Squares, or tags, along x: across, with the text of the page below the pattern.",
-            option=Option("--columns", "Squares, or tags, across.", type=int, least=1),
+            option=Option("--columns", type=int, help="Squares, or tags, across."),
         )
     )
     #: Squares, or tags, along y.
@@ -95,7 +95,7 @@ class Board:
             "rows",
             WHOLE,
             "Squares, or tags, along y: down. Of a chessboard all squares count, not its inner corners.",
-            option=Option("--rows", "Squares, or tags, down.", type=int, least=1),
+            option=Option("--rows", type=int, help="Squares, or tags, down."),
         )
     )
     #: Side of a square as measured on the print; for a grid of tags the distance between the centres of tags [m].
@@ -107,7 +107,7 @@ class Board:
             json="square_m",
             option=Option(
                 "--square",
-                'Side of a square, or distance between tags, "30 mm". Default: as large as fits.',
+                help='Side of a square, or distance between tags, "30 mm". Default: as large as fits.',
                 metavar="LENGTH",
                 parse=_length,
             ),
@@ -123,7 +123,7 @@ class Board:
             json="marker_m",
             option=Option(
                 "--marker",
-                "Side of a marker or tag. Default: as large as can be found reliably.",
+                help="Side of a marker or tag. Default: as large as can be found reliably.",
                 metavar="LENGTH",
                 parse=_length,
             ),
@@ -134,11 +134,11 @@ class Board:
         default="",
         metadata=key(
             "dictionary",
-            text('the name of a dictionary in quotes, such as "DICT_5X5_100"'),
+            text("the name of a dictionary, such as DICT_5X5_100,"),
             "Dictionary of the markers, named as OpenCV names it.",
             option=Option(
                 "--dictionary",
-                "Dictionary of the markers. Default: DICT_5X5_100, or DICT_APRILTAG_36h11.",
+                help="Dictionary of the markers. Default: DICT_5X5_100, or DICT_APRILTAG_36h11.",
             ),
         ),
     )
@@ -151,9 +151,8 @@ class Board:
             "Id of the first marker, at the upper left.",
             option=Option(
                 "--first-marker",
-                "Id of the first marker. Default: 0; boards in one picture need different ids.",
                 type=int,
-                least=0,
+                help="Id of the first marker. Default: 0; boards in one picture need different ids.",
             ),
         ),
     )
@@ -164,9 +163,10 @@ class Board:
             "layout",
             one_of({"new": False, "legacy": True}),
             '"new", or "legacy": as by OpenCV before 4.6, a marker in the first square. Alike for odd rows.',
-            json="legacy",
             option=Option(
-                "--legacy", "Lay out an even number of rows as OpenCV before 4.6 did.", type=bool
+                "--legacy",
+                type=bool,
+                help="Lay out an even number of rows as OpenCV before 4.6 did.",
             ),
         ),
     )
@@ -177,7 +177,6 @@ class Board:
             "sigma_scale_percent",
             PERCENT,
             "Standard deviation of square_mm: how well you measured it [%].",
-            json="sigma_scale",
         ),
     )
     #: Standard deviation of each corner's place on the print, along x and along y [m].

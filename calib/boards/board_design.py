@@ -79,6 +79,9 @@ def design(
         )
     if pattern == CHESSBOARD and (marker is not None or dictionary is not None):
         raise CalibError("A chessboard has no markers; leave out the marker and the dictionary.")
+    for count in (columns, rows):
+        if count is not None and count < 1:
+            raise CalibError(f"A board has 1 or more columns and rows, not {count}.")
     if paper != NO_PAPER:
         orientations(paper)  # refuses an unknown paper
 

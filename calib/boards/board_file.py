@@ -115,12 +115,7 @@ def _read_values(table: Mapping[str, Any], where: str) -> dict[str, Any]:
                 f"{choices(rows, len(rows))}."
             )
         attribute, row = rows[name]
-        try:
-            values[attribute] = row.form.read(given)
-        except (LookupError, TypeError, ValueError) as error:
-            raise CalibError(
-                f"{where}: '{name}' is {given!r}; it must be {row.form.words}."
-            ) from error
+        values[attribute] = row.form.read(given, f"{where}: '{name}'")
     return values
 
 

@@ -2,7 +2,7 @@
 
 Files, options and messages are made from it, so that a new field is all that a new flag of a board needs:
 
-    rows: int = field(metadata=key("rows", WHOLE, "Squares along y.", option=Option("--rows", "Squares down.", int)))
+    rows: int = field(metadata=key("rows", WHOLE, "Squares along y.", option=Option("--rows", type=int)))
 
 NumPy is not needed, because the command line reads the options at its start.
 """
@@ -15,7 +15,7 @@ from dataclasses import Field, dataclass, fields
 from decimal import Decimal
 from typing import Any
 
-from calib.errors import choices
+from calib.errors import CalibError, choices
 
 #: Name of the entry in the metadata of a field.
 _METADATA = "calib"
@@ -27,8 +27,8 @@ class Form:
 
     #: What the value must be, for messages: ``"a number [mm]"``.
     words: str
-    #: From what the file holds to the value in SI units; ValueError or TypeError for what it does not take.
-    read: Callable[[Any], Any]
+    #: (what the file holds, its place) to the value in SI units. Raises `CalibError` for what it does not take.
+    read: Callable[[Any, str], Any]
     #: From the value in SI units to what the file holds.
     write: Callable[[Any], Any]
 
@@ -39,13 +39,12 @@ class Option:
 
     #: ``"--first-marker"``.
     flag: str
-    help: str
-    #: Type of the words; or the words that are allowed.
-    type: Any = str
     #: Stands for the value in the help: ``"LENGTH"``.
     metavar: str | None = None
-    #: Least whole number that is allowed.
-    least: int | None = None
+    #: Type of the words; or the words that are allowed.
+    type: Any = str
+    #: Help; empty: that of the key.
+    help: str = ""
     #: (what was typed, flag) to the value in SI units; None: it is the value.
     parse: Callable[[Any, str], Any] | None = None
 
@@ -60,12 +59,12 @@ class Key:
     #: What it means, in full sentences.
     help: str
     option: Option | None
-    #: Key of the value in SI units in result files.
+    #: Key of the value in SI units in result files; empty: the name of the field.
     json: str
 
 
 def key(
-    name: str, form: Form, help: str, *, json: str = "", option: Option | None = None
+    name: str, form: Form, help: str, *, option: Option | None = None, json: str = ""
 ) -> Mapping[str, Key]:
     """Return the metadata of a field.
 
@@ -73,10 +72,10 @@ def key(
         name: The key, with its unit: ``"square_mm"``.
         form: The form of its value.
         help: What it means, in full sentences; for comments in files.
-        json: Key of the value in SI units in result files; empty: the name.
         option: The option that gives the field too.
+        json: Key of the value in SI units in result files; empty: the name of the field.
     """
-    return {_METADATA: Key(name, form, help, option, json or name)}
+    return {_METADATA: Key(name, form, help, option, json)}
 
 
 def keys_of(record: Any) -> Iterator[tuple[Field[Any], Key]]:  # noqa: ANN401  a dataclass or its class
@@ -85,18 +84,46 @@ def keys_of(record: Any) -> Iterator[tuple[Field[Any], Key]]:  # noqa: ANN401  a
         yield field, field.metadata[_METADATA]
 
 
-def _text(value: Any) -> str:  # noqa: ANN401
-    """Return a text; TypeError for anything else."""
-    if not isinstance(value, str):
-        raise TypeError
-    return value
+def json_key(field: Field[Any]) -> str:
+    """Return the key of a field in result files: as its record says, or else its name."""
+    key: Key = field.metadata[_METADATA]
+    return key.json or field.name
 
 
-def _whole(value: Any) -> int:  # noqa: ANN401
-    """Return a whole number; TypeError for anything else."""
-    if isinstance(value, bool) or not isinstance(value, int):
-        raise TypeError
-    return value
+def form(words: str, convert: Callable[[Any], Any], write: Callable[[Any], Any]) -> Form:
+    """Return the form of values that ``convert`` gives, or refuses by None, a TypeError or a ValueError."""
+
+    def read(value: Any, place: str) -> Any:  # noqa: ANN401  what TOML holds
+        try:
+            converted = convert(value)
+        except (TypeError, ValueError):
+            converted = None
+        if converted is None:
+            raise CalibError(f"{place} is {value!r}; it must be {words}.")
+        return converted
+
+    return Form(words, read, write)
+
+
+def text(meaning: str) -> Form:
+    """Return the form of a text, such as ``"the name of a link"``."""
+    return form(
+        f"{meaning} in quotes", lambda value: value if isinstance(value, str) else None, str
+    )
+
+
+def one_of(values: Mapping[str, Any]) -> Form:
+    """Return the form of one of several words, each of which stands for a value."""
+    names = {value: name for name, value in values.items()}
+    return form(f"one of {choices(values)}", values.get, names.__getitem__)
+
+
+def _is_whole(value: object) -> bool:
+    """Return whether a value is a whole number."""
+    return isinstance(value, int) and not isinstance(value, bool)
+
+
+WHOLE = form("a whole number", lambda value: value if _is_whole(value) else None, int)
 
 
 def shift_decimal(value: float, places: int) -> float:
@@ -112,32 +139,15 @@ def shift_decimal(value: float, places: int) -> float:
     return float(Decimal(repr(float(value))).scaleb(places))
 
 
-def _decimal(unit: str, places: int) -> Form:
+def decimal(unit: str, places: int) -> Form:
     """Return the form of a number in a unit that is this power of ten of SI; it keeps its digits."""
 
-    def read(value: Any) -> float:  # noqa: ANN401  what TOML holds
-        if isinstance(value, bool) or not isinstance(value, (int, float)):
-            raise TypeError
-        if not math.isfinite(value):
-            raise ValueError
-        return shift_decimal(value, places)
+    def convert(value: Any) -> float | None:  # noqa: ANN401
+        is_number = _is_whole(value) or isinstance(value, float)
+        return shift_decimal(value, places) if is_number and math.isfinite(value) else None
 
-    return Form(f"a number [{unit}]", read, lambda value: shift_decimal(value, -places))
+    return form(f"a number [{unit}]", convert, lambda value: shift_decimal(value, -places))
 
 
-def text(words: str) -> Form:
-    """Return the form of a text, such as ``"a text in quotes"``."""
-    return Form(words, _text, _text)
-
-
-def one_of(values: Mapping[str, Any]) -> Form:
-    """Return the form of one of several words, each of which stands for a value."""
-    names = {value: name for name, value in values.items()}
-    return Form(
-        f"one of {choices(values)}", lambda word: values[_text(word)], lambda value: names[value]
-    )
-
-
-WHOLE = Form("a whole number", _whole, int)
-MM = _decimal("mm", -3)
-PERCENT = _decimal("%", -2)
+MM = decimal("mm", -3)
+PERCENT = decimal("%", -2)

@@ -32,7 +32,7 @@ class Print(Value):
     scale: tuple[float, float] = (1.0, 1.0)
     #: Sag of the middle along x and along y [m].
     warp: tuple[float, float] = (0.0, 0.0)
-    #: Displacement of each corner on the print, shape (n, 3) [m]; None: none.
+    #: Displacement of each corner on the print, shape (n, 3) [m]; None: they are not displaced.
     offsets: Array | None = None
     #: Whether it was printed mirrored: what lies at x is drawn at width - x. Corners stay where they are described.
     mirrored: bool = False

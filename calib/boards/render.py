@@ -212,7 +212,7 @@ def write_png(image: Image, path: str | os.PathLike[str], *, overwrite: bool = F
     """
     is_done, data = opencv().imencode(".png", image)
     if not is_done:
-        raise CalibError(f"OpenCV makes no PNG of the picture for '{os.fspath(path)}'.")
+        raise CalibError(f"OpenCV cannot encode the picture as PNG for '{os.fspath(path)}'.")
     return write_atomically(path, data.tobytes(), overwrite=overwrite)
 
 

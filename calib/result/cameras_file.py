@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from calib.basics.arrays import Array
 from calib.basics.json_files import Json
 from calib.basics.mappings import ReadOnlyMapping
 from calib.boards.board import Board
-from calib.boards.board_keys import keys_of
+from calib.boards.board_keys import json_key
 from calib.camera.camera import UNKNOWN, Camera
 from calib.camera.lenses import LENSES
 
@@ -72,7 +73,7 @@ def boards_table(boards: Mapping[str, Board]) -> list[dict[str, Any]]:
     """
     table = []
     for target, board in boards.items():
-        entries = {key.json: getattr(board, field.name) for field, key in keys_of(board)}
+        entries = {json_key(field): getattr(board, field.name) for field in fields(board)}
         table.append({"target": target, **entries})
     return table
 
@@ -81,6 +82,6 @@ def read_boards(table: Iterable[Json]) -> Mapping[str, Board]:
     """Return printed boards from their tables in the file, by the names of their targets."""
     boards = {}
     for row in table:
-        arguments = {field.name: row[key.json] for field, key in keys_of(Board)}
+        arguments = {field.name: row[json_key(field)] for field in fields(Board)}
         boards[row["target"]] = Board(**arguments)
     return ReadOnlyMapping(boards)

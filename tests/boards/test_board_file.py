@@ -9,7 +9,6 @@ import pytest
 
 from calib.boards.board import APRILTAG, CHARUCO, CHESSBOARD, Board
 from calib.boards.board_file import board_of_table, board_toml, correct_toml, read_board
-from calib.boards.board_keys import shift_decimal
 from calib.errors import CalibError, FileError
 
 if sys.version_info >= (3, 11):
@@ -53,12 +52,6 @@ def test_a_board_is_read_back_exactly(board, tmp_path):
     path = tmp_path / "board.toml"
     path.write_text(board_toml(board), encoding="utf-8")
     assert attributes(read_board(path)) == attributes(board)
-
-
-def test_lengths_keep_their_digits():
-    for hundredths in range(1, 20000, 7):
-        assert shift_decimal(shift_decimal(hundredths / 100, -3), 3) == hundredths / 100
-        assert shift_decimal(shift_decimal(hundredths / 1e5, 3), -3) == hundredths / 1e5
 
 
 def test_the_file_is_in_mm_and_percent():

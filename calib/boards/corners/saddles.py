@@ -19,7 +19,7 @@ Noise n of the image moves q, to first order, by
     M = A - sum_i g_i (g_i . d_i) (d w_i / d q)^T
 
 with D n the central differences of the noise, in which neighbours share its pixels k, and with a second term in M
-because the window moves with q: it counts where the blur is as wide as the window. With white noise of standard
+because the window moves with q: it matters if the blur is as wide as the window. With white noise of standard
 deviation s the covariance is
 
     s^2 M^-1 (sum_k c_k c_k^T) M^-T
@@ -86,9 +86,9 @@ FLOOR = 0.01
 class Saddles(Value):
     """Refined corners, in the order of those that were sought."""
 
-    #: Their pixels, shape (n, 2); NaN where there is no saddle.
+    #: Their pixels, shape (n, 2); NaN if there is no saddle.
     pixels: Array
-    #: Standard deviation along u and along v, shape (n,) [px]; NaN where there is no saddle.
+    #: Standard deviation along u and along v, shape (n,) [px]; NaN if there is no saddle.
     sigma: Array
 
     @property
@@ -136,7 +136,7 @@ def find_saddles(image: Array, expected: Array, windows: Array, signs: Array) ->
         image: Grey values, shape (height, width).
         expected: The places, shape (n, 2) [px].
         windows: F of each, whose columns are the window along the board's x and y, shape (n, 2, 2) [px].
-        signs: 1 where the square towards +x, +y is white, -1 where it is black, shape (n,).
+        signs: 1 if the square towards +x, +y is white, -1 if it is black, shape (n,).
 
     Returns:
         The saddles: those that converge near the place expected, surrounded by the colours of four squares.

@@ -251,7 +251,7 @@ def is_wrong_description(finding: Finding, pictures: Sequence[Picture], board: B
     sound = [picture for picture in pictures if _view(picture, board).is_used]
     concerned = set(finding.pictures)
     against = [picture for picture in sound if picture.file.name not in concerned]
-    # The size of the markers does not matter for where the corners are.
+    # Where the corners are does not depend on the size of the markers.
     return len(concerned) >= len(against) and finding.code != RATIO
 
 

@@ -71,15 +71,15 @@ def explanation(board: Board, seen: Sequence[Seen]) -> tuple[str, Board] | None:
         The code of the mistake, and the board as it should be described: the first description with which most markers
         agree. None if there is none.
     """
-    telling = [(markers, size) for markers, size in seen if len(markers.ids) >= _FEWEST_MARKERS]
-    telling = sorted(telling, key=lambda pair: -len(pair[0].ids))[:_MOST_PICTURES]
-    if not telling:
+    used = [(markers, size) for markers, size in seen if len(markers.ids) >= _FEWEST_MARKERS]
+    used = sorted(used, key=lambda pair: -len(pair[0].ids))[:_MOST_PICTURES]
+    if not used:
         return None
-    ids = np.concatenate([markers.ids for markers, _ in telling])
+    ids = np.concatenate([markers.ids for markers, _ in used])
     best = None
-    most = max(_LEAST_SHARE, _agreeing_share(board, telling) + _GAIN)
+    most = max(_LEAST_SHARE, _agreeing_share(board, used) + _GAIN)
     for code, other in _alternatives(board, int(ids.min()), int(ids.max())):
-        share = _agreeing_share(other, telling)
+        share = _agreeing_share(other, used)
         if (best is None and share >= most) or share > most + _GAIN:
             best, most = (code, other), share
         if share == 1.0:

@@ -30,9 +30,8 @@ def _design_options() -> type:
         option = key.option
         if option is None:
             continue
-        declared = typer.Option(
-            option.flag, metavar=option.metavar, min=option.least, help=option.help
-        )
+        help_text = option.help or key.help
+        declared = typer.Option(option.flag, metavar=option.metavar, help=help_text)
         if option.type is bool:
             members.append((field.name, Annotated[bool, declared], False))
             continue
