@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
 
 from calib.boards.board import Board
-from calib.boards.corners.layouts import corner_signs, marker_outlines
+from calib.boards.layout import corner_signs, marker_outlines, white_squares
 from tests.boards.board_views import CHESS_BOARD, TAG_BOARD
 
 
@@ -45,3 +47,14 @@ def test_tags_are_the_corners_of_the_board():
     assert corners.shape == (12, 4, 2)
     np.testing.assert_allclose(corners[5, 2], [0.05 + 0.035, 0.05 + 0.035])
     assert marker_outlines(CHESS_BOARD).shape == (0, 4, 2)
+
+
+def test_the_legacy_layout_matters_for_even_rows_only():
+    even = Board(
+        pattern="charuco", columns=4, rows=4, square=0.05, marker=0.042, dictionary="DICT_5X5_100"
+    )
+    legacy = replace(even, legacy=True)
+    assert white_squares(legacy)[0, 0]
+    assert not white_squares(replace(legacy, rows=5))[0, 0]
+    np.testing.assert_allclose(marker_outlines(even)[0, 0], [0.054, 0.004])
+    np.testing.assert_allclose(marker_outlines(legacy)[0, 0], [0.004, 0.004])
