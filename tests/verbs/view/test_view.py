@@ -95,7 +95,7 @@ def test_measured_points_are_shown_in_the_base_frame_and_the_tracker_where_it_st
     T = translation([2.0, -1.0, 0.4])
     T[:3, :3] = [[0, -1, 0], [1, 0, 0], [0, 0, 1]]
     moved = replace(result.measurements, points=result.measurements.points @ T[:3, :3].T + T[:3, 3])
-    setup = result.setup.placed(T[None], result.setup.T_tip_target)
+    setup = result.setup.with_poses(T[None], result.setup.T_tip_target)
     view = view_of(with_rows(replace(result, setup=setup), moved))
     np.testing.assert_allclose(view.measured, result.measurements.points, atol=1e-12)
     np.testing.assert_allclose(view.instruments, [np.linalg.inv(T)], atol=1e-12)
