@@ -124,7 +124,7 @@ def _stage_at(fitted: Fitted, prior: PriorTerms) -> Stage:
         prior=prior,
         kept=weights > 0.0,
         weights=weights,
-        share=np.ones(weights.shape),
+        repeat_factor=np.ones(weights.shape),
         noise=np.array([estimate.noise]),
         prior_std=np.array([prior_std]),
         stop_shares=estimate.problem.stop_shares[None],

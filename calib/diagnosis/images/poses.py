@@ -8,8 +8,8 @@ import numpy as np
 
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
+from calib.fit.registration.board_views import images_as_poses
 from calib.fit.registration.table_rows import rows_and_setup
-from calib.fit.registration.views import images_as_poses
 from calib.robot.robot import Robot
 
 

@@ -90,7 +90,7 @@ class Stage:
     #: (B, N), robust weights; 0 for rows that a fit does not have
     weights: Array
     #: (B, N), factor on the weight of a row that has repeats
-    share: Array
+    repeat_factor: Array
     #: (B, C), of each channel, in units of the given sigma
     noise: Array
     #: (B, K), of each family, in its parameters' unit
@@ -119,7 +119,7 @@ class Stage:
             prior=prior,
             kept=kept,
             weights=np.asarray(kept * weights, np.float64),
-            share=np.ones(kept.shape),
+            repeat_factor=np.ones(kept.shape),
             noise=np.ones((B, channels)),
             prior_std=np.tile(np.array(prior.start, dtype=np.float64), (B, 1)),
             stop_shares=np.zeros((B, channels, len(PARTS))),
@@ -128,7 +128,7 @@ class Stage:
     @property
     def effective(self) -> Array:
         """Weights with which the rows count, shape (B, N): the robust ones, times the factor for repeats."""
-        return self.weights * self.share
+        return self.weights * self.repeat_factor
 
     @property
     def priors(self) -> GaussianPriors:
@@ -234,7 +234,7 @@ class Stage:
         enough = (freedom > FEWEST_FREEDOM) & remains_enough
         return np.where(enough[:, None], weights, self.kept)
 
-    def sharing(self, linear: LinearProblem, poses: Integers, mode: str) -> Stage:
+    def by_repeats(self, linear: LinearProblem, poses: Integers, mode: str) -> Stage:
         """Return the stage with each of n repeats weighted by 1 / (1 + (n - 1) rho), with their correlation rho.
 
         Of the n repeats only rows count whose robust weight is above 0 in the fit.
@@ -246,7 +246,7 @@ class Stage:
                 fit.
 
         Returns:
-            The stage with a new `share`; itself if no pose has repeats, or they are independent.
+            The stage with a new `repeat_factor`; itself if no pose has repeats, or they are independent.
         """
         number = int(poses.max()) + 1
         alive = self.weights > 0.0
@@ -257,7 +257,7 @@ class Stage:
         if mode == "weighted":
             rho = self._correlation_of_repeats(linear, poses)
         others = np.maximum(counts, 1) - 1.0
-        return replace(self, share=1.0 / (1.0 + others * rho[:, None]))
+        return replace(self, repeat_factor=1.0 / (1.0 + others * rho[:, None]))
 
     def _correlation_of_repeats(self, linear: LinearProblem, poses: Integers) -> Array:
         """Estimate the intraclass correlation of repeats, (B,), from their residuals; 1 if these are too few."""
@@ -294,7 +294,7 @@ class Stage:
             self,
             kept=self.kept[fits],
             weights=self.weights[fits],
-            share=self.share[fits],
+            repeat_factor=self.repeat_factor[fits],
             noise=self.noise[fits],
             prior_std=self.prior_std[fits],
             stop_shares=self.stop_shares[fits],
@@ -312,7 +312,7 @@ class Stage:
         return replace(
             self,
             weights=updated(self.weights, new.weights),
-            share=updated(self.share, new.share),
+            repeat_factor=updated(self.repeat_factor, new.repeat_factor),
             noise=updated(self.noise, new.noise),
             prior_std=updated(self.prior_std, new.prior_std),
             stop_shares=updated(self.stop_shares, new.stop_shares),
@@ -338,7 +338,7 @@ def run_stages(
         loses weight.
     """
     linear = linear_at(stage)
-    stage = stage.sharing(linear, poses, weighting.repeats)
+    stage = stage.by_repeats(linear, poses, weighting.repeats)
     _, _, freedom = stage.fit(linear)
     robust = weighting.robust and bool(np.any(freedom > FEWEST_FREEDOM))
     by_likelihood_in_turn = (False, True) if robust else (True,)
@@ -348,10 +348,10 @@ def run_stages(
             before = stage.select(moving)
             if by_likelihood:
                 after = before.by_likelihood(linear, robust)
-                after = after.sharing(linear, poses, weighting.repeats).by_stops(linear)
+                after = after.by_repeats(linear, poses, weighting.repeats).by_stops(linear)
             else:
                 after = before.by_median(linear)
-                after = after.sharing(linear, poses, weighting.repeats)
+                after = after.by_repeats(linear, poses, weighting.repeats)
             linear = linear_at(after)
             stage = stage.updated(moving, after)
             settled = _has_settled(before, after, weights_only=not by_likelihood)

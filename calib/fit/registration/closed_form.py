@@ -1,7 +1,7 @@
 """Frames and targets in closed form, on given poses of the tip: solutions of linear equations, else starts.
 
 With the rotation R_f and translation s_f of frame f (T_frame_base), the pose (R_i, p_i) of the tip at row i, and the
-target at t in the tip, a measured point is m_i = R_f (R_i t + p_i) + s_f: linear in t and s_f where R_f is known. A
+target at t in the tip, a measured point is m_i = R_f (R_i t + p_i) + s_f: linear in t and s_f if R_f is known. A
 measured orientation is M_i = R_f R_i R_t, linear in R_f and R_t as M_i R_t^T - R_f R_i = 0 (M. Shah, 2013).
 """
 
@@ -15,7 +15,6 @@ import numpy as np
 from calib.basics.arrays import Array, Integers
 from calib.fit.registration.rows import Rows
 from calib.fit.registration.setup import Setup
-from calib.model.error_model import DIRECTIONS
 from calib.model.kinematics import Samples
 
 #: Directions of a frame's translation.
@@ -104,11 +103,10 @@ def orientation_setup(setup: Setup, T_base_tip: Array, rows: Rows) -> Setup | No
         The setup; None if no frame is wholly unknown, no target is estimated, or a row has no orientation.
     """
     oriented = rows.where(lambda kind: kind.orientation)
-    wholly_unknown = [f for f, directions in enumerate(setup.unknown) if _all(directions)]
-    if not wholly_unknown or not setup.estimate_target or not np.all(oriented):
+    if not np.any(setup.wholly_unknown) or not setup.estimate_target or not np.all(oriented):
         return None
     T_frame_base = setup.T_frame_base.copy()
-    for f in wholly_unknown:
+    for f in np.flatnonzero(setup.wholly_unknown):
         of_frame = np.flatnonzero(rows.samples.frame == f)
         if not len(of_frame):
             continue
@@ -164,25 +162,20 @@ def with_frames_fitted(setup: Setup, T_base_tip: Array, rows: Rows) -> Setup:
     for f, directions in enumerate(setup.unknown):
         of_frame = np.flatnonzero(rows.samples.frame == f)
         if directions and len(of_frame):
-            T_frame_base[f] = _frame_fitted(T_frame_base[f], directions, points, rows, of_frame)
+            T_frame_base[f] = _fit_frame(setup, f, points, rows, of_frame)
     return setup.with_poses(T_frame_base, setup.T_tip_target)
 
 
-def _frame_fitted(
-    T_frame_base: Array,
-    directions: tuple[str, ...],
-    points: Array,
-    rows: Rows,
-    of_frame: Integers,
-) -> Array:
-    """Fit one frame, (4, 4) [m], to its n rows, by their numbers; see `with_frames_fitted`.
+def _fit_frame(setup: Setup, f: int, points: Array, rows: Rows, of_frame: Integers) -> Array:
+    """Fit one frame to its n rows, by their numbers: T_frame_base, (4, 4) [m]; see `with_frames_fitted`.
 
     ``points`` are the predicted positions of all rows' targets in the base, (N, 3) [m].
     """
+    T_frame_base = setup.T_frame_base[f]
     points = points[of_frame]
     measured = rows.measured[of_frame]
     has_position = rows.where(lambda kind: kind.position)[of_frame]
-    if _all(directions) and np.sum(has_position) >= _FEWEST_POINTS:
+    if setup.wholly_unknown[f] and np.sum(has_position) >= _FEWEST_POINTS:
         return _frame_by_points(measured[has_position, :3], points[has_position])
 
     locating = []
@@ -199,7 +192,7 @@ def _frame_fitted(
     if np.any(has_position):
         predicted = points[has_position] @ T_frame_base[:3, :3].T + T_frame_base[:3, 3]
         shift = measured[has_position, :3] - predicted
-        estimated = np.array([axis in directions for axis in _TRANSLATIONS])
+        estimated = np.array([axis in setup.unknown[f] for axis in _TRANSLATIONS])
         result[:3, 3] += np.where(estimated, shift.mean(axis=0), 0.0)
     return result
 
@@ -241,8 +234,3 @@ def nearest_rotation(M: Array) -> Array:
     U, _, V = np.linalg.svd(M)
     handed = np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ V))])
     return np.asarray(U @ handed @ V)
-
-
-def _all(directions: tuple[str, ...]) -> bool:
-    """True if a frame is estimated in all six directions."""
-    return len(directions) == len(DIRECTIONS)

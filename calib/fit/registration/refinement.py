@@ -20,7 +20,7 @@ from calib.fit.registration.closed_form import (
 )
 from calib.fit.registration.rows import Rows
 from calib.fit.registration.setup import Setup
-from calib.model.error_model import DIRECTIONS, frame_and_target_model
+from calib.model.error_model import frame_and_target_model
 from calib.model.observability import steps
 from calib.model.parameters import ErrorModel
 from calib.numerics.solvers import levenberg_marquardt
@@ -50,10 +50,9 @@ def find_starts(setup: Setup, T_base_tip: Array, rows: Rows) -> list[Setup]:
     # A single frame is tried turned by quarters about each rotation that is estimated, if not all are: refinement
     # converges from any of them. A frame that is wholly unknown is fitted in closed form.
     frames = [setup.T_frame_base]
-    directions = setup.unknown[0]
-    if len(setup.groups) == 1 and len(directions) < len(DIRECTIONS):
+    if len(setup.groups) == 1 and not setup.wholly_unknown[0]:
         for direction, quarter in itertools.product(_AXES, (1, 2, 3)):
-            if direction in directions:
+            if direction in setup.unknown[0]:
                 R = np.eye(4)
                 angle = quarter * np.pi / 2
                 R[:3, :3] = Rotation.from_euler(_AXES[direction], angle).as_matrix()

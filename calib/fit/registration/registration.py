@@ -11,13 +11,12 @@ import numpy as np
 
 from calib.basics.arrays import Array, Integers, Mask
 from calib.errors import MeasurementError
+from calib.fit.registration.board_views import images_as_poses
 from calib.fit.registration.closed_form import linear_setup
 from calib.fit.registration.frame_search import find_frame, frames_to_search
 from calib.fit.registration.refinement import find_starts, refine_best
 from calib.fit.registration.rows import NONE, Rows
 from calib.fit.registration.setup import Setup
-from calib.fit.registration.views import images_as_poses
-from calib.model.error_model import DIRECTIONS
 
 #: Rows that are enough for a registration, shared by the pairs of a frame and a target.
 _ROWS = 200
@@ -217,7 +216,7 @@ def _check_enough(setup: Setup, rows: Rows) -> None:
     """Raise `MeasurementError` if rows have fewer numbers than unknowns, of the table or of one frame."""
     frames, targets = setup.seen_by(rows.samples)
     observed = setup.with_fixed(~frames, ~targets)
-    wholly_unknown = [len(directions) == len(DIRECTIONS) for directions in observed.unknown]
+    wholly_unknown = observed.wholly_unknown.tolist()
     every = np.ones(len(rows), dtype=bool)
     _check_part("The table", rows, every, observed.count, points_needed=any(wholly_unknown))
     for f, name in enumerate(setup.groups):

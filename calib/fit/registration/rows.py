@@ -308,7 +308,7 @@ class Rows:
         Args:
             T_frame_target: shape (N, 4, 4), predicted pose of each row's target in its frame [m].
             twists: shape (N, 6, p), motion of the target by each parameter, along the frame's axes; see
-                `Kinematics.twists`. (N, 3, p), translations alone, where no row depends on its target's orientation.
+                `Kinematics.twists`. (N, 3, p), translations alone, if no row depends on its target's orientation.
             optics: Numbers of camera and board, and the parameters that change them; None: those before the fit,
                 which none of the p parameters changes.
 

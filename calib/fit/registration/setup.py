@@ -15,6 +15,7 @@ import numpy as np
 
 from calib.basics.arrays import Array, Mask, read_only
 from calib.basics.values import Value
+from calib.model.error_model import DIRECTIONS
 from calib.model.kinematics import FIXED, Optics, Samples, changed_optics
 from calib.model.parameters import FRAME, TARGET, ErrorModel, Parameter
 
@@ -25,7 +26,7 @@ class OpticalUnknown(Value):
 
     #: The parameter: the change from the number with which images are predicted before the fit
     parameter: Parameter
-    #: Mean of its prior, in its unit: 0 where the fit begins at what was given
+    #: Mean of its prior, in its unit: 0 if the fit begins at what was given
     mean: float
     #: Standard deviation of its prior, in its unit
     sigma: float
@@ -89,6 +90,11 @@ class Setup(Value):
     def unknown_targets(self) -> tuple[str, ...]:
         """Names of the targets that are estimated, as in `target_names`."""
         return tuple(compress(self.target_names, self.target_unknown))
+
+    @property
+    def wholly_unknown(self) -> Mask:
+        """True for frames that are estimated in all six directions, shape (F,)."""
+        return np.array([len(directions) == len(DIRECTIONS) for directions in self.unknown])
 
     @property
     def count(self) -> int:

@@ -14,10 +14,10 @@ from calib.data.cell import AUTO, Cell
 from calib.data.kinds import Kind
 from calib.data.measurements import Measurements
 from calib.errors import MeasurementError
-from calib.fit.registration.cameras import initial_optics
 from calib.fit.registration.labels import joined_labels, numbered, same_poses
 from calib.fit.registration.rows import NONE, Rows
 from calib.fit.registration.setup import Setup
+from calib.fit.registration.table_optics import initial_optics
 from calib.fit.registration.table_setup import measurement_setup
 from calib.model.error_model import split_name
 from calib.model.families import FAMILIES

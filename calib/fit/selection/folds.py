@@ -16,7 +16,6 @@ from calib.errors import MeasurementError
 from calib.fit.estimate.task import Task
 from calib.fit.registration.known_distances import joined_stations
 from calib.fit.registration.rows import Rows
-from calib.model.error_model import DIRECTIONS
 from calib.numerics.errors import CrossValidation, Errors
 
 #: Largest number of folds: up to as many poses or stations are held out one at a time.
@@ -144,7 +143,6 @@ def _stations_predict_each_other(task: Task, rows: Rows, stations: Integers) -> 
         if len(np.unique(stations[of_target])) < 2:
             return False
     # No station, or more than one, must be measured in a known frame: one alone determines where the base stands.
-    known_frames = np.array([len(unknown) < len(DIRECTIONS) for unknown in task.setup.unknown])
     positions = rows.where(lambda kind: kind.position)
-    in_known_frame = positions & known_frames[rows.samples.frame]
+    in_known_frame = positions & ~task.setup.wholly_unknown[rows.samples.frame]
     return len(np.unique(stations[in_known_frame])) != 1

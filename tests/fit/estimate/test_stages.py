@@ -69,9 +69,9 @@ def test_repeats_count_for_what_they_do_not_share(virtual, mode, shared, own, rh
             prior_terms(virtual, virtual.kinematics.model), np.ones((1, len(rows)), dtype=bool), 1
         )
         linear = problem.linear(np.zeros(27))
-        stage = stage.sharing(linear, rows.poses, mode)
-        np.testing.assert_array_equal(stage.share, stage.share[0, 0])
-        shares.append(stage.share[0, 0])
+        stage = stage.by_repeats(linear, rows.poses, mode)
+        np.testing.assert_array_equal(stage.repeat_factor, stage.repeat_factor[0, 0])
+        shares.append(stage.repeat_factor[0, 0])
     assert np.mean(shares) == pytest.approx(1.0 / (1.0 + 3.0 * rho), abs=0.06)
 
 

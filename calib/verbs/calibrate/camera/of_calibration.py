@@ -9,7 +9,7 @@ import numpy as np
 from calib.basics.arrays import Array, Integers, Mask
 from calib.camera import optics
 from calib.camera.lenses import LENSES
-from calib.fit.registration.cameras import number_corners
+from calib.fit.registration.table_optics import number_corners
 from calib.fit.registration.table_rows import rows_and_setup
 from calib.result.calibration import Calibration
 from calib.show.row_values import flagged_rows

@@ -28,8 +28,8 @@ from calib.camera.camera import UNKNOWN, Camera
 from calib.camera.lenses import LENSES
 from calib.data.cell import Cell, TrackerNoise
 from calib.data.measurements import Measurements
-from calib.fit.registration.cameras import initial_optics
 from calib.fit.registration.setup import Setup
+from calib.fit.registration.table_optics import initial_optics
 from calib.fit.registration.table_setup import measurement_setup
 from calib.model.kinematics import Kinematics
 from calib.robot.kernel import over_blocks

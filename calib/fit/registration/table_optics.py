@@ -59,7 +59,7 @@ class _Owner:
 class _Images:
     """The corners in the images of a table of N rows."""
 
-    #: shape (N, 2), measured images [px]; NaN in other rows
+    #: shape (N, 2), where their images were measured [px]; NaN in other rows
     pixels: Array
     #: shape (N, 3), the corners as designed, on their boards [m]; NaN in other rows
     points: Array
@@ -67,8 +67,8 @@ class _Images:
     frame: Integers
     #: shape (N,), number of each row's target, from 0
     target: Integers
-    #: shape (N,), number of each row's picture: a pose, station and target
-    picture: Integers
+    #: shape (N,), number of each row's view: a pose, station and target
+    view: Integers
     #: Names of the corners, in the order of their numbers
     corners: tuple[str, ...]
     #: shape (N,), number of each row's corner
@@ -101,13 +101,13 @@ def initial_optics(
     frame = numbered(measurements.groups, setup.groups)
     target = numbered(measurements.targets, setup.targets)
     corners, corner = number_corners(measurements)
-    _, picture = np.unique(np.column_stack([pose, frame, target]), axis=0, return_inverse=True)
+    _, view = np.unique(np.column_stack([pose, frame, target]), axis=0, return_inverse=True)
     images = _Images(
         pixels=np.column_stack([measurements.reading("u"), measurements.reading("v")]),
         points=measurements.board_points,
         frame=frame,
         target=target,
-        picture=picture.reshape(-1),
+        view=view.reshape(-1),
         corners=corners,
         corner=corner,
     )
@@ -237,9 +237,9 @@ def _camera_numbers(
     start = camera.values
     if start is None:
         views = []
-        for picture in np.unique(images.picture[rows]).tolist():
-            of_picture = rows & (images.picture == picture)
-            views.append((images.points[of_picture], images.pixels[of_picture]))
+        for view in np.unique(images.view[rows]).tolist():
+            of_view = rows & (images.view == view)
+            views.append((images.points[of_view], images.pixels[of_view]))
         start = start_of_intrinsics(camera, views)
         sigma = widest
     elif camera.sigma is None:

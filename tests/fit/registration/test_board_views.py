@@ -7,9 +7,9 @@ import pytest
 
 from calib.camera.lenses import LENSES
 from calib.errors import MeasurementError
+from calib.fit.registration.board_views import images_as_poses
 from calib.fit.registration.registration import register
 from calib.fit.registration.table_rows import rows_and_setup
-from calib.fit.registration.views import images_as_poses
 from tests.images import BOARD, arm, cell, mounts, poses, table
 
 
