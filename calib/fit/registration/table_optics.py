@@ -63,10 +63,6 @@ class _Images:
     pixels: Array
     #: shape (N, 3), the corners as designed, on their boards [m]; NaN in other rows
     points: Array
-    #: shape (N,), number of each row's station, from 0
-    frame: Integers
-    #: shape (N,), number of each row's target, from 0
-    target: Integers
     #: shape (N,), number of each row's view: a pose, station and target
     view: Integers
     #: Names of the corners, in the order of their numbers
@@ -105,8 +101,6 @@ def initial_optics(
     images = _Images(
         pixels=np.column_stack([measurements.reading("u"), measurements.reading("v")]),
         points=measurements.board_points,
-        frame=frame,
-        target=target,
         view=view.reshape(-1),
         corners=corners,
         corner=corner,

@@ -66,7 +66,7 @@ def test_sockets_have_no_scale_until_a_distance_is_known(make_scene, join, seed)
 
 
 @pytest.mark.slow
-def test_the_noise_of_every_instrument_is_found(make_scene, join):
+def test_the_noise_of_every_channel_is_found(make_scene, join):
     found = []
     for seed in range(12):
         scene = make_scene(seed, frames=2, noise=5e-5, noise_angle=4e-4, length=4e-4, angle=2e-3)

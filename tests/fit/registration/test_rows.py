@@ -1,4 +1,4 @@
-"""What each kind of row says of a pose: residuals by hand, derivatives against differences, pairs and instruments."""
+"""What each kind of row says of a pose: residuals by hand, derivatives against differences, pairs and channels."""
 
 from __future__ import annotations
 

@@ -490,14 +490,14 @@ def test_corners_of_a_board_turn_its_origin_about_their_centroid():
         np.testing.assert_allclose(moved, np.cross(turn, origins[k] - [2.0, 1.0, 0.5]))
 
 
-def test_each_instrument_has_a_scale_of_its_own():
+def test_each_channel_has_a_scale_of_its_own():
     rng = np.random.default_rng(1)
     J = rng.normal(size=(40, 2, 6))
-    instruments = np.tile(np.array([0, 1], dtype=np.int8), (40, 1))
-    instruments[30:, 1] = -1
+    channel = np.tile(np.array([0, 1], dtype=np.int8), (40, 1))
+    channel[30:, 1] = -1
     J[:, 1, :3] = 0.0  # no translation moves an angle
     counts = rng.uniform(0.5, 1.0, 40)
-    scaled = of_unit_size(J, instruments, counts)
+    scaled = of_unit_size(J, channel, counts)
     np.testing.assert_array_equal(scaled[30:, 1], 0.0)
     for column, part, expected in (
         (0, slice(0, 3), 1.0),
@@ -505,7 +505,7 @@ def test_each_instrument_has_a_scale_of_its_own():
         (1, slice(0, 3), 0.0),
         (1, slice(3, 6), 1.0),
     ):
-        measured = instruments[:, column] >= 0
+        measured = channel[:, column] >= 0
         squares = np.sum(scaled[measured, column, part] ** 2, axis=1)
         assert np.average(squares, weights=counts[measured]) == pytest.approx(expected)
     np.testing.assert_allclose(scaled[0, 0, :3] / scaled[5, 0, :3], J[0, 0, :3] / J[5, 0, :3])
