@@ -39,7 +39,7 @@ class Task(Value):
 
     @property
     def has_weights_and_priors(self) -> bool:
-        """Whether fits by the solver weigh rows and have priors; else it has an estimate of its own."""
+        """True if fits by the solver weigh rows and have priors; else it has an estimate of its own."""
         return has_weights_and_priors(self.solver)
 
     def check_solver(self) -> None:

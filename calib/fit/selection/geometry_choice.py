@@ -1,6 +1,6 @@
 """Choice of the geometry: the candidate of the highest evidence, unless errors on held-out poses contradict.
 
-Two candidates are compared by a paired test: does one predict held-out poses better than the other, beyond chance?
+Two candidates are compared by a paired test: whether one predicts held-out poses better than the other beyond chance.
 """
 
 from __future__ import annotations

@@ -61,9 +61,9 @@ def linear_cross_validation(fitted: Fitted, outliers: Mask | None = None) -> Cro
     residuals = []
     for mask, x in zip(folds.masks, means, strict=True):
         part = linear.select(mask)
-        own = seen_only_by(fitted, mask)
-        if np.any(own):
-            x = _fit_own(part, x, own, problem.weights[mask])
+        unseen = seen_only_by(fitted, mask)  # by the rows outside of the fold
+        if np.any(unseen):
+            x = _fit_unseen(part, x, unseen, problem.weights[mask])
         standardised = part.residual(x)
         held_out_rows = rows.select(mask)
         residual = np.zeros(
@@ -75,19 +75,19 @@ def linear_cross_validation(fitted: Fitted, outliers: Mask | None = None) -> Cro
     return folds.join(rows, residuals, outliers)
 
 
-def _fit_own(part: LinearProblem, x: Array, own: Mask, weights: Array) -> Array:
-    """Fit those of the parameters x, (p,), that only the n rows of a part see, ``own``, (p,), to these rows.
+def _fit_unseen(part: LinearProblem, x: Array, unseen: Mask, weights: Array) -> Array:
+    """Fit those of the parameters x, (p,), that only the n rows of a part see, ``unseen``, (p,), to these rows.
 
     A row without weight, (n,), must not move the frame of the others.
     """
     row, _ = np.nonzero(part.used)
     root = np.sqrt(weights)[row]
-    by_others = part.residual(np.where(own, 0.0, x))[part.used]
-    columns = part.A[part.used][:, own]
+    by_others = part.residual(np.where(unseen, 0.0, x))[part.used]
+    columns = part.A[part.used][:, unseen]
     weighted_columns = columns * root[:, None]
     solution, *_ = np.linalg.lstsq(weighted_columns, by_others * root, rcond=1e-9)
     result = x.copy()
-    result[own] = solution
+    result[unseen] = solution
     return np.asarray(result)
 
 
