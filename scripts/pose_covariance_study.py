@@ -27,7 +27,7 @@ from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.fit.estimate.fitting import Fitted, fit
 from calib.fit.estimate.problem import Problem
-from calib.fit.estimate.stop_bodies import twists_of_joints
+from calib.fit.estimate.special_cases.stops import twists_of_joints
 from calib.fit.estimate.task import Task
 from calib.fit.registration.rows import Rows
 from calib.fit.registration.table_rows import rows_and_setup

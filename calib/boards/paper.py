@@ -1,15 +1,15 @@
 """Sheets of paper on which boards are printed: the place of the pattern, and the margins that it needs.
 
-            10 mm or the quiet zone
-    +------------------------------------+
-    |    |+--------------------------+   |
-    |  r ||                          |   |
-    |  u ||         pattern          |   |
-    |  l ||                          |   |
-    |  e |+--------------------------+   |
-    |  r   quiet zone                    |
-    |      ruler ------   text           |
-    +------------------------------------+
+10 mm or the quiet zone
++------------------------------------+
+|    |+--------------------------+   |
+|  r ||                          |   |
+|  u ||         pattern          |   |
+|  l ||                          |   |
+|  e |+--------------------------+   |
+|  r   quiet zone                    |
+|      ruler ------   text           |
++------------------------------------+
 """
 
 from __future__ import annotations

@@ -150,7 +150,7 @@ def pose_means(values: Array, weights: Array, poses: Integers) -> tuple[Array, I
 
     Args:
         values: shape (N, ...), whitened.
-        weights: shape (N,), > 0, those that `calib.fit.estimate.stages.Stage.sharing` gives to repeats.
+        weights: shape (N,), > 0, those that `calib.fit.estimate.stages.Stage.by_repeats` gives to repeats.
         poses: shape (N,), rows of one number are repeats.
 
     Returns:

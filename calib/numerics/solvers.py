@@ -17,9 +17,6 @@ from calib.basics.arrays import Array
 from calib.basics.values import Value
 from calib.errors import ModelError, SolverError, choices
 
-#: Name of the paper's algorithm, which is no weighted least-squares solver: it has neither weights nor priors.
-PAPER = "paper"
-
 #: Message of a solver that converged.
 _CONVERGED = "Relative change of cost and parameters below tolerance."
 
@@ -270,6 +267,8 @@ def _solution(
 def paper_levenberg_marquardt(
     system: System,
     x0: Array,
+    step_size: Array | None = None,  # noqa: ARG001  the length of its steps is relative to that of X
+    step_tolerance: float = 0.0,  # noqa: ARG001
     *,
     mu: float = 0.01,
     nu: float = 2.5,
@@ -287,6 +286,8 @@ def paper_levenberg_marquardt(
     Args:
         system: Maps X, shape (p,), to the error e, (m,), and its Jacobian de/dX, (m, p).
         x0: shape (p,), start.
+        step_size: Not used.
+        step_tolerance: Not used.
         mu: Damping of the first step.
         nu: Factor by which the damping changes.
         epsilon: Relative length of a step that has converged.
@@ -384,7 +385,15 @@ def scipy_least_squares(
 Solver = Callable[[System, Array, Array, float], Solution]
 
 #: The least-squares solvers by the name that `calib.calibrate` and ``--solver`` take; yours is one more.
-SOLVERS: dict[str, Solver] = {"lm": levenberg_marquardt, "scipy": scipy_least_squares}
+SOLVERS: dict[str, Solver] = {
+    "lm": levenberg_marquardt,
+    "scipy": scipy_least_squares,
+    "paper": paper_levenberg_marquardt,
+}
+
+#: Those that know neither weights nor priors: a fit has a whole estimate of its own for them, in place of
+#: weighted least squares.
+_WITHOUT_WEIGHTS_AND_PRIORS = frozenset({"paper"})
 
 plugins.watch("solvers", SOLVERS)
 
@@ -399,21 +408,24 @@ def register(name: str, solver: Solver) -> None:
     Raises:
         SolverError: The name is taken.
     """
-    if name in (*SOLVERS, PAPER):
-        raise SolverError(
-            f"The solver '{name}' needs a name other than {choices((*SOLVERS, PAPER), 60)}."
-        )
+    if name in SOLVERS:
+        raise SolverError(f"The solver '{name}' needs a name other than {choices(SOLVERS, 60)}.")
     SOLVERS[name] = solver
 
 
+def has_weights_and_priors(solver: str | Solver) -> bool:
+    """Return whether fits by a solver, a name or the function itself, weigh rows and have priors of parameters."""
+    return callable(solver) or solver not in _WITHOUT_WEIGHTS_AND_PRIORS
+
+
 def check_name(name: str) -> None:
-    """Check that there is a solver of this name, or that it is `PAPER`.
+    """Check that there is a solver of this name.
 
     Raises:
         ModelError: There is none.
     """
-    if name not in (*SOLVERS, PAPER):
-        raise ModelError(plugins.unknown("solvers", name, (*SOLVERS, PAPER)))
+    if name not in SOLVERS:
+        raise ModelError(plugins.unknown("solvers", name, SOLVERS))
 
 
 def _checked_start(system: System, x0: Array) -> _Evaluation:

@@ -21,7 +21,6 @@ from calib.basics.mappings import keep_read_only
 from calib.basics.values import Value
 from calib.errors import CalibError
 from calib.fit.estimate.fitting import Fitted, fit
-from calib.fit.estimate.task import PAPER
 from calib.fit.registration.rows import Rows
 from calib.fit.selection.linear_folds import linear_cross_validation
 from calib.result.fits import TableFits
@@ -145,7 +144,7 @@ def _fit_zeros(geometry: Fitted) -> tuple[Fitted, Mask]:
         CalibError: There is nothing to estimate, or too little to estimate it from.
     """
     task = replace(geometry.task, model="zeros", allow_absent=True)
-    if task.solver == PAPER:
+    if not task.has_weights_and_priors:
         task = replace(task, solver="lm")
     while True:
         fitted = fit(task, geometry.estimate.problem.rows, reference=geometry)

@@ -319,7 +319,7 @@ def _with_known(setup: Setup, known: Setup, which: tuple[str, ...]) -> Setup:
     whole = known.oriented or not setup.rotation
     fixed = target_known if whole else np.zeros_like(target_known)
     return replace(
-        setup.with_fixed(frame_known, fixed).placed(frames, targets),
+        setup.with_fixed(frame_known, fixed).with_poses(frames, targets),
         frame_given=setup.frame_given | frame_known,
         target_given=np.where(target_known, fixed, setup.target_given),
     )

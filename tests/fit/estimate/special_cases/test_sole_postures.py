@@ -11,7 +11,7 @@ from calib.data.cell import Cell, Priors
 from calib.data.measurements import Measurements
 from calib.fit.estimate.fitting import Fitted, fit
 from calib.fit.estimate.prior_terms import PriorTerms
-from calib.fit.estimate.sole_postures import _NOISE_OF_OTHERS, _joseph_update, _Update
+from calib.fit.estimate.special_cases.sole_postures import _NOISE_OF_OTHERS, _joseph_update, _Update
 from calib.fit.estimate.stages import Stage
 from calib.fit.estimate.task import Task
 from calib.fit.registration.table_rows import rows_and_setup
@@ -118,7 +118,7 @@ def test_elsewhere_the_robot_is_as_without_it(ur3, truth):
     whole, rest = fitted(table, ur3), fitted(without(table), ur3)
     q = random_joint_values(ur3, 100, 77)
     q[:, WRIST] = 0.3
-    T_target = [one.placed().T_tip_target[0] for one in (whole, rest)]
+    T_target = [one.estimated_setup().T_tip_target[0] for one in (whole, rest)]
     robots = [one.kinematics.model.apply(ur3, one.estimate.x) for one in (whole, rest)]
     points = [(r.poses(q) @ T)[:, :3, 3] for r, T in zip(robots, T_target, strict=True)]
     assert np.linalg.norm(points[0] - points[1], axis=1).max() < 1e-5

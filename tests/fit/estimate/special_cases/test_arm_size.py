@@ -9,8 +9,8 @@ import pytest
 
 from calib.data.cell import Cell, GroupDistance
 from calib.fit.estimate.fitting import fit
-from calib.fit.estimate.gauge import _with_setup_growth, size_gauge
 from calib.fit.estimate.problem import Problem
+from calib.fit.estimate.special_cases.arm_size import _with_setup_growth, find_size_gauge
 from calib.fit.estimate.task import Task
 from calib.fit.registration.known_distances import known_distances
 from calib.fit.registration.table_rows import rows_and_setup
@@ -98,7 +98,7 @@ def test_rows_see_growth_by_more_than_a_thousandth_of_the_reach(sockets, share, 
     reach = np.sqrt(np.mean(np.sum((tips - tips.mean(axis=0)) ** 2, axis=1)))
     change *= share * 1e-3 * reach / 1e-4 / np.sqrt(np.mean(change**2))  # in units of sigma
     A += np.outer(change - unseen, lengths / (lengths @ lengths)).reshape(A.shape)
-    found = size_gauge(problem.kinematics, rows, A, np.zeros(A.shape[:2]))
+    found = find_size_gauge(problem.kinematics, rows, A, np.zeros(A.shape[:2]))
     assert (found is None) == is_seen
 
 
@@ -172,7 +172,7 @@ def test_the_size_is_as_uncertain_as_it_was(sockets):
     rows, setup = rows_and_setup(scene.robot, table, cell)
     estimate = fit(Task(scene.robot, cell, setup, "dh"), rows).estimate
     held = estimate.problem.gauge.held
-    expected = np.sum(held[held != 0.0] ** 2 / estimate.problem.precision[held != 0.0])
+    expected = np.sum(held[held != 0.0] ** 2 / estimate.problem.prior_precision[held != 0.0])
     assert held @ estimate.covariance @ held == pytest.approx(expected, rel=1e-3)
     assert expected > 1e-10
 

@@ -26,7 +26,6 @@ _WIDE = {"px": 1e4, "1": 10.0}
 #: The fewest images that must see a corner for its own error on the print to be estimated.
 _FEWEST_IMAGES = 2
 
-
 #: Places of corners that differ by less, as a share of a square, are the same.
 _ALIKE = 1e-3
 
@@ -36,46 +35,43 @@ _NO_EXTENT = 1e-12
 #: Corners so far outside of the image are of another size of images, as a share of the width.
 _BESIDE = 0.01
 
+#: A board of which nothing is given: how well it is known, by its defaults.
+_UNKNOWN_BOARD = Board(pattern="chessboard", columns=3, rows=3, square=0.03)
+
 
 @dataclass(frozen=True, slots=True)
 class _Owner:
     """The camera or the board that unknowns are of."""
 
-    #: What a cell calls it; "" for one without a name.
+    #: What a cell calls it; "" for one without a name
     key: str
-    #: Its name in those of parameters; "" for the only one.
+    #: Its name in those of parameters; "" for the only one
     name: str
-    #: Its number, from 0.
+    #: Its number, from 0
     number: int
-    #: Place of its first station or target in the error model.
+    #: Place of its first station or target in the error model
     place: str
-    #: Numbers of its stations or targets.
+    #: Numbers of its stations or targets
     members: tuple[int, ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Images:
-    """Rows of a table that are images of corners."""
+    """The corners in the images of a table of N rows."""
 
-    #: shape (N,), which rows they are
-    rows: Mask
-    #: shape (N, 2), measured images [px]; NaN in other rows
+    #: shape (N, 2), where their images were measured [px]; NaN in other rows
     pixels: Array
     #: shape (N, 3), the corners as designed, on their boards [m]; NaN in other rows
     points: Array
-    #: shape (N,), number of each row's station, from 0
-    frame: Integers
-    #: shape (N,), number of each row's target, from 0
-    target: Integers
-    #: shape (N,), number of each row's picture: a pose, station and target
-    picture: Integers
+    #: shape (N,), number of each row's view: a pose, station and target
+    view: Integers
     #: Names of the corners, in the order of their numbers
     corners: tuple[str, ...]
     #: shape (N,), number of each row's corner
     corner: Integers
 
 
-def optics_of_rows(
+def initial_optics(
     measurements: Measurements, cell: Cell, setup: Setup, pose: Integers
 ) -> tuple[Array | None, tuple[OpticalUnknown, ...]]:
     """Return the numbers by which images are predicted before the fit, and those that the fit estimates.
@@ -87,7 +83,7 @@ def optics_of_rows(
         pose: shape (N,), number of the robot's pose at each row.
 
     Returns:
-        shape (N, `calib.camera.optics.COUNT`), zero in rows of other kinds; None where no row is an image. And the
+        shape (N, `calib.camera.optics.COUNT`), zero in rows of other kinds; None if no row is an image. And the
         unknowns, camera by camera, then board by board.
 
     Raises:
@@ -97,24 +93,43 @@ def optics_of_rows(
     is_image = measurements.where(lambda kind: kind.optical)
     if not np.any(is_image):
         return None, ()
-    images = _images_of(measurements, setup, is_image, pose)
+    assert measurements.board_points is not None
+    frame = numbered(measurements.groups, setup.groups)
+    target = numbered(measurements.targets, setup.targets)
+    corners, corner = number_corners(measurements)
+    _, view = np.unique(np.column_stack([pose, frame, target]), axis=0, return_inverse=True)
+    images = _Images(
+        pixels=np.column_stack([measurements.reading("u"), measurements.reading("v")]),
+        points=measurements.board_points,
+        view=view.reshape(-1),
+        corners=corners,
+        corner=corner,
+    )
+
     values = np.zeros((len(measurements), optics.COUNT))
     unknowns: list[OpticalUnknown] = []
     frames, targets = setup.places
-    for camera in _owners(setup.groups, frames, images.frame[is_image], cell.cameras):
-        rows = is_image & np.isin(images.frame, camera.members)
-        described = _camera(cell, camera, measurements)
-        _check_size(described, images, rows, measurements)
-        values[rows], of_camera = _of_camera(described, images, rows, camera)
-        unknowns += of_camera
-    for board in _owners(setup.targets, targets, images.target[is_image], cell.boards):
-        rows = is_image & np.isin(images.target, board.members)
-        print_of_board = cell.boards.get(board.key)
-        if print_of_board is not None:
-            _check_squares(print_of_board, images, rows, measurements)
-        _fill_board(values, images, rows, print_of_board)
-        values[rows, optics.BOARD] = board.number
-        unknowns += _board_unknowns(print_of_board or _unknown_board(), images, rows, board)
+    for owner in _owners(setup.groups, frames, frame[is_image], cell.cameras):
+        rows = is_image & np.isin(frame, owner.members)
+        camera = cell.cameras.get(owner.key)
+        if camera is None:
+            of_group = f" of '{owner.key}'" if owner.key else ""
+            raise MeasurementError(
+                f"{measurements.source or 'Measurements'}: nothing is known of the camera{of_group}. Give its "
+                "intrinsics (--camera camera_info.yaml), or the size of its images alone (--camera 1280x720): then the "
+                "images tell the rest."
+            )
+        _check_size(camera, images, rows, measurements)
+        values[rows], of_lens = _camera_numbers(camera, images, rows, owner)
+        unknowns += of_lens
+    for owner in _owners(setup.targets, targets, target[is_image], cell.boards):
+        rows = is_image & np.isin(target, owner.members)
+        board = cell.boards.get(owner.key)
+        if board is not None:
+            _check_squares(board, images, rows, measurements)
+        _fill_board(values, images, rows, board)
+        values[rows, optics.BOARD] = owner.number
+        unknowns += _board_unknowns(board or _UNKNOWN_BOARD, images, rows, owner)
     return read_only(values), tuple(unknowns)
 
 
@@ -124,19 +139,10 @@ def _owners(
     numbers: Integers,
     described: Mapping[str, object],
 ) -> list[_Owner]:
-    """Group stations by their camera, or targets by their board.
+    """Group the stations that occur, by their numbers, by their camera, or targets by their board.
 
     One that is described without a name is that of all that have none of their own: a camera that was moved to several
     stations, or a board that was moved to several places.
-
-    Args:
-        names: Names of all stations, or of all targets.
-        places: Their places in the error model.
-        numbers: Those that occur, by their numbers.
-        described: Cameras or boards by name.
-
-    Returns:
-        The cameras, or the boards.
     """
     members: dict[str, list[int]] = {}
     for number in np.unique(numbers).tolist():
@@ -151,26 +157,7 @@ def _owners(
     return result
 
 
-def _images_of(measurements: Measurements, setup: Setup, is_image: Mask, pose: Integers) -> _Images:
-    """Collect what a table has of images; see `optics_of_rows`."""
-    assert measurements.board_points is not None
-    frame = numbered(measurements.groups, setup.groups)
-    target = numbered(measurements.targets, setup.targets)
-    corners, corner = corners_of(measurements)
-    _, picture = np.unique(np.column_stack([pose, frame, target]), axis=0, return_inverse=True)
-    return _Images(
-        rows=is_image,
-        pixels=np.column_stack([measurements.reading("u"), measurements.reading("v")]),
-        points=measurements.board_points,
-        frame=frame,
-        target=target,
-        picture=picture.reshape(-1),
-        corners=corners,
-        corner=corner,
-    )
-
-
-def corners_of(measurements: Measurements) -> tuple[tuple[str, ...], Integers]:
+def number_corners(measurements: Measurements) -> tuple[tuple[str, ...], Integers]:
     """Return the names of all corners, and the number of each row's corner among them, shape (N,).
 
     A corner without a name in the table is named by its place on the board, in millimetres.
@@ -188,35 +175,8 @@ def corners_of(measurements: Measurements) -> tuple[tuple[str, ...], Integers]:
     return present, numbered(names, present)
 
 
-def _camera(cell: Cell, owner: _Owner, measurements: Measurements) -> Camera:
-    """Return a camera as the cell gives it.
-
-    Raises:
-        MeasurementError: It gives none.
-    """
-    camera = cell.cameras.get(owner.key)
-    if camera is None:
-        of_group = f" of '{owner.key}'" if owner.key else ""
-        raise MeasurementError(
-            f"{measurements.source or 'Measurements'}: nothing is known of the camera{of_group}. Give its intrinsics "
-            "(--camera camera_info.yaml), or the size of its images alone (--camera 1280x720): then the images tell "
-            "the rest."
-        )
-    return camera
-
-
 def _check_size(camera: Camera, images: _Images, rows: Mask, measurements: Measurements) -> None:
-    """Refuse corners outside of a camera's images, and intrinsics that are those of another resolution.
-
-    Args:
-        camera: The camera.
-        images: All images.
-        rows: shape (N,), those of this camera.
-        measurements: The table, which errors name.
-
-    Raises:
-        MeasurementError: A corner is outside, or the lens's centre is that of images of another size.
-    """
+    """Refuse corners outside of the images of a camera's rows, (N,), and intrinsics that are of another resolution."""
     source = measurements.source or "Measurements"
     size = np.array([camera.width, camera.height])
     beyond = np.maximum(-images.pixels, images.pixels - size)
@@ -241,20 +201,10 @@ def _check_size(camera: Camera, images: _Images, rows: Mask, measurements: Measu
 
 
 def _check_squares(board: Board, images: _Images, rows: Mask, measurements: Measurements) -> None:
-    """Refuse a table of corners that was made with another size of the board's squares.
-
-    Args:
-        board: The board as described.
-        images: All images.
-        rows: shape (N,), those of this board.
-        measurements: The table, which errors name.
-
-    Raises:
-        MeasurementError: The corners of the table lie further apart, or nearer, by one factor.
-    """
+    """Refuse a table whose corners, in the rows of a board, (N,), lie further apart, or nearer, by one factor."""
     names = [images.corners[k] for k in images.corner[rows].tolist()]
     if not all(name.isdecimal() and int(name) < len(board.corners) for name in names):
-        return  # the names are not those of calib: other places of the corners may be meant
+        return  # the names are not those of calib: they may be of other places
     designed = board.corners[[int(name) for name in names]]
     far_designed = np.linalg.norm(designed - designed.mean(axis=0), axis=1)
     given = images.points[rows]
@@ -272,29 +222,23 @@ def _check_squares(board: Board, images: _Images, rows: Mask, measurements: Meas
         )
 
 
-def _of_camera(
+def _camera_numbers(
     camera: Camera, images: _Images, rows: Mask, owner: _Owner
 ) -> tuple[Array, list[OpticalUnknown]]:
-    """Return the numbers of a camera's rows before the fit, and the unknowns of its lens.
-
-    Args:
-        camera: The camera.
-        images: All images.
-        rows: shape (N,), those of this camera, n of them.
-        owner: The camera that unknowns are of.
-
-    Returns:
-        shape (n, `optics.COUNT`), and the unknowns.
-    """
+    """Return the numbers of a camera's n rows before the fit, (n, `optics.COUNT`), and the unknowns of its lens."""
     lens = LENSES[camera.lens]
+    widest = np.array([_WIDE[unit] for unit in lens.units])
     start = camera.values
     if start is None:
-        start = start_of_intrinsics(camera, _views(images, rows))
-        sigma = np.array([_WIDE[unit] for unit in lens.units])
+        views = []
+        for view in np.unique(images.view[rows]).tolist():
+            of_view = rows & (images.view == view)
+            views.append((images.points[of_view], images.pixels[of_view]))
+        start = start_of_intrinsics(camera, views)
+        sigma = widest
     elif camera.sigma is None:
         sigma = lens.default_sigma(start, camera.width)
     else:
-        widest = np.array([_WIDE[unit] for unit in lens.units])
         sigma = np.minimum(camera.sigma, widest)
     values = np.zeros((int(np.sum(rows)), optics.COUNT))
     values[:, : len(start)] = start
@@ -308,28 +252,10 @@ def _of_camera(
     return values, unknowns
 
 
-def _views(images: _Images, rows: Mask) -> list[tuple[Array, Array]]:
-    """Return corners on their board (k, 3) [m] and their images (k, 2) [px], of each picture of one camera."""
-    result = []
-    for picture in np.unique(images.picture[rows]).tolist():
-        of_picture = rows & (images.picture == picture)
-        result.append((images.points[of_picture], images.pixels[of_picture]))
-    return result
-
-
-def _unknown_board() -> Board:
-    """Return the board of which nothing is given: how well it is known, by its defaults."""
-    return Board(pattern="chessboard", columns=3, rows=3, square=0.03)
-
-
 def _fill_board(values: Array, images: _Images, rows: Mask, board: Board | None) -> None:
-    """Set the corners of a board's rows as designed, in place.
+    """Set the corners of a board's rows, (N,), as designed, in ``values``, (N, `optics.COUNT`).
 
-    Args:
-        values: shape (N, `optics.COUNT`).
-        images: All images.
-        rows: shape (N,), those of this board.
-        board: The board; None: its extent is that of the corners seen.
+    The extent of a board of which nothing is given is that of the corners seen.
     """
     points = images.points[rows]
     least = points.min(axis=0)
@@ -348,14 +274,7 @@ def _fill_board(values: Array, images: _Images, rows: Mask, board: Board | None)
 def _board_unknowns(
     board: Board, images: _Images, rows: Mask, owner: _Owner
 ) -> list[OpticalUnknown]:
-    """Return the unknowns of a board: the scale and the flatness of the print, and its corners' places.
-
-    Args:
-        board: How well these are known.
-        images: All images.
-        rows: shape (N,), those of this board.
-        owner: The board that unknowns are of.
-    """
+    """Return the unknowns of a board: the scale and the flatness of the print, and its corners' places."""
     result = []
     for k, axis in enumerate("xy"):
         if board.sigma_scale > 0.0:
@@ -378,15 +297,9 @@ def _board_unknowns(
 def _parameter(
     name: str, unit: str, owner: _Owner, family: str, optic: int, corner: int | None = None
 ) -> Parameter:
-    """Return the parameter of a number of a camera or board, with the name of camera or board in brackets behind it.
+    """Return the parameter of a number of a camera or board: ``"fx[left]"``.
 
-    Args:
-        name: What it is: ``"fx"``.
-        unit: Symbol of its unit.
-        owner: The camera or the board.
-        family: `CAMERA` or `BOARD`.
-        optic: Column of `calib.camera.optics` that it adds to.
-        corner: Number of the corner that it is for; None for all.
+    It adds to the column ``optic`` of `calib.camera.optics`, at one corner, by its number, or at all.
     """
     samples = [(optics.CAMERA if family == CAMERA else optics.BOARD, owner.number)]
     if corner is not None:

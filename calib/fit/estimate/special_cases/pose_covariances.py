@@ -2,6 +2,8 @@
 
 See `calib.numerics.pose_noise`. The fit, at given noise of the poses, and this noise, from the fit's residuals, are
 estimated in turn until it settles.
+
+`fit` gives rows what errors of joints do to them (`with_joint_errors`), and calls `settle_pose_noise` on its estimate.
 """
 
 from __future__ import annotations
@@ -15,8 +17,8 @@ from calib.fit.estimate.bounds import estimate_within_bounds
 from calib.fit.estimate.estimate import Estimate
 from calib.fit.estimate.prior_terms import PriorTerms
 from calib.fit.estimate.problem import Problem
+from calib.fit.estimate.special_cases.stops import twists_of_joints
 from calib.fit.estimate.stages import FEWEST_FREEDOM
-from calib.fit.estimate.stop_bodies import twists_of_joints
 from calib.fit.estimate.task import Task
 from calib.fit.registration.rows import USUAL_POSE_NOISE, Rows
 from calib.model.kinematics import Kinematics
@@ -36,40 +38,38 @@ _SETTLED = 0.1
 
 
 def with_joint_errors(rows: Rows, kinematics: Kinematics) -> Rows:
-    """Return rows with what the errors of joints do to poses that have a covariance; themselves without such rows.
-
-    Args:
-        rows: N rows of measurements.
-        kinematics: The nominal robot, frames and targets as registered.
-    """
+    """Return rows with what the errors of joints do to poses that have a covariance; themselves without such rows."""
     if not np.any(rows.correlated):
         return rows
     J = twists_of_joints(kinematics, rows.samples)
     return replace(rows, by_joints=J @ J.transpose(0, 2, 1))
 
 
-def estimate_with_pose_noise(problem: Problem, task: Task, prior: PriorTerms) -> Estimate:
-    """Estimate parameters within their bounds, and the noise of measured poses that have covariances.
+def settle_pose_noise(
+    estimate: Estimate, problem: Problem, task: Task, prior: PriorTerms
+) -> Estimate:
+    """Estimate the noise of measured poses that have covariances, and all parameters again, in turn until it settles.
 
     Args:
-        problem: The least-squares problem of N rows and p parameters, with its sole postures marked.
-        task: Robot, cell and options of the fit.
-        prior: Priors of the p parameters, none of them held.
+        estimate: The estimate within bounds, with the noise of poses as it is in the problem.
+        problem: The least-squares problem, with its sole postures marked.
+        task: The fit.
+        prior: Priors of the parameters, none of them held.
 
     Returns:
-        The estimate. Its ``problem.rows.pose_noise`` is the estimated one; that of ``problem`` where no row has a
-        covariance, where the rows come with weights, or where fewer than `FEWEST_FREEDOM` degrees of freedom are left.
+        The estimate, whose ``problem.rows.pose_noise`` is the estimated one; the given one if no row has a covariance,
+        if the rows come with weights, or if fewer than `FEWEST_FREEDOM` degrees of freedom are left.
 
     Raises:
         SolverError: The residual is not finite at the start.
     """
-    estimate = estimate_within_bounds(problem, task, prior)
     if not np.any(problem.rows.correlated) or problem.rows.weights is not None:
         return estimate
     for _ in range(_ROUNDS):
-        noise = _noise_of(estimate)
-        if noise is None:
+        evidence = _evidence(estimate)
+        if evidence is None:
             break
+        noise = likeliest_noise(*evidence, USUAL_POSE_NOISE)
         is_settled = _is_settled(problem.rows, noise)
         problem = problem.with_rows(replace(problem.rows, pose_noise=noise))
         estimate = estimate_within_bounds(problem, task, prior)
@@ -86,7 +86,7 @@ def covariance_support(estimate: Estimate) -> tuple[float, float] | None:
 
     Returns:
         What `support` gives, and what it would give if residuals were as the covariances and a usual robot say; None
-        where no pose has a covariance, or too few degrees of freedom are left.
+        if no pose has a covariance, or too few degrees of freedom are left.
     """
     evidence = _evidence(estimate)
     if evidence is None:
@@ -99,16 +99,10 @@ def covariance_support(estimate: Estimate) -> tuple[float, float] | None:
     )
 
 
-def _noise_of(estimate: Estimate) -> PoseNoise | None:
-    """Return the noise of poses that a fit's residuals tell; None where too few degrees of freedom are left."""
-    evidence = _evidence(estimate)
-    return None if evidence is None else likeliest_noise(*evidence, USUAL_POSE_NOISE)
-
-
 def _evidence(estimate: Estimate) -> tuple[Array, Array, Array, Array] | None:
     """Return C, J_q J_q^T, S and weights of the poses with a covariance, see `calib.numerics.pose_noise`.
 
-    None where there are none, or too few degrees of freedom are left.
+    None if there are none, or too few degrees of freedom are left.
     """
     problem = estimate.problem
     rows = problem.rows

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.linalg import block_diag
 
-from calib.fit.estimate.stop_shares import (
+from calib.fit.estimate.special_cases.stop_shares import (
     PARTS,
     Moments,
     _InverseCovariance,

@@ -10,8 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from calib.data.cell import Cell
 from calib.fit.estimate.fitting import fit
-from calib.fit.estimate.pose_noise import with_joint_errors
 from calib.fit.estimate.problem import Problem
+from calib.fit.estimate.special_cases.pose_covariances import with_joint_errors
 from calib.fit.estimate.task import Task
 from calib.fit.registration.rows import USUAL_POSE_NOISE
 from calib.fit.registration.table_rows import rows_and_setup

@@ -12,9 +12,10 @@ from scipy.optimize import minimize
 from calib.data.cell import Cell
 from calib.diagnosis.reasons import Why
 from calib.diagnosis.residual_patterns import Order, residual_patterns
-from calib.fit.estimate import problem as problem_module, stop_errors
+from calib.fit.estimate import problem as problem_module
 from calib.fit.estimate.fitting import fit
 from calib.fit.estimate.problem import Problem
+from calib.fit.estimate.special_cases import stops as stops_module
 from calib.fit.estimate.task import Task
 from calib.fit.registration.table_rows import rows_and_setup
 from calib.fit.selection.linear_folds import fold_posterior_means
@@ -29,6 +30,14 @@ from tests.places import ROOT
 
 sys.path.append(str(ROOT / "scripts"))
 from stops_study import Hand, compare_fits
+
+from calib.fit.estimate.special_cases.stops import (
+    of_unit_size,
+    twists_of_bodies,
+    twists_of_joints,
+)
+from calib.model.kinematics import Samples
+from calib.robot.robot import Robot
 
 HAND = [place([0.08, 0.0, 0.05]), place([-0.07, 0.03, 0.08]), place([0.0, -0.09, 0.06])]
 HAND += [place([0.02, 0.06, 0.14], [0.3, 0.1, -0.2])]
@@ -88,6 +97,11 @@ def dense(problem, weights, rho):
     return K, row, column, number
 
 
+def shares_by(linear, x, covariance, weights, rho):
+    """The shares that the residuals of fits at x have."""
+    return linear.stops.estimate_shares(linear.columns, x - linear.x, covariance, weights, rho)
+
+
 RHO = np.array([[0.5, 0.25, 0.1], [0.1, 0.5, 0.2], [0.0, 0.3, 0.4]])
 
 
@@ -130,7 +144,7 @@ def test_the_body_moves_as_one_and_its_effect_has_mean_square_one(mixed):
                 if len(b) and np.any(np.abs(b) > 1e-9):
                     np.testing.assert_allclose(b / np.abs(b).max(), a / np.abs(a).max(), atol=1e-4)
     for c in range(3):
-        own = stops.instruments == c
+        own = stops.channel == c
         squares = [
             np.sum(stops.J[own][:, part] ** 2) / np.sum(own)
             for part in (slice(3), slice(3, 6), slice(6, None))
@@ -140,7 +154,7 @@ def test_the_body_moves_as_one_and_its_effect_has_mean_square_one(mixed):
 
 @pytest.mark.parametrize("part", [7, 10_000])
 def test_normal_equations_and_likelihood_by_the_dense_covariance(mixed, monkeypatch, part):
-    monkeypatch.setattr(stop_errors, "_PART", part)
+    monkeypatch.setattr(stops_module, "_PART", part)
     rng, p = np.random.default_rng(6), mixed.size
     linear = mixed.linear(np.zeros(p))
     weights = np.where(rng.uniform(size=(2, len(mixed.rows))) < 0.2, 0.0, 1.0)
@@ -170,7 +184,7 @@ def test_the_system_that_solvers_see_is_whitened_alike(mixed, monkeypatch, tall)
     rng = np.random.default_rng(7)
     weights = rng.choice([0.0, 0.3, 1.0], len(mixed.rows))
     noise = np.array([1.0, 2.0, 3.0])
-    problem = replace(mixed, weights=weights, noise=noise, rho=RHO)
+    problem = replace(mixed, weights=weights, noise=noise, stop_shares=RHO)
     x = 1e-4 * rng.normal(size=mixed.size)
     r, J = problem.system(x)
     K, row, column, number = dense(mixed, weights, RHO)
@@ -289,7 +303,7 @@ def test_shares_against_monte_carlo_truth(make_scene, own, shift, turn, play):
             # The noise that goes with them.
             left = linear.normal_equations(one, rho)
             noise = left.residual_square(x) / (left.count - np.trace(left.H[0, 0] @ covariance[0]))
-            rho = linear.stop_shares(x, covariance * noise[0, 0], one, rho)
+            rho = shares_by(linear, x, covariance * noise[0, 0], one, rho)
         found.append([*rho[0, 0], np.sqrt(noise[0, 0]) * 1e-4])
     parts = np.array([shift, lever * turn, reach * play]) ** 2
     total = own**2 + np.sum(parts)
@@ -324,7 +338,7 @@ def test_shares_maximise_the_restricted_likelihood(make_scene):
     rho = np.zeros((1, 1, 3))
     for _ in range(30):
         x, covariance, _ = linear.fit(one, rho, np.array([[best[0]]]), priors)
-        rho = linear.stop_shares(x, covariance, one, rho)
+        rho = shares_by(linear, x, covariance, one, rho)
     assert np.sum(best[1:]) < 0.95
     assert rho[0, 0] == pytest.approx(best[1:], abs=2e-3)
 
@@ -337,7 +351,7 @@ def test_too_few_stops_share_nothing(make_scene):
         problem = problem_of(scene, table)
         linear, nothing = problem.linear(np.zeros(problem.size)), np.zeros((1, problem.size))
         covariance, one = np.zeros((1, problem.size, problem.size)), np.ones((1, 4 * stops))
-        rho = linear.stop_shares(nothing, covariance, one, np.zeros((1, 1, 3)))
+        rho = shares_by(linear, nothing, covariance, one, np.zeros((1, 1, 3)))
         assert bool(np.any(rho > 0.9)) == told
         assert bool(np.any(rho)) == told
 
@@ -353,7 +367,7 @@ def hand(ur3):
 def test_a_fit_finds_what_its_stops_share(hand):
     _, fitted = hand
     estimate = fitted.estimate
-    assert np.sum(estimate.problem.rho) == pytest.approx(0.9, abs=0.06)
+    assert np.sum(estimate.problem.stop_shares) == pytest.approx(0.9, abs=0.06)
     assert estimate.noise[0] * 1e-4 == pytest.approx(np.sqrt(10.0) * 5e-5, rel=0.2)
     # The least of what the solver sees is the linear fit with these shares.
     residual, jacobian = estimate.problem.system(estimate.x)
@@ -363,7 +377,7 @@ def test_a_fit_finds_what_its_stops_share(hand):
         one.data_gradient
         for one in parameter_estimates(fitted, estimate.problem.observability(estimate.x))
     ]
-    held = estimate.problem.precision * (estimate.x - estimate.problem.centre)
+    held = estimate.problem.prior_precision * (estimate.x - estimate.problem.prior_mean)
     np.testing.assert_allclose(data_gradients, held, atol=1e-3 * np.abs(held).max())
 
 
@@ -372,8 +386,8 @@ def test_rows_are_judged_one_by_one(hand):
     _, fitted = hand
     estimate, problem = fitted.estimate, fitted.estimate.problem
     linear, noise = problem.linear(estimate.x), np.array([estimate.noise])
-    priors = GaussianPriors(problem.precision, problem.centre)
-    _, alone, _ = linear.fit(problem.weights[None], 0.0 * problem.rho, noise, priors)
+    priors = GaussianPriors(problem.prior_precision, problem.prior_mean)
+    _, alone, _ = linear.fit(problem.weights[None], 0.0 * problem.stop_shares, noise, priors)
     assert np.min(np.diag(alone[0]) / np.diag(estimate.covariance)) < 0.5
     scores = linear.scores(estimate.x[None], alone, problem.weights[None], noise)[0]
     np.testing.assert_allclose(estimate.scores, scores, rtol=1e-6)
@@ -384,10 +398,13 @@ def test_folds_are_fitted_with_what_stops_share(hand):
     estimate, problem = fitted.estimate, fitted.estimate.problem
     linear, mask = problem.linear(estimate.x), problem.rows.blocks < 5
     (x,) = fold_posterior_means(fitted, linear, mask[None])
-    noise, priors = np.array([estimate.noise]), GaussianPriors(problem.precision, problem.centre)
+    noise, priors = (
+        np.array([estimate.noise]),
+        GaussianPriors(problem.prior_precision, problem.prior_mean),
+    )
     rest = linear.select(~mask)
-    found = rest.fit(problem.weights[None, ~mask], problem.rho, noise, priors)[0][0]
-    alone = rest.fit(problem.weights[None, ~mask], 0.0 * problem.rho, noise, priors)[0][0]
+    found = rest.fit(problem.weights[None, ~mask], problem.stop_shares, noise, priors)[0][0]
+    alone = rest.fit(problem.weights[None, ~mask], 0.0 * problem.stop_shares, noise, priors)[0][0]
     std = np.sqrt(np.diag(estimate.covariance))
     np.testing.assert_allclose(x, found, atol=1e-6 * std.min())
     assert np.max(np.abs(x - alone) / std) > 0.1
@@ -397,7 +414,7 @@ def test_stops_are_drawn_whole(hand):
     """As many again of each stop, and without priors: the least stays where it was."""
     _, fitted = hand
     estimate = fitted.estimate
-    problem = replace(estimate.problem, precision=1e-6 * estimate.problem.precision)
+    problem = replace(estimate.problem, prior_precision=1e-6 * estimate.problem.prior_precision)
     some = replace(fitted, estimate=replace(estimate, problem=problem))
     drawn = np.zeros(len(estimate.x) + len(problem.distances))
     once, twice = (_fit_sample(some, (np.full(len(problem.rows), k), drawn))[0] for k in (1, 2))
@@ -445,3 +462,92 @@ def test_the_covariance_against_monte_carlo(make_scene, own, shift, turn):
         squares.append([np.sum(off**2), np.sum(spread)])
     of_errors, stated = np.sqrt(np.mean(squares, axis=0))
     assert stated == pytest.approx(of_errors, rel=0.1)
+
+
+def test_points_of_a_body_turn_about_their_weighted_centroid():
+    points = np.array([[1.0, 0.0, 0.0], [0.0, 2.0, 0.0], [4.0, 0.0, 0.0], [5.0, 5.0, 5.0]])
+    stops = np.array([3, 3, 3, 8])
+    twists = twists_of_bodies(points, points, stops, np.array([1.0, 1.0, 2.0, 1.0]))
+    centroid = np.array([2.25, 0.5, 0.0])
+    np.testing.assert_array_equal(twists[:, :3, :3], np.tile(np.eye(3), (4, 1, 1)))
+    np.testing.assert_array_equal(twists[:, 3:, :3], 0.0)
+    np.testing.assert_array_equal(twists[:, 3:, 3:], np.tile(np.eye(3), (4, 1, 1)))
+    turn = np.array([0.1, -0.2, 0.3])
+    for k in range(3):
+        moved = twists[k, :3, 3:] @ turn
+        np.testing.assert_allclose(moved, np.cross(turn, points[k] - centroid))
+    # The only point of its body stays where it is.
+    np.testing.assert_array_equal(twists[3, :3, 3:], 0.0)
+
+
+def test_corners_of_a_board_turn_its_origin_about_their_centroid():
+    corners = np.array([[1.0, 0.0, 0.5], [3.0, 2.0, 0.5]])
+    origins = np.array([[5.0, 5.0, 5.0], [5.0, 5.0, 5.0]])
+    twists = twists_of_bodies(origins, corners, np.array([0, 0]), np.ones(2))
+    turn = np.array([0.1, -0.2, 0.3])
+    for k in range(2):
+        moved = twists[k, :3, 3:] @ turn
+        np.testing.assert_allclose(moved, np.cross(turn, origins[k] - [2.0, 1.0, 0.5]))
+
+
+def test_each_channel_has_a_scale_of_its_own():
+    rng = np.random.default_rng(1)
+    J = rng.normal(size=(40, 2, 6))
+    channel = np.tile(np.array([0, 1], dtype=np.int8), (40, 1))
+    channel[30:, 1] = -1
+    J[:, 1, :3] = 0.0  # no translation moves an angle
+    counts = rng.uniform(0.5, 1.0, 40)
+    scaled = of_unit_size(J, channel, counts)
+    np.testing.assert_array_equal(scaled[30:, 1], 0.0)
+    for column, part, expected in (
+        (0, slice(0, 3), 1.0),
+        (0, slice(3, 6), 1.0),
+        (1, slice(0, 3), 0.0),
+        (1, slice(3, 6), 1.0),
+    ):
+        measured = channel[:, column] >= 0
+        squares = np.sum(scaled[measured, column, part] ** 2, axis=1)
+        assert np.average(squares, weights=counts[measured]) == pytest.approx(expected)
+    np.testing.assert_allclose(scaled[0, 0, :3] / scaled[5, 0, :3], J[0, 0, :3] / J[5, 0, :3])
+
+
+def kinematics_of(robot):
+    """A robot seen from two frames, with two targets, under a model that is not used."""
+    frames = np.array([place([1.0, 2.0, 0.5], [0.3, -0.2, 1.0]), np.eye(4)])
+    targets = np.array([np.eye(4), place([0.05, 0.1, 0.2], [0.1, 0.2, 0.3])])
+    model = error_model(robot, "dh", frame={"a": (), "b": ()}, target=False, targets=("one", "two"))
+    return Kinematics(robot, model, frames, targets)
+
+
+def differences(kinematics, q, frame, target):
+    """Twists of targets by joint values, shape (K, 6, m), by differences."""
+    x = np.zeros(len(kinematics.model))
+    T = kinematics.poses(x, Samples(q, frame, target))
+    columns = []
+    for step in 1e-6 * np.eye(q.shape[1]):
+        change = (kinematics.poses(x, Samples(q + step, frame, target)) - T) / 1e-6
+        turn = change[:, :3, :3] @ T[:, :3, :3].swapaxes(1, 2)
+        spin = np.stack([turn[:, 2, 1], turn[:, 0, 2], turn[:, 1, 0]], axis=1)
+        columns.append(np.hstack([change[:, :3, 3], spin]))
+    return np.stack(columns, axis=2)
+
+
+@pytest.fixture
+def sliding(serial_urdf):
+    """Three joints of which the second slides."""
+    joints = [
+        ("revolute", (0, 0, 0.3), (0, 0, 0), (0, 0, 1)),
+        ("prismatic", (0.1, 0, 0.2), (0.3, 0, 0), (0, 1, 0)),
+        ("revolute", (0, 0.2, 0.1), (0, 1.0, 0), (1, 0, 0)),
+    ]
+    return Robot.from_urdf(serial_urdf(joints))
+
+
+def test_twists_of_joints_are_those_of_differences(ur3, sliding):
+    frame, target = np.array([0, 1, 1, 0]), np.array([0, 0, 1, 1])
+    for robot, turning in ((ur3, range(6)), (sliding, (0, 2))):
+        kinematics = kinematics_of(robot)
+        q = np.random.default_rng(5).uniform(-1, 1, (4, len(robot.joint_names)))
+        twists = twists_of_joints(kinematics, Samples(q, frame, target))
+        expected = differences(kinematics, q, frame, target)[:, :, list(turning)]
+        np.testing.assert_allclose(twists, expected, atol=1e-5)

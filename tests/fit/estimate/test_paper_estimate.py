@@ -8,7 +8,7 @@ import pytest
 from calib.data.cell import Cell
 from calib.errors import ModelError
 from calib.fit.estimate.fitting import Fitted
-from calib.fit.estimate.paper import paper_system
+from calib.fit.estimate.paper_estimate import paper_system
 from tests.fit.estimate.differences import differences, problem_of
 from tests.fit.estimate.scene_fits import FREE, errors, fitted
 

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from calib.data.cell import Cell
-from calib.fit.registration.starts import starts_of
+from calib.fit.registration.refinement import find_starts
 from calib.fit.registration.table_rows import rows_and_setup
 
 
 def starts(scene, table, cell):
     rows, setup = rows_and_setup(scene.robot, table, cell)
-    return starts_of(setup, scene.robot.poses(rows.joints), rows), setup
+    return find_starts(setup, scene.robot.poses(rows.joints), rows), setup
 
 
 def test_orientations_give_one_start(make_scene):

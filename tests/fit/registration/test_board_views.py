@@ -7,9 +7,9 @@ import pytest
 
 from calib.camera.lenses import LENSES
 from calib.errors import MeasurementError
+from calib.fit.registration.board_views import images_as_poses
 from calib.fit.registration.registration import register
 from calib.fit.registration.table_rows import rows_and_setup
-from calib.fit.registration.views import views_of
 from tests.images import BOARD, arm, cell, mounts, poses, table
 
 
@@ -17,25 +17,25 @@ from tests.images import BOARD, arm, cell, mounts, poses, table
 def test_views_are_the_poses_of_the_board(lens):
     q = poses(4)
     rows, _ = rows_and_setup(arm(), table(q, lens=lens), cell(lens))
-    views = views_of(rows)
+    views, source_rows = images_as_poses(rows)
     T_camera_base, T_tip_board = mounts()
     T = T_camera_base @ arm().poses(q) @ T_tip_board
-    measured = views.rows.measured
+    measured = views.measured
     np.testing.assert_allclose(measured[:, :3], T[:, :3, 3], atol=1e-7)
     np.testing.assert_allclose(measured[:, 3:12].reshape(-1, 3, 3), T[:, :3, :3], atol=1e-6)
-    np.testing.assert_array_equal(views.first, len(BOARD.corners) * np.arange(4))
-    assert [kind.name for kind in views.rows.present] == ["pose"]
+    np.testing.assert_array_equal(source_rows, len(BOARD.corners) * np.arange(4))
+    assert [kind.name for kind in views.present] == ["pose"]
 
 
 def test_a_view_of_few_corners_is_left_out():
     m = table(poses(4))
     few = np.array([i != "1.png" or int(c) < 3 for i, c in zip(m.images, m.corners, strict=True)])
     rows, _ = rows_and_setup(arm(), m.select(few), cell())
-    assert len(views_of(rows).rows) == 3
+    assert len(images_as_poses(rows)[0]) == 3
     none = np.array([int(c) < 3 for c in m.corners])
     rows, _ = rows_and_setup(arm(), m.select(none), cell())
     with pytest.raises(MeasurementError):
-        views_of(rows)
+        images_as_poses(rows)
 
 
 @pytest.mark.parametrize("lens", LENSES)
