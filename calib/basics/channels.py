@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.basics.arrays import Array, Integers, Mask
-from calib.basics.mappings import ReadOnlyMapping
 from calib.basics.units import UNITS, Quantity
+from calib.basics.values import ReadOnlyMapping
 from calib.errors import CalibError, choices
 
 #: Index in `Channels.index` of an entry without a scalar.

@@ -13,8 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.basics.arrays import Array, Integers
-from calib.basics.mappings import ReadOnlyMapping
-from calib.basics.values import Value
+from calib.basics.values import ReadOnlyMapping, Value
 from calib.boards.dictionaries import check_markers
 from calib.errors import CalibError, choices, did_you_mean
 

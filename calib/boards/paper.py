@@ -17,7 +17,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from calib.basics.mappings import ReadOnlyMapping
+from calib.basics.values import ReadOnlyMapping
 from calib.boards.board import CHESSBOARD, Board
 from calib.boards.dictionaries import DICTIONARIES
 from calib.errors import CalibError, choices, did_you_mean

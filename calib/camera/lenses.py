@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.basics.arrays import Array
-from calib.basics.mappings import ReadOnlyMapping
+from calib.basics.values import ReadOnlyMapping
 
 #: Distorted coordinates (2, n) of normalised ones (2, n) by the distortion's coefficients (d, n).
 _Distort = Callable[[Array, Array], Array]

@@ -9,7 +9,7 @@ import numpy as np
 
 from calib.basics.arrays import Array, Integers, read_only
 from calib.basics.channels import RESIDUAL_UNITS, Channels, residual_unit
-from calib.basics.mappings import ReadOnlyMapping
+from calib.basics.values import ReadOnlyMapping
 
 
 def rms(values: Array) -> float:

@@ -19,8 +19,7 @@ import numpy as np
 
 from calib.basics.arrays import Array, Integers
 from calib.basics.channels import Channels
-from calib.basics.mappings import ReadOnlyMapping
-from calib.basics.values import Value
+from calib.basics.values import ReadOnlyMapping, Value
 
 #: Degrees of freedom below this are rounding: no pose was repeated.
 _NO_FREEDOM = 1e-9

@@ -16,9 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from calib.basics.arguments import check_path, check_type
 from calib.basics.arrays import Array, Mask, rigid_inverse
 from calib.basics.channels import Channels
-from calib.basics.mappings import ReadOnlyMapping
-from calib.basics.shown import shown_by
-from calib.basics.values import Value
+from calib.basics.values import ReadOnlyMapping, Value, shown_by
 from calib.boards.board import Board
 from calib.camera.camera import Camera
 from calib.data.cell import Cell

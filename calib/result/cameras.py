@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from calib.basics.arrays import Array
-from calib.basics.mappings import ReadOnlyMapping
+from calib.basics.values import ReadOnlyMapping
 from calib.boards.board import Board
 from calib.camera import optics
 from calib.camera.camera import UNKNOWN, Camera

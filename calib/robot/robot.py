@@ -25,8 +25,7 @@ from numpy.typing import ArrayLike
 
 from calib.basics.arguments import check_mapping, check_names, check_type, finite_numbers, numbers
 from calib.basics.arrays import Array, Mask, read_only, rigid_inverse
-from calib.basics.short import one_line
-from calib.basics.values import Value
+from calib.basics.values import Value, one_line
 from calib.errors import ModelError, UrdfError, choices
 from calib.robot import kernel
 from calib.robot.chain import (

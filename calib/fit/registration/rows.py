@@ -9,7 +9,7 @@ import numpy as np
 
 from calib.basics.arrays import Array, Integers, Mask
 from calib.basics.channels import Channels, channels_of, residual_unit
-from calib.basics.mappings import ReadOnlyMapping
+from calib.basics.values import ReadOnlyMapping
 from calib.camera.optics import board_points
 from calib.data.covariances import may_have_covariance
 from calib.data.kinds import Kind

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from calib.basics.arrays import Array
-from calib.basics.mappings import ReadOnlyMapping
-from calib.basics.values import Value
+from calib.basics.values import ReadOnlyMapping, Value
 from calib.errors import ModelError, choices, did_you_mean
 from calib.robot.dh.rows import CONVENTIONS, HAYATI, DHRow, DHTable
 

@@ -22,8 +22,7 @@ from numpy.typing import ArrayLike
 
 from calib.basics.arguments import check_type, finite_numbers
 from calib.basics.arrays import Array, Mask, read_only, rigid_inverse
-from calib.basics.short import one_line
-from calib.basics.values import Value
+from calib.basics.values import Value, one_line
 from calib.data.inputs import ROBOT, RobotInput, chain_of, robot_of
 from calib.diagnosis.reasons import NO
 from calib.errors import VerdictError

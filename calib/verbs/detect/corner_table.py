@@ -6,9 +6,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from calib.basics.files import csv_bytes
-from calib.basics.mappings import ReadOnlyMapping
 from calib.basics.tables import Column
-from calib.basics.values import Value
+from calib.basics.values import ReadOnlyMapping, Value
 from calib.boards.board import Board
 from calib.boards.detection.board_search import BoardView
 from calib.boards.detection.detect import Detection

@@ -19,9 +19,8 @@ from scipy.spatial.transform import Rotation
 
 import calib.data.kinds as registry
 from calib.basics.arrays import Array, read_only, rigid_inverse
-from calib.basics.mappings import ReadOnlyMapping
 from calib.basics.units import parse_amount
-from calib.basics.values import Value
+from calib.basics.values import ReadOnlyMapping, Value
 from calib.data.cell import Cell
 from calib.data.columns import DEFAULT_TARGET
 from calib.errors import CalibError, ModelError, choices
