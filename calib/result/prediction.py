@@ -24,8 +24,7 @@ from calib.fit.registration.setup import Setup
 from calib.model.kinematics import Kinematics, Samples
 from calib.model.observability import Observability
 from calib.model.parameters import FRAME, TARGET, ErrorModel
-from calib.numerics.errors import CrossValidation, rms
-from calib.numerics.intervals import interval_factor
+from calib.numerics.errors import CrossValidation, interval_factor, rms
 from calib.numerics.rigid_motion import best_motion, displacements_by
 from calib.robot.gravity import gravity_loads
 from calib.robot.payload import Payload
