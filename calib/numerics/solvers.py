@@ -320,7 +320,7 @@ def _cost(r: Array) -> float:
 
 
 def _column_norms(J: Array) -> Array:
-    """Return the norm of each column of J, (m, p), shape (p,); 1 for a column of zeros, so that it can be divided by."""
+    """Return the norm of each column of J, (m, p), shape (p,); 1 for a column of zeros, to be divided by."""
     norms: Array = np.sqrt(np.einsum("ij,ij->j", J, J))
     return np.where(norms > 0.0, norms, 1.0)
 

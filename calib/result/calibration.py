@@ -32,8 +32,8 @@ from calib.fit.selection.candidates import Candidate
 from calib.fit.selection.robustness import Robustness
 from calib.model.kinematics import Samples
 from calib.model.observability import Observability
+from calib.numerics.correlated_noise import PoseNoise
 from calib.numerics.errors import CrossValidation, Errors
-from calib.numerics.pose_noise import PoseNoise
 from calib.numerics.repeats import Repeats
 from calib.numerics.solvers import Solution
 from calib.result.cameras import calibrated_boards, calibrated_cameras

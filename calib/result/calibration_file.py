@@ -31,8 +31,8 @@ from calib.model.families import FAMILIES, Factor, factor_of
 from calib.model.kinematics import Kinematics
 from calib.model.observability import Observability
 from calib.model.parameters import SETUP, ErrorModel, Parameter
+from calib.numerics.correlated_noise import PoseNoise
 from calib.numerics.errors import CrossValidation, Errors, UnitErrors
-from calib.numerics.pose_noise import PoseNoise
 from calib.numerics.repeats import Repeats
 from calib.result.calibration import Calibration, Source
 from calib.result.cameras_file import boards_table, cameras_table, read_boards, read_cameras

@@ -13,7 +13,7 @@ from calib.fit.estimate.linear import LinearProblem
 from calib.fit.estimate.problem import Problem
 from calib.fit.estimate.stages import Stage
 from calib.model.parameters import FRAME, TARGET
-from calib.numerics.pose_noise import PoseNoise
+from calib.numerics.correlated_noise import PoseNoise
 from calib.numerics.scores import Limits
 from calib.numerics.solvers import Solution
 

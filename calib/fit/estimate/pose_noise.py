@@ -1,7 +1,7 @@
 """Fits of measured poses with covariances: what the instrument's errors are multiplied by, and what the robot adds.
 
-See `calib.numerics.pose_noise`. The fit, at given noise of the poses, and this noise, from the fit's residuals, are
-estimated in turn until it settles.
+See `calib.numerics.correlated_noise`. The fit, at given noise of the poses, and this noise, from the fit's residuals,
+are estimated in turn until it settles.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from calib.fit.estimate.stop_bodies import twists_of_joints
 from calib.fit.estimate.task import Task
 from calib.fit.registration.rows import USUAL_POSE_NOISE, Rows
 from calib.model.kinematics import Kinematics
-from calib.numerics.pose_noise import (
+from calib.numerics.correlated_noise import (
     POSE,
     PoseNoise,
     likeliest_noise,
@@ -79,7 +79,7 @@ def estimate_with_pose_noise(problem: Problem, task: Task, prior: PriorTerms) ->
 
 
 def covariance_support(estimate: Estimate) -> tuple[float, float] | None:
-    """Return what a fit's residuals say for the stated covariances of its poses; see `calib.numerics.pose_noise`.
+    """Return what a fit's residuals say for the stated covariances of its poses; see `calib.numerics.correlated_noise`.
 
     Args:
         estimate: The estimate of a fit.
@@ -106,7 +106,7 @@ def _noise_of(estimate: Estimate) -> PoseNoise | None:
 
 
 def _evidence(estimate: Estimate) -> tuple[Array, Array, Array, Array] | None:
-    """Return C, J_q J_q^T, S and weights of the poses with a covariance, see `calib.numerics.pose_noise`.
+    """Return C, J_q J_q^T, S and weights of the poses with a covariance, see `calib.numerics.correlated_noise`.
 
     None where there are none, or too few degrees of freedom are left.
     """

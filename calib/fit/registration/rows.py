@@ -14,7 +14,7 @@ from calib.camera.optics import board_points
 from calib.data.covariances import may_have_covariance
 from calib.data.kinds import Kind
 from calib.model.kinematics import FIXED, Optics, Samples
-from calib.numerics.pose_noise import POSE, PoseNoise, standardisers
+from calib.numerics.correlated_noise import POSE, PoseNoise, standardisers
 
 #: Index of the kind of rows that hold no measurement themselves: the second rows of pairs.
 NONE = -1
@@ -171,7 +171,7 @@ class Rows:
         """Return values of the scalars in units of their standard deviations as given or assumed.
 
         Those of rows with a covariance are multiplied by W instead, which makes their errors independent; see
-        `calib.numerics.pose_noise`.
+        `calib.numerics.correlated_noise`.
 
         Args:
             values: Residuals or derivatives, shape (N, D) or (N, D, q), in the units of ``channels``.
