@@ -136,7 +136,7 @@ def closed_form_poses(views: Sequence[View], lens: Lens, values: Array) -> tuple
     """
     if not views:
         return ()
-    rays = lens.rays(np.concatenate([pixels for _, pixels in views]), values)[:, :2]
+    rays = lens.undistort(np.concatenate([pixels for _, pixels in views]), values)[:, :2]
     ends = np.cumsum([len(pixels) for _, pixels in views])
     poses: list[Array | None] = []
     for (points, pixels), images in zip(views, np.split(rays, ends[:-1]), strict=True):
