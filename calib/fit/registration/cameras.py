@@ -11,7 +11,7 @@ from calib.basics.arrays import Array, Integers, Mask, read_only
 from calib.boards.board import Board
 from calib.camera import optics
 from calib.camera.camera import Camera
-from calib.camera.intrinsics import start_of_intrinsics
+from calib.camera.initial_intrinsics import initial_intrinsics
 from calib.camera.lenses import LENSES
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
@@ -289,7 +289,7 @@ def _of_camera(
     lens = LENSES[camera.lens]
     start = camera.values
     if start is None:
-        start = start_of_intrinsics(camera, _views(images, rows))
+        start = initial_intrinsics(camera, _views(images, rows))
         sigma = np.array([_WIDE[unit] for unit in lens.units])
     elif camera.sigma is None:
         sigma = lens.default_sigma(start, camera.width)
