@@ -42,7 +42,7 @@ from calib.model.parameters import FRAME
 from calib.numerics.errors import interval_factor
 from calib.result.calibrate import calibrate
 from calib.result.calibration import Calibration
-from calib.robot.payload import Payload
+from calib.robot.gravity import Payload
 from calib.robot.robot import Robot
 from calib.verbs.inspect.inspection import inspect
 

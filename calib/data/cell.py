@@ -46,8 +46,7 @@ from calib.numerics.geometry import (
     rotation_or_none,
     vector,
 )
-from calib.robot.gravity import GRAVITY
-from calib.robot.payload import Payload
+from calib.robot.gravity import GRAVITY, Payload
 
 __all__ = [
     "AUTO",

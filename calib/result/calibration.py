@@ -46,7 +46,7 @@ from calib.result.prediction import (
     ParameterEstimate,
     tells_place,
 )
-from calib.robot.payload import Payload
+from calib.robot.gravity import Payload
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
 

@@ -26,8 +26,7 @@ from calib.model.observability import Observability
 from calib.model.parameters import FRAME, TARGET, ErrorModel
 from calib.numerics.errors import CrossValidation, interval_factor, rms
 from calib.numerics.rigid_motion import best_motion, displacements_by
-from calib.robot.gravity import gravity_loads
-from calib.robot.payload import Payload
+from calib.robot.gravity import Payload, gravity_loads
 from calib.robot.robot import Robot
 
 #: The most poses over which an expected error is averaged.

@@ -8,8 +8,7 @@ import numpy as np
 
 from calib.data.cell import Cell
 from calib.fit.registration.table_rows import rows_and_setup
-from calib.robot.gravity import gravity_loads
-from calib.robot.payload import Payload
+from calib.robot.gravity import Payload, gravity_loads
 
 
 def test_loads_are_those_of_gravity_and_payload_and_measured_ones_where_there_are(four_frames, ur3):
