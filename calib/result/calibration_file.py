@@ -37,8 +37,8 @@ from calib.numerics.repeats import Repeats
 from calib.result.calibration import Calibration, Source
 from calib.result.cameras_file import boards_table, cameras_table, read_boards, read_cameras
 from calib.result.prediction import FittedModel, NonGeometric
+from calib.robot.coupled_readings import coupling_of_table, coupling_table
 from calib.robot.gravity import Payload
-from calib.robot.readings import coupling_of_table, coupling_table
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
 from calib.version import __version__

@@ -1,7 +1,7 @@
 """Limits and ranges of joint values, and readings drawn or spread between them.
 
 Limits and ranges are those of the URDF's joints, the values theta = C q of the columns' joints, also where readings q
-are coupled (`calib.robot.readings`): the readings within them then fill no box.
+are coupled (`calib.robot.coupled_readings`): the readings within them then fill no box.
 """
 
 from __future__ import annotations

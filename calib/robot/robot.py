@@ -8,7 +8,7 @@ pose of joint i in the frame of the joint before it, and the pose of the tip in 
 Every correction is a change of these placements, each carried by the ``<origin>`` of one URDF joint. The joints may lie
 on both sides of the link where the branches to base and tip part (`calib.robot.chain`), and may be more than the
 columns of q, where some mimic others or are held (`calib.robot.chain`). q are joint readings, which may be coupled
-(`calib.robot.readings`):
+(`calib.robot.coupled_readings`):
 
     q_chain = A theta + b,    theta = C q
 """
@@ -36,9 +36,9 @@ from calib.robot.chain import (
     coupling_of,
     farthest_link,
 )
+from calib.robot.coupled_readings import ReadingCoupling, checked_coupling, reading_matrix
 from calib.robot.dh.description import DHRobot
 from calib.robot.dh.rows import STANDARD, DHRow, DHTable
-from calib.robot.readings import ReadingCoupling, checked_coupling, reading_matrix
 from calib.robot.urdf import Urdf, UrdfJoint, read_urdf, urdf_of_dh
 
 #: A placement that no <origin> holds may differ by rounding [m; rotation matrices: 1].
