@@ -19,7 +19,7 @@ from calib.model.parameters import Parameter, twist_of
 from calib.robot.gravity import GRAVITY, gravity_loads
 from calib.robot.ranges import spread_poses
 from calib.robot.robot import Robot
-from calib.robot.urdf import UrdfJoint
+from calib.robot.urdf_tree import UrdfJoint
 
 #: Lever arms that differ by no more than this in all poses count as the same [m].
 _SAME_LEVER = 1e-6

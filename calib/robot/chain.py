@@ -25,7 +25,8 @@ from calib.basics.units import unit_fault
 from calib.basics.values import Value
 from calib.errors import UrdfError, choices, did_you_mean
 from calib.robot.full_model import full_model
-from calib.robot.urdf import Urdf, UrdfJoint
+from calib.robot.urdf import Urdf
+from calib.robot.urdf_tree import UrdfJoint
 
 MOVING = ("revolute", "continuous", "prismatic")
 """The types of joints that a chain may move by."""

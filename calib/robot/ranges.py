@@ -17,7 +17,7 @@ from calib.basics.arrays import Array, read_only
 from calib.basics.units import unit_fault
 from calib.errors import CalibError, choices
 from calib.robot.robot import Robot
-from calib.robot.urdf import UrdfJoint
+from calib.robot.urdf_tree import UrdfJoint
 
 #: Number of joint values that `spread_poses` spreads over the ranges, unless another is given.
 SPREAD = 200

@@ -38,7 +38,8 @@ from calib.robot.chain import (
 from calib.robot.coupled_readings import ReadingCoupling, checked_coupling, reading_matrix
 from calib.robot.dh.description import DHRobot
 from calib.robot.dh.rows import STANDARD, DHRow, DHTable
-from calib.robot.urdf import Urdf, UrdfJoint, read_urdf, urdf_of_dh
+from calib.robot.urdf import Urdf, read_urdf, urdf_of_dh
+from calib.robot.urdf_tree import UrdfJoint
 
 #: A placement that no <origin> holds may change by this, which is rounding [m; rotation matrices: 1].
 _ROUNDING = 1e-12
