@@ -14,12 +14,12 @@ from calib.errors import ModelError, choices, did_you_mean
 from calib.robot.dh.rows import CONVENTIONS, HAYATI, DHRow, DHTable
 
 BASE = "base"
-"""Link before the first row, where the rows do not name it."""
+"""Link before the first row, if the rows do not name it."""
 
 TIP = "flange"
-"""Link behind the last row, where the rows do not name it."""
+"""Link after the last row, if the rows do not name it."""
 
-#: The sign of a joint's value in a row.
+#: Signs that a joint's value may have in a row.
 _DIRECTIONS = (1, -1)
 
 #: Factors of the readings of other joints, by the joint whose value they change and by their own names.
@@ -34,7 +34,7 @@ class DHRobot(Value):
     value_i = reading_i + sum_j coupling_ij reading_j. Its row then adds direction value + offset.
     """
 
-    #: The rows, base to tip, with the constant poses before the first and behind the last.
+    #: The rows, base to tip, with the constant poses before the first and after the last.
     table: DHTable
     #: Name of the robot.
     name: str = "robot"
@@ -42,7 +42,7 @@ class DHRobot(Value):
     base: str = BASE
     #: Link whose pose is given.
     tip: str = TIP
-    #: Factors of the readings of other joints, by joint; a joint without is not in it.
+    #: Factors of the readings of other joints, by joint; joints that are not coupled are left out.
     coupling: Coupling = field(default_factory=ReadOnlyMapping)
 
     def __post_init__(self) -> None:
@@ -99,13 +99,13 @@ class DHRobot(Value):
 
 
 def link_names(robot: DHRobot) -> list[str]:
-    """Return the names of the n + 2 links: base, one behind each joint, tip."""
+    """Return the names of the n + 2 links: base, one after each joint, tip."""
     links = [f"link_{i + 1}" for i in range(len(robot.table.rows))]
     return [robot.base, *links, robot.tip]
 
 
 def coupling_fault(joint: str, factors: Mapping[str, float], names: Iterable[str]) -> str | None:
-    """Return what is wrong with the coupling of a joint, as text behind its name; None if nothing is.
+    """Return what is wrong with the coupling of a joint, as text after its name; None if nothing is.
 
     Args:
         joint: The joint whose value follows other readings.
@@ -127,7 +127,7 @@ def coupling_fault(joint: str, factors: Mapping[str, float], names: Iterable[str
 
 
 def row_fault(row: DHRow, convention: str) -> str | None:
-    """Return what is wrong with a row, as text behind ``The DH row of the joint 'NAME'``; None if nothing is.
+    """Return what is wrong with a row, as text after ``The DH row of the joint 'NAME'``; None if nothing is.
 
     Args:
         row: The row.
@@ -153,7 +153,7 @@ def row_fault(row: DHRow, convention: str) -> str | None:
 
 
 def _faults(rows: Iterable[DHRow], convention: str) -> Iterable[tuple[DHRow, str]]:
-    """Yield rows with what is wrong with them."""
+    """Yield rows with what is wrong with their names and numbers."""
     seen = set()
     for row in rows:
         if not row.joint:

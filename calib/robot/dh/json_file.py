@@ -22,7 +22,7 @@ SCHEMA = "dh 1"
 NUMBERS = {"theta": "rad", "d": "m", "a": "m", "alpha": "rad", "beta": "rad"}
 """The numbers of a row and their units."""
 
-#: Tables of a file: the rows before and after the calibration, and after minus before; a file may have ``after`` alone.
+#: Tables of a file: rows before and after the calibration, and their difference; a file may have ``after`` alone.
 _STATES = ("before", "after", "change")
 
 
@@ -63,9 +63,9 @@ def joint_json(
 
     Args:
         row: The row.
-        driver: The joint whose value is added; None: none.
-        factor: How many times its value.
-        offset: What is added besides [rad or m].
+        driver: The joint whose value is added; None if there is none.
+        factor: Factor of its value.
+        offset: What else is added [rad or m].
         others: Factors of the values of other joints, by name.
     """
     unit = "m" if row.prismatic else "rad"

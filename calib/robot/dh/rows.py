@@ -1,18 +1,18 @@
 """DH rows of a robot's chain, in the conventions that controllers take: standard, modified, Hayati.
 
     standard   T_base_tip = T_base_0  A_1 ... A_n  T_n_tip,   A_i = Rz(theta_i + q_i) Tz(d_i) Tx(a_i) Rx(alpha_i)
-    hayati     the same with A_i Ry(beta_i), which is 0 but between nearly parallel axes; there d_i = 0
+    hayati     the same with A_i Ry(beta_i): 0 except between nearly parallel axes, where d_i = 0
     modified   M_i = Rx(alpha_(i-1)) Tx(a_(i-1)) Rz(theta_i + q_i) Tz(d_i)   (Craig), with a_0 = alpha_0 = 0
 
-(a prismatic joint adds q_i to d_i instead). What is added may be direction q_i + offset, where a controller counts the
-other way round or from another zero. Standard and modified rows are the same product of the same common normals,
-grouped otherwise, and they are exact: the common normal of nearly parallel axes may lie kilometres away, and d is then
-as long. Hayati's rows, which the error model stands on, have no far normals: of a nearly parallel row, the last one
-apart, beta_i tilts the axis (S. Hayati, 1983).
+(a prismatic joint adds q_i to d_i instead). What is added may be direction q_i + offset, if a controller counts in the
+opposite sense or from another zero. Standard and modified rows are the same product of the same common normals, grouped
+differently, and they are exact: the common normal of nearly parallel axes may be kilometres away, and d is then as
+long. Hayati's rows, which the error model is built on, have no distant normals: in a nearly parallel row, except the
+last, beta_i tilts the axis (S. Hayati, 1983).
 
-Choices that the convention leaves open are made as a data sheet does: frame 0 is the base frame where it can be, x_i
-points as near as possible to x_(i-1) at q = 0, frame n is the tip where it can be. To compare two robots, `dh_table`
-makes them as those of the other robot, and leaves what lies behind the last axis to T_n_tip alone.
+Choices that the convention leaves open are made as a data sheet does: frame 0 is the base frame if it can be, x_i
+points as near as possible to x_(i-1) at q = 0, frame n is the tip if it can be. To compare two robots, `dh_table` makes
+the choices of the other robot, and leaves what comes after the last axis to T_n_tip alone.
 """
 
 from __future__ import annotations
@@ -72,16 +72,16 @@ class DHRow:
     beta: float = 0.0
     #: 1 or -1: the factor of the joint's value.
     direction: int = 1
-    #: Added to direction times the joint's value [rad], or [m] of a joint that slides.
+    #: Added to direction times the joint's value [rad], or [m] if it slides.
     offset: float = 0.0
     #: Least value of the joint, without direction and offset [rad or m]; None: not known, or it turns without end.
     lower: float | None = None
-    #: Largest value of the joint, likewise; None where ``lower`` is.
+    #: Largest value of the joint, without direction and offset [rad or m]; None if ``lower`` is.
     upper: float | None = None
 
     @property
     def near_parallel(self) -> bool:
-        """True if the row's axes are nearly parallel; Hayati's rows then have a beta and, but for the last, d = 0."""
+        """True if the row's axes are nearly parallel; Hayati's rows, except the last, then have a beta and d = 0."""
         sine = np.hypot(np.sin(self.alpha), np.cos(self.alpha) * np.sin(self.beta))
         return bool(sine < np.sin(NEARLY_PARALLEL_RAD))
 
@@ -111,7 +111,7 @@ class DHRow:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DHTable:
-    """The rows of a chain, with the constant poses before the first and behind the last."""
+    """The rows of a chain, with the constant poses before the first and after the last."""
 
     #: One for each moving joint, base to tip.
     rows: tuple[DHRow, ...]
@@ -139,7 +139,7 @@ class DHTable:
 
 
 def dh_frames(table: DHTable) -> list[Array]:
-    """Return the frame behind each row, before its rotation by beta, at q = 0.
+    """Return the frame after each row, before its rotation by beta, at q = 0.
 
     Args:
         table: Standard or Hayati rows.

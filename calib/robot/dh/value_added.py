@@ -1,6 +1,6 @@
 """The value that is added to a DH row: of its joint, of other joints whose readings are coupled, and a constant.
 
-A table of DH rows says it in the columns ``direction``, ``offset`` and ``coupling``, or, as calib writes it, in one
+A table of DH rows states it in the columns ``direction``, ``offset`` and ``coupling``, or, as calib writes it, in one
 formula under ``value added``: ``-1 * joint_3 + joint_2 - 90 deg``. The value is
 
     direction (reading_i + sum_j coupling_ij reading_j) + offset
@@ -9,36 +9,24 @@ formula under ``value added``: ``-1 * joint_3 + joint_2 - 90 deg``. The value is
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
-from dataclasses import dataclass
 
 from calib.basics.units import ANGLE, LENGTH, NUMBER, parse_quantity
 from calib.errors import CalibError
 from calib.robot.dh.columns import DHColumns
 
-#: What a cell of the directions may say.
+#: Directions by the text of a cell.
 _DIRECTIONS = {"": 1, "1": 1, "+1": 1, "+": 1, "-1": -1, "-": -1, "1.0": 1, "-1.0": -1}
 
-#: Between the terms of a sum.
+#: The signs between the terms of a sum.
 _SIGNS = re.compile(r"\s+([+-])\s+")
 
 #: The key of a sum's constant, among the names of joints.
 _CONSTANT = ""
 
 
-@dataclass(frozen=True, slots=True)
-class ValueAdded:
-    """The direction, offset and coupling of a row."""
-
-    #: 1 or -1: the factor of the joint's value.
-    direction: int
-    #: Added to direction times the joint's value [rad], or [m] of a joint that slides.
-    offset: float
-    #: Factors of other joints' readings in the joint's value, before the direction, by name.
-    coupling: dict[str, float]
-
-
-def value_added(columns: DHColumns, i: int, joint: str, *, slides: bool) -> ValueAdded:
+def value_added(
+    columns: DHColumns, i: int, joint: str, *, slides: bool
+) -> tuple[int, float, dict[str, float]]:
     """Read what is added to a row.
 
     Args:
@@ -48,33 +36,27 @@ def value_added(columns: DHColumns, i: int, joint: str, *, slides: bool) -> Valu
         slides: True if the joint slides: constants are lengths.
 
     Returns:
-        Direction, offset and coupling; 1, 0 and none where the cells are empty.
+        The direction, 1 or -1, by which the joint's value is multiplied; the offset that is added to it [rad], or [m]
+        for a joint that slides; and the factors of other joints' readings in the joint's value, before the direction,
+        by name. They are 1, 0 and none if the cells are empty.
 
     Raises:
         MeasurementError: A cell has a fault, or the joint has no value of its own; the text names row and column.
     """
-    if columns.text(i, "value added"):
-        return _by_formula(columns, i, joint, slides=slides)
-    return _by_columns(columns, i, slides=slides)
+    formula = columns.text(i, "value added")
+    if not formula:
+        word = columns.text(i, "direction")
+        if word not in _DIRECTIONS:
+            what = f"'{word}' is no direction; it must be 1 or -1."
+            raise columns.error(i, "direction", what)
+        stated_offset = columns.number(i, "offset", slides=slides)
+        coupling = {}
+        if columns.text(i, "coupling"):
+            coupling = _factors(columns, i, "coupling", slides=slides)
+        if coupling.pop(_CONSTANT, 0.0):
+            raise columns.error(i, "coupling", "a number without a joint. Write '1 * joint_2'.")
+        return _DIRECTIONS[word], stated_offset or 0.0, coupling
 
-
-def _by_columns(columns: DHColumns, i: int, *, slides: bool) -> ValueAdded:
-    """Return what ``direction``, ``offset`` and ``coupling`` say."""
-    word = columns.text(i, "direction")
-    if word not in _DIRECTIONS:
-        what = f"'{word}' is no direction; it must be 1 or -1."
-        raise columns.error(i, "direction", what)
-    offset = columns.number(i, "offset", slides=slides)
-    coupling = {}
-    if columns.text(i, "coupling"):
-        coupling = _factors(columns, i, "coupling", slides=slides)
-    if coupling.pop(_CONSTANT, 0.0):
-        raise columns.error(i, "coupling", "a number without a joint. Write '1 * joint_2'.")
-    return ValueAdded(_DIRECTIONS[word], offset or 0.0, coupling)
-
-
-def _by_formula(columns: DHColumns, i: int, joint: str, *, slides: bool) -> ValueAdded:
-    """Return what ``value added`` says, beside which the other columns are empty."""
     for other in ("direction", "offset", "coupling"):
         if columns.text(i, other):
             what = f"the column 'value added' says it already. Leave '{other}' empty."
@@ -83,37 +65,31 @@ def _by_formula(columns: DHColumns, i: int, joint: str, *, slides: bool) -> Valu
     offset = factors.pop(_CONSTANT, 0.0)
     direction = factors.pop(joint, 0.0)
     if direction not in (1.0, -1.0):
-        formula = columns.text(i, "value added")
         what = (
             f"'{formula}' is not 1 or -1 times the value of '{joint}': a joint that follows another one, or is held, "
             "has no row of its own here. Give such a robot as a URDF (calib convert -o robot.urdf)."
         )
         raise columns.error(i, "value added", what)
     coupling = {name: direction * factor for name, factor in factors.items()}
-    return ValueAdded(int(direction), offset, coupling)
+    return int(direction), offset, coupling
 
 
 def _factors(columns: DHColumns, i: int, column: str, *, slides: bool) -> dict[str, float]:
     """Return the factors of joints in a sum such as ``-1 * joint_3 + joint_2 - 90 deg``, by name.
 
-    The constant [rad or m] is that of the key ``""``.
+    The constant [rad or m] has the key `_CONSTANT`.
     """
     text = columns.text(i, column)
-    factors: dict[str, float] = {}
-    for sign, term in _signed_terms(text):
-        name, factor = _term(columns, i, column, term, slides=slides)
-        if name in factors:
-            raise columns.error(i, column, f"'{text}' names '{name or term}' twice. Add them up.")
-        factors[name] = sign * factor
-    return factors
-
-
-def _signed_terms(text: str) -> Iterator[tuple[float, str]]:
-    """Yield the terms of a sum, each with the sign before it, 1 or -1."""
     terms = _SIGNS.split(text)
     signs = ["+", *terms[1::2]]
+    factors: dict[str, float] = {}
     for sign, term in zip(signs, terms[::2], strict=True):
-        yield 1.0 if sign == "+" else -1.0, term.strip()
+        name, factor = _term(columns, i, column, term.strip(), slides=slides)
+        if name in factors:
+            twice = name or term.strip()
+            raise columns.error(i, column, f"'{text}' names '{twice}' twice. Add them up.")
+        factors[name] = factor if sign == "+" else -factor
+    return factors
 
 
 def _term(columns: DHColumns, i: int, column: str, term: str, *, slides: bool) -> tuple[str, float]:
@@ -121,20 +97,16 @@ def _term(columns: DHColumns, i: int, column: str, term: str, *, slides: bool) -
     before_star, star, after_star = (part.strip() for part in term.partition("*"))
     if star and NUMBER.fullmatch(before_star):
         return after_star, float(before_star)
+    joints = {columns.text(row, "joint") for row in range(len(columns.table.cells))} - {""}
     for sign, factor in (("", 1.0), ("-", -1.0), ("+", 1.0)):
-        if term.startswith(sign) and term.removeprefix(sign) in _joint_names(columns):
+        if term.startswith(sign) and term.removeprefix(sign) in joints:
             return term.removeprefix(sign), factor
     try:
         constant, quantity = parse_quantity(term)
     except CalibError:
-        return term, 1.0  # refused as the name of a joint that is not there
+        return term, 1.0  # to be refused as the name of an unknown joint
     wanted = LENGTH if slides else ANGLE
     if quantity != wanted:
         what = f"'{term}' is {quantity}; {wanted} is wanted, with its unit."
         raise columns.error(i, column, what)
     return _CONSTANT, constant
-
-
-def _joint_names(columns: DHColumns) -> set[str]:
-    """Return the names in the column of the joints."""
-    return {columns.text(i, "joint") for i in range(len(columns.table.cells))} - {""}

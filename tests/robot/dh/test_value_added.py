@@ -8,7 +8,7 @@ import pytest
 from calib.basics.tables import Table
 from calib.errors import MeasurementError
 from calib.robot.dh.columns import dh_columns
-from calib.robot.dh.value_added import ValueAdded, value_added
+from calib.robot.dh.value_added import value_added
 
 
 @pytest.fixture
@@ -47,12 +47,12 @@ def added_to_j2(tmp_path):
 )
 def test_direction_offset_and_coupling(added_to_j2, head, cell, direction, offset, coupling):
     added = added_to_j2(head, cell)
-    assert added == ValueAdded(direction, pytest.approx(offset), coupling)
+    assert added == (direction, pytest.approx(offset), coupling)
 
 
 def test_the_constant_of_a_sliding_joint_is_a_length(added_to_j2):
-    assert added_to_j2("value added", "J2 - 5 mm", slides=True) == ValueAdded(1, -0.005, {})
-    assert added_to_j2("offset [mm]", "5", slides=True) == ValueAdded(1, 0.005, {})
+    assert added_to_j2("value added", "J2 - 5 mm", slides=True) == (1, -0.005, {})
+    assert added_to_j2("offset [mm]", "5", slides=True) == (1, 0.005, {})
 
 
 FAULTS = [
