@@ -119,7 +119,7 @@ def residual_unit(symbol: str) -> ResidualUnit:
     """Return the unit of residuals with a symbol, such as ``"m"``; CalibError if there is none."""
     if symbol not in RESIDUAL_UNITS:
         raise CalibError(
-            f"'{symbol}' is no unit of residuals; allowed are {choices(RESIDUAL_UNITS)}."
+            f"'{symbol}' is not a unit of residuals; allowed are {choices(RESIDUAL_UNITS)}."
         )
     return RESIDUAL_UNITS[symbol]
 

@@ -162,7 +162,7 @@ def parse_quantity(text: object) -> tuple[float, str]:
         return float(text), PLAIN
     match = re.fullmatch(rf"\s*({NUMBER.pattern})\s*(\S.*?)?\s*", str(text))
     if match is None or not isinstance(text, str) or not math.isfinite(float(match[1])):
-        raise CalibError(f'{text!r} is no number with a unit, such as "0.5 mm"')
+        raise CalibError(f'{text!r} is not a number with a unit, such as "0.5 mm"')
     number = float(match[1])
     symbol = match[2]
     if symbol is None:
@@ -175,7 +175,7 @@ def parse_quantity(text: object) -> tuple[float, str]:
     motions = {"Nm": symbols("angle"), "N": symbols("length")}
     if motion not in motions.get(load, ()):
         raise CalibError(
-            f"'{symbol}' is no unit of compliance; a joint's is in 'rad/Nm', or 'm/N' where it slides"
+            f"'{symbol}' is not a unit of compliance; a joint's is in 'rad/Nm', or 'm/N' if it slides"
         )
     return number * UNITS[motion].to_si, COMPLIANCE
 

@@ -97,8 +97,8 @@ def _load(data: bytes, source: str, *, values: bool) -> Workbook:
             return load_workbook(io.BytesIO(data), data_only=values)
     except _DAMAGED as error:
         raise MeasurementError(
-            f"{source}: this is no Excel file (.xlsx), or it is damaged ({type(error).__name__}). Save it anew, or as "
-            "CSV (UTF-8)."
+            f"{source}: this is not an Excel file (.xlsx), or it is damaged ({type(error).__name__}). Save it again, "
+            "or as CSV (UTF-8)."
         ) from error
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from calib.basics.arrays import Array, rigid_inverse
 from calib.robot.dh.rows import HAYATI, MODIFIED, NEARLY_PARALLEL_RAD, DHRow
 
-#: Parallel axes whose offset is shorter than this coincide but for rounding [m].
+#: Parallel axes whose offset is shorter than this coincide except for rounding [m].
 _COINCIDENT = 1e-13
 
 #: A tip whose origin is closer to the last axis than this is on it [m].

@@ -338,7 +338,7 @@ def _check_names(family: Family) -> None:
     for name in (family.name, *factor_names):
         if not isinstance(name, str) or not _NAME.fullmatch(name):
             raise ModelError(
-                f"{where}: {name!r} is no name for a family or a factor; use letters, digits, '_' and '-'."
+                f"{where}: {name!r} is not a name for a family or a factor; use letters, digits, '_' and '-'."
             )
     taken = _factors()
     for name in factor_names:

@@ -1,7 +1,7 @@
 """Parameters of an error model: each is an error, with the place that it acts at and its direction.
 
 See `calib.model.error_model` for the equation. A parameter may be *tied* to another one, x_a = factor x_b; then it
-keeps its term of the equation but is no unknown of its own.
+keeps its term of the equation but is not an unknown of its own.
 """
 
 from __future__ import annotations

@@ -70,7 +70,7 @@ def _check_has_reading(urdf: Urdf, name: str, held: Mapping[str, float], where: 
     moving = {joint.name: joint for joint in urdf.joints if joint.type in MOVING}
     fault = ""
     if name not in moving:
-        fault = f"'{name}' is no joint that moves{did_you_mean(name, moving)}"
+        fault = f"'{name}' is not a joint that moves{did_you_mean(name, moving)}"
     elif name in held:
         fault = f"'{name}' is held at {held[name]:.6g}, so that it has no reading"
     elif moving[name].mimic is not None:
@@ -102,8 +102,8 @@ def reading_matrix(urdf: Urdf, columns: Sequence[str], coupling: ReadingCoupling
         for other, factor in factors:
             if other not in columns:
                 raise UrdfError(
-                    f"{urdf.source}: the readings of '{name}' are coupled to those of '{other}', which is no joint of "
-                    f"the chain: its joints are {choices(columns, limit=30)}. Choose --base and --tip so that both "
+                    f"{urdf.source}: the readings of '{name}' are coupled to those of '{other}', which is not a joint "
+                    f"of the chain: its joints are {choices(columns, limit=30)}. Choose --base and --tip so that both "
                     "are between them."
                 )
             C[columns.index(name), columns.index(other)] = factor

@@ -217,8 +217,8 @@ def joint_ranges(
     for name, (low, high) in (given or {}).items():
         if name not in robot.joint_names:
             raise CalibError(
-                f"A range is given for '{name}', which is no joint of the chain '{robot.base}' to '{robot.tip}'; its "
-                f"joints are {choices(robot.joint_names, limit=30)}."
+                f"A range is given for '{name}', which is not a joint of the chain '{robot.base}' to '{robot.tip}'; "
+                f"its joints are {choices(robot.joint_names, limit=30)}."
             )
         fault = unit_fault(low, slides=robot.joint_types[name] == "prismatic")
         if fault is not None:

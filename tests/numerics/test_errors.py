@@ -59,7 +59,7 @@ def test_a_unit_that_was_not_measured_has_no_figures():
     assert errors["m"].n == 0
     assert np.isnan([errors["m"].max, errors["m"].mean, errors["m"].rms]).all()
     assert Errors.of(np.zeros((0, 3))).leading.n == 0
-    with pytest.raises(CalibError, match="'deg' is no unit of residuals"):
+    with pytest.raises(CalibError, match="'deg' is not a unit of residuals"):
         errors["deg"]
 
 

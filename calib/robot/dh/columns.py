@@ -127,7 +127,7 @@ class DHColumns:
                 text if column.symbol is None else f"{text} {column.symbol}"
             )
         except CalibError as error:
-            what = f"'{text}' is no number: {error}. Leave the cell empty for 0."
+            what = f"'{text}' is not a number: {error}. Leave the cell empty for 0."
             raise self.error(row, name, what) from error
         if quantity == PLAIN and value == 0.0:
             return value
@@ -144,14 +144,6 @@ class DHColumns:
             what = f"'{text}' is {quantity}; {wanted} is wanted{reason}, such as '{example}'."
             raise self.error(row, name, what)
         return value
-
-    def _filled_column(self, row: int, name: str) -> Column | None:
-        """Return the column of a name that has a number in a row, of which there may be one; None if there is none."""
-        filled = [c for c in self.by_name.get(name, ()) if self.table.cells[row][c.index]]
-        if len(filled) > 1:
-            what = f"the row has a number in '{filled[1].label}', too. Keep one of them."
-            raise self.error(row, name, what)
-        return filled[0] if filled else None
 
 
 def is_dh_table(table: Table) -> bool:
@@ -220,7 +212,9 @@ def _check_column(table: Table, column: Column, others: Sequence[Column]) -> Non
     unit = column.unit
     if column.symbol is not None and (unit is None or unit.quantity not in usual_units):
         wanted = " or ".join(usual_units.values()) or "no unit"
-        raise MeasurementError(f"{place}: '{column.symbol}' is no unit for it; {wanted} is wanted.")
+        raise MeasurementError(
+            f"{place}: '{column.symbol}' is not a unit for it; {wanted} is wanted."
+        )
     for other in others:
         has_two_units = other.unit is not None and unit is not None and other.unit is not unit
         if name not in _EITHER or not has_two_units:
@@ -273,4 +267,4 @@ def _convention(columns: DHColumns, of_row_before: set[str], stated: str | None)
 
 def _no_convention(word: str) -> str:
     """Return the fault of a word that is not a convention."""
-    return f"'{word}' is no convention of DH rows; it must be one of {choices(CONVENTIONS)}."
+    return f"'{word}' is not a convention of DH rows; it must be one of {choices(CONVENTIONS)}."

@@ -54,7 +54,7 @@ class DHRobot(Value):
             raise ModelError("There are no DH rows; one for each joint is wanted, base to tip.")
         if self.table.convention not in CONVENTIONS:
             raise ModelError(
-                f"'{self.table.convention}' is no convention of DH rows; it must be one of {choices(CONVENTIONS)}."
+                f"'{self.table.convention}' is not a convention of DH rows; it must be one of {choices(CONVENTIONS)}."
             )
         for row, fault in _faults(rows, self.table.convention):
             raise ModelError(f"The DH row of the joint '{row.joint}' {fault}.")
@@ -116,7 +116,7 @@ def coupling_fault(joint: str, factors: Mapping[str, float], names: Iterable[str
     for name in (joint, *factors):
         if name not in names:
             return (
-                f"names '{name}', which is no joint{did_you_mean(name, names)}; the joints are "
+                f"names '{name}', which is not a joint{did_you_mean(name, names)}; the joints are "
                 f"{choices(names)}"
             )
     if joint in factors:

@@ -29,7 +29,7 @@ TABLES = (".csv", ".txt", ".tsv")
 ENDINGS = (*TABLES, ".json")
 """Endings of files of DH rows."""
 
-#: Tables of a file that calib wrote, the first of which is read that the file has.
+#: Tables of a file that calib wrote; the first of these that the file has is read.
 _READ = ("after", "robot")
 
 #: Its other tables.
@@ -81,7 +81,7 @@ def read_dh_robot(path: str | Path) -> DHRobot:
     table = Table.read(path)
     if not is_dh_table(table):
         raise MeasurementError(
-            f"'{path}' is in the place of the robot, and is no table of DH rows: it has no columns of d and alpha. The "
+            f"'{path}' is given as the robot, and is not a table of DH rows: it has no columns of d and alpha. The "
             f"robot comes before the table. The headings found: {choices(table.header, 30)}."
         )
     # The statements of comments by their subjects.
@@ -128,7 +128,7 @@ def _lines(columns: DHColumns) -> list[int]:
     words = [columns.text(i, "table").lower() for i in count]
     for i, word in enumerate(words):
         if word not in (*_READ, *_NOT_READ):
-            what = f"'{word}' is no table; they are {choices((*_NOT_READ, *_READ))}."
+            what = f"'{word}' is not a table; they are {choices((*_NOT_READ, *_READ))}."
             raise columns.error(i, "table", what)
     for name in _READ:
         if name in words:
@@ -237,7 +237,7 @@ def _slides(columns: DHColumns, i: int) -> bool:
     """Return True if the joint of a line slides, by the columns ``type`` and ``added to``."""
     word = columns.text(i, "type").lower()
     if word not in _TYPES:
-        what = f"'{word}' is no type of joint; it must be 'revolute' or 'prismatic'."
+        what = f"'{word}' is not a type of joint; it must be 'revolute' or 'prismatic'."
         raise columns.error(i, "type", what)
     added_to = columns.text(i, "added to").lower()
     if added_to not in ("", "theta", "d"):

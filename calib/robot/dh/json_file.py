@@ -117,7 +117,7 @@ def robot_of_json(table: Mapping[str, Any], source: str) -> DHRobot:
         return DHRobot(dh, names["name"], names.get("base", BASE), names.get("tip", TIP), coupling)
     except (KeyError, TypeError, ValueError, AttributeError, CalibError) as error:
         raise ModelError(
-            f"{source}: DH rows that make no robot: {damage(error)}. Write the file anew with calib convert --to dh."
+            f"{source}: DH rows that make no robot: {damage(error)}. Write the file again with calib convert --to dh."
         ) from error
 
 

@@ -47,7 +47,7 @@ def value_added(
     if not formula:
         word = columns.text(i, "direction")
         if word not in _DIRECTIONS:
-            what = f"'{word}' is no direction; it must be 1 or -1."
+            what = f"'{word}' is not a direction; it must be 1 or -1."
             raise columns.error(i, "direction", what)
         stated_offset = columns.number(i, "offset", slides=slides)
         coupling = {}

@@ -44,7 +44,7 @@ def test_a_robot_comes_back():
         (("joints", 0, "driver"), "j2", "'j1' has no value of its own"),
         (("joints", 0, "factor"), 2.0, "'j1' has no value of its own"),
         (("after", "rows", 0, "d_m"), None, "another kind"),
-        (("convention",), "denavit", "no convention"),
+        (("convention",), "denavit", "not a convention"),
         (("after",), None, "another kind"),
     ],
 )

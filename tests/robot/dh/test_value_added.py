@@ -56,7 +56,7 @@ def test_the_constant_of_a_sliding_joint_is_a_length(added_to_j2):
 
 
 FAULTS = [
-    ("direction", "2", "column 'direction': '2' is no direction"),
+    ("direction", "2", "column 'direction': '2' is not a direction"),
     ("coupling", "J1 + 3 deg", "column 'coupling': a number without a joint"),
     ("coupling", "J1 + 2 * J1", "'J1 . 2 . J1' names 'J1' twice"),
     ("value added", "held at 3 deg", "'held at 3 deg' is"),
