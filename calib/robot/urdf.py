@@ -21,9 +21,9 @@ from calib.basics.files import check_no_xacro, read_bytes, write_atomically
 from calib.basics.json_files import parsed_json
 from calib.basics.values import Value
 from calib.errors import CalibError, UrdfError, choices, did_you_mean
-from calib.robot.dh.description import DHRobot
 from calib.robot.dh.file import ENDINGS, read_dh_robot
 from calib.robot.dh.json_file import robot_of_json
+from calib.robot.dh.rows import DHRobot
 from calib.robot.generated.dh_urdf import REMARK, dh_urdf
 from calib.robot.generated.universal_robots import MODELS, named_ur_urdf, ur_model
 from calib.robot.urdf_tree import UrdfJoint, read_tree

@@ -17,11 +17,9 @@ from calib.basics.arrays import Array, read_only
 from calib.basics.json_files import read_json
 from calib.basics.tables import Table, read_text
 from calib.errors import MeasurementError, ModelError, choices
-from calib.robot.dh.columns import POSE, DHColumns, dh_columns, is_dh_table
-from calib.robot.dh.description import BASE, TIP, DHRobot, coupling_fault, row_fault
+from calib.robot.dh.columns import POSE, DHColumns, dh_columns, is_dh_table, value_added
 from calib.robot.dh.json_file import SCHEMA, robot_of_json
-from calib.robot.dh.rows import DHRow, DHTable
-from calib.robot.dh.value_added import value_added
+from calib.robot.dh.rows import BASE, TIP, DHRobot, DHRow, DHTable, coupling_fault, row_fault
 
 TABLES = (".csv", ".txt", ".tsv")
 """Endings of tables; a table given as a robot holds DH rows."""

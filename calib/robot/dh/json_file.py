@@ -13,8 +13,7 @@ import numpy as np
 from calib.basics.arrays import read_only
 from calib.basics.json_files import damage
 from calib.errors import CalibError, ModelError
-from calib.robot.dh.description import BASE, TIP, DHRobot
-from calib.robot.dh.rows import EQUATIONS, DHRow, DHTable
+from calib.robot.dh.rows import BASE, EQUATIONS, TIP, DHRobot, DHRow, DHTable
 
 SCHEMA = "dh 1"
 """The schema of the file."""

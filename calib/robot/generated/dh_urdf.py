@@ -14,9 +14,8 @@ from dataclasses import replace
 import numpy as np
 
 from calib.basics.arrays import Array
-from calib.robot.dh.description import DHRobot, link_names
 from calib.robot.dh.json_file import robot_json
-from calib.robot.dh.rows import MODIFIED, DHRow, DHTable, screw
+from calib.robot.dh.rows import MODIFIED, DHRobot, DHRow, DHTable, link_names, screw
 from calib.robot.generated.cylinder_urdf import (
     GREY,
     NewJoint,
