@@ -146,10 +146,7 @@ def load_installed() -> tuple[Plugin, ...]:
 
 
 def load_sent(plugins: Sequence[Plugin]) -> None:
-    """Load in a worker the plugins of the process that sends the jobs.
-
-    Args:
-        plugins: `loaded` of that process.
+    """Load in a worker the plugins of the process that sends the jobs, which `loaded` returned there.
 
     Raises:
         PluginError: One cannot be loaded, or differs from the one sent.

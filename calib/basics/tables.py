@@ -145,10 +145,7 @@ class Table:
         return [row[column.index] for row in self.cells]
 
     def numbers(self, columns: Sequence[Column]) -> Array:
-        """Read the numbers of columns, in the units as written.
-
-        Args:
-            columns: c columns.
+        """Read the numbers of c columns, in the units as written.
 
         Returns:
             Numbers, shape (rows, c); NaN for an empty cell, infinite for one that holds anything but a number.

@@ -28,10 +28,7 @@ _DAMAGED = (BadZipFile, KeyError, ValueError, TypeError, IndexError, AttributeEr
 
 
 def split_sheet(path: str) -> tuple[str, str | None]:
-    """Split ``"table.xlsx#Sheet"`` into file and sheet.
-
-    Args:
-        path: Path of any file.
+    """Split a path such as ``"table.xlsx#Sheet"`` into file and sheet.
 
     Returns:
         The path of the file, and the sheet's name: ``""`` for the first sheet, None if it is not an Excel file.

@@ -180,16 +180,13 @@ def to_rotation_vectors(rotations: Array) -> Array:
 
 
 def inverse_right_jacobian(rotations: Rotation) -> Array:
-    """Return the inverse right Jacobian of SO(3): log(E exp(w)) = log(E) + J w for small w.
+    """Return the inverse right Jacobians of SO(3) at N rotations E: log(E exp(w)) = log(E) + J w for small w.
 
     With r = log(E) and t = |r|
 
         J = I + [r]x / 2 + (1 / t^2 - 1 / (2 t tan(t / 2))) [r]x^2,
 
     finite up to t = pi (J. Sola et al., "A micro Lie theory for state estimation in robotics", 2018).
-
-    Args:
-        rotations: N rotations E.
 
     Returns:
         The matrices J, shape (N, 3, 3).

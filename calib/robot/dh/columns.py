@@ -89,12 +89,7 @@ class DHColumns:
     convention: str
 
     def text(self, row: int, name: str) -> str:
-        """Return the text of a cell; empty if there is none.
-
-        Args:
-            row: The row, from 0.
-            name: Name of the column.
-        """
+        """Return the text of a cell, by its row, from 0, and the name of its column; empty if there is none."""
         for column in self.by_name.get(name, ()):
             text = self.table.cells[row][column.index]
             if text:

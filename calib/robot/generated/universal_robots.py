@@ -179,9 +179,6 @@ def ur_urdf(model: UrModel) -> bytes:
 
     Links, joints and origins are those of Universal Robots' description for ROS 2; ``base`` is the controller's base,
     ``tool0`` its flange.
-
-    Args:
-        model: The arm.
     """
     half = np.pi / 2.0
     chain = model.chain
