@@ -12,6 +12,9 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
+import numpy as np
+
+from calib.basics.arrays import Array, Integers
 from calib.boards.board_keys import MM, PERCENT, WHOLE, Option, key, one_of, text
 from calib.boards.dictionaries import check_markers
 from calib.errors import CalibError, choices, did_you_mean
@@ -255,8 +258,6 @@ class Board:
     @property
     def corners(self) -> Array:
         """Positions of all corners in the board's frame, in the order of their ids, shape (n, 3) [m]."""
-        import numpy as np
-
         if self.pattern == APRILTAG:
             x = np.arange(self.columns) * self.square
             y = np.arange(self.rows) * self.square
@@ -272,13 +273,9 @@ class Board:
     @property
     def centre(self) -> Array:
         """Middle of the pattern in the board's frame, shape (3,) [m]."""
-        import numpy as np
-
         width, height = self.size
         return np.array([width / 2.0, height / 2.0, 0.0])
 
     def corner_ids(self) -> Integers:
         """Return the ids of the corners: 0 to n - 1, in rows along x; of a tag its corners, clockwise from top left."""
-        import numpy as np
-
         return np.arange(len(self.corners))

@@ -14,9 +14,8 @@ import numpy as np
 
 from calib.basics.arguments import check_callable, check_flags
 from calib.basics.arrays import Array, Mask, read_only
-from calib.basics.blas import one_blas_thread
 from calib.basics.channels import RESIDUAL_UNITS, Channels
-from calib.basics.jobs import Progress
+from calib.basics.jobs import Progress, one_blas_thread
 from calib.data.cell import Cell
 from calib.data.inputs import CellInput, RobotInput, TableInput, inputs_of
 from calib.data.measurements import Measurements

@@ -10,7 +10,7 @@ import numpy as np
 
 from calib.basics.arrays import Array
 from calib.basics.json_files import Json
-from calib.basics.mappings import ReadOnlyMapping
+from calib.basics.values import ReadOnlyMapping
 from calib.boards.board import Board
 from calib.boards.board_keys import json_key
 from calib.camera.camera import UNKNOWN, Camera

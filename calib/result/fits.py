@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.basics.arrays import Mask
-from calib.basics.blas import one_blas_thread
+from calib.basics.jobs import one_blas_thread
 from calib.data.cell import AUTO, Cell
 from calib.data.measurements import Measurements
 from calib.diagnosis.frame_not_found import frame_not_found

@@ -17,8 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.basics.arrays import Array, Mask, read_only
-from calib.basics.mappings import keep_read_only
-from calib.basics.values import Value
+from calib.basics.values import Value, keep_read_only
 from calib.errors import CalibError
 from calib.fit.estimate.fitting import Fitted, fit
 from calib.fit.registration.rows import Rows

@@ -16,19 +16,16 @@ import numpy as np
 
 import calib.data.kinds as registry
 from calib.basics.arrays import Array, read_only
-from calib.basics.mappings import keep_read_only
-from calib.basics.values import Value
+from calib.basics.values import Value, keep_read_only
 from calib.diagnosis.reasons import Verdict
 from calib.fit.estimate.fitting import Fitted
 from calib.fit.registration.setup import Setup
 from calib.model.kinematics import Kinematics, Samples
 from calib.model.observability import Observability
 from calib.model.parameters import FRAME, TARGET, ErrorModel
-from calib.numerics.errors import CrossValidation, rms
-from calib.numerics.intervals import interval_factor
+from calib.numerics.errors import CrossValidation, interval_factor, rms
 from calib.numerics.rigid_motion import best_motion, displacements_by
-from calib.robot.gravity import gravity_loads
-from calib.robot.payload import Payload
+from calib.robot.gravity import Payload, gravity_loads
 from calib.robot.robot import Robot
 
 #: The most poses over which an expected error is averaged.

@@ -22,8 +22,7 @@ from calib.numerics.errors import Errors
 from calib.result.calibrate import _validated, calibrate
 from calib.result.calibration_file import read_result
 from calib.result.fits import fit_table
-from calib.robot.gravity import gravity_loads
-from calib.robot.payload import Payload
+from calib.robot.gravity import Payload, gravity_loads
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf

@@ -6,8 +6,7 @@ import hashlib
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from calib.basics.mappings import ReadOnlyMapping
-from calib.basics.values import Value
+from calib.basics.values import ReadOnlyMapping, Value
 from calib.boards.board import CHESSBOARD, Board
 from calib.boards.corners.markers import Markers, find_markers, no_markers
 from calib.boards.detection.board_search import NO_BOARD, BoardView, reason_of_nothing, search_board

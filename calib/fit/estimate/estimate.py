@@ -8,13 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.basics.arrays import Array, Mask, read_only
-from calib.basics.mappings import keep_read_only
-from calib.basics.values import Value
+from calib.basics.values import Value, keep_read_only
 from calib.fit.estimate.linear import LinearProblem
 from calib.fit.estimate.problem import Problem
 from calib.fit.estimate.stages import Stage
 from calib.model.parameters import FRAME, TARGET
-from calib.numerics.pose_noise import PoseNoise
+from calib.numerics.correlated_noise import PoseNoise
 from calib.numerics.scores import Limits
 from calib.numerics.solvers import Solution
 

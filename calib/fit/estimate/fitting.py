@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.basics.arrays import Array, read_only
-from calib.basics.blas import one_blas_thread
+from calib.basics.jobs import one_blas_thread
 from calib.basics.values import Value
 from calib.errors import MeasurementError, ModelError
 from calib.fit.estimate.bounds import estimate_within_bounds

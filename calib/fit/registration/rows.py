@@ -9,12 +9,12 @@ import numpy as np
 
 from calib.basics.arrays import Array, Integers, Mask
 from calib.basics.channels import Channels, channels_of, residual_unit
-from calib.basics.mappings import ReadOnlyMapping
+from calib.basics.values import ReadOnlyMapping
 from calib.camera.optics import board_points
 from calib.data.covariances import may_have_covariance
 from calib.data.kinds import Kind
 from calib.model.kinematics import FIXED, Optics, Samples
-from calib.numerics.pose_noise import POSE, PoseNoise, standardisers
+from calib.numerics.correlated_noise import POSE, PoseNoise, standardisers
 
 #: Index of the kind of rows that hold no measurement themselves: the second rows of pairs.
 NONE = -1
@@ -33,7 +33,7 @@ _FEWEST_OF_EACH = 100
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _CorrelatedRows:
-    """The n rows whose six scalars have a covariance, see `calib.numerics.pose_noise`."""
+    """The n rows whose six scalars have a covariance, see `calib.numerics.correlated_noise`."""
 
     #: (n,), their numbers
     rows: Integers
@@ -177,7 +177,7 @@ class Rows:
         """Return values of the scalars in units of their standard deviations as given or assumed.
 
         Those of rows with a covariance are multiplied by W instead, which makes their errors independent; see
-        `calib.numerics.pose_noise`.
+        `calib.numerics.correlated_noise`.
 
         Args:
             values: Residuals or derivatives, shape (N, D) or (N, D, q), in the units of ``channels``.

@@ -11,7 +11,7 @@ from calib.basics.arrays import Array, Integers, Mask, read_only
 from calib.boards.board import Board
 from calib.camera import optics
 from calib.camera.camera import Camera
-from calib.camera.intrinsics import start_of_intrinsics
+from calib.camera.initial_intrinsics import initial_intrinsics
 from calib.camera.lenses import LENSES
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
@@ -234,7 +234,7 @@ def _camera_numbers(
         for view in np.unique(images.view[rows]).tolist():
             of_view = rows & (images.view == view)
             views.append((images.points[of_view], images.pixels[of_view]))
-        start = start_of_intrinsics(camera, views)
+        start = initial_intrinsics(camera, views)
         sigma = widest
     elif camera.sigma is None:
         sigma = lens.default_sigma(start, camera.width)

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.basics.mappings import keep_read_only
+from calib.basics.values import keep_read_only
 from calib.fit.estimate.fitting import Fitted
 from calib.fit.selection.ladder import LADDER, model_name
 from calib.fit.selection.linear_folds import linear_cross_validation

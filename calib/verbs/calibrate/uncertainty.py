@@ -21,8 +21,7 @@ from scipy.special import fdtri, gammaincinv
 
 from calib.basics.arguments import check_callable, check_executor, check_type
 from calib.basics.arrays import Array, Integers, read_only
-from calib.basics.blas import one_blas_thread
-from calib.basics.jobs import Progress, batch_size, run
+from calib.basics.jobs import Progress, batch_size, one_blas_thread, run
 from calib.basics.values import Value
 from calib.errors import CalibError, ModelError
 from calib.fit.estimate.fitting import Fitted

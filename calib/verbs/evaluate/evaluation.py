@@ -10,11 +10,9 @@ import numpy as np
 
 from calib.basics.arguments import check_names, check_path, check_type
 from calib.basics.arrays import Array, Mask, read_only
-from calib.basics.blas import one_blas_thread
 from calib.basics.channels import Channels
-from calib.basics.mappings import ReadOnlyMapping
-from calib.basics.shown import shown_by
-from calib.basics.values import Value
+from calib.basics.jobs import one_blas_thread
+from calib.basics.values import ReadOnlyMapping, Value, shown_by
 from calib.boards.board import Board
 from calib.camera.camera import Camera
 from calib.data.cell import Cell

@@ -14,7 +14,7 @@ from calib.fit.registration.rows import NONE, Rows
 from calib.fit.registration.table_rows import rows_and_setup
 from calib.model.error_model import DIRECTIONS, error_model
 from calib.model.kinematics import Kinematics, Samples
-from calib.numerics.pose_noise import PoseNoise
+from calib.numerics.correlated_noise import PoseNoise
 from tests.covariances import random_covariances
 
 #: Numbers of kinds in the registry.

@@ -11,8 +11,7 @@ from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.fit.registration.rows import NONE
 from calib.fit.registration.table_rows import rows_and_setup
-from calib.robot.gravity import gravity_loads
-from calib.robot.payload import Payload
+from calib.robot.gravity import Payload, gravity_loads
 from tests.fit.registration.tables import as_kind
 
 

@@ -1,7 +1,7 @@
 """Fits of measured poses with covariances: what the instrument's errors are multiplied by, and what the robot adds.
 
-See `calib.numerics.pose_noise`. The fit, at given noise of the poses, and this noise, from the fit's residuals, are
-estimated in turn until it settles.
+See `calib.numerics.correlated_noise`. The fit at given noise of the poses, and this noise from the residuals of the
+fit, are estimated in turn until they settle.
 
 `fit` gives rows what errors of joints do to them (`with_joint_errors`), and calls `settle_pose_noise` on its estimate.
 """
@@ -22,7 +22,7 @@ from calib.fit.estimate.stages import FEWEST_FREEDOM
 from calib.fit.estimate.task import Task
 from calib.fit.registration.rows import USUAL_POSE_NOISE, Rows
 from calib.model.kinematics import Kinematics
-from calib.numerics.pose_noise import (
+from calib.numerics.correlated_noise import (
     POSE,
     PoseNoise,
     likeliest_noise,
@@ -79,7 +79,7 @@ def settle_pose_noise(
 
 
 def covariance_support(estimate: Estimate) -> tuple[float, float] | None:
-    """Return what a fit's residuals say for the stated covariances of its poses; see `calib.numerics.pose_noise`.
+    """Return what a fit's residuals say for the stated covariances of its poses; see `calib.numerics.correlated_noise`.
 
     Args:
         estimate: The estimate of a fit.
@@ -100,7 +100,7 @@ def covariance_support(estimate: Estimate) -> tuple[float, float] | None:
 
 
 def _evidence(estimate: Estimate) -> tuple[Array, Array, Array, Array] | None:
-    """Return C, J_q J_q^T, S and weights of the poses with a covariance, see `calib.numerics.pose_noise`.
+    """Return C, J_q J_q^T, S and weights of the poses with a covariance, see `calib.numerics.correlated_noise`.
 
     None if there are none, or too few degrees of freedom are left.
     """

@@ -15,7 +15,7 @@ from calib.fit.estimate.special_cases.pose_covariances import with_joint_errors
 from calib.fit.estimate.task import Task
 from calib.fit.registration.rows import USUAL_POSE_NOISE
 from calib.fit.registration.table_rows import rows_and_setup
-from calib.numerics.pose_noise import PoseNoise
+from calib.numerics.correlated_noise import PoseNoise
 from tests.covariances import draw, random_covariances
 from tests.fit.estimate.scene_fits import OFF, errors
 

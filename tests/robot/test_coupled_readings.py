@@ -84,10 +84,10 @@ FAULTS = {
     "an unknown joint": (
         {"elbow": {LIFT: 1.0}},
         {},
-        "'elbow' is no joint that moves .did you mean",
+        "'elbow' is not a joint that moves .did you mean",
     ),
-    "coupled to an unknown joint": ({ELBOW: {"lift": 1.0}}, {}, "'lift' is no joint that moves"),
-    "a fixed joint": ({"world_joint": {LIFT: 1.0}}, {}, "'world_joint' is no joint that moves"),
+    "coupled to an unknown joint": ({ELBOW: {"lift": 1.0}}, {}, "'lift' is not a joint that moves"),
+    "a fixed joint": ({"world_joint": {LIFT: 1.0}}, {}, "'world_joint' is not a joint that moves"),
     "itself": ({ELBOW: {ELBOW: 1.0}}, {}, "names 'elbow_joint' itself"),
     "held": ({ELBOW: {LIFT: 1.0}}, {LIFT: 0.5}, "'shoulder_lift_joint' is held at 0.5"),
     "singular": ({ELBOW: {LIFT: 1.0}, LIFT: {ELBOW: 1.0}}, {}, "are singular"),

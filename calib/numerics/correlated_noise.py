@@ -9,13 +9,13 @@ turn miss their readings by g (the steps of encoders and servos, play), which mo
     V = s^2 C + diag(t^2, t^2, t^2, a^2, a^2, a^2) + g^2 J_q J_q^T
 
 With its blocks V_tt of the position, V_rr of the orientation and V_tr between them, and factors L L^T of a Cholesky
-decomposition, what the orientation's error tells of the position's is taken off:
+decomposition, the part of the position's error that follows from the orientation's is subtracted:
 
     e_r' = L_r^-1 e_r                                V_rr                         = L_r L_r^T
     e_t' = L_t^-1 (e_t - V_tr V_rr^-1 e_r)           V_tt - V_tr V_rr^-1 V_tr^T   = L_t L_t^T
 
-so that e' = W e has W V W^T = 1. The three entries of e_t' are still of the position, those of e_r' of the orientation:
-each has a noise factor of its own, as positions and orientations of other measurements have.
+so that e' = W e has W V W^T = 1. The three entries of e_t' still belong to the position, those of e_r' to the
+orientation: each has a noise factor of its own, as positions and orientations of other measurements have.
 
 From residuals r of a fit, with the Jacobians J and the covariance P of its parameters, s, t, a and g are those of the
 highest restricted likelihood, with a weak prior of s about 1, by expectation and maximisation (N. Laird, N. Lange, D.
@@ -37,13 +37,13 @@ from calib.basics.arrays import Array
 POSE_UNITS = ("m", "m", "m", "rad", "rad", "rad")
 POSE = len(POSE_UNITS)
 
-#: The orientation first.
+#: The six scalars with those of the orientation first.
 _ORDER = [3, 4, 5, 0, 1, 2]
 
-#: Lowest and highest s, t, a and g: less, or more, is no instrument's and no robot's.
+#: Lowest and highest s, t, a and g of any instrument and robot.
 _BOUNDS = ((1e-4, 1e4), (1e-9, 10.0), (1e-9, 10.0), (1e-9, 10.0))
 
-#: Standard deviation of the prior of log s: a factor of ten either way, as of the noise of other measurements.
+#: Standard deviation of the prior of log s: a factor of ten either way, as for the noise of other measurements.
 _SCALE_SPREAD = float(np.log(10.0))
 
 
@@ -88,7 +88,7 @@ def standardisers(covariances: Array) -> Array:
     """
     reordered = covariances[:, _ORDER][:, :, _ORDER]
     factors = np.linalg.inv(np.linalg.cholesky(reordered))
-    # Taken twice, the order is the first one again.
+    # Applied twice, the permutation gives the original order.
     return np.asarray(factors[:, _ORDER][:, :, _ORDER])
 
 
@@ -102,11 +102,11 @@ def likeliest_noise(
         by_joints: J_q J_q^T, shape (n, 6, 6) [m^2, m, 1].
         squares: S, shape (n, 6, 6), expected products of the errors' components [m^2, m rad, rad^2].
         weights: shape (n,), how much each row counts.
-        start: Where the search begins: at none of its numbers so small that V hardly depends on it, for the search is
+        start: Where the search begins. None of its numbers may be so small that V hardly depends on it: the search is
             by logarithms, and would stay there.
 
     Returns:
-        The scale s, and the standard deviations t, a and g, the last 0 where no joint turns.
+        The scale s, and the standard deviations t, a and g; the last is 0 if no joint turns.
     """
     noise, _ = _likeliest(stated, by_joints, squares, weights, start)
     return noise
@@ -117,16 +117,11 @@ def support(
 ) -> float:
     """Compare the likelihood of stated covariances with that of equal ones, each at its likeliest noise.
 
-    Args:
-        stated: C, shape (n, 6, 6) [m^2, m rad, rad^2]; and the others as `likeliest_noise` takes them.
-        by_joints: See `likeliest_noise`.
-        squares: See `likeliest_noise`.
-        weights: See `likeliest_noise`.
-        start: See `likeliest_noise`.
+    It takes what `likeliest_noise` takes.
 
     Returns:
-        Log-likelihood with C less that with uncorrelated errors of equal variances in all rows. It is positive where C
-        tells of the errors of a row; clearly negative where it contradicts them, such as in another order or frame.
+        Log-likelihood with C less that with uncorrelated errors of equal variances in all rows. It is positive if C
+        describes the errors of a row, and clearly negative if it contradicts them, such as in another order or frame.
     """
     variances = np.mean(np.diagonal(stated, axis1=1, axis2=2), axis=0)
     by_unit = np.repeat(variances.reshape(2, -1).mean(axis=1), POSE // 2)
@@ -139,7 +134,7 @@ def support(
 def _likeliest(
     stated: Array, by_joints: Array, squares: Array, weights: Array, start: PoseNoise
 ) -> tuple[PoseNoise, float]:
-    """Return the noise of poses of the highest likelihood, see `likeliest_noise`, and its sum at the module's head."""
+    """Return what `likeliest_noise` does, and the least value of the sum at the head of this module."""
     begin = [start.scale, start.position, start.orientation, start.joint]
     of_position = np.diag([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
     of_orientation = np.eye(POSE) - of_position

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from calib.numerics.pose_noise import PoseNoise, likeliest_noise, standardisers
+from calib.numerics.correlated_noise import PoseNoise, likeliest_noise, standardisers
 from tests.covariances import draw, random_covariances
 
 TRUE = PoseNoise(scale=0.4, position=1.5e-4, orientation=8e-4, joint=3e-4)

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from calib.boards.board import Board
 from calib.camera.camera import Camera
-from calib.camera.intrinsics import start_of_intrinsics
+from calib.camera.initial_intrinsics import initial_intrinsics
 from calib.camera.lenses import LENSES
 from calib.errors import MeasurementError
 
@@ -53,7 +53,7 @@ def test_random_cameras_are_found(lens):
     for seed in range(12):
         rng = np.random.default_rng(seed)
         camera, truth = camera_and_truth(lens, rng)
-        start = start_of_intrinsics(camera, views(camera, truth, rng))
+        start = initial_intrinsics(camera, views(camera, truth, rng))
         errors.append(np.abs(start[:4] / truth[:4] - 1.0))
     assert np.max(errors) < 0.03
 
@@ -64,7 +64,7 @@ def test_strong_distortion_is_found_where_the_closed_form_is_far_off():
         camera = Camera(width=1280, height=720)
         truth = np.array([660.0, 662.0, 640.0, 355.0, -0.34, 0.084, 1e-3, 0.0, 0.0])
         seen = views(camera, truth, rng, count=20, noise=0.3)
-        np.testing.assert_allclose(start_of_intrinsics(camera, seen)[:2], truth[:2], rtol=0.02)
+        np.testing.assert_allclose(initial_intrinsics(camera, seen)[:2], truth[:2], rtol=0.02)
 
 
 @pytest.mark.parametrize("lens", LENSES)
@@ -75,7 +75,7 @@ def test_views_with_corners_mixed_up_do_no_harm(lens):
     for k in (0, 7):
         points, pixels = seen[k]
         seen[k] = (points, rng.permutation(pixels))
-    np.testing.assert_allclose(start_of_intrinsics(camera, seen)[:2], truth[:2], rtol=0.02)
+    np.testing.assert_allclose(initial_intrinsics(camera, seen)[:2], truth[:2], rtol=0.02)
 
 
 @pytest.mark.parametrize("lens", LENSES)
@@ -97,21 +97,21 @@ def test_views_that_tell_little_give_something_finite(lens):
         [scattered],
         [mirrored, scattered],
     ):
-        start = start_of_intrinsics(camera, several)
+        start = initial_intrinsics(camera, several)
         assert np.all(np.isfinite(start))
         assert np.all(start[:2] > 0.0)
     with pytest.raises(MeasurementError, match="not on a line"):
-        start_of_intrinsics(camera, [on_line, one_place, undefined])
+        initial_intrinsics(camera, [on_line, one_place, undefined])
 
 
 def test_views_head_on_give_something_finite():
     rng = np.random.default_rng(0)
     camera, truth = camera_and_truth("pinhole", rng)
-    start = start_of_intrinsics(camera, views(camera, truth, rng, tilt=0.0))
+    start = initial_intrinsics(camera, views(camera, truth, rng, tilt=0.0))
     assert np.all(np.isfinite(start))
     assert 0.1 * 1280 < start[0] < 10 * 1280
 
 
 def test_too_few_corners_are_refused():
     with pytest.raises(MeasurementError, match="6 corners"):
-        start_of_intrinsics(Camera(width=640, height=480), [(POINTS[:5], np.zeros((5, 2)))])
+        initial_intrinsics(Camera(width=640, height=480), [(POINTS[:5], np.zeros((5, 2)))])

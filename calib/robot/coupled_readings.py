@@ -1,9 +1,9 @@
-"""Coupled joint readings: the value that a controller shows of a joint, and the value of the URDF's joint.
+"""Coupled joint readings: the value of a joint that a controller shows, and the value of the URDF's joint.
 
     theta_i = q_i + sum_j c_ij q_j,    theta = C q
 
 q are the readings, the columns of a table, and theta the values of the joints that move freely. Many arms show joint 3
-against the horizontal, which joint 2 does not turn: theta_3 = q_3 + q_2 or q_3 - q_2, as the axes point. C is regular,
+relative to the horizontal, whatever joint 2 is at: theta_3 = q_3 + q_2 or q_3 - q_2, as the axes point. C is regular,
 so that there are readings for any values.
 """
 
@@ -22,7 +22,7 @@ from calib.robot.chain import MOVING
 from calib.robot.urdf import Urdf
 
 ReadingCoupling: TypeAlias = tuple[tuple[str, tuple[tuple[str, float], ...]], ...]
-"""Of each coupled joint the factors c of other joints' readings by name, sorted; [rad/rad], [m/m], or of both."""
+"""The factors c of other joints' readings for each coupled joint, by name, sorted; [rad/rad], [m/m], or mixed."""
 
 #: A coupling with a greater condition number counts as singular.
 _SINGULAR = 1e6
@@ -41,7 +41,8 @@ def checked_coupling(
         held: Values of joints that stay where they are, by name, which have no readings.
 
     Raises:
-        UrdfError: A joint has no reading of its own or does not exist, is coupled to itself, or a factor is no number.
+        UrdfError: A joint has no reading of its own, does not exist, or is coupled to itself; or a factor is not a
+            finite number.
     """
     result = []
     for name, factors in sorted((coupling or {}).items()):
@@ -69,7 +70,7 @@ def _check_has_reading(urdf: Urdf, name: str, held: Mapping[str, float], where: 
     moving = {joint.name: joint for joint in urdf.joints if joint.type in MOVING}
     fault = ""
     if name not in moving:
-        fault = f"'{name}' is no joint that moves{did_you_mean(name, moving)}"
+        fault = f"'{name}' is not a joint that moves{did_you_mean(name, moving)}"
     elif name in held:
         fault = f"'{name}' is held at {held[name]:.6g}, so that it has no reading"
     elif moving[name].mimic is not None:
@@ -84,12 +85,12 @@ def _check_has_reading(urdf: Urdf, name: str, held: Mapping[str, float], where: 
 
 
 def reading_matrix(urdf: Urdf, columns: Sequence[str], coupling: ReadingCoupling) -> Array:
-    """Return C of theta = C q, shape (m, m), read-only; the identity where no readings are coupled.
+    """Return C of theta = C q, shape (m, m), read-only; the identity if no readings are coupled.
 
     Args:
         urdf: The robot.
-        columns: Names of the m joints with a reading, which are all of a chain.
-        coupling: As of `checked_coupling`; joints beside the chain may be coupled too, which has no effect on it.
+        columns: Names of the m joints of a chain that have a reading.
+        coupling: From `checked_coupling`; couplings of joints beside the chain are ignored.
 
     Raises:
         UrdfError: A reading of a joint beside the chain is needed, or C is singular.
@@ -101,8 +102,8 @@ def reading_matrix(urdf: Urdf, columns: Sequence[str], coupling: ReadingCoupling
         for other, factor in factors:
             if other not in columns:
                 raise UrdfError(
-                    f"{urdf.source}: the readings of '{name}' are coupled to those of '{other}', which is no joint of "
-                    f"the chain: its joints are {choices(columns, limit=30)}. Choose --base and --tip so that both "
+                    f"{urdf.source}: the readings of '{name}' are coupled to those of '{other}', which is not a joint "
+                    f"of the chain: its joints are {choices(columns, limit=30)}. Choose --base and --tip so that both "
                     "are between them."
                 )
             C[columns.index(name), columns.index(other)] = factor
@@ -125,13 +126,13 @@ def coupling_lines(coupling: Mapping[str, Mapping[str, float]]) -> str:
 
 
 def _key(name: str) -> str:
-    """Return a name as a key of TOML, in quotes where it needs them."""
+    """Return a name as a key of TOML, in quotes if it needs them."""
     bare = name.isascii() and name.replace("_", "").replace("-", "").isalnum()
     return name if bare else json.dumps(name)
 
 
 def coupling_table(coupling: Mapping[str, Mapping[str, float]]) -> list[dict[str, Any]]:
-    """Return coupled readings as a list for files, a row for each factor: ``{"joint", "reading", "factor"}``.
+    """Return coupled readings as a list for files, with a row ``{"joint", "reading", "factor"}`` for each factor.
 
     Args:
         coupling: For each coupled joint the factors of other joints' readings, by name.
@@ -144,7 +145,7 @@ def coupling_table(coupling: Mapping[str, Mapping[str, float]]) -> list[dict[str
 
 
 def coupling_of_table(rows: Iterable[Mapping[str, Any]]) -> dict[str, dict[str, float]]:
-    """Return coupled readings of a file's list, see `coupling_table`."""
+    """Return coupled readings from a file's list, see `coupling_table`."""
     coupling: dict[str, dict[str, float]] = {}
     for row in rows:
         coupling.setdefault(row["joint"], {})[row["reading"]] = float(row["factor"])
