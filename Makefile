@@ -4,6 +4,8 @@
 # make lint   ruff and mypy
 # make coverage   runs the tests and says which lines and branches none of them reaches
 # make docs   builds the site of docs/, into site/
+# make wheel   builds the wheel into dist/, installs it elsewhere, and uses it there as a user would
+# make oldest   runs the tests with the oldest versions that pyproject.toml allows
 # Each makes its own .venv; all they need is Python 3.10 or newer and make.
 
 # The first Python that is new enough, if none is named.
@@ -19,7 +21,7 @@ TOOLS := $(VENV)/.tools
 PIP := $(BIN)/python -m pip install --disable-pip-version-check
 INSTALL = { $(BIN)/uv pip install --compile-bytecode --python $(BIN)/python $(1) || $(PIP) $(1); }
 
-.PHONY: demo test verify coverage lint docs clean
+.PHONY: demo test verify coverage lint docs wheel oldest clean
 
 demo: $(CALIB)
 	$(BIN)/calib demo --out demo --force
@@ -49,8 +51,19 @@ docs: $(TOOLS)
 	$(BIN)/sphinx-build --quiet -W --keep-going --nitpicky docs site
 	@! grep -rnoE '<(script|link|img|iframe)[^>]*(src|href)="(https?:)?//[^"]*"' site --include='*.html'
 
+wheel: $(CALIB)
+	rm -rf dist
+	$(PIP) --quiet build
+	$(BIN)/python -m build --outdir dist .
+	$(BIN)/python scripts/try_wheel.py dist/*.whl
+
+oldest: $(CALIB)
+	$(PYTHON) -m venv .venv-oldest
+	$(BIN)/uv pip install --python .venv-oldest/bin/python --resolution lowest-direct --editable '.[all]' --group test
+	OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 .venv-oldest/bin/python -m pytest -n auto
+
 clean:
-	rm -rf $(VENV) demo .coverage .coverage.* site
+	rm -rf $(VENV) .venv-oldest demo dist .coverage .coverage.* site
 
 $(CALIB): pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10))' 2>/dev/null || { \

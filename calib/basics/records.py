@@ -35,8 +35,8 @@ from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 import numpy as np
 
 from calib.basics.arguments import check_mapping, check_type, wrong_type
-from calib.basics.mappings import ReadOnlyMapping
 from calib.basics.value_forms import TABLE, Check, Form, Place, checked, list_of
+from calib.basics.values import ReadOnlyMapping
 from calib.errors import CalibError, choices, did_you_mean
 
 if sys.version_info >= (3, 11):
@@ -465,7 +465,7 @@ def changes(value: Any, given: Mapping[str, Any]) -> dict[str, Any]:  # noqa: AN
     """Return what options change in a record.
 
     Args:
-        value: The record, as a file has it.
+        value: The record, as a file has it; or its class, if no option is merged with a value so far.
         given: What was typed, by the names of the options (`Option.name`).
 
     Returns:
@@ -475,7 +475,7 @@ def changes(value: Any, given: Mapping[str, Any]) -> dict[str, Any]:  # noqa: AN
         CalibError: A text that the option does not take; or two options of one field say different things.
     """
     result: dict[str, Any] = {}
-    rows = keys_of(type(value))
+    rows = keys_of(value if isinstance(value, type) else type(value))
     for field, row in rows:
         typed = [option for option in row.options if option.name in given]
         if not typed:

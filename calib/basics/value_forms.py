@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
+from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
@@ -156,6 +157,28 @@ def number(unit: str = "", convert: Callable[[float], float] | None = None) -> F
 
     words = f"a number [{unit}]" if unit else "a number"
     return form(words, read, lambda value: float(f"{value / unit_in_si:.15g}"))
+
+
+def shift_decimal(value: float, places: int) -> float:
+    """Multiply a decimal number by a power of ten without changing its digits: 29.85 mm is 0.02985 m.
+
+    Args:
+        value: The number; its digits are those of its shortest representation.
+        places: The power of ten, such as -3 for mm in metres.
+
+    Returns:
+        The double nearest to the decimal product.
+    """
+    return float(Decimal(repr(float(value))).scaleb(places))
+
+
+def decimal(unit: str, places: int) -> Form:
+    """Return the form of a number in a unit that is this power of ten of SI; it keeps its digits there and back."""
+
+    def read(value: Any) -> float | None:  # noqa: ANN401
+        return shift_decimal(value, places) if is_number(value) else None
+
+    return form(f"a number [{unit}]", read, lambda value: shift_decimal(value, -places))
 
 
 def three_numbers(unit: str = "", convert: Callable[[Array], Any] | None = None) -> Form:

@@ -85,7 +85,7 @@ def _registered() -> dict[str, tuple[str, ...]]:
     from calib.data.kinds import names
     from calib.model.error_model import MODELS
     from calib.model.families import joint_families
-    from calib.numerics.solvers import PAPER, SOLVERS
+    from calib.numerics.solvers import SOLVERS
 
     return {
         "{brands}": tuple(BRANDS),
@@ -93,7 +93,7 @@ def _registered() -> dict[str, tuple[str, ...]]:
         "{families}": joint_families(),  # those that no URDF holds
         "{kinds}": names(),
         "{models}": tuple(MODELS),
-        "{solvers}": (*SOLVERS, PAPER),
+        "{solvers}": tuple(SOLVERS),
     }
 
 

@@ -20,7 +20,6 @@ import calib.data.kinds as registry
 from calib.basics.arguments import check_path
 from calib.basics.arrays import Array, read_only
 from calib.basics.files import read_bytes
-from calib.basics.mappings import ReadOnlyMapping
 from calib.basics.records import (
     Key,
     Option,
@@ -33,7 +32,6 @@ from calib.basics.records import (
     table_of,
     tables_of,
 )
-from calib.basics.short import one_line
 from calib.basics.units import MASS, parse_amount, parse_joint_values, parse_point
 from calib.basics.value_forms import (
     JOINT_RANGE,
@@ -49,7 +47,7 @@ from calib.basics.value_forms import (
     text,
     three_numbers,
 )
-from calib.basics.values import Value
+from calib.basics.values import ReadOnlyMapping, Value, one_line
 from calib.boards.board import Board
 from calib.camera.camera import Camera
 from calib.data.cell_keys import (
@@ -94,8 +92,7 @@ from calib.numerics.geometry import (
     rotation_or_none,
     vector,
 )
-from calib.robot.gravity import GRAVITY
-from calib.robot.payload import Payload
+from calib.robot.gravity import GRAVITY, Payload
 
 __all__ = [
     "AUTO",

@@ -16,7 +16,6 @@ from scipy.spatial.transform import Rotation
 
 from calib.basics.arrays import Array
 from calib.basics.channels import RESIDUAL_UNITS
-from calib.basics.mappings import ReadOnlyMapping
 from calib.basics.records import Key, Option, add_entries, read_parts
 from calib.basics.units import ANGLE, COMPLIANCE, LENGTH, PLAIN, is_number, parse_quantity
 from calib.basics.value_forms import (
@@ -29,6 +28,7 @@ from calib.basics.value_forms import (
     number,
     three_numbers,
 )
+from calib.basics.values import ReadOnlyMapping
 from calib.boards.board import Board
 from calib.boards.board_file import board_of_table, read_board
 from calib.camera.camera import Camera

@@ -14,8 +14,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from calib.basics.arrays import Array, Mask
 from calib.errors import FileError, choices
@@ -273,7 +271,7 @@ class RowKind(NamedTuple):
 
 def row_kinds(c: Calibration) -> tuple[RowKind, ...]:
     """Return estimation rows, validation rows and flagged rows of either set; each row is in one, none is empty."""
-    m = c.measurements
+    m = c.fit.measurements
     flagged = flagged_rows(c)
     kinds = (
         RowKind("estimation", m.estimation & ~flagged, ESTIMATION, "o", 4.2),

@@ -289,7 +289,7 @@ def test_a_result_names_the_plugins_that_it_needs(fitted):
     (table,) = plugins.plugin_tables(used)
     assert table["name"] == str(plugin)
     assert [table[key] for key in used] == [["ripple"], ["edge"], ["twin"], []]
-    assert again.solver == "twin"
+    assert again.method.solver == "twin"
 
 
 def test_without_a_plugin_that_is_known_the_name_is_said(fitted, tmp_path):

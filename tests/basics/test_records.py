@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from calib.basics.arrays import Array
-from calib.basics.mappings import ReadOnlyMapping
 from calib.basics.records import (
     Key,
     Option,
@@ -40,6 +39,7 @@ from calib.basics.value_forms import (
     one_of,
     text,
 )
+from calib.basics.values import ReadOnlyMapping
 from calib.errors import ArgumentError, CalibError
 
 #: A registry that names keys: one more entry is one more key.

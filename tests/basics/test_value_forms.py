@@ -5,7 +5,18 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.basics.value_forms import DEGREES, MM, WHOLE, Place, checked, three_numbers
+from calib.basics.value_forms import (
+    DEGREES,
+    MM,
+    WHOLE,
+    Place,
+    checked,
+    decimal,
+    one_of,
+    shift_decimal,
+    text,
+    three_numbers,
+)
 from calib.errors import ArgumentError, CalibError
 
 
@@ -46,3 +57,39 @@ def test_the_place_of_a_key():
     inner = table.key("left")
     assert (str(table), table.heading, inner.name) == ("'frames'", "[frames]", "left")
     assert str(inner.key("xyz")) == "'xyz' in 'left' in [frames]"
+
+
+def test_decimal_numbers_keep_their_digits():
+    for hundredths in range(1, 20000, 7):
+        assert shift_decimal(shift_decimal(hundredths / 100, -3), 3) == hundredths / 100
+        assert shift_decimal(shift_decimal(hundredths / 1e5, 3), -3) == hundredths / 1e5
+
+
+def test_values_are_written_and_read_back():
+    for form, value in (
+        (decimal("mm", -3), 0.0221),
+        (decimal("%", -2), 0.00123),
+        (WHOLE, 3),
+        (text("a text"), "x"),
+        (MM, 0.0221),
+    ):
+        assert form.read(form.write(value), Place("here")) == value
+    layouts = one_of({"new": False, "legacy": True})
+    assert layouts.write(True) == "legacy"
+    assert layouts.read("new", Place("here")) is False
+
+
+@pytest.mark.parametrize(
+    ("form", "value"),
+    [
+        (decimal("mm", -3), "3"),
+        (decimal("mm", -3), True),
+        (decimal("mm", -3), float("inf")),
+        (text("a text"), 3),
+        (one_of({"new": False}), "old"),
+        (one_of({"new": False}), ["new"]),
+    ],
+)
+def test_values_of_another_form_are_refused(form, value):
+    with pytest.raises(CalibError, match=r"^'key' is .*; it must be "):
+        form.read(value, Place("'key'"))

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from calib.data.cell import Cell
     from calib.data.forms.column_options import ColumnOptions
     from calib.result.calibration import Calibration
-    from calib.robot.payload import Payload
+    from calib.robot.gravity import Payload
     from calib.robot.robot import Robot
     from calib.verbs.compensate.commands import Commands
     from calib.verbs.compensate.program import Program
@@ -343,7 +343,7 @@ def _compute(
 ) -> Commands:
     """Compute the commands."""
     from calib.basics.units import MASS, parse_amount
-    from calib.robot.payload import Payload
+    from calib.robot.gravity import Payload
     from calib.verbs.compensate.commands import compensate as compute_commands
 
     length, angle = parse_pair(goal_options.tolerance, "--tolerance", "0.05 mm 0.01 deg")

@@ -202,8 +202,8 @@ def evaluate(
     if calibration is not None:
         result = read_result(calibration)
         cell = with_chain_of_result(cell, result, str(calibration))
-    boards = cell.boards or ({} if result is None else result.nominal_boards)
-    cameras = cell.cameras or ({} if result is None else result.nominal_cameras)
+    boards = cell.boards or ({} if result is None else result.optics.nominal_boards)
+    cameras = cell.cameras or ({} if result is None else result.optics.nominal_cameras)
     with table_of(data, list(boards.values()), list(cameras.values()), quiet=quiet) as path:
         arm, measurements = load_with_data(robot, cell, path, table_options)
     cell, target_source = _with_target(arm, cell, cell_options, result)

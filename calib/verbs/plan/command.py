@@ -302,7 +302,7 @@ def _touch(
     load(robot, replace(cell, base=result.nominal.base, tip=result.nominal.tip))
     touches = plan_touch(
         result,
-        board_of(cell, result.nominal_boards),
+        board_of(cell, result.optics.nominal_boards),
         image_options.tool(),
         image_options.ids(),
         collisions=_collision_check(scene_options),

@@ -192,7 +192,7 @@ def _scene(
         result=result,
         T_tip_board=pair.actual.T_tip_tool,
         T_base_pointer=_in_base(robot, pointer),
-        seeds=_seeds(robot, result.ranges),
+        seeds=_seeds(robot, result.rows.ranges),
         body=body,
     )
 
@@ -207,7 +207,7 @@ def _all_postures(scene: _Scene, points: Array) -> list[_Postures | None]:
     Returns:
         One entry for each corner, None where it is not reached.
     """
-    near = scene.result.ranges.mean(axis=1)
+    near = scene.result.rows.ranges.mean(axis=1)
     postures = []
     for point in points:
         posture = _postures(scene, point, near)

@@ -207,9 +207,8 @@ def _calibrate(trials: Trials, simulated: _Measured) -> _Calibrated:
     if trials.validate:
         result = calibrate(robot, table, cell=simulated.cell, solver=trials.solver)
         assert result.verdict is not None
-        assert result.fit is not None
         fitted = result.fit.non_geometric or result.fit.geometry
-        flagged = frozenset(outlier.row for outlier in result.outliers)
+        flagged = frozenset(outlier.row for outlier in result.rows.outliers)
         return _Calibrated(fitted, result.verdict.use, flagged)
     fits = fit_table(robot, table, simulated.cell, solver=trials.solver)
     rows = np.array(table.rows)[table.estimation]
@@ -288,7 +287,7 @@ def _prediction_errors(trials: Trials, truth: Truth, fitted: Fitted) -> tuple[Ar
         T_frame_target = truth.T_frame_base[0] @ T_base_target
         return poses[:, :3, 3] - T_frame_target[:, :3, 3], J
     # Lengths do not tell where the base is: only the shape of all positions counts.
-    T_base_frame = rigid_inverse(fitted.placed().T_frame_base[0])
+    T_base_frame = rigid_inverse(fitted.estimated_setup().T_frame_base[0])
     predicted = (T_base_frame @ poses)[:, :3, 3]
     difference = (predicted - T_base_target[:, :3, 3])[:, :, None]
     error = without_rigid_motion(predicted, difference)[:, :, 0]

@@ -38,7 +38,7 @@ def test_a_trial_is_what_a_person_would_do(ur3):
     assert trial.nominal_rms == pytest.approx(
         np.sqrt(np.mean(virtual.truth.nominal_errors(q) ** 2))
     )
-    assert trial.sigma == result.sigma["m"]
+    assert trial.sigma == result.noise.sigma["m"]
     assert (trial.model, trial.verdict, trial.seed) == ("hayati", "", 11)
 
 
