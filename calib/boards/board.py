@@ -84,14 +84,14 @@ class Board:
         "columns",
         WHOLE,
         "Squares, or tags, along x: across, with the text of the page below the pattern.",
-        option=Option("--columns", type=int, help="Squares, or tags, across."),
+        option=Option("--columns", type=int, help="Number of squares, or tags, across."),
     )
     #: Squares, or tags, along y.
     rows: int = key(
         "rows",
         WHOLE,
         "Squares, or tags, along y: down. Of a chessboard all squares count, not its inner corners.",
-        option=Option("--rows", type=int, help="Squares, or tags, down."),
+        option=Option("--rows", type=int, help="Number of squares, or tags, down."),
     )
     #: Side of a square as measured on the print; for a grid of tags the distance between the centres of tags [m].
     square: float = key(
@@ -101,7 +101,7 @@ class Board:
         json="square_m",
         option=Option(
             "--square",
-            help='Side of a square, or distance between tags, "30 mm". Default: as large as fits.',
+            help='Side of a square, or distance between tags, such as "30 mm". Default: as large as fits.',
             metavar="LENGTH",
             parse=_length,
         ),
