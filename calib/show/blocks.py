@@ -130,6 +130,35 @@ class Drawing(Block):
 
 
 @dataclass(frozen=True, slots=True)
+class GalleryPicture:
+    """A small picture with marks."""
+
+    #: Name of its file
+    name: str
+    #: Name of its camera; empty if it has none
+    camera: str
+    #: Whether something of it is used
+    is_used: bool
+    #: What is used of it, or why nothing is
+    text: str
+    #: Width and height of the picture that the marks are in [px]
+    size: tuple[int, int]
+    #: The small picture; empty without one
+    jpeg: bytes
+    #: Marked points [px], each set with whether it is used
+    marks: Sequence[tuple[bool, Sequence[tuple[float, float]]]]
+
+
+@dataclass(frozen=True, slots=True)
+class Gallery(Block):
+    """Pictures side by side, those that are not used listed before them; only pages on HTML have one."""
+
+    pictures: Sequence[GalleryPicture]
+    #: Meaning of the marks
+    key: str
+
+
+@dataclass(frozen=True, slots=True)
 class Section:
     """A section of a page; its blocks are made when they are drawn."""
 
@@ -163,6 +192,8 @@ class Page:
     sections: Sequence[Section]
     #: When it was made
     date: str = field(default_factory=report_date)
+    #: On HTML: a wide sheet of pictures for a screen, in place of a report on A4
+    is_sheet: bool = False
 
     def drawn_on(self, medium: Medium) -> Iterator[tuple[Section, list[Block]]]:
         """Yield the sections that a medium draws, each with the blocks that it draws of them.

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from calib.errors import FileError
-from calib.show.blocks import HTML, NOTEBOOK, Drawing, Medium, Page
+from calib.show.blocks import HTML, NOTEBOOK, Drawing, GalleryPicture, Medium, Page
 from calib.show.tables import Table, format_cells
 
 #: A figure with more bytes than this as SVG goes into the page as PNG: browsers scroll slowly over large SVG.
@@ -59,7 +59,7 @@ def _draw(page: Page, medium: Medium) -> str:
         undefined=jinja2.StrictUndefined,
     )
     environment.tests["long"] = _has_long_word
-    environment.globals |= {"cells_of": _cells, "picture_of": _picture}
+    environment.globals |= {"cells_of": _cells, "picture_of": _picture, "jpeg_of": _jpeg}
     sections = [
         (section, [(type(block).__name__, block) for block in blocks])
         for section, blocks in page.drawn_on(medium)
@@ -109,4 +109,14 @@ def _picture(drawing: Drawing) -> str:
     if len(data) > _LARGE:
         media_type = "png"
         data = render(drawing, "png")
+    return _data_address(media_type, data)
+
+
+def _jpeg(picture: GalleryPicture) -> str:
+    """Return a small picture as a data address."""
+    return _data_address("jpeg", picture.jpeg)
+
+
+def _data_address(media_type: str, data: bytes) -> str:
+    """Return the address of a picture that stands in the page itself."""
     return f"data:image/{media_type};base64,{base64.b64encode(data).decode('ascii')}"

@@ -21,7 +21,7 @@ from calib.data.forms.orientations import find_convention
 from calib.data.measurements import Measurements
 from calib.diagnosis.reasons import Why
 from calib.model.parameters import FRAME
-from calib.numerics.intervals import interval_factor
+from calib.numerics.errors import interval_factor
 from calib.result.calibration import Calibration
 from calib.result.calibration_file import versions
 from calib.result.prediction import ParameterEstimate

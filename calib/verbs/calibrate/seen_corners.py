@@ -15,7 +15,7 @@ from calib.basics.arrays import Array, Integers, Mask
 from calib.basics.values import Value
 from calib.camera import optics
 from calib.camera.lenses import LENSES
-from calib.fit.registration.cameras import corners_of
+from calib.fit.registration.table_optics import number_corners
 from calib.fit.registration.table_rows import rows_and_setup
 from calib.result.calibration import Calibration
 from calib.show.look import short_names
@@ -151,7 +151,7 @@ def seen_corners(c: Calibration) -> tuple[SeenCorners, ...]:
     T_camera_boards = c.setup.target_poses(T_base_tip, rows.samples)
     optics_of_rows = c.setup.optics_at(rows.samples)
     assert optics_of_rows is not None
-    names, corner = corners_of(m)
+    names, corner = number_corners(m)
     measured = np.column_stack([m.reading("u"), m.reading("v")])
     held_out = np.full((len(m), 2), np.nan)
     if c.cross_validation is not None:

@@ -7,12 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from calib.basics.channels import RESIDUAL_UNITS, Channels
-from calib.basics.short import one_line
+from calib.basics.values import one_line
 from calib.fit.registration.rows import USUAL_POSE_NOISE
 from calib.fit.selection.robustness import Robustness
 from calib.model.families import FAMILIES
 from calib.model.parameters import FRAME, TARGET
-from calib.numerics.pose_noise import PoseNoise
+from calib.numerics.correlated_noise import PoseNoise
 from calib.result.calibration import Calibration
 from calib.result.parts import Outlier
 from calib.result.prediction import ParameterEstimate

@@ -8,7 +8,7 @@ import numpy as np
 
 import calib.data.kinds as registry
 from calib.basics.channels import RESIDUAL_UNITS
-from calib.basics.short import one_line
+from calib.basics.values import one_line
 from calib.errors import choices
 from calib.show.lines import listed, mm, plural, times
 from calib.show.sizes import shown, with_unit

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from calib.basics.channels import RESIDUAL_UNITS
-from calib.basics.short import one_line
+from calib.basics.values import one_line
 from calib.show.blocks import NOTEBOOK, Facts, Page, Paragraph, Section
 from calib.show.lines import mm, paragraphs, plural, wrap
 from calib.show.page import notebook_html

@@ -12,8 +12,8 @@ import calib
 from calib.data.cell import Cell
 from calib.fit.registration.rows import USUAL_POSE_NOISE
 from calib.fit.selection.robustness import Robustness
+from calib.numerics.correlated_noise import PoseNoise
 from calib.numerics.errors import Errors
-from calib.numerics.pose_noise import PoseNoise
 from calib.result.calibrate import calibrate
 from calib.result.calibration import Calibration
 from calib.result.parts import Outlier
