@@ -21,6 +21,7 @@ from calib.basics.json_files import json_bytes, plain
 from calib.basics.values import one_line
 from calib.errors import CalibError
 from calib.robot.urdf import read_urdf
+from calib.show.plotting import require_matplotlib
 from calib.verbs.fleet.fleet_robot import FleetRobot, check_names
 from calib.verbs.fleet.job import (
     FleetJob,
@@ -132,12 +133,15 @@ def run_fleet(
         A row for each robot, and the outliers among them.
 
     Raises:
-        CalibError: Names that cannot be those of folders or belong to two, or a worker was killed.
+        CalibError: Names that cannot be those of folders or belong to two, a worker was killed, or reports are asked
+            for and matplotlib is missing.
         FileError: The folder cannot be written.
     """
     check_names((robot.name, f"Robot {i}") for i, robot in enumerate(robots, 1))
-    path = make_folder(folder)
     options = options or FleetOptions()
+    if options.reports:
+        require_matplotlib("A report")
+    path = make_folder(folder)
     state = _Run(path, options, len(robots), progress)
     jobs = state.jobs(robots, force=force)
     for number, result in run(calibrate_job, options, jobs, executor):

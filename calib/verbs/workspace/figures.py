@@ -21,6 +21,7 @@ from calib.show.plotting import (
     new_figure,
     number_points,
     picture_bytes,
+    require_matplotlib,
     set_view,
     styled,
     view_limits,
@@ -72,9 +73,11 @@ def write_picture(view: RegionView, path: str | Path, *, overwrite: bool = False
         The file's path.
 
     Raises:
+        CalibError: Matplotlib is missing.
         FileError: Another ending, or the file exists or cannot be written.
     """
     kind = check_ending(path)
+    require_matplotlib("A picture")
     with styled():
         data = picture_bytes(draw_region(view), kind, *headings(view), dpi=_DPI)
     return write_atomically(Path(path), data, overwrite=overwrite)
