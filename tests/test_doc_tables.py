@@ -1,4 +1,4 @@
-"""The tables of keys in the docs are those of the fields, and every record of the cell file has one."""
+"""Tables in the docs are what calib declares: keys of the fields, one for each record, and columns of errors."""
 
 from __future__ import annotations
 
@@ -10,22 +10,29 @@ from calib.basics.records import keys_of
 from calib.data.cell import FILE_KEYS, Cell
 from tests.places import ROOT
 
-SCRIPT = ROOT / "scripts" / "update_key_tables.py"
-SPEC = importlib.util.spec_from_file_location("update_key_tables", SCRIPT)
-update_key_tables = importlib.util.module_from_spec(SPEC)
-SPEC.loader.exec_module(update_key_tables)
+SCRIPT = ROOT / "scripts" / "update_doc_tables.py"
+SPEC = importlib.util.spec_from_file_location("update_doc_tables", SCRIPT)
+update_doc_tables = importlib.util.module_from_spec(SPEC)
+SPEC.loader.exec_module(update_doc_tables)
 
 
-@pytest.mark.parametrize("page", ["cell.md", "simulation.md"])
-def test_the_tables_of_a_page_are_current(page: str):
+@pytest.mark.parametrize(
+    ("page", "table"),
+    [
+        ("cell.md", "keys of calib."),
+        ("simulation.md", "keys of calib."),
+        ("report.md", "columns of errors"),
+    ],
+)
+def test_the_tables_of_a_page_are_current(page: str, table: str):
     text = (ROOT / "docs" / page).read_text(encoding="utf-8")
-    assert "<!-- keys of calib." in text
-    assert update_key_tables.with_tables(text) == text, "run scripts/update_key_tables.py"
+    assert f"<!-- {table}" in text
+    assert update_doc_tables.with_tables(text) == text, "run scripts/update_doc_tables.py"
 
 
 def test_a_table_has_every_key_once():
     names = [row.name for row in (*FILE_KEYS, *(row for _, row in keys_of(Cell))) if row.help]
-    table = update_key_tables.table(Cell).splitlines()[2:]
+    table = update_doc_tables.table(Cell).splitlines()[2:]
     assert [line.split("`")[1] for line in table] == names
     assert len(set(names)) == len(names)
 
@@ -33,7 +40,7 @@ def test_a_table_has_every_key_once():
 def test_defaults_are_those_of_the_fields():
     defaults = {
         line.split("`")[1]: line.split(" | ")[2]
-        for line in update_key_tables.table(Cell).splitlines()[2:]
+        for line in update_doc_tables.table(Cell).splitlines()[2:]
     }
     cell = Cell()
     assert defaults["model"] == f'`"{cell.model}"`'
