@@ -2,9 +2,9 @@
 
     python scripts/update_doc_tables.py
 
-A table of keys stands between ``<!-- keys of calib.data.cell.Cell -->`` and ``<!-- end of keys -->``; the name is that of
-the record whose keys it has. The columns of errors stand between ``<!-- columns of errors -->`` and ``<!-- end of columns
--->``. A test fails while a table in the docs differs from the one that this script writes.
+A table of keys stands between ``<!-- keys of calib.data.cell.Cell -->`` and ``<!-- end of keys -->``; the name is that
+of the record whose keys it has. The columns of errors stand between ``<!-- columns of errors -->`` and
+``<!-- end of columns -->``. A test fails while a table in the docs differs from the one that this script writes.
 """
 
 from __future__ import annotations

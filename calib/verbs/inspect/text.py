@@ -111,7 +111,7 @@ def _dh(robot: Robot) -> Iterator[Block]:
     ]
     title = "Standard DH rows, T = Rz(theta + q) Tz(d) Tx(a) Rx(alpha) Ry(beta)"
     notes = [
-        "beta is given only for nearly parallel axes (Hayati); d is set to 0 there by convention.",
+        "beta is given only where axes are nearly parallel (Hayati); there d is set to 0 by convention.",
         f"base to DH frame 0: {_pose_text(table.T_base_0)}",
         f"DH frame n to tip: {_pose_text(table.T_n_tip)}",
     ]
