@@ -117,8 +117,8 @@ SENTENCES = {
     "points by {effect_m:mm.1f} mm rms; all other corrections of the arm move them by "
     "{arm_m:mm.1f} mm. Unless the measurement frame is aligned with the base better than that, "
     "add --frame estimate.",
-    Why.MUCH_REMAINS: "Much of the error remains: {remains:%.0f} % on held-out rows "
-    "after the noise is subtracted ({change}).{better}",
+    Why.MUCH_REMAINS: "Much of the error remains: {remains:%.0f} % on held-out rows, noise "
+    "subtracted ({change}).{better}",
     Why.VALIDATION_SMALL_GAIN: "On the {rows} validation rows{rows_aside} the error hardly falls: "
     "{change}.",
     Why.JOINTS_LAG: f"{_NOT_NOISE}they follow the last move of the joints, which {_SHARE}: the "
