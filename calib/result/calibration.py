@@ -1,6 +1,6 @@
 """Calibration: the result of `calib.calibrate` as immutable values, the same in memory and read from its file.
 
-Its parts are in `calib.result.parts`, the fitted models in `calib.result.prediction`. Measurements and solved problem,
+Its parts are in `calib.result.parts`, fitted models in `calib.result.fitted_model`. Measurements and solved problem,
 which no file holds, are its part ``fit``.
 """
 
@@ -25,10 +25,10 @@ from calib.fit.registration.setup import Setup
 from calib.model.kinematics import Samples
 from calib.model.parameters import ErrorModel
 from calib.numerics.errors import CrossValidation, Errors
-from calib.result.cameras import ResultOptics
+from calib.result.fitted_model import FittedModel, NonGeometric, ParameterEstimate
 from calib.result.joint_zeros import JointZeros
 from calib.result.parts import FitInMemory, Method, Noise, ResultRows, Source, Trust
-from calib.result.prediction import FittedModel, NonGeometric, ParameterEstimate
+from calib.result.result_optics import ResultOptics
 from calib.robot.payload import Payload
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
@@ -48,11 +48,11 @@ class Calibration(Value):
     can be pickled and copied, with measurements and fit if it has them. Arrays are read-only.
 
         robot            the calibrated robot; nominal, nominal_setup: robot, frames and targets before
-        geometry         the fitted model of the URDF: parameters, covariance, frames and targets, predictions
+        geometry         the fitted model of the URDF: parameters, covariance, frames and targets, predictions, verdict
         non_geometric    the fitted model with errors of the joints' state, or None
         rows             of each row its names, residuals, score, weight; outliers, joint ranges
         noise            standard deviation of a scalar, scatter of repeats, noise of poses
-        trust            verdict, cross-validation of the nominal robot, observability, robustness
+        trust            cross-validation of the nominal robot, observability, robustness
         method           what the fit was told, candidates, solver
         optics           cameras and boards of images
         zeros            the best joint zeros alone, or None
@@ -224,8 +224,8 @@ class Calibration(Value):
 
     @property
     def verdict(self) -> Verdict | None:
-        """The verdict on the geometry, of ``trust``."""
-        return self.trust.verdict
+        """The verdict on the geometry; None without cross-validation, unless the input is wrong."""
+        return self.geometry.verdict
 
     @property
     def cross_validation(self) -> CrossValidation | None:
@@ -318,9 +318,7 @@ class Calibration(Value):
             The verdict on the non-geometric model if it is to be used and has one, else ``verdict``, that on the
             geometry; None where there is none.
         """
-        if non_geometric and self.non_geometric is not None and self.non_geometric.verdict:
-            return self.non_geometric.verdict
-        return self.verdict
+        return self.part(non_geometric=non_geometric).verdict or self.verdict
 
     def part(self, *, non_geometric: bool) -> FittedModel:
         """Return the model to predict with.

@@ -72,7 +72,7 @@ _ELSEWHERE = 5e-3
 _NARROW = 1.0 / 3.0
 
 
-def doubts_of(result: Calibration, rows: Rows) -> tuple[Reason, ...]:
+def find_doubts(result: Calibration, rows: Rows) -> tuple[Reason, ...]:
     """List the reasons for doubt about a result besides its errors.
 
     They concern the fit of the non-geometric model where the result has one, else that of the geometry.

@@ -24,7 +24,7 @@ from calib.fit.estimate.fitting import Fitted, fit
 from calib.fit.estimate.task import PAPER
 from calib.fit.registration.rows import Rows
 from calib.fit.selection.linear_folds import linear_cross_validation
-from calib.result.fits import TableFits
+from calib.result.table_fits import TableFits
 from calib.robot.robot import Robot
 
 #: Names of the rows whose errors count: predicted by fits without them, of the set ``validate``, or fitted.

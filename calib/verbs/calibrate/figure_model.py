@@ -16,7 +16,7 @@ from calib.basics.channels import RESIDUAL_UNITS
 from calib.camera.optics import CORNER
 from calib.model.families import unit_of
 from calib.result.calibration import Calibration
-from calib.result.prediction import ParameterEstimate
+from calib.result.fitted_model import ParameterEstimate
 from calib.show.figure_base import CALIBRATED, INK, NOMINAL, OUTLIER, SOFT
 
 #: Title of the panel of the parameters of each unit.

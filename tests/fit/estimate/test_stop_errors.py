@@ -21,7 +21,7 @@ from calib.fit.selection.linear_folds import fold_posterior_means
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics
 from calib.numerics.likelihood import GaussianPriors
-from calib.result.prediction import parameter_estimates
+from calib.result.fitted_model import parameter_estimates
 from calib.robot.ranges import random_joint_values
 from calib.verbs.calibrate.uncertainty import _fit_sample
 from tests.fits import joined, place

@@ -44,9 +44,9 @@ def shop(tmp_path_factory: pytest.TempPathFactory) -> Path:
     result = read_result(folder / "result.json")
     for name, use in (("bad", NO), ("care", CARE)):
         write_result(
-            with_part(result, "trust", verdict=Verdict(use, (LOST,))), folder / f"{name}.json"
+            with_part(result, "geometry", verdict=Verdict(use, (LOST,))), folder / f"{name}.json"
         )
-    write_result(with_part(result, "trust", verdict=None), folder / "none.json")
+    write_result(with_part(result, "geometry", verdict=None), folder / "none.json")
     convert(str(folder / "bad.json"), folder / "bad.urdf", accept=True)
     return folder
 

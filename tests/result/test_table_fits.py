@@ -14,9 +14,9 @@ from calib.data.measurements import Measurements
 from calib.diagnosis.reasons import Why
 from calib.fit.estimate.fitting import fit
 from calib.model.parameters import FRAME
-from calib.result import fits as module
+from calib.result import table_fits as module
 from calib.result.calibrate import calibrate
-from calib.result.fits import fit_table
+from calib.result.table_fits import fit_table
 from calib.robot.payload import Payload
 from tests.fits import TARGETS, every_sixth_validates
 
@@ -80,8 +80,8 @@ def test_outliers_are_confirmed_where_a_named_geometry_alone_was_fitted(
     scene, c = calibrated(name)
     order = [1, 0, 2, 3, 4, 5] if swapped else range(6)
     table = replace(c.fit.measurements, joints=c.fit.measurements.joints[:, order])
-    real = module._with_outliers_confirmed
-    with mock.patch.object(module, "_with_outliers_confirmed", wraps=real) as asked:
+    real = module._confirm_outliers
+    with mock.patch.object(module, "_confirm_outliers", wraps=real) as asked:
         fits = fit_table(scene.robot, table, c.fit.cell, model=model)
     assert asked.called == confirmed
     assert (fits.mistake is not None) == swapped
@@ -136,7 +136,7 @@ def test_a_part_of_many_rows_confirms_outliers_as_all_rows_do(
     data = Measurements(panda.joint_names, samples.q[rows], table)
     cell = Cell(model="dh", payload=payload)
     by_few = calibrate(panda, data, cell=cell, validate=False)
-    monkeypatch.setattr("calib.result.fits._MANY_ROWS", len(rows))
+    monkeypatch.setattr("calib.result.table_fits._MANY_ROWS", len(rows))
     by_all = calibrate(panda, data, cell=cell, validate=False)
     np.testing.assert_array_equal(by_few.geometry.x, by_all.geometry.x)
     assert by_few.rows.outliers == by_all.rows.outliers

@@ -13,7 +13,7 @@ from calib.data.measurements import Measurements
 from calib.model.error_model import error_model
 from calib.result.calibrate import calibrate
 from calib.result.calibration import Calibration
-from calib.result.prediction import _prior_std
+from calib.result.fitted_model import parameter_estimates
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 from tests.parts import with_part
@@ -113,8 +113,14 @@ def test_a_turned_target_has_its_interval_and_prior_along_the_tips_axes(make_sce
     assert found.parameter("target_y").std > 1e-5
 
 
-def test_without_a_prior_it_has_no_standard_deviation():
-    np.testing.assert_array_equal(_prior_std(np.array([4.0, 0.0])), [0.5, np.nan])
+def test_without_a_prior_a_parameter_has_no_standard_deviation_of_it(calibrated):
+    _, c = calibrated("points")
+    fitted, precision = c.fit.geometry, c.fit.geometry.estimate.problem.precision.copy()
+    precision[:2] = [4.0, 0.0]
+    problem = replace(fitted.estimate.problem, precision=precision)
+    changed = replace(fitted, estimate=replace(fitted.estimate, problem=problem))
+    estimates = parameter_estimates(changed, c.trust.observability)
+    np.testing.assert_array_equal([one.prior_std for one in estimates[:2]], [0.5, np.nan])
 
 
 def test_the_error_at_a_new_point_has_what_the_model_lacks(calibrated):

@@ -24,7 +24,7 @@ from calib.fit.estimate.fitting import Fitted
 from calib.fit.registration.rows import Rows
 from calib.fit.registration.setup import Setup
 from calib.model.parameters import BOARD, CAMERA, Parameter
-from calib.result.prediction import FittedModel
+from calib.result.fitted_model import FittedModel
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
