@@ -17,8 +17,8 @@ import numpy as np
 
 from calib.basics.arrays import Array
 from calib.basics.files import read_bytes
-from calib.basics.mappings import ReadOnlyMapping
 from calib.basics.units import is_number
+from calib.basics.values import ReadOnlyMapping
 from calib.camera.camera import UNKNOWN, Camera
 from calib.camera.camera_yaml import camera_info_yaml, camera_of_yaml, opencv_yaml
 from calib.camera.lenses import LENSES, Lens

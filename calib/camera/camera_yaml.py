@@ -16,7 +16,7 @@ import numpy as np
 import yaml
 
 from calib.basics.arrays import Array
-from calib.basics.mappings import ReadOnlyMapping
+from calib.basics.values import ReadOnlyMapping
 from calib.camera.camera import Camera
 from calib.camera.lenses import LENSES
 from calib.errors import CalibError, FileError, choices, did_you_mean

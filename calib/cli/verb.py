@@ -105,9 +105,9 @@ def _models() -> tuple[str, ...]:
 
 def _solvers() -> tuple[str, ...]:
     """Return the names of the solvers."""
-    from calib.numerics.solvers import PAPER, SOLVERS
+    from calib.numerics.solvers import SOLVERS
 
-    return (*SOLVERS, PAPER)
+    return tuple(SOLVERS)
 
 
 def _brands() -> tuple[str, ...]:

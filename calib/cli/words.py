@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from calib.camera.camera import Camera
     from calib.data.cell import Tracker
     from calib.data.forms.column_options import ColumnOptions
-    from calib.robot.payload import Payload
+    from calib.robot.gravity import Payload
 
 #: The size of images: width and height [px].
 _IMAGE_SIZE = re.compile(r"(\d{2,5})\s*x\s*(\d{2,5})")
@@ -153,7 +153,7 @@ def parse_payload(text: str, payload: Payload | None) -> Payload:
         CalibError: It is no mass.
     """
     from calib.basics.units import MASS, parse_amount
-    from calib.robot.payload import Payload
+    from calib.robot.gravity import Payload
 
     mass = parse_amount(text, "--payload", MASS, "5 kg")
     return Payload(mass) if payload is None else replace(payload, mass=mass)

@@ -20,10 +20,8 @@ import calib.data.kinds as registry
 from calib.basics.arguments import check_mapping, check_path, check_type
 from calib.basics.arrays import Array, read_only
 from calib.basics.channels import RESIDUAL_UNITS
-from calib.basics.mappings import ReadOnlyMapping
-from calib.basics.short import one_line
 from calib.basics.units import is_number
-from calib.basics.values import Value
+from calib.basics.values import ReadOnlyMapping, Value, one_line
 from calib.boards.board import Board
 from calib.camera.camera import Camera
 from calib.data.cell_file import checked, read_cell_file
@@ -48,8 +46,7 @@ from calib.numerics.geometry import (
     rotation_or_none,
     vector,
 )
-from calib.robot.gravity import GRAVITY
-from calib.robot.payload import Payload
+from calib.robot.gravity import GRAVITY, Payload
 
 __all__ = [
     "AUTO",

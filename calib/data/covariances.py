@@ -13,7 +13,7 @@ from calib.data.checks import RowLabels, checked_numbers
 from calib.data.columns import COVARIANCE
 from calib.data.kinds import SIGMAS, Kind
 from calib.errors import MeasurementError
-from calib.numerics.pose_noise import POSE, POSE_UNITS
+from calib.numerics.correlated_noise import POSE, POSE_UNITS
 
 #: Least and largest entry [m^2, m rad, rad^2].
 _ENTRIES = (-(SIGMAS[1] ** 2), SIGMAS[1] ** 2)

@@ -17,11 +17,9 @@ from calib.basics.arguments import check_names, mask_of_rows, numbers
 from calib.basics.arrays import Array, Mask, read_only
 from calib.basics.channels import RESIDUAL_UNITS, residual_unit
 from calib.basics.files import csv_bytes, write_atomically
-from calib.basics.mappings import ReadOnlyMapping
-from calib.basics.short import one_line
 from calib.basics.tables import Table
 from calib.basics.units import Quantity
-from calib.basics.values import Value
+from calib.basics.values import ReadOnlyMapping, Value, one_line
 from calib.data.checks import (
     RowLabels,
     by_word,

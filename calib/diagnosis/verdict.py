@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 from calib.basics.channels import RESIDUAL_UNITS
-from calib.basics.mappings import ReadOnlyMapping
+from calib.basics.values import ReadOnlyMapping
 from calib.diagnosis.evidence import REMAINS, Evidence
 from calib.diagnosis.further_unknowns import PREDICTS
 from calib.diagnosis.reasons import CARE, NO, USE, Group, Reason, Role, Verdict, Why

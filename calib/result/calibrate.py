@@ -13,16 +13,14 @@ import numpy as np
 
 from calib.basics.arguments import check_callable, check_flags
 from calib.basics.arrays import Array, Mask, read_only
-from calib.basics.blas import one_blas_thread
 from calib.basics.channels import RESIDUAL_UNITS, Channels
-from calib.basics.jobs import Progress
+from calib.basics.jobs import Progress, one_blas_thread
 from calib.data.cell import Cell
 from calib.data.inputs import CellInput, RobotInput, TableInput, inputs_of
 from calib.data.measurements import Measurements
 from calib.diagnosis.coverage import outside
 from calib.diagnosis.reasons import NO, Verdict, Why
 from calib.fit.estimate.fitting import Fitted, fit
-from calib.fit.estimate.task import PAPER
 from calib.fit.registration.registration import nominal_setup, register_held_out
 from calib.fit.selection.candidates import alternative_models, mark_chosen
 from calib.fit.selection.cross_validation import cross_validation, nominal_cross_validation
@@ -203,7 +201,7 @@ def _assemble(
         )
 
     robustness = None
-    if np.any(estimate.outliers) and task.solver != PAPER:  # which has no robust weights
+    if np.any(estimate.outliers) and task.has_weights_and_priors:
         robustness = compare_weights(fitted)
     candidates = []
     for candidate in fits.candidates:

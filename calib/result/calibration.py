@@ -15,8 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from calib.basics.arguments import check_path, check_type
 from calib.basics.arrays import Array, rigid_inverse
-from calib.basics.shown import shown_by
-from calib.basics.values import Value
+from calib.basics.values import Value, shown_by
 from calib.data.record import BLANK, Record
 from calib.diagnosis.coverage import OutsideRow, outside
 from calib.diagnosis.reasons import Verdict
@@ -29,7 +28,7 @@ from calib.result.fitted_model import FittedModel, NonGeometric, ParameterEstima
 from calib.result.joint_zeros import JointZeros
 from calib.result.parts import FitInMemory, Method, Noise, ResultRows, Source, Trust
 from calib.result.result_optics import ResultOptics
-from calib.robot.payload import Payload
+from calib.robot.gravity import Payload
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
 

@@ -3,32 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
 
 from calib.basics.arrays import Array
 from calib.basics.json_files import Json
-from calib.basics.mappings import ReadOnlyMapping
+from calib.basics.values import ReadOnlyMapping
 from calib.boards.board import Board
+from calib.boards.board_keys import json_key
 from calib.camera.camera import UNKNOWN, Camera
 from calib.camera.lenses import LENSES
-
-#: Attributes of a board, and their keys in the file.
-_BOARD_KEYS = {
-    "name": "name",
-    "pattern": "pattern",
-    "columns": "columns",
-    "rows": "rows",
-    "square": "square_m",
-    "marker": "marker_m",
-    "dictionary": "dictionary",
-    "first_marker": "first_marker",
-    "legacy": "legacy",
-    "sigma_scale": "sigma_scale",
-    "sigma_corner": "sigma_corner_m",
-    "sigma_warp": "sigma_warp_m",
-}
 
 
 def cameras_table(cameras: Mapping[str, Camera]) -> list[dict[str, Any]]:
@@ -87,7 +73,7 @@ def boards_table(boards: Mapping[str, Board]) -> list[dict[str, Any]]:
     """
     table = []
     for target, board in boards.items():
-        entries = {key: getattr(board, attribute) for attribute, key in _BOARD_KEYS.items()}
+        entries = {json_key(field): getattr(board, field.name) for field in fields(board)}
         table.append({"target": target, **entries})
     return table
 
@@ -96,6 +82,6 @@ def read_boards(table: Iterable[Json]) -> Mapping[str, Board]:
     """Return printed boards from their tables in the file, by the names of their targets."""
     boards = {}
     for row in table:
-        arguments = {attribute: row[key] for attribute, key in _BOARD_KEYS.items()}
+        arguments = {field.name: row[json_key(field)] for field in fields(Board)}
         boards[row["target"]] = Board(**arguments)
     return ReadOnlyMapping(boards)

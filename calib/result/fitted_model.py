@@ -16,21 +16,17 @@ from typing import Any, TypeVar
 import numpy as np
 
 from calib.basics.arrays import Array, read_only
-from calib.basics.mappings import keep_read_only
-from calib.basics.values import Value
+from calib.basics.values import Value, keep_read_only
 from calib.diagnosis.extrapolation import extrapolation
 from calib.diagnosis.reasons import Verdict
 from calib.fit.estimate.fitting import Fitted
-from calib.fit.estimate.task import PAPER
 from calib.fit.registration.setup import Setup
 from calib.model.kinematics import Kinematics, Samples
 from calib.model.observability import Observability
 from calib.model.parameters import FRAME, TARGET, ErrorModel
-from calib.numerics.errors import CrossValidation, rms
-from calib.numerics.intervals import interval_factor
+from calib.numerics.errors import CrossValidation, interval_factor, rms
 from calib.numerics.rigid_motion import best_motion, displacements_by
-from calib.robot.gravity import gravity_loads
-from calib.robot.payload import Payload
+from calib.robot.gravity import Payload, gravity_loads
 from calib.robot.ranges import spread_poses
 from calib.robot.robot import Robot
 
@@ -140,7 +136,7 @@ class FittedModel(Value):
             covariance=fitted.estimate.covariance,
             prior_std=fitted.estimate.prior_std,
             parameters=parameter_estimates(fitted, observability),
-            setup=fitted.placed(),
+            setup=fitted.estimated_setup(),
             base_motion=base_motion,
             cross_validation=cross_validation,
             expected_measured=np.nan,  # below: the model itself predicts
@@ -296,10 +292,10 @@ def parameter_estimates(
     std = np.sqrt(np.diag(estimate.covariance))
     std[list(estimate.at_bound)] = np.nan
     half_width = interval_factor(estimate.freedom) * std
-    precision = estimate.problem.precision
+    precision = estimate.problem.prior_precision
     prior_std = 1.0 / np.sqrt(np.where(precision > 0.0, precision, np.nan))
     data_gradient = _data_gradient(fitted)
-    setup = fitted.placed()
+    setup = fitted.estimated_setup()
 
     result = []
     for k, parameter in enumerate(model.parameters):
@@ -350,9 +346,9 @@ def _data_gradient(fitted: Fitted) -> Array:
     At the least of squares with priors it equals their pull, precision (x - centre).
     """
     x, problem = fitted.estimate.x, fitted.estimate.problem
-    if fitted.task.solver == PAPER:  # not at the least of squares, and without priors
-        return np.asarray(problem.precision * (x - problem.centre))
-    without_priors = replace(problem, precision=np.zeros(len(x)))
+    if not fitted.task.has_weights_and_priors:  # not at the least of squares, and without priors
+        return np.asarray(problem.prior_precision * (x - problem.prior_mean))
+    without_priors = replace(problem, prior_precision=np.zeros(len(x)))
     # Measured minus predicted in standard deviations, (m,), and its derivative by the parameters, (m, p).
     residual, jacobian = without_priors.system(x)
     return -residual @ jacobian

@@ -13,7 +13,6 @@ from calib.cli.options import FitOptions, Robust, SolverOptions, TableOptions
 from calib.cli.verb import Verb, verb
 from calib.data import kinds
 from calib.errors import FileError, ModelError
-from calib.fit.estimate.task import PAPER
 from calib.model.error_model import MODELS
 from calib.model.families import joint_families
 from calib.numerics.solvers import SOLVERS
@@ -77,7 +76,7 @@ def test_classes_of_options_stand_for_their_fields(words, code, said):
     [
         ("calibrate", joint_families()),
         ("calibrate", kinds.names()),
-        ("calibrate", (*SOLVERS, PAPER)),
+        ("calibrate", tuple(SOLVERS)),
         ("calibrate", tuple(MODELS)),
         ("convert", tuple(FORMATS)),
     ],
@@ -97,7 +96,7 @@ def test_no_placeholder_is_left_in_any_help():
 
 
 def test_an_unknown_solver_is_refused_with_the_names_that_there_are():
-    for name in (*SOLVERS, PAPER):
+    for name in SOLVERS:
         SolverOptions(solver=name).check()
     with pytest.raises(ModelError, match=r"no solver 'scipi' \(did you mean 'scipy'\?\)"):
         SolverOptions(solver="scipi").check()

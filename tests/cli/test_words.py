@@ -13,7 +13,7 @@ from calib.basics.units import Angle, Length
 from calib.cli.words import parse_columns, parse_held, parse_pair, parse_payload, parse_point
 from calib.data.forms.column_options import ColumnOptions
 from calib.errors import CalibError
-from calib.robot.payload import Payload
+from calib.robot.gravity import Payload
 
 
 @pytest.mark.parametrize("text", ["1 2 3 mm", "1,2,3 mm", " 1, 2, 3mm", "0.1 0.2 0.3 cm"])

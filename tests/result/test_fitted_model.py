@@ -115,9 +115,9 @@ def test_a_turned_target_has_its_interval_and_prior_along_the_tips_axes(make_sce
 
 def test_without_a_prior_a_parameter_has_no_standard_deviation_of_it(calibrated):
     _, c = calibrated("points")
-    fitted, precision = c.fit.geometry, c.fit.geometry.estimate.problem.precision.copy()
+    fitted, precision = c.fit.geometry, c.fit.geometry.estimate.problem.prior_precision.copy()
     precision[:2] = [4.0, 0.0]
-    problem = replace(fitted.estimate.problem, precision=precision)
+    problem = replace(fitted.estimate.problem, prior_precision=precision)
     changed = replace(fitted, estimate=replace(fitted.estimate, problem=problem))
     estimates = parameter_estimates(changed, c.trust.observability)
     np.testing.assert_array_equal([one.prior_std for one in estimates[:2]], [0.5, np.nan])

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from typing import TypeAlias
 
 from calib.basics.arguments import check_mapping, check_type
-from calib.basics.mappings import ReadOnlyMapping
 from calib.basics.units import Quantity, find_unit, symbols
+from calib.basics.values import ReadOnlyMapping
 from calib.data.forms.brands import Brand, find_brand
 from calib.data.forms.orientations import Convention, find_convention
 from calib.errors import CalibError, MeasurementError, choices

@@ -19,7 +19,7 @@ from calib.errors import CalibError, VerdictError
 if TYPE_CHECKING:
     from calib.data.cell import Cell
     from calib.result.calibration import Calibration
-    from calib.robot.payload import Payload
+    from calib.robot.gravity import Payload
     from calib.robot.robot import Robot
     from calib.verbs.compensate.commands import Commands
     from calib.verbs.compensate.program import Program

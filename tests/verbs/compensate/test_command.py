@@ -109,8 +109,7 @@ def large(tmp_path_factory: pytest.TempPathFactory) -> Path:
     from calib.example import paper_urdf
     from calib.result.calibrate import calibrate
     from calib.result.calibration_file import write_result
-    from calib.robot.gravity import gravity_loads
-    from calib.robot.payload import Payload
+    from calib.robot.gravity import Payload, gravity_loads
     from calib.robot.robot import Robot
 
     folder = tmp_path_factory.mktemp("large")
