@@ -7,8 +7,8 @@ from typing import Any
 
 from calib.basics.channels import RESIDUAL_UNITS
 from calib.basics.values import ReadOnlyMapping
+from calib.diagnosis.augmented_fit import PREDICTS
 from calib.diagnosis.evidence import REMAINS, Evidence
-from calib.diagnosis.further_unknowns import PREDICTS
 from calib.diagnosis.reasons import CARE, NO, USE, Group, Reason, Role, Verdict, Why
 from calib.numerics.errors import Errors
 

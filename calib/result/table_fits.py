@@ -16,9 +16,12 @@ from calib.basics.arrays import Mask
 from calib.basics.jobs import one_blas_thread
 from calib.data.cell import AUTO, Cell
 from calib.data.measurements import Measurements
-from calib.diagnosis.frame_not_found import frame_not_found
 from calib.diagnosis.reasons import Reason
-from calib.diagnosis.usual_mistakes import check_positions, find_usual_mistake
+from calib.diagnosis.usual_mistakes import (
+    check_positions,
+    find_usual_mistake,
+    frame_not_found,
+)
 from calib.fit.estimate.fitting import Fitted, fit
 from calib.fit.estimate.task import Task
 from calib.fit.registration.known_distances import known_distances

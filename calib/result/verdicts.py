@@ -39,7 +39,7 @@ def add_verdicts(result: Calibration, rows: Rows) -> Calibration:
     Returns:
         The same result, each fitted model with its verdict.
     """
-    doubts = find_doubts(result, rows)
+    doubts = tuple(find_doubts(result, rows))
     larger, of_larger = result.non_geometric, result.fit.non_geometric
     usable = None
     if larger is not None and of_larger is not None:

@@ -1,11 +1,11 @@
-"""Mistakes in joint values: each trial undoes one, and is named by its code and values."""
+"""Corrections of joint values: each undoes one mistake, and is named by its code and values."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from calib.diagnosis.joint_mistakes import joint_trials, shifted_zeros
+from calib.diagnosis.corrections import correct_joints, shift_zeros
 from calib.diagnosis.reasons import Why
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
@@ -13,7 +13,7 @@ from calib.robot.robot import Robot
 
 def test_zeros_are_shifted_by_quarter_turns_either_way_and_by_half_a_turn():
     q = np.array([[0.1, 0.2, 0.3], [0.4, 0.5, 0.6]])
-    trials = list(shifted_zeros("b", 1, q))
+    trials = list(shift_zeros("b", 1, q))
     assert {why for _, why, _ in trials} == {Why.JOINT_ZERO}
     assert [values["joint"] for _, _, values in trials] == ["b"] * 3
     added = [values["add_rad"] for _, _, values in trials]
@@ -24,7 +24,7 @@ def test_zeros_are_shifted_by_quarter_turns_either_way_and_by_half_a_turn():
 
 def test_each_usual_change_of_six_joints_is_tried(ur3: Robot):
     q = random_joint_values(ur3, 4, 1)
-    trials = list(joint_trials(ur3, q))
+    trials = list(correct_joints(ur3, q))
     count = {why: sum(code is why for _, code, _ in trials) for why in {t[1] for t in trials}}
     assert count == {
         Why.JOINT_ZERO: 18,
@@ -44,5 +44,5 @@ def test_a_stated_coupling_is_left_out_in_one_trial(ur3: Robot):
     pan, lift, *_ = ur3.joint_names
     coupled = Robot.from_urdf(ur3.urdf, ur3.base, ur3.tip, coupling={lift: {pan: 1.0}})
     q = random_joint_values(ur3, 4, 1)
-    (without,) = [c for c, why, _ in joint_trials(coupled, q) if why is Why.READINGS_NOT_COUPLED]
+    (without,) = [c for c, why, _ in correct_joints(coupled, q) if why is Why.READINGS_NOT_COUPLED]
     np.testing.assert_allclose(coupled.poses(without), ur3.poses(q), atol=1e-12)
