@@ -68,13 +68,32 @@ def contradicted_values(fitted: Fitted, *, scale_certified: bool) -> Iterator[Re
     """
     task = fitted.task
     if task.has_weights_and_priors and task.cell.priors.source == "data":
-        yield from _moved_base(fitted)
-        yield from _wrong_scale(fitted, certified=scale_certified)
+        base = motion_of_base(fitted)
+        if (
+            base is not None
+            and base.p < UNLIKELY
+            and base.effect > _LIKE_THE_ARM * base.effect_of_arm
+        ):
+            yield Reason.of(
+                Why.BASE_MOVED,
+                moved_m=base.moved,
+                turned_rad=base.turned,
+                effect_m=base.effect,
+                arm_m=base.effect_of_arm,
+            )
+        scale = instrument_scale(fitted)
+        if scale is not None:
+            if abs(scale.share) > _SCALED and scale.p < FALSE_ALARM:
+                yield Reason.of(Why.LENGTHS_SCALED, scale=scale.share, std=scale.std, p=scale.p)
+            elif scale.measured and not scale_certified:
+                yield Reason.of(
+                    Why.SCALE_HIDDEN,
+                    scale=scale.hidden,
+                    reach_m=scale.reach,
+                    effect_m=scale.hidden * scale.reach,
+                )
         yield from _wrong_optics(fitted)
     yield from _idle_covariances(fitted)
-
-
-# The measurement frame
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,21 +110,6 @@ class BaseMotion:
     effect: float
     #: Displacement of these positions by the arm's other corrections, rms [m]
     effect_of_arm: float
-
-
-def _moved_base(fitted: Fitted) -> Iterator[Reason]:
-    """Doubt a frame that was given as known, if the base seems to stand elsewhere in it by more than the arm is off."""
-    base = motion_of_base(fitted)
-    if base is None or not base.p < UNLIKELY:
-        return
-    if base.effect > _LIKE_THE_ARM * base.effect_of_arm:
-        yield Reason.of(
-            Why.BASE_MOVED,
-            moved_m=base.moved,
-            turned_rad=base.turned,
-            effect_m=base.effect,
-            arm_m=base.effect_of_arm,
-        )
 
 
 def motion_of_base(fitted: Fitted) -> BaseMotion | None:
@@ -189,9 +193,6 @@ def _p_of_offset(offset: float, joint: AugmentedFit, family: Mask, names: tuple[
     return 2.0 * float(stdtr(freedom, -abs(offset) / stds[0]))
 
 
-# The scale of the instrument
-
-
 @dataclass(frozen=True, slots=True)
 class Scale:
     """Scale error of the instrument, estimated jointly with the lengths of the arm."""
@@ -211,22 +212,6 @@ class Scale:
     def hidden(self) -> float:
         """Largest share that the rows cannot distinguish from lengths of the arm, at 95 %."""
         return abs(self.share) + 2.0 * self.std
-
-
-def _wrong_scale(fitted: Fitted, *, certified: bool) -> Iterator[Reason]:
-    """Doubt the scale of the instrument, or say that it cannot be seen unless it is certified."""
-    scale = instrument_scale(fitted)
-    if scale is None:
-        return
-    if abs(scale.share) > _SCALED and scale.p < FALSE_ALARM:
-        yield Reason.of(Why.LENGTHS_SCALED, scale=scale.share, std=scale.std, p=scale.p)
-    elif scale.measured and not certified:
-        yield Reason.of(
-            Why.SCALE_HIDDEN,
-            scale=scale.hidden,
-            reach_m=scale.reach,
-            effect_m=scale.hidden * scale.reach,
-        )
 
 
 def instrument_scale(fitted: Fitted) -> Scale | None:
@@ -270,9 +255,6 @@ def instrument_scale(fitted: Fitted) -> Scale | None:
         reach=rms(np.linalg.norm(from_base, axis=1)),
         measured=measured,
     )
-
-
-# Lenses and boards
 
 
 def _wrong_optics(fitted: Fitted) -> Iterator[Reason]:
@@ -333,9 +315,6 @@ def _derivative_by_share(fitted: Fitted, owner: tuple[int, int], columns: tuple[
         of_images[:, :2] += by_optics[:, :, column] * np.reshape(factor * chosen, (-1, 1))
     result[images, :, 0] = of_images
     return result
-
-
-# Covariances of poses
 
 
 def _idle_covariances(fitted: Fitted) -> Iterator[Reason]:

@@ -1,6 +1,6 @@
 """The fits of a calibration: of the geometry, which the URDF holds, and of a non-geometric model if needed.
 
-The geometry is fitted with the weights of a reference fit where these predict held-out rows better, see
+The geometry is fitted with the weights of a reference fit if these predict held-out rows better, see
 `calib.fit.selection.reference_fit`: with those of the non-geometric model if there is one.
 """
 

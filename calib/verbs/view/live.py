@@ -36,7 +36,7 @@ from calib.data.cell import Cell
 from calib.data.inputs import ROBOT, RobotInput, robot_of
 from calib.errors import ArgumentError, CalibError, ModelError, choices
 from calib.result.calibration import Calibration
-from calib.result.result_input import RESULT, is_result_file, result_of
+from calib.result.calibration_file import RESULT, is_result_file, result_of
 from calib.robot.robot import Robot
 from calib.show.scene.html_page import floats
 from calib.show.scene.puppet import packed, read_visuals
