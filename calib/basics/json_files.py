@@ -1,8 +1,8 @@
 """JSON files of calib's own: tables with a ``schema``, made of dataclasses and read back into them.
 
 A `JsonLayout` turns dataclasses into tables and back: an attribute's type says how it is written, and its key is its
-name unless the layout has another path. Dots separate nested tables; an empty path, or one that ends in a dot, puts the
-attribute's own keys into the table itself.
+name unless its field (`calib.basics.records.key`) or the layout has another path. Dots separate nested tables; an empty
+path, or one that ends in a dot, puts the keys of an attribute that is a dataclass into the table itself.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from typing import Any, Union, get_args, get_origin, get_type_hints
 import numpy as np
 
 from calib.basics.files import read_bytes
+from calib.basics.records import json_key
 from calib.errors import CalibError, FileError
 
 #: A table of a JSON file.
@@ -245,7 +246,7 @@ class JsonLayout:
             listed |= self.keys.get(base, {})
         result = []
         for field in fields(kind):
-            key = listed.get(field.name, field.name)
+            key = listed.get(field.name, json_key(field))
             if isinstance(key, str):
                 key = Key(key)
             if key is not None:

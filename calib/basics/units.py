@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Literal, TypeGuard, get_args
 
 import numpy as np
 
+from calib.basics.arrays import Array, read_only
 from calib.errors import CalibError, choices
 
 Quantity = Literal["length", "angle", "torque", "force", "mass", "pixel"]
@@ -274,6 +275,17 @@ def parse_amount(
     return parse_quantities(text, option, {quantity: 1}, example, signed=signed)[quantity][0]
 
 
+def parse_point(text: str, option: str, example: str = "70 -70 22.5 mm") -> Array:
+    """Return a point as typed, such as ``70 -70 22.5 mm``, shape (3,), read-only [m]; CalibError for anything else.
+
+    Args:
+        text: Three numbers and a unit of length.
+        option: Name of the option that it was given to, for messages.
+        example: A text that would be right, for messages.
+    """
+    return read_only(parse_quantities(text, option, {LENGTH: 3}, example)[LENGTH])
+
+
 def parse_noise(text: str, option: str) -> tuple[float, float]:
     """Return the constant [m] and the part per metre of distance [m/m] of an instrument's noise.
 
@@ -311,6 +323,41 @@ def parse_joint_value(value: object, where: str) -> float:
         message = f"{where} is {value!r}; a joint's value needs a unit of angle or length. {hint}"
         raise CalibError(message)
     return Length(number) if quantity == LENGTH else Angle(number)
+
+
+def parse_joint_values(pairs: Iterable[str], option: str) -> dict[str, float]:
+    """Return joint values as typed, such as ``lift=0.3 m`` each, by name [rad or m]; CalibError for anything else.
+
+    Args:
+        pairs: As typed, one for each joint.
+        option: Name of the option that they were given to, for messages.
+    """
+    wanted = "'joint=value' with a unit, such as 'torso_lift_joint=0.3 m', and each joint once"
+    values = {}
+    for name, text in parse_pairs(pairs, option, wanted).items():
+        values[name] = parse_joint_value(text, f"{option} '{name}={text}'")
+    return values
+
+
+def parse_pairs(pairs: Iterable[str], option: str, wanted: str) -> dict[str, str]:
+    """Return texts ``name=value`` as a dict; a name may contain an equals sign, a value may not.
+
+    Args:
+        pairs: As typed.
+        option: Name of the option that they were given to, for messages.
+        wanted: What is allowed, for messages.
+
+    Raises:
+        CalibError: One is not of that form, or a name is there twice.
+    """
+    values: dict[str, str] = {}
+    for pair in pairs:
+        # rpartition leaves all of a text without an equals sign in the last part.
+        name, _, value = (part.strip() for part in pair.rpartition("="))
+        if not (name and value) or name in values:
+            raise CalibError(f"{option} was given '{pair}'; it must be {wanted}.")
+        values[name] = value
+    return values
 
 
 def parse_joint_range(value: object, where: str) -> tuple[float, float]:

@@ -8,19 +8,17 @@ print as measured, not of the drawing.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from types import MappingProxyType
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from calib.basics.arrays import Array, Integers
-from calib.boards.board_keys import MM, PERCENT, WHOLE, Option, key, one_of, text
+from calib.basics.records import Option, key
+from calib.basics.units import LENGTH, parse_amount
+from calib.basics.value_forms import WHOLE, decimal, one_of, text
 from calib.boards.dictionaries import check_markers
 from calib.errors import CalibError, choices, did_you_mean
-
-if TYPE_CHECKING:
-    from calib.basics.arrays import Array, Integers
 
 #: A chessboard whose white squares hold markers: its corners are known even if only a part of it is seen.
 CHARUCO = "charuco"
@@ -40,14 +38,16 @@ PATTERNS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     }
 )
 
+#: Lengths and shares that keep their digits.
+_MM = decimal("mm", -3)
+_PERCENT = decimal("%", -2)
+
 #: Fewest columns and rows of squares, and of tags.
 _FEWEST = {CHARUCO: 2, CHESSBOARD: 3, APRILTAG: 1}
 
 
 def _length(typed: str, flag: str) -> float:
     """Read a length as it was typed [m]."""
-    from calib.basics.units import LENGTH, parse_amount
-
     return parse_amount(typed, flag, LENGTH, "30 mm")
 
 
@@ -60,147 +60,126 @@ class Board:
     """
 
     #: Name, as in the column ``target`` of a table of corners.
-    name: str = field(
+    name: str = key(
+        "name",
+        text("a text"),
+        "Name, as in the column 'target' of a table of corners.",
         default="board",
-        metadata=key(
-            "name",
-            text("a text"),
-            "Name, as in the column 'target' of a table of corners.",
-            option=Option("--name", help="Name of the board. Default: that of its files."),
-        ),
+        option=Option("--name", help="Name of the board. Default: that of its files."),
     )
     #: `CHARUCO`, `CHESSBOARD` or `APRILTAG`.
-    pattern: str = field(
-        metadata=key(
-            "pattern",
-            text(f"one of {choices(PATTERNS)}"),
-            '"charuco", "chessboard" or "apriltag".',
-            option=Option(
-                "--pattern",
-                type=tuple(PATTERNS),
-                help="charuco: a chessboard with markers, found even if partly hidden (default). chessboard: all of it "
-                "must be seen. apriltag: a grid of tags.",
-            ),
-        )
+    pattern: str = key(
+        "pattern",
+        text(f"one of {choices(PATTERNS)}"),
+        '"charuco", "chessboard" or "apriltag".',
+        option=Option(
+            "--pattern",
+            type=tuple(PATTERNS),
+            help="charuco: a chessboard with markers, found even if partly hidden (default). chessboard: all of it "
+            "must be seen. apriltag: a grid of tags.",
+        ),
     )
     #: Squares, or tags, along x.
-    columns: int = field(
-        metadata=key(
-            "columns",
-            WHOLE,
-            "Squares, or tags, along x: across, with the text of the page below the pattern.",
-            option=Option("--columns", type=int, help="Squares, or tags, across."),
-        )
+    columns: int = key(
+        "columns",
+        WHOLE,
+        "Squares, or tags, along x: across, with the text of the page below the pattern.",
+        option=Option("--columns", type=int, help="Number of squares, or tags, across."),
     )
     #: Squares, or tags, along y.
-    rows: int = field(
-        metadata=key(
-            "rows",
-            WHOLE,
-            "Squares, or tags, along y: down. Of a chessboard all squares count, not its inner corners.",
-            option=Option("--rows", type=int, help="Squares, or tags, down."),
-        )
+    rows: int = key(
+        "rows",
+        WHOLE,
+        "Squares, or tags, along y: down. Of a chessboard all squares count, not its inner corners.",
+        option=Option("--rows", type=int, help="Number of squares, or tags, down."),
     )
     #: Side of a square as measured on the print; for a grid of tags the distance between the centres of tags [m].
-    square: float = field(
-        metadata=key(
-            "square_mm",
-            MM,
-            "Side of a square as measured on the print; of tags the distance of their centres [mm].",
-            json="square_m",
-            option=Option(
-                "--square",
-                help='Side of a square, or distance between tags, "30 mm". Default: as large as fits.',
-                metavar="LENGTH",
-                parse=_length,
-            ),
-        )
+    square: float = key(
+        "square_mm",
+        _MM,
+        "Side of a square as measured on the print; of tags the distance of their centres [mm].",
+        json="square_m",
+        option=Option(
+            "--square",
+            help='Side of a square, or distance between tags, such as "30 mm". Default: as large as fits.',
+            metavar="LENGTH",
+            parse=_length,
+        ),
     )
     #: Side of a marker or tag, black border included [m]; 0 for a chessboard.
-    marker: float = field(
+    marker: float = key(
+        "marker_mm",
+        _MM,
+        "Side of a marker or tag with its black border, on the same print [mm].",
         default=0.0,
-        metadata=key(
-            "marker_mm",
-            MM,
-            "Side of a marker or tag with its black border, on the same print [mm].",
-            json="marker_m",
-            option=Option(
-                "--marker",
-                help="Side of a marker or tag. Default: as large as can be found reliably.",
-                metavar="LENGTH",
-                parse=_length,
-            ),
+        absent="needed, except for a chessboard",
+        json="marker_m",
+        option=Option(
+            "--marker",
+            help="Side of a marker or tag. Default: as large as can be found reliably.",
+            metavar="LENGTH",
+            parse=_length,
         ),
     )
     #: Name of OpenCV's dictionary of markers, ``"DICT_5X5_100"``; "" for a chessboard.
-    dictionary: str = field(
+    dictionary: str = key(
+        "dictionary",
+        text("the name of a dictionary, such as DICT_5X5_100,"),
+        "Dictionary of the markers, named as OpenCV names it.",
         default="",
-        metadata=key(
-            "dictionary",
-            text("the name of a dictionary, such as DICT_5X5_100,"),
-            "Dictionary of the markers, named as OpenCV names it.",
-            option=Option(
-                "--dictionary",
-                help="Dictionary of the markers. Default: DICT_5X5_100, or DICT_APRILTAG_36h11.",
-            ),
+        absent="needed, except for a chessboard",
+        option=Option(
+            "--dictionary",
+            help="Dictionary of the markers. Default: DICT_5X5_100, or DICT_APRILTAG_36h11.",
         ),
     )
     #: Id of the first marker or tag.
-    first_marker: int = field(
+    first_marker: int = key(
+        "first_marker",
+        WHOLE,
+        "Id of the first marker, at the upper left.",
         default=0,
-        metadata=key(
-            "first_marker",
-            WHOLE,
-            "Id of the first marker, at the upper left.",
-            option=Option(
-                "--first-marker",
-                type=int,
-                help="Id of the first marker. Default: 0; boards in one picture need different ids.",
-            ),
+        option=Option(
+            "--first-marker",
+            type=int,
+            help="Id of the first marker. Default: 0; boards in one picture need different ids.",
         ),
     )
     #: Whether an even number of rows is laid out as by OpenCV before 4.6: a marker in the first square.
-    legacy: bool = field(
+    legacy: bool = key(
+        "layout",
+        one_of({"new": False, "legacy": True}),
+        '"new", or "legacy": as by OpenCV before 4.6, a marker in the first square. Alike for odd rows.',
         default=False,
-        metadata=key(
-            "layout",
-            one_of({"new": False, "legacy": True}),
-            '"new", or "legacy": as by OpenCV before 4.6, a marker in the first square. Alike for odd rows.',
-            option=Option(
-                "--legacy",
-                type=bool,
-                help="Lay out an even number of rows as OpenCV before 4.6 did.",
-            ),
+        option=Option(
+            "--legacy",
+            type=bool,
+            help="Lay out an even number of rows as OpenCV before 4.6 did.",
+            parse=lambda _typed, _flag: True,
         ),
     )
     #: Standard deviation of the relative error of ``square``: how well the print was measured.
-    sigma_scale: float = field(
+    sigma_scale: float = key(
+        "sigma_scale_percent",
+        _PERCENT,
+        "Standard deviation of square_mm: how well you measured it [%].",
         default=0.003,
-        metadata=key(
-            "sigma_scale_percent",
-            PERCENT,
-            "Standard deviation of square_mm: how well you measured it [%].",
-        ),
     )
     #: Standard deviation of each corner's place on the print, along x and along y [m].
-    sigma_corner: float = field(
+    sigma_corner: float = key(
+        "sigma_corner_mm",
+        _MM,
+        "Standard deviation of a corner's place on the print [mm].",
         default=5e-5,
-        metadata=key(
-            "sigma_corner_mm",
-            MM,
-            "Standard deviation of a corner's place on the print [mm].",
-            json="sigma_corner_m",
-        ),
+        json="sigma_corner_m",
     )
     #: Standard deviation of the sag of the board's middle, along x and along y [m].
-    sigma_warp: float = field(
+    sigma_warp: float = key(
+        "sigma_warp_mm",
+        _MM,
+        "Standard deviation of the sag of the board's middle [mm].",
         default=1e-3,
-        metadata=key(
-            "sigma_warp_mm",
-            MM,
-            "Standard deviation of the sag of the board's middle [mm].",
-            json="sigma_warp_m",
-        ),
+        json="sigma_warp_m",
     )
 
     def __post_init__(self) -> None:

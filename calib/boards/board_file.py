@@ -6,26 +6,21 @@ digits when it is converted from mm to metres and back.
 
 from __future__ import annotations
 
-import json
 import re
-import sys
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from calib.basics.files import read_bytes
+from calib.basics.records import Key, keys_of, parse_toml, read_parts, toml_lines, toml_values
+from calib.basics.value_forms import TEXT
 from calib.boards.board import CHESSBOARD, PATTERNS, Board
-from calib.boards.board_keys import Key, keys_of
-from calib.errors import CalibError, FileError, choices, did_you_mean
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
+from calib.errors import CalibError, FileError, choices
 
 #: Names the file of a board that the other keys of a table correct.
 _FILE = "file"
+_FILE_KEY = Key(_FILE, TEXT, "The name of a description that the other keys correct.", part=_FILE)
 
 #: Keys that every description needs, and those that it needs besides if the board has markers.
 _NEEDED = ("pattern", "columns", "rows", "square_mm")
@@ -57,8 +52,8 @@ def read_board(path: str | Path) -> Board:
     """
     data = read_bytes(path, "description of a board")
     try:
-        table = tomllib.loads(data.decode("utf-8-sig"))
-    except (ValueError, RecursionError) as error:  # TOMLDecodeError is a ValueError
+        table = parse_toml(data.decode("utf-8-sig"))
+    except ValueError as error:
         raise FileError(f"{path}: this is not a TOML file: {error}") from error
     if _FILE in table:
         raise CalibError(
@@ -82,41 +77,27 @@ def board_of_table(table: Mapping[str, Any], where: str, folder: str | Path = ".
         FileError: The file named cannot be read or is not TOML.
         CalibError: A key is unknown, missing or has a wrong value, or the description does not make a board.
     """
-    values = _read_values(table, where)
-    described: Board | None = None
-    if _FILE in table:
-        if not isinstance(table[_FILE], str):
-            raise CalibError(
-                f"{where}: '{_FILE}' is {table[_FILE]!r}; it must be a text in quotes."
-            )
-        described = read_board(Path(folder) / table[_FILE])
-    else:
-        missing = [name for name in _NEEDED if name not in table]
-        if table.get("pattern") != CHESSBOARD:
-            missing += [name for name in _NEEDED_FOR_MARKERS if name not in table]
-        if missing:
-            raise CalibError(f"{where}: the description of a board lacks {choices(missing)}.")
     try:
-        return Board(**values) if described is None else replace(described, **values)
+        return _board(table, folder)
+    except FileError:
+        raise
     except CalibError as error:
         raise CalibError(f"{where}: {error}") from error
 
 
-def _read_values(table: Mapping[str, Any], where: str) -> dict[str, Any]:
-    """Return the values of a table in SI units, by the names of the attributes."""
-    rows = {row.name: (field.name, row) for field, row in keys_of(Board)}
-    values = {}
-    for name, given in table.items():
-        if name == _FILE:
-            continue
-        if name not in rows:
-            raise CalibError(
-                f"{where}: a board has no key '{name}'{did_you_mean(name, rows)}; its keys are "
-                f"{choices(rows, len(rows))}."
-            )
-        attribute, row = rows[name]
-        values[attribute] = row.form.read(given, f"{where}: '{name}'")
-    return values
+def _board(table: Mapping[str, Any], folder: str | Path) -> Board:
+    """Read the description of a board from a table, see `board_of_table`."""
+    rows = [replace(row, part=field.name, needed=False) for field, row in keys_of(Board)]
+    values = read_parts([_FILE_KEY, *rows], table)
+    file = values.pop(_FILE, None)
+    if file is not None:
+        return replace(read_board(Path(folder) / file), **values)
+    missing = [name for name in _NEEDED if name not in table]
+    if table.get("pattern") != CHESSBOARD:
+        missing += [name for name in _NEEDED_FOR_MARKERS if name not in table]
+    if missing:
+        raise CalibError(f"the description of a board lacks {choices(missing)}.")
+    return Board(**values)
 
 
 def board_toml(board: Board) -> str:
@@ -130,10 +111,7 @@ def board_toml(board: Board) -> str:
     Returns:
         The content of a TOML file, with a comment for every key.
     """
-    lines = [_HEAD]
-    for name, (row, value) in _written(board).items():
-        lines.append(f"# {row.help}\n{name} = {_toml(value)}")
-    return "\n".join([*lines, ""])
+    return "\n".join([_HEAD, *toml_lines(board, without=_unused(board)), ""])
 
 
 def correct_toml(text: str, board: Board) -> str:
@@ -146,26 +124,18 @@ def correct_toml(text: str, board: Board) -> str:
     Returns:
         The new content.
     """
-    table = tomllib.loads(text)
-    for name, (_, value) in _written(board).items():
+    table = parse_toml(text)
+    for name, value in toml_values(board).items():
         if isinstance(value, float) and name in table and table[name] != value:
             line = rf"(?m)^([ \t]*{name}[ \t]*=[ \t]*)[^\s#]+"
             text = re.sub(line, rf"\g<1>{value!r}", text, count=1)
-    if board_toml(board_of_table(tomllib.loads(text), "")) != board_toml(board):
+    if board_toml(board_of_table(parse_toml(text), "")) != board_toml(board):
         # A key is missing, or something else differs.
         return board_toml(board)
     return text
 
 
-def _written(board: Board) -> dict[str, tuple[Key, Any]]:
-    """Return the keys of a board's pattern by their names, each with its value as a file has it."""
-    result = {}
-    for field, row in keys_of(board):
-        if field.name not in _OF_SOME_PATTERNS or field.name in PATTERNS[board.pattern]:
-            result[row.name] = (row, row.form.write(getattr(board, field.name)))
-    return result
-
-
-def _toml(value: object) -> str:
-    """Return a text or a number as TOML."""
-    return json.dumps(value) if isinstance(value, str) else repr(value)
+def _unused(board: Board) -> set[str]:
+    """Return the keys that a board's pattern does not have."""
+    attributes = _OF_SOME_PATTERNS - {*PATTERNS[board.pattern]}
+    return {row.name for field, row in keys_of(Board) if field.name in attributes}

@@ -6,8 +6,8 @@ import re
 from dataclasses import dataclass, replace
 
 from calib.basics.units import LENGTH, parse_amount
+from calib.basics.value_forms import shift_decimal
 from calib.boards.board import Board
-from calib.boards.board_keys import shift_decimal
 from calib.errors import CalibError
 
 #: Standard deviation of a length read from a ruler [m].

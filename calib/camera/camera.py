@@ -8,6 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.basics.arrays import Array
+from calib.basics.records import key
+from calib.basics.value_forms import TEXT, form, one_of
 from calib.basics.values import Value
 from calib.camera.lenses import LENSES
 from calib.errors import CalibError, choices, did_you_mean
@@ -17,6 +19,11 @@ UNKNOWN = np.inf
 
 #: The longest side of an image [px].
 _LARGEST = 100_000
+
+_PIXELS = form(
+    "a whole number of pixels, such as 1280",
+    lambda value: value if isinstance(value, int) and not isinstance(value, bool) else None,
+)
 
 #: Intrinsics are those of another resolution if their centre is off the middle by more than this share of the image's
 #: size, and by nearly the same factor along both axes: within this, relatively.
@@ -35,13 +42,18 @@ class Camera(Value):
     """
 
     #: Name, as in the column ``group`` of a table of corners.
-    name: str = "camera"
+    name: str = key("name", TEXT, "Name of the camera, for messages.", default="camera")
     #: Columns of the image [px].
-    width: int
+    width: int = key("width", _PIXELS, "Width of the images.", json="width_px")
     #: Rows of the image [px].
-    height: int
-    #: A name of `calib.camera.lenses.LENSES`: ``"pinhole"`` or ``"fisheye"``.
-    lens: str = "pinhole"
+    height: int = key("height", _PIXELS, "Height of the images.", json="height_px")
+    #: A name of `calib.camera.lenses.LENSES`.
+    lens: str = key(
+        "lens",
+        one_of(tuple(LENSES)),
+        "Lens model: OpenCV's five coefficients (pinhole; ROS: plumb_bob), or cv2.fisheye (fisheye; ROS: equidistant).",
+        default="pinhole",
+    )
     #: The intrinsics in the order of ``LENSES[lens].names``: fx, fy, cx, cy [px], then distortion, shape (m,). None:
     #: they are unknown, and estimated from the images.
     values: Array | None = None

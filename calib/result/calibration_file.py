@@ -23,9 +23,9 @@ from calib.basics.arrays import Array, read_only
 from calib.basics.channels import Channels, residual_unit
 from calib.basics.files import write_atomically
 from calib.basics.json_files import Json, JsonLayout, Key, damage, json_bytes, nested, read_json
+from calib.basics.records import json_key
 from calib.basics.values import ReadOnlyMapping
 from calib.boards.board import Board
-from calib.boards.board_keys import json_key
 from calib.camera.camera import UNKNOWN, Camera
 from calib.camera.lenses import LENSES
 from calib.diagnosis.coverage import OutsideRow
@@ -46,7 +46,6 @@ from calib.result.fitted_model import FittedModel, NonGeometric
 from calib.result.parts import Method, ResultRows, Source
 from calib.result.result_optics import ResultOptics
 from calib.robot.coupled_readings import coupling_of_table, coupling_table
-from calib.robot.gravity import Payload
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
 from calib.version import __version__
@@ -125,44 +124,25 @@ def _read_ranges(table: Any) -> Array:  # noqa: ANN401  any JSON
     return read_only(np.where(np.isnan(ends), [np.inf, -np.inf], ends))
 
 
+def _read_intrinsics(entries: Sequence[float | None] | None) -> Array | None:
+    """Return numbers of a camera from their list, `UNKNOWN` for null in it: infinity."""
+    if entries is None:
+        return None
+    return np.array([UNKNOWN if entry is None else float(entry) for entry in entries])
+
+
 def _cameras_table(cameras: Mapping[str, Camera]) -> list[dict[str, Any]]:
     """Return cameras by the names of their stations (``""``: the only one, or that of all others) as a list."""
     table = []
     for station, camera in cameras.items():
-        row = {
-            "station": station,
-            "name": camera.name,
-            "width_px": camera.width,
-            "height_px": camera.height,
-            "lens": camera.lens,
-            "lens_names": LENSES[camera.lens].names,
-            "values": camera.values,
-            "sigma": camera.sigma,
-        }
-        table.append(row)
+        lens_names = LENSES[camera.lens].names
+        table.append({"station": station, **_LAYOUT.table(camera), "lens_names": lens_names})
     return table
 
 
 def _read_cameras(table: Iterable[Json]) -> Mapping[str, Camera]:
     """Return cameras from their list."""
-
-    def numbers(entries: Sequence[float | None] | None) -> Array | None:
-        """Return numbers from a list, `UNKNOWN` for null in it: infinity."""
-        if entries is None:
-            return None
-        return np.array([UNKNOWN if entry is None else float(entry) for entry in entries])
-
-    cameras = {}
-    for row in table:
-        cameras[row["station"]] = Camera(
-            name=row["name"],
-            width=row["width_px"],
-            height=row["height_px"],
-            lens=row["lens"],
-            values=numbers(row["values"]),
-            sigma=numbers(row["sigma"]),
-        )
-    return ReadOnlyMapping(cameras)
+    return ReadOnlyMapping({row["station"]: _LAYOUT.read(Camera, row) for row in table})
 
 
 def _boards_table(boards: Mapping[str, Board]) -> list[dict[str, Any]]:
@@ -255,6 +235,10 @@ _LAYOUT: JsonLayout = JsonLayout(
             "solution": "solver.",
             "seconds": "solver.seconds",
         },
+        Camera: {
+            "values": Key("values", read=_read_intrinsics),
+            "sigma": Key("sigma", read=_read_intrinsics),
+        },
         ResultOptics: {
             "nominal_cameras": Key("nominal_cameras", _cameras_table, _read_cameras),
             "nominal_boards": Key("nominal_boards", _boards_table, _read_boards),
@@ -276,7 +260,6 @@ _LAYOUT: JsonLayout = JsonLayout(
                 lambda table: {row["name"]: row["value"] for row in table},
             ),
         },
-        Payload: {"mass": "mass_kg", "com": "com_m"},
         PoseNoise: {
             "position": "position_m",
             "orientation": "orientation_rad",

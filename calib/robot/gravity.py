@@ -11,13 +11,15 @@ joint of compliance c [rad/Nm or m/N] gives way by c load_i.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from calib.basics.arrays import Array, read_only
+from calib.basics.records import key
+from calib.basics.value_forms import POINT_MM, number
 from calib.basics.values import Value
 from calib.errors import ModelError
 from calib.robot import kernel
@@ -36,9 +38,16 @@ class Payload(Value):
     """A point mass that the tip carries and that the URDF does not hold."""
 
     #: [kg], 0 or more.
-    mass: float
+    mass: float = key("mass_kg", number("kg"), "Mass at the tip.", json="mass_kg")
     #: shape (3,), its centre of mass in the frame of the tip [m].
-    com: Array = field(default_factory=lambda: np.zeros(3))
+    com: Array = key(
+        "com_mm",
+        POINT_MM,
+        "Its centre of mass in the tip.",
+        default_factory=lambda: np.zeros(3),
+        absent="0, 0, 0",
+        json="com_m",
+    )
 
     def __post_init__(self) -> None:
         """Copy the centre of mass and check the numbers."""

@@ -7,6 +7,7 @@ from dataclasses import fields, replace
 
 import pytest
 
+from calib.basics.records import json_key, keys_of
 from calib.boards.board import APRILTAG, CHARUCO, CHESSBOARD, Board
 from calib.boards.board_file import board_of_table, board_toml, correct_toml, read_board
 from calib.errors import CalibError, FileError
@@ -171,3 +172,13 @@ def test_a_file_without_all_keys_is_written_as_a_whole():
     board = replace(DRAWN, square=0.02493, marker=0.018947, sigma_scale=0.0012)
     corrected = correct_toml(text, board)
     assert board_toml(board_of_table(tomllib.loads(corrected), "")) == board_toml(board)
+
+
+def test_every_field_of_a_board_has_a_key_of_its_own():
+    rows = list(keys_of(Board))
+    assert [field.name for field, _ in rows] == [field.name for field in fields(Board)]
+    for names in ([row.name for _, row in rows], [json_key(field) for field, _ in rows]):
+        assert len(set(names)) == len(names)
+    flags = [option.flag for _, row in rows for option in row.options]
+    assert "--first-marker" in flags
+    assert len(set(flags)) == len(flags)

@@ -13,8 +13,10 @@ import pytest
 
 import calib
 from calib.basics.json_files import plain
+from calib.basics.records import json_key, keys_of
 from calib.boards.board import Board
 from calib.camera.camera import UNKNOWN, Camera
+from calib.camera.camera_file import camera_toml
 from calib.data.cell import Cell
 from calib.data.record import Record
 from calib.errors import FileError, ModelError
@@ -417,3 +419,15 @@ def test_boards_are_read_back():
     table = as_json(_boards_table({"": board}))
     assert (table[0]["square_m"], table[0]["sigma_corner_m"]) == (0.02985, 3e-5)
     assert attributes(_read_boards(table)[""]) == attributes(board)
+
+
+def test_every_key_of_a_camera_is_in_both_files():
+    """A new flag of a camera is a field, and nothing else."""
+    camera = Camera(width=640, height=480)
+    (table,) = _cameras_table({"": camera})
+    toml = camera_toml(camera)
+    rows = keys_of(Camera)
+    assert {field.name for field, _ in rows} == {"name", "width", "height", "lens"}
+    for field, row in rows:
+        assert table[json_key(field)] == getattr(camera, field.name)
+        assert f"{row.name} = " in toml

@@ -33,7 +33,7 @@ class ColumnOptions:
     brand: str | None = None
     #: One of `calib.data.forms.orientations.CONVENTIONS`; None: as the columns' names say.
     orientation: str | None = None
-    #: Unit of the joints whose columns name none, ``"deg"``; ``"deg mm"`` where some slide. None: each names its own.
+    #: Unit of the joints whose columns name none, ``"deg"``; ``"deg mm"`` if some slide. None: each names its own.
     joint_unit: str | None = None
 
     def __post_init__(self) -> None:

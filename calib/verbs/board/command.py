@@ -2,46 +2,41 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Mapping
-from dataclasses import make_dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any
 
 import typer
 
+from calib.basics.records import changes
 from calib.boards.board import Board
-from calib.boards.board_keys import keys_of
-from calib.cli.options import Force, Quiet
+from calib.cli.options import Force, Quiet, field_parameters
 from calib.cli.outputs import check_outputs
 from calib.cli.verb import verb
 from calib.errors import CalibError
-
-if TYPE_CHECKING:
-    from typing import Any as DesignOptions
 
 #: Stem of the files if no output is named.
 _OUTPUT = "board"
 
 
-def _design_options() -> type:
-    """Make the group of the options that fields of `Board` declare; a default says that an option was not given."""
-    members: list[tuple[str, Any, Any]] = []
-    for field, key in keys_of(Board):
-        option = key.option
-        if option is None:
-            continue
-        help_text = option.help or key.help
-        declared = typer.Option(option.flag, metavar=option.metavar, help=help_text)
-        if option.type is bool:
-            members.append((field.name, Annotated[bool, declared], False))
-            continue
-        words: Any = Literal[option.type] if isinstance(option.type, tuple) else option.type
-        members.append((field.name, Annotated[words | None, declared], None))
-    return make_dataclass("DesignOptions", members, frozen=True)
+@dataclass(frozen=True, slots=True)
+class DesignOptions:
+    """The options that the fields of `Board` declare."""
 
+    #: What was typed, by the names of the options that were given.
+    given: Mapping[str, Any]
 
-if not TYPE_CHECKING:  # type checkers do not take a class that is made at run time for a type
-    DesignOptions = _design_options()
+    @classmethod
+    def parameters(cls) -> list[inspect.Parameter]:
+        """Return the options as parameters of a function, of which typer makes options."""
+        return field_parameters(Board)
+
+    @classmethod
+    def of_typed(cls, typed: Mapping[str, Any]) -> DesignOptions:
+        """Return the options from the values of `parameters`, by name."""
+        return cls({name: value for name, value in typed.items() if value not in (None, False)})
 
 
 @verb("""Draw a board to print, true to scale, with its description.
@@ -55,7 +50,7 @@ Examples:
   calib board board.toml                             the PDF and SVG of a description
 """)
 def board(
-    design: DesignOptions,
+    design_options: DesignOptions,
     description: Annotated[
         Path | None,
         typer.Argument(metavar="BOARD.toml", help="Description of an existing board."),
@@ -87,12 +82,8 @@ def board(
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
-    """Run the verb; its help is the text of `verb`."""
-    given = {
-        name: typed
-        for name, typed in vars(design).items()
-        if typed is not None and typed is not False
-    }
+    """Draw a board, new or described, or write what its print measures."""
+    given = design_options.given
     stem = output
     if output is not None and output.suffix.lower() in (".pdf", ".svg", ".toml"):
         stem = output.with_suffix("")
@@ -120,15 +111,10 @@ def _files(stem: Path, *endings: str) -> list[Path]:
 
 
 def _design(given: Mapping[str, Any], stem: Path, paper: str, *, force: bool) -> list[str]:
-    """Draw a new board and write its description; ``given`` are the options as typed, by the names of the fields."""
+    """Draw a new board and write its description; ``given`` are the options as typed."""
     from calib.boards.board_design import design
 
-    values: dict[str, Any] = {"name": stem.name}
-    for field, key in keys_of(Board):
-        if field.name in given and key.option is not None:
-            typed = given[field.name]
-            parse = key.option.parse
-            values[field.name] = typed if parse is None else parse(typed, key.option.flag)
+    values = {"name": stem.name, **changes(Board, given)}
     files = _files(stem, "pdf", "svg", "toml")
     check_outputs(files, [], force=force)
     return _draw(design(paper, **values), files, paper, force=force)

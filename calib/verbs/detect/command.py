@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from calib.cli.executor import executor_of
-from calib.cli.options import Columns, Force, Quiet, Workers
+from calib.cli.options import ColumnChoice, Columns, Force, Quiet, Workers
 from calib.cli.outputs import check_outputs, written_lines
 from calib.cli.terminal import progress_bar
 from calib.cli.verb import verb
@@ -45,10 +45,9 @@ class JointRows:
 
     def read(self) -> JointTable:
         """Read the table; raises `CalibError`."""
-        from calib.cli.words import parse_columns
         from calib.verbs.detect.matching import read_joint_table
 
-        options = parse_columns(self.columns, None, None)
+        options = ColumnChoice(self.columns).parsed()
         if options.brand is not None:
             raise CalibError(
                 f"--columns {options.brand}: columns are copied as they are; name the brand to calib calibrate."

@@ -1,20 +1,13 @@
-"""Cell, robot and table of a call: the cell file with the options on top, the chain, the rows."""
+"""Robot and rows that a call names: the chain of its cell, the table, the chain and the target of a result."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from calib.cli.options import TableOptions
-from calib.cli.words import (
-    parse_boards,
-    parse_cameras,
-    parse_held,
-    parse_payload,
-    parse_point,
-)
 from calib.errors import CalibError, choices
 
 if TYPE_CHECKING:
@@ -22,91 +15,6 @@ if TYPE_CHECKING:
     from calib.data.measurements import Measurements
     from calib.result.calibration import Calibration
     from calib.robot.robot import Robot
-
-
-def read_cell(
-    cell: Path | None,
-    *,
-    base: str | None = None,
-    tip: str | None = None,
-    target: str | None = None,
-    frame: str | None = None,
-    model: str | None = None,
-    kind: str | None = None,
-    hold: Iterable[str] | None = None,
-    camera: Iterable[str] | None = None,
-    camera_on: str | None = None,
-    board: Iterable[str] | None = None,
-    board_on: str | None = None,
-    payload: str | None = None,
-    fix_target: bool = False,
-    freeze: Iterable[str] | None = None,
-    priors: str | None = None,
-    repeats: str | None = None,
-) -> Cell:
-    """Read the cell file and put the options of the command line on top of it.
-
-    Args:
-        cell: The cell file; None: the default cell.
-        base: ``--base``, and so on for all options of `calib.cli.options.FitOptions`, as typed; None: not given.
-        tip: See ``base``.
-        target: See ``base``.
-        frame: See ``base``.
-        model: See ``base``.
-        kind: See ``base``.
-        hold: Added to the held joints of the file.
-        camera: Added to the cameras of the file.
-        camera_on: Link that carries the camera, which is the base.
-        board: Added to the boards of the file.
-        board_on: Link that carries the board, which is the tip.
-        payload: See ``base``; the file's centre of mass is kept.
-        fix_target: Whether the target is known.
-        freeze: Added to the frozen parameters of the file.
-        priors: See ``base``.
-        repeats: See ``base``.
-
-    Returns:
-        The cell, SI units.
-
-    Raises:
-        CalibError: A text that its option does not take, or a fault of the file.
-    """
-    from calib.data.cell import Cell
-    from calib.data.cell_file import FRAME
-
-    of_file = Cell() if cell is None else Cell.read(cell)
-    changes: dict[str, Any] = {
-        "base": _link("--base", base, "--camera-on", camera_on),
-        "tip": _link("--tip", tip, "--board-on", board_on),
-        "cameras": {**of_file.cameras, **parse_cameras(camera or [])},
-        "boards": {**of_file.boards, **parse_boards(board or [])},
-        "model": model,
-        "kind": kind,
-        "repeats": repeats,
-        "held": {**of_file.held, **parse_held(hold or [])},
-        "frozen": (*of_file.frozen, *(freeze or [])),
-    }
-    if target is not None:
-        changes["target"] = parse_point(target, "--target")
-    if payload is not None:
-        changes["payload"] = parse_payload(payload, of_file.payload)
-    if fix_target:
-        changes["estimate_target"] = False
-    if priors is not None:
-        changes["priors"] = of_file.priors.with_source(priors)
-    if frame is not None:
-        changes |= FRAME(frame, "--frame")
-    given = {name: value for name, value in changes.items() if value is not None}
-    return replace(of_file, **given)
-
-
-def _link(option: str, link: str | None, of_image: str, link_of_image: str | None) -> str | None:
-    """Return the link that one of two options names, which mean the same; `CalibError` where they name two links."""
-    if link is not None and link_of_image is not None and link != link_of_image:
-        raise CalibError(
-            f"{option} is '{link}' and {of_image} is '{link_of_image}': they name the same link. Give one of them."
-        )
-    return link if link_of_image is None else link_of_image
 
 
 def load(robot: str, cell: Cell, measured: Collection[str] | None = None) -> Robot:
@@ -160,7 +68,7 @@ def load_with_data(
         )
     if is_other_table(robot):
         raise CalibError(
-            f"'{robot}' is in the place of the robot, and is no table of DH rows: it has no columns of d and alpha. "
+            f"'{robot}' is in the place of the robot, and is not a table of DH rows: it has no columns of d and alpha. "
             "ROBOT comes first, then DATA."
         )
     columns = options.parsed()
@@ -199,7 +107,7 @@ def with_chain_of_result(cell: Cell, result: Calibration, name: str) -> Cell:
 
 
 def coupling_of_result(cell: Cell, result: Calibration, name: str) -> Mapping[str, Any]:
-    """Return the coupled readings of a result, by name; CalibError where the cell couples others.
+    """Return the coupled readings of a result, by name; CalibError if the cell couples others.
 
     Args:
         cell: As given.

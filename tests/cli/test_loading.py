@@ -8,14 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.cli.options import TableOptions
-from calib.cli.setup import (
-    load,
-    load_with_data,
-    read_cell,
-    with_chain_of_result,
-    with_target_link,
-)
+from calib.cli.loading import load, load_with_data, with_chain_of_result, with_target_link
+from calib.cli.options import FitOptions, TableOptions
 from calib.data.cell import Cell
 from calib.errors import CalibError
 from calib.example import paper_urdf
@@ -40,12 +34,13 @@ pan = "10 deg"
 def test_the_line_wins_over_the_file(tmp_path: Path):
     path = tmp_path / "cell.toml"
     path.write_text(CELL, encoding="utf-8")
-    plain = read_cell(path)
+    plain = FitOptions(path).cell()
     assert repr(plain) == repr(Cell.read(path))
-    cell = read_cell(
-        path, tip="tool0", frame="estimate", model="dh", kind="pose", hold=["lift=0.3 m"],
-        payload="5 kg", target="1 2 3 mm",
-    )  # fmt: skip
+    given = {
+        "tip": "tool0", "frame": "estimate", "model": "dh", "kind": "pose", "hold": ["lift=0.3 m"],
+        "payload": "5 kg", "target": "1 2 3 mm",
+    }  # fmt: skip
+    cell = FitOptions(path, given).cell()
     assert (cell.base, cell.tip, cell.model, cell.kind) == ("base", "tool0", "dh", "pose")
     assert cell.estimate_frame
     assert cell.frame_directions == DIRECTIONS
@@ -54,7 +49,7 @@ def test_the_line_wins_over_the_file(tmp_path: Path):
     assert cell.payload.mass == 5.0
     assert cell.payload.com[2] == 0.05
     assert cell.target is not None
-    assert not read_cell(path, frame="known").estimate_frame
+    assert not FitOptions(path, {"frame": "known"}).cell().estimate_frame
 
 
 def test_the_kind_of_the_cell_is_that_of_the_table(shop: Path):

@@ -13,7 +13,7 @@ from hypothesis import given, strategies as st
 
 from calib.basics.units import UNITS, parse_noise, parse_quantity
 from calib.data.cell import Cell, GroupDistance, Priors, TrackerNoise
-from calib.data.cell_file import checked, fields as keys, frame_attributes, numbers, read_cell_file
+from calib.data.cell_keys import frame_of
 from calib.data.record import Record
 from calib.errors import CalibError, FileError
 from calib.model.error_model import DIRECTIONS
@@ -161,20 +161,12 @@ def test_half_a_frame_and_half_the_priors(tmp_path: Path):
     assert read(tmp_path, "prior_length_mm = 1").priors == Priors("data", length=1e-3)
 
 
-def test_values_are_those_of_a_cells_attributes(tmp_path: Path):
-    path = tmp_path / "cell.toml"
-    path.write_text('frame = "x,rz"\nprior_angle_mrad = 3\n[simulation]\nx = 1', encoding="utf-8")
-    assert read_cell_file(path) == {
-        "estimate_frame": True,
-        "frame_directions": ("x", "rz"),
-        "priors": {"source": "data", "angle": 0.003},
-        "sigma": {},
-        "cameras": {},
-        "boards": {},
-    }
-    path.write_text("a = = 1", encoding="utf-8")
+def test_a_key_may_give_two_attributes_and_the_table_of_simulations_none(tmp_path: Path):
+    cell = read(tmp_path, 'frame = "x,rz"\nprior_angle_mrad = 3\n[simulation]\nx = 1')
+    assert (cell.estimate_frame, cell.frame_directions) == (True, ("x", "rz"))
+    assert cell.priors == Priors("data", angle=0.003)
     with pytest.raises(FileError, match="this is not a TOML file"):
-        read_cell_file(path)
+        read(tmp_path, "a = = 1")
 
 
 @pytest.mark.parametrize(
@@ -187,18 +179,7 @@ def test_values_are_those_of_a_cells_attributes(tmp_path: Path):
     ],
 )
 def test_a_frame_is_known_or_estimated_in_directions(value, estimate, directions):
-    expected = {"estimate_frame": estimate, "frame_directions": directions}
-    assert frame_attributes(value) == expected
-
-
-def test_a_value_is_refused_by_none_or_an_error():
-    assert checked("2", "'a'", "a number", float) == 2.0
-    for convert in (lambda _: None, float, lambda _: len(1)):
-        with pytest.raises(CalibError, match="'a' is 'x'; it must be a number"):
-            checked("x", "'a'", "a number", convert)
-    assert numbers(1, np.radians)(180, "'a'") == np.pi
-    with pytest.raises(CalibError, match=r"'a' is \[1, 2\]; it must be three numbers"):
-        numbers(3)([1, 2], "'a'")
+    assert frame_of(value) == (estimate, directions)
 
 
 @pytest.mark.parametrize(
@@ -207,15 +188,15 @@ def test_a_value_is_refused_by_none_or_an_error():
         ("targt_mm = [1, 2, 3]", "'targt_mm': unknown key (did you mean 'target_mm'"),
         ('freeze = "d2"', "'freeze' is 'd2'"),
         ('target = "fixed"', "'target' is 'fixed'"),
-        ("target_mm = [1, 2]", "'target_mm' is [1, 2]; it must be three numbers."),
+        ("target_mm = [1, 2]", "'target_mm' is [1, 2]; it must be three numbers [mm]."),
         ('target = "known"', "The target is marked as known, but its position"),
         ('frame = ["u"]', "'frame' is ['u']"),
         ('frame = "x,yaw"', "'frame' is 'x,yaw'"),
         ("sigma_angle_deg = -1", "sigma is {'rad': -0.017"),
-        ('sigma_mm = "0.1"', "'sigma_mm' is '0.1'; it must be a number."),
+        ('sigma_mm = "0.1"', "'sigma_mm' is '0.1'; it must be a number [mm]."),
         ('kind = "ball"', "There is no kind of measurement 'ball'; there are 'point', 'pose', "),
-        ('repeats = "often"', "repeats is 'often'; it must be one of 'weighted', 'average', "),
-        ('priors = "some"', "choose one of 'data', 'given', 'off'"),
+        ('repeats = "often"', "'repeats' is 'often'; it must be one of 'weighted', 'average', "),
+        ('priors = "some"', "'priors' is 'some'; it must be one of 'data', 'given', 'off'"),
         ("prior_angle_mrad = 0", "The prior's angle is 0 rad"),
         ("[coupling]\na = 1", "'a' in [coupling] is 1; it must be a table of joints and factors"),
         ('[coupling]\na = { b = "1" }', "'a' in a cell's coupling is {'b': '1'}"),
@@ -453,7 +434,7 @@ def test_the_documents_surroundings(tmp_path: Path):
     assert cell.ranges["shoulder_pan_joint"] == pytest.approx((-np.pi / 2, np.pi / 2))
     assert cell.ranges["elbow_joint"] == (-2.0, 0.0)
 
-    # Without the keys that may be left out: the defaults that the text below the example states.
+    # Without the keys that may be left out: the defaults that the tables below the example state.
     optional = "nearest_mm|farthest_mm|noise|repeatability_mm|acceptance_deg|rpy_deg"
     least = read(tmp_path, re.sub(rf"(?m)^({optional}) = .*$", "", text))
     assert least.tracker is not None
@@ -463,29 +444,3 @@ def test_the_documents_surroundings(tmp_path: Path):
     assert cell.tracker.noise.std(3.0) == pytest.approx(least.tracker.noise.std(3.0), rel=1e-12)
     assert least.reflector.acceptance == cell.reflector.acceptance == pytest.approx(np.radians(30))
     np.testing.assert_array_equal(least.boxes[1].T_base_box[:3, :3], np.eye(3))
-
-
-def test_the_document_has_every_key_and_no_other():
-    _, keys_section, *_ = re.split("^## ", DOC.read_text(encoding="utf-8"), flags=re.MULTILINE)
-    documented = re.findall(r"^\| `(\w+)` \|", keys_section, re.MULTILINE)
-    assert sorted(documented) == sorted([*keys(), "simulation"])
-
-
-def test_the_documents_defaults_are_the_defaults():
-    rows = re.findall(
-        r"^\| `(\w+)` \|[^|]*\| ([^|]*) \|", DOC.read_text(encoding="utf-8"), re.MULTILINE
-    )
-    said, cell = dict(rows), Cell()
-    assert said["model"] == f'`"{cell.model}"`'
-    assert said["repeats"] == f'`"{cell.repeats}"`'
-    assert [float(v) for v in said["gravity_m_per_s2"].split(",")] == cell.gravity.tolist()
-    for key, value in (
-        ("prior_length_mm", 1e3 * cell.priors.of("length")),
-        ("prior_angle_mrad", 1e3 * cell.priors.of("angle")),
-        ("prior_zero_mrad", 1e3 * cell.priors.of("zero")),
-        ("prior_gain", cell.priors.of("gain")),
-        ("prior_eccentricity_mrad", 1e3 * cell.priors.of("eccentricity")),
-        ("prior_compliance_rad_per_Nm", cell.priors.of("compliance")),
-        ("prior_gravity_mrad_per_m", 1e3 * cell.priors.of("gravity")),
-    ):
-        assert float(said[key]) == pytest.approx(value), key
