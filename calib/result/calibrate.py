@@ -85,21 +85,21 @@ def calibrate(
         MeasurementError: Too few rows, or columns that the robot needs are missing.
         SolverError: No finite result.
     """
-    arm, table, setup = inputs_of(robot, measurements, cell)
+    arm, measured, stated = inputs_of(robot, measurements, cell)
     check_flags(robust=robust, validate=validate)
     check_callable("progress", progress)
     if isinstance(model, str):
-        setup = replace(setup, model=model)
-    table = table.without_copies()
-    fits = fit_table(arm, table, setup, model=model, solver=solver, robust=robust)
+        stated = replace(stated, model=model)
+    measured = measured.without_copies()
+    fits = fit_table(arm, measured, stated, model=model, solver=solver, robust=robust)
 
     if fits.mistake:  # or a frame that was not found: errors of either robot mean nothing
-        result = _assemble(table, fits)
+        result = _assemble(measured, fits)
         verdict = Verdict(NO, (fits.mistake,))
         return replace(result, geometry=replace(result.geometry, verdict=verdict))
     if not validate:
-        return _assemble(table, fits)
-    return _assemble_validated(table, fits, progress)
+        return _assemble(measured, fits)
+    return _assemble_validated(measured, fits, progress)
 
 
 def _assemble_validated(
@@ -130,34 +130,25 @@ def _assemble_validated(
     elif chosen is not None:
         # It passed the cross-validation of the linearised problem. Refitted without each fold it has to leave smaller
         # squares than the geometry; else the models with the next highest evidence are tried.
-        limit = squares(of_geometry)
+        validation_rows = fits.all_rows.select(measurements.validation)
+        confirmed = None
         names = (str(chosen.task.model), *alternative_models(fits.candidates))
         for part, name in enumerate(names, start=1):
-            contender = chosen if part == 1 else _fit_alternative(measurements, fits, name)
-            of_non_geometric = validate(contender, part, part + 1)
-            if squares(of_non_geometric) < limit:
-                fits = _with_non_geometric(fits, contender)
+            contender = chosen
+            if part > 1:
+                alternative = fit(replace(chosen.task, model=name), fits.fitted_rows)
+                contender = alternative.with_held_out(fits.unseen, validation_rows)
+            of_contender = validate(contender, part, part + 1)
+            if squares(of_contender) < squares(of_geometry):
+                confirmed, of_non_geometric = contender, of_contender
                 break
-        else:
-            fits, of_non_geometric = _with_non_geometric(fits, None), None
+        name = "" if confirmed is None else str(confirmed.task.model)
+        candidates = mark_chosen(fits.candidates, str(fits.geometry.task.model), name)
+        fits = replace(fits, non_geometric=confirmed, candidates=candidates)
     of_nominal = nominal_cross_validation(fits.geometry.task, fits.fitted_rows, outliers)
 
     result = _assemble(measurements, fits, of_geometry, of_non_geometric, of_nominal)
     return add_verdicts(result, fits.fitted_rows)
-
-
-def _fit_alternative(measurements: Measurements, fits: TableFits, name: str) -> Fitted:
-    """Fit another non-geometric model to the estimation rows, with the options of the one that was chosen."""
-    assert fits.non_geometric is not None
-    fitted = fit(replace(fits.non_geometric.task, model=name), fits.fitted_rows)
-    return fitted.with_held_out(fits.unseen, fits.all_rows.select(measurements.validation))
-
-
-def _with_non_geometric(fits: TableFits, non_geometric: Fitted | None) -> TableFits:
-    """Return fits with another non-geometric model or none, and the candidates marked accordingly."""
-    name = "" if non_geometric is None else str(non_geometric.task.model)
-    candidates = mark_chosen(fits.candidates, str(fits.geometry.task.model), name)
-    return replace(fits, non_geometric=non_geometric, candidates=candidates)
 
 
 def _assemble(
