@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from calib.verbs.plan.choice import PlanRequest as PlanRequest
     from calib.verbs.plan.plan import Plan as Plan, plan as plan
     from calib.verbs.simulate.scenario import Scenario as Scenario, simulate as simulate
-    from calib.verbs.view.live import view as view
+    from calib.verbs.view.page import view as view
     from calib.verbs.workspace.region import Region as Region
     from calib.verbs.workspace.workspace import workspace as workspace
 
@@ -83,7 +83,7 @@ _NAMES = {
     "calib.robot.dh.rows": "DHRow",
     "calib.robot.robot": "Robot",
     "calib.verbs.simulate.scenario": "Scenario simulate",
-    "calib.verbs.view.live": "view",
+    "calib.verbs.view.page": "view",
     "calib.boards.detection.detect": "detect",
 }
 #: Modules by which a user extends calib: a registry each, by its name in `calib.plugins.WORDS`, and plugins.

@@ -111,8 +111,7 @@ function setArrow(who, row) {
     now.heads.setMatrixAt(0, nothing);
   }
   let end = trueMeasured(who, row);
-  const alone = state.alone && row === state.row;
-  if (!alone && !hasMeasured && both && who === "nominal") end = trueTarget("calibrated", row);
+  if (!hasMeasured && both && who === "nominal") end = trueTarget("calibrated", row);
   if (!end) return;
   const vector = end.sub(trueTarget(who, row)).multiplyScalar(state.factor);
   let length = vector.length();

@@ -6,7 +6,7 @@ const element = (name) => document.getElementById(name);
 const names = Object.keys(table.robots);
 const both = names.length > 1;
 const count = table.labels.length;
-const state = { row: table.start, mode: "side", anchor: "base", factor: table.factor, alone: null };
+const state = { row: table.start, mode: "side", anchor: "base", factor: table.factor };
 
 function floats(text) {
   return new Float32Array(Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0)).buffer);
@@ -45,10 +45,9 @@ function robotsFactor() {
 
 function read(who, row, mover, atPlace, atTurn, registered = asRegistered()) {
   const robot = robots[who];
-  const values = state.alone && row === state.row ? state.alone[who] : robot.poses;
-  const start = 7 * ((state.alone && row === state.row ? 0 : row * robot.movers) + mover);
-  atPlace.fromArray(values, start);
-  atTurn.fromArray(values, start + 3);
+  const start = 7 * (row * robot.movers + mover);
+  atPlace.fromArray(robot.poses, start);
+  atTurn.fromArray(robot.poses, start + 3);
   if (!(bases && registered && who === "nominal")) return;
   readBase(row);
   atPlace.applyQuaternion(baseTurn).add(basePlace);
@@ -84,7 +83,6 @@ function trueTarget(who, row, registered) {
 
 // Where the target was measured, true to scale: side by side as each robot was registered; null where it was not.
 function trueMeasured(who, row) {
-  if (state.alone && row === state.row) return null;
   if (!Number.isFinite(measured[3 * row])) return null;
   const at = new THREE.Vector3().fromArray(measured, 3 * row);
   if (!bases || who === "calibrated" || state.mode === "over") return at;

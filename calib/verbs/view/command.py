@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -36,41 +34,6 @@ class SetupOptions(CellOptions):
     target: ResultTarget = None
 
 
-@dataclass(frozen=True, slots=True)
-class PageOptions:
-    """The page: served to this computer, or written as a file."""
-
-    output: Annotated[
-        Path | None, typer.Option("-o", "--output", help="Write the page as a file.")
-    ] = None
-    port: Annotated[
-        int, typer.Option(min=0, max=65535, metavar="N", help="Port of 127.0.0.1; 0: any.")
-    ] = 0
-    no_browser: Annotated[bool, typer.Option("--no-browser", help="Do not open the browser.")] = (
-        False
-    )
-    force: Force = False
-
-    def show(self, view: View, say: Callable[[str], None]) -> None:
-        """Serve the page, or write it.
-
-        Args:
-            view: What it shows.
-            say: Prints a line.
-        """
-        from calib.verbs.view.live import serve
-        from calib.verbs.view.page import view_page
-
-        if self.output is None:
-            serve(view, port=self.port, browser=not self.no_browser, say=say)
-            return
-        page = view_page(view)
-        page.write(self.output, overwrite=self.force)
-        for warning in page.warnings:
-            say(f"Not drawn as in the URDF: {warning}")
-        say(f"Written: {self.output}")
-
-
 @verb("""Show robots, and what was measured, in the browser.
 
 \b
@@ -80,14 +43,13 @@ Examples:
   calib view robot.urdf --calibration result.json --data data.csv -o view.html
 
 One robot, or the nominal and the calibrated side by side: the two URDFs given, or with --calibration the joint origins
-before and after it. --data adds the measured points. The page is served to this computer only, until Ctrl-C; -o writes
-it as a file, which opens without calib.
+before and after it. --data adds the measured points. The page is a file that opens without calib: the one given with
+-o, or a temporary one, which the browser opens, if there is one.
 """)
 def view(
     robot: RobotFile,
     setup: SetupOptions,
     table: TableOptions,
-    page: PageOptions,
     other: Annotated[
         str | None, typer.Argument(metavar="[OTHER]", help="The calibrated robot's URDF.")
     ] = None,
@@ -97,22 +59,33 @@ def view(
     calibration: Annotated[
         Path | None, typer.Option(help="Result that 'calib calibrate --json' wrote.")
     ] = None,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="Write the page to this file.")
+    ] = None,
+    force: Force = False,
     quiet: Quiet = False,
 ) -> None:
-    """Run the verb; its help is the text of `verb`."""
+    """Load the robots and the table, write the page, and open it if it is a temporary file."""
+    from calib.verbs.view.page import view_page, write_or_open
+
     if other is not None and calibration is not None:
         raise CalibError("OTHER and --calibration are both the second robot; leave out one.")
     if data is None and any((*asdict(table).values(), setup.kind, setup.frame)):
         raise CalibError("--points, --columns, --kind, --frame: name the table with --data.")
     inputs = [robot, other, data, setup.cell, calibration, table.points]
-    check_outputs([page.output], inputs, force=page.force)
+    check_outputs([output], inputs, force=force)
     cell = read_cell(**asdict(setup))
     if calibration is None:
         arm, measurements = _load(robot, cell, data, table)
         shown = _view_of_robots(arm, other, measurements, cell)
     else:
         shown = _view_of_result(robot, cell, setup, data, table, calibration)
-    page.show(shown, _no_text if quiet else partial(print, flush=True))
+    page = view_page(shown)
+    written = write_or_open(page, output, overwrite=force)
+    if not quiet:
+        for warning in page.warnings:
+            typer.echo(f"Not drawn as in the URDF: {warning}")
+        typer.echo(f"Written: {written}")
 
 
 def _load(
@@ -164,7 +137,3 @@ def _view_of_robots(
     if cell.target is None and not cell.targets:
         cells = [with_target_link(shown, cell) for shown in (arm, second or arm)]
     return view_of_robots(arm, second, measurements, cells=cells)
-
-
-def _no_text(_text: str) -> None:
-    """Print nothing."""

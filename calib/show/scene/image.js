@@ -9,7 +9,6 @@ const images = table.images && {
 function drawImage() {
   const panel = element("image");
   if (!images || !panel) return;
-  panel.hidden = Boolean(state.alone);
   const [width, height] = images.sizes[state.row];
   const edge = 0.03 * width;
   const drawing = panel.querySelector("svg");

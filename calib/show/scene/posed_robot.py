@@ -1,12 +1,12 @@
 """The shapes of a robot, and their poses in the scene: values only.
 
-A `Puppet` has movers: links with shapes or rods, and the frames of base, tip and target. Its shapes are fixed to
-movers; a rod joins the origins of two.
+A `PosedRobot` has movers: the links that have shapes or rods, and the frames of base, tip and target. Each shape is
+fixed to a mover; a rod joins the origins of two.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
@@ -29,17 +29,17 @@ Mesh = tuple[NDArray[np.floating], NDArray[np.int64]]
 #: Faces that meet at less than this angle look like one smooth surface [rad].
 _CREASE = np.deg2rad(35.0)
 
-#: Radius of a stick figure's rods, as a part of the robot's size.
+#: Radius of a stick figure's rods, as a fraction of the robot's size.
 _ROD_RADIUS = 0.018
 
-#: Poses, at most, at which the corners of a robot's shapes are computed: a page of 400 poses needs no more.
+#: Largest number of poses at which the corners of a robot's shapes are computed: a page of 400 poses needs no more.
 _MOST_OUTLINED = 60
 
 #: Index of the base's frame among the movers.
 BASE_MOVER = -3
 
 #: The corners of a cube of edge 1 about the origin, shape (8, 3).
-CORNERS = np.indices((2, 2, 2)).reshape(3, -1).T - 0.5
+_CUBE = np.indices((2, 2, 2)).reshape(3, -1).T - 0.5
 
 
 class Visual(NamedTuple):
@@ -49,7 +49,7 @@ class Visual(NamedTuple):
     link: str
     #: Shape (4, 4), the shape in the link's frame [m]
     T_link_shape: Array
-    #: Its triangles; None where a mesh file cannot be found or read
+    #: Its triangles; None if its mesh file cannot be found or read
     mesh: Mesh | None
 
 
@@ -66,41 +66,29 @@ def read_visuals(urdf: Urdf) -> tuple[tuple[Visual, ...], tuple[str, ...]]:
     visuals: list[Visual] = []
     warnings: dict[str, None] = {}  # in order, each once
     for shape in link_shapes(urdf, "visual"):
-        mesh, problem = _triangles(shape, folders)
+        problem = ""
+        if shape.mesh is None:
+            mesh = _solid(shape)
+            if mesh is None:
+                problem = "a visual has no geometry that can be drawn"
+        else:
+            name, scale = shape.mesh
+            path = find_mesh(name, folders)
+            if path is None:
+                mesh, problem = None, "was not found; a simple shape stands for it"
+            else:
+                mesh, problem = _mesh_file(path, scale)
+            if problem:
+                problem = f"the mesh '{name}' {problem}"
         visuals.append(Visual(shape.link, shape.T_link_shape, mesh))
         if problem:
             warnings[f"link '{shape.link}': {problem}"] = None
     return tuple(visuals), tuple(warnings)
 
 
-def _triangles(shape: LinkShape, folders: Sequence[Path]) -> tuple[Mesh | None, str]:
-    """Return the triangles of a shape, and what is wrong with them.
-
-    Args:
-        shape: A shape of a link: a mesh file, or a box, sphere or cylinder.
-        folders: Where a mesh file is searched for.
-
-    Returns:
-        The triangles, None if there are none to draw; and the end of a sentence on what is wrong, empty if nothing is.
-    """
-    if shape.mesh is None:
-        solid = _solid(shape)
-        if solid is None:
-            return None, "a visual has no geometry that can be drawn"
-        return solid, ""
-    name, scale = shape.mesh
-    path = find_mesh(name, folders)
-    if path is None:
-        return None, f"the mesh '{name}' was not found; a simple shape stands for it"
-    mesh, problem = _mesh_file(path, scale)
-    if problem:
-        problem = f"the mesh '{name}' {problem}"
-    return mesh, problem
-
-
 @lru_cache(maxsize=64)
 def _mesh_file(path: Path, scale: tuple[float, float, float]) -> tuple[Mesh | None, str]:
-    """Return the triangles of a file, scaled along x, y, z, and what is wrong with them."""
+    """Return the triangles of a file, scaled along x, y, z, and what is wrong with it."""
     mesh, problem = read_mesh(path, scale)
     if mesh is None:
         return None, f"{problem}; a simple shape stands for it"
@@ -122,24 +110,24 @@ def _solid(shape: LinkShape) -> Mesh | None:
 
 
 def creased(vertices: NDArray[np.floating], faces: NDArray[np.int64]) -> Mesh:
-    """Double the vertices on creases, one for each smooth side: three.js smooths at each vertex.
+    """Duplicate the vertices on creases, one for each smooth side, because three.js smooths at each vertex.
 
     Args:
         vertices: shape (V, 3), [m].
         faces: shape (F, 3), indices of vertices.
 
     Returns:
-        The mesh with more vertices; it has the same surface.
+        A mesh of the same surface with more vertices.
     """
     mesh = trimesh.Trimesh(vertices, faces)
     shaded = trimesh.graph.smooth_shade(mesh, _CREASE, facet_minarea=None)
     return np.asarray(shaded.vertices, dtype=np.float32), np.asarray(shaded.faces)
 
 
-class Puppet(NamedTuple):
-    """The shapes of one robot, and its poses in the scene."""
+class PosedRobot(NamedTuple):
+    """The shapes of one robot, and its N poses in the scene."""
 
-    #: Links that move; the movers are these, then the frames of base, tip and target
+    #: Links that move; the L movers are these, then the frames of base, tip and target
     links: tuple[str, ...]
     #: A mover's index, a mesh, and T_mover_shape, (4, 4), [m]
     parts: list[tuple[int, Mesh, Array]]
@@ -158,7 +146,7 @@ class Puppet(NamedTuple):
         visuals: Sequence[Visual],
         T_scene_base: Array,
         target: Array,
-    ) -> Puppet:
+    ) -> PosedRobot:
         """Place a robot in the scene.
 
         Links whose mesh is missing, or all links of a robot without shapes, are rods from one to the next.
@@ -170,21 +158,37 @@ class Puppet(NamedTuple):
             T_scene_base: shape (N, 4, 4), its base in the scene [m].
             target: shape (N, 4, 4) or (4, 4), T_tip_target [m].
         """
-        links, rods = _movers(robot, visuals)
+        drawn = {visual.link for visual in visuals if visual.mesh is not None}
+        sticks = set(robot.urdf.links)
+        if drawn:
+            sticks = {visual.link for visual in visuals if visual.mesh is None}
+        joints = [joint for joint in robot.urdf.joints if joint.parent in sticks]
+        needed = drawn | sticks | {joint.child for joint in joints}
+        links = tuple(link for link in robot.urdf.links if link in needed)
+        rods = [(links.index(joint.parent), links.index(joint.child)) for joint in joints]
+        parts = [
+            (links.index(visual.link), visual.mesh, visual.T_link_shape)
+            for visual in visuals
+            if visual.mesh is not None
+        ]
+
         T_root_link = root_poses(robot, q)
+        first_origins = [T[0, :3, 3] for T in T_root_link.values()]
+        radius = _ROD_RADIUS * float(np.linalg.norm(np.ptp(first_origins, axis=0)))
+
         T_scene_root = T_scene_base @ rigid_inverse(T_root_link[robot.base])
         moved = [T_scene_root @ T_root_link[link] for link in links]
         # The robot's own forward kinematics place tip and target: the tables are about those points.
         T_scene_tip = T_scene_base @ robot.poses(q)
         T_scene_target = T_scene_tip @ target
         poses = np.stack([*moved, T_scene_base, T_scene_tip, T_scene_target], axis=1)
-        return cls(links, _parts(links, visuals), rods, _rod_radius(T_root_link), poses)
+        return cls(links, parts, rods, radius, poses)
 
     def outline(self, poses: slice = slice(None)) -> Array:
         """Return points that enclose the robot at some poses: origins, and corners of the parts' bounding boxes.
 
         Args:
-            poses: Indices of the poses in ``self.poses``; of more than 60 an even choice has its corners taken.
+            poses: Indices of the poses in ``self.poses``. If there are many, corners are computed at an even choice.
 
         Returns:
             shape (K, 3), in the scene [m].
@@ -203,51 +207,11 @@ class Puppet(NamedTuple):
 
 
 def _box_corners(vertices: NDArray[np.floating]) -> Array:
-    """Return the corners of the box that bounds vertices (V, 3) [m], shape (8, 4): x, y, z, and 1 behind them."""
+    """Return the corners of the bounding box of vertices (V, 3) [m] as x, y, z, 1, shape (8, 4)."""
     low = vertices.min(axis=0)
     high = vertices.max(axis=0)
-    corners: Array = 0.5 * (low + high) + CORNERS * (high - low)
+    corners: Array = 0.5 * (low + high) + _CUBE * (high - low)
     return np.hstack([corners, np.ones((8, 1))])
-
-
-def _movers(
-    robot: Robot, visuals: Sequence[Visual]
-) -> tuple[tuple[str, ...], list[tuple[int, int]]]:
-    """Choose the links that are drawn.
-
-    Args:
-        robot: The robot.
-        visuals: Its shapes; without any, all links are rods.
-
-    Returns:
-        The links in the URDF's order, and the pairs of their indices that a rod joins.
-    """
-    drawn = {visual.link for visual in visuals if visual.mesh is not None}
-    sticks = set(robot.urdf.links)
-    if drawn:
-        sticks = {visual.link for visual in visuals if visual.mesh is None}
-    joints = [joint for joint in robot.urdf.joints if joint.parent in sticks]
-    needed = drawn | sticks | {joint.child for joint in joints}
-    links = tuple(link for link in robot.urdf.links if link in needed)
-    rods = [(links.index(joint.parent), links.index(joint.child)) for joint in joints]
-    return links, rods
-
-
-def _parts(links: Sequence[str], visuals: Sequence[Visual]) -> list[tuple[int, Mesh, Array]]:
-    """Return the index of the link, the mesh and T_link_shape, (4, 4), [m], of each visual that has a mesh."""
-    parts: list[tuple[int, Mesh, Array]] = []
-    for visual in visuals:
-        if visual.mesh is not None:
-            index = links.index(visual.link)
-            parts.append((index, visual.mesh, visual.T_link_shape))
-    return parts
-
-
-def _rod_radius(T_root_link: Mapping[str, Array]) -> float:
-    """Return the radius of rods [m] by the size of the robot at its first pose; poses (N, 4, 4) by link."""
-    origins = [T[0, :3, 3] for T in T_root_link.values()]
-    extent = np.ptp(origins, axis=0)
-    return _ROD_RADIUS * float(np.linalg.norm(extent))
 
 
 def root_poses(robot: Robot, q: Array) -> dict[str, Array]:
@@ -272,7 +236,7 @@ def root_poses(robot: Robot, q: Array) -> dict[str, Array]:
 
 
 def packed(poses: Array) -> NDArray[np.float32]:
-    """Write poses of shape (..., 4, 4), [m], as position and quaternion (x, y, z, w), shape (..., 7)."""
+    """Return poses of shape (..., 4, 4), [m], as position and quaternion (x, y, z, w), shape (..., 7)."""
     flat = poses.reshape(-1, 4, 4)
     # A copy: SciPy before 1.14 takes no matrix that is read-only.
     quaternions = Rotation.from_matrix(flat[:, :3, :3].copy()).as_quat()

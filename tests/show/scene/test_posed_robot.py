@@ -10,16 +10,17 @@ import trimesh
 from calib.basics.arrays import rigid_inverse
 from calib.robot.meshes import mesh_folders
 from calib.robot.robot import Robot
-from calib.show.scene.puppet import (
-    Puppet,
+from calib.show.scene.posed_robot import (
+    PosedRobot,
     _box_corners,
     creased,
     read_visuals,
     root_poses,
     translation,
 )
-from calib.verbs.view.page import puppets
+from calib.verbs.view.page import pose_robots
 from calib.verbs.view.view import View
+from tests.view_fixtures import registered
 
 #: The corners of a unit cube and its twelve triangles.
 CUBE = np.array(np.meshgrid([0, 1], [0, 1], [0, 1], indexing="ij")).reshape(3, -1).T.astype(float)
@@ -91,11 +92,11 @@ def link_poses(robot: Robot, q) -> dict[str, np.ndarray]:
     return {link: rigid_inverse(at[robot.base][0]) @ T[0] for link, T in at.items()}
 
 
-def alone(robot: Robot, q) -> Puppet:
+def alone(robot: Robot, q) -> PosedRobot:
     """One robot in its base."""
     q = np.atleast_2d(q)
     eye = np.broadcast_to(np.eye(4), (len(q), 4, 4))
-    return Puppet.of(robot, q, read_visuals(robot.urdf)[0], eye, np.eye(4))
+    return PosedRobot.of(robot, q, read_visuals(robot.urdf)[0], eye, np.eye(4))
 
 
 def test_visuals_stand_where_pinocchio_puts_them(panda_with_hand):
@@ -109,25 +110,25 @@ def test_visuals_stand_where_pinocchio_puts_them(panda_with_hand):
     configuration = pin.neutral(model)
     configuration[:7] = PANDA
     pin.updateGeometryPlacements(model, model.createData(), geometry, placed, configuration)
-    puppet = alone(panda_with_hand, PANDA)
-    names = [f"{puppet.links[mover]}_0" for mover, _, _ in puppet.parts]
+    posed = alone(panda_with_hand, PANDA)
+    names = [f"{posed.links[mover]}_0" for mover, _, _ in posed.parts]
     assert names == [o.name for o in geometry.geometryObjects]
-    for (mover, _, T_mover_shape), T in zip(puppet.parts, placed.oMg, strict=True):
-        at = puppet.poses[0, mover] @ T_mover_shape
+    for (mover, _, T_mover_shape), T in zip(posed.parts, placed.oMg, strict=True):
+        at = posed.poses[0, mover] @ T_mover_shape
         np.testing.assert_allclose(at, T.homogeneous, atol=1e-12)
 
 
 def test_links_without_shapes_are_sticks(gantry, with_mesh):
-    puppet = alone(gantry, [[0.0, 0.0, 0.0], [1.5, 0.0, 0.0]])
-    assert puppet.links == tuple(gantry.urdf.links)
+    posed = alone(gantry, [[0.0, 0.0, 0.0], [1.5, 0.0, 0.0]])
+    assert posed.links == tuple(gantry.urdf.links)
     joints = {(j.parent, j.child) for j in gantry.urdf.joints}
-    assert {(puppet.links[a], puppet.links[b]) for a, b in puppet.rods} == joints
-    at = [puppet.links.index(link) for link in ("rail", "bridge")]
-    lengths = [np.linalg.norm(np.subtract(*puppet.poses[n, at, :3, 3])) for n in (0, 1)]
+    assert {(posed.links[a], posed.links[b]) for a, b in posed.rods} == joints
+    at = [posed.links.index(link) for link in ("rail", "bridge")]
+    lengths = [np.linalg.norm(np.subtract(*posed.poses[n, at, :3, 3])) for n in (0, 1)]
     np.testing.assert_allclose(lengths, [0.5, np.hypot(0.5, 1.5)])
-    puppet = alone(Robot.from_urdf(with_mesh("gone.stl")), [0.0])
-    assert len(puppet.parts) == 1  # the box
-    assert [tuple(puppet.links[k] for k in rod) for rod in puppet.rods] == [("a", "b")]
+    posed = alone(Robot.from_urdf(with_mesh("gone.stl")), [0.0])
+    assert len(posed.parts) == 1  # the box
+    assert [tuple(posed.links[k] for k in rod) for rod in posed.rods] == [("a", "b")]
 
 
 @pytest.mark.parametrize("fixture", ["gantry", "fingers"])
@@ -136,19 +137,20 @@ def test_every_mover_is_where_the_robot_s_forward_kinematics_put_it(request, dis
     disturbed = disturb(robot)
     q = np.random.default_rng(2).uniform(-0.5, 0.5, (2, len(robot.joint_names)))
     shift = translation([0.01, -0.02, 0.03])
-    view = View(
-        robot, disturbed, q, T_base_nominal=shift, nominal_target=translation([0, 0.1, 0.2])
+    view = View(robot, disturbed, q, nominal_target=translation([0, 0.1, 0.2]))
+    view = registered(view, shift)
+    shown = pose_robots(
+        view, {name: read_visuals(arm.urdf)[0] for name, arm in view.robots.items()}
     )
-    shown = puppets(view, {name: read_visuals(arm.urdf)[0] for name, arm in view.robots.items()})
     for name, arm in (("nominal", robot), ("calibrated", disturbed)):  # each at its own base
-        puppet = shown[name]
+        posed = shown[name]
         for n in range(2):
             poses, tip = link_poses(arm, q[n]), arm.poses(q[n])[0]
-            expected = [*(poses[k] for k in puppet.links), np.eye(4), tip]
-            np.testing.assert_allclose(puppet.poses[n, :-1], expected, atol=1e-12)
+            expected = [*(poses[k] for k in posed.links), np.eye(4), tip]
+            np.testing.assert_allclose(posed.poses[n, :-1], expected, atol=1e-12)
         base = shift[:3, 3] if name == "nominal" else np.zeros(3)  # as registered
         np.testing.assert_allclose(
-            puppet.poses[:, -1, :3, 3] + base, view.predicted[int(name != "nominal")], atol=1e-12
+            posed.poses[:, -1, :3, 3] + base, view.predicted[int(name != "nominal")], atol=1e-12
         )
 
 
