@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from calib.verbs.compare.comparison import Comparison as Comparison, compare as compare
     from calib.verbs.compensate.commands import Commands as Commands, compensate as compensate
     from calib.verbs.compensate.program import Program as Program
-    from calib.verbs.convert.conversion import convert as convert
+    from calib.verbs.convert.convert import convert as convert
     from calib.verbs.evaluate.acceptance import Acceptance as Acceptance, acceptance as acceptance
     from calib.verbs.evaluate.evaluation import Evaluation as Evaluation, evaluate as evaluate
     from calib.verbs.fleet.tables import fleet as fleet
@@ -66,7 +66,7 @@ _NAMES = {
     "calib.verbs.base_frame.survey": "base_frame",
     "calib.verbs.compensate.commands": "Commands compensate",
     "calib.verbs.compensate.program": "Program",
-    "calib.verbs.convert.conversion": "convert",
+    "calib.verbs.convert.convert": "convert",
     "calib.data.cell": "Cell",
     "calib.data.forms.column_options": "ColumnOptions",
     "calib.data.measurements": "Measurements",

@@ -15,7 +15,7 @@ from calib.cli.verb import verb
 from calib.cli.words import parse_held
 
 if TYPE_CHECKING:
-    from calib.verbs.convert.camera.options import CameraOptions
+    from calib.verbs.convert.format import CameraOptions
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,7 +109,7 @@ class CameraNames:
 
     def options(self) -> CameraOptions:
         """Return them as a conversion takes them."""
-        from calib.verbs.convert.camera.options import CameraOptions
+        from calib.verbs.convert.format import CameraOptions
 
         return CameraOptions(
             camera=self.camera,
@@ -174,8 +174,8 @@ def convert(
     quiet: Quiet = False,
 ) -> None:
     """Run the verb; its help is the text of `verb`."""
-    from calib.verbs.convert.conversion import convert as convert_robot
-    from calib.verbs.convert.convert import Options
+    from calib.verbs.convert.convert import convert as convert_robot
+    from calib.verbs.convert.format import Options
     from calib.verbs.convert.text import text
 
     inputs = [source, arm.robot, files.urcontrol, files.hash_from, files.update]
