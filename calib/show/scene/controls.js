@@ -1,4 +1,4 @@
-// Buttons, slider, keys and mouse, and what the address asks for.
+// Buttons, slider, keys and mouse, and the initial view from the address.
 
 // ---- side by side, or one over the other ----
 
@@ -111,7 +111,7 @@ const pressed = { x: NaN, y: NaN };
 if (count > 1) {
   pane.addEventListener("pointermove", pointAt);
   pane.addEventListener("pointerdown", (event) => Object.assign(pressed, { x: event.clientX, y: event.clientY }), true);
-  // The viewer's own controls keep clicks to themselves; that a button went up they do not hide.
+  // The viewer's own controls stop clicks, but not the release of a button.
   window.addEventListener("pointerup", (event) => {
     const still = Math.hypot(event.clientX - pressed.x, event.clientY - pressed.y) < 4;
     const row = still ? rowAt(event) : null;
@@ -142,7 +142,7 @@ if (element("factor")) {
   });
 }
 
-// A page on paper shows a copy of the scene: what WebGL drew is gone by then.
+// Paper shows a copy of the scene, because WebGL's drawing is gone when the page is printed.
 const paper = document.createElement("canvas");
 paper.id = "paper";
 pane.after(paper);
@@ -151,13 +151,13 @@ window.addEventListener("beforeprint", () => {
   [paper.width, paper.height] = [drawn.width, drawn.height];
   viewer.renderer.render(viewer.scene, viewer.camera);
   paper.getContext("2d").drawImage(drawn, 0, 0);
-  // A4, 1122 by 793 px: picture and labels as on the screen, reduced as a whole.
+  // A4, 1122 by 793 px: picture and labels as on the screen, scaled together.
   const { clientWidth: width, clientHeight: height } = pane;
   const style = { "--w": `${width}px`, "--h": `${height}px`, "--k": Math.min(1122 / width, 793 / height) };
   for (const [name, value] of Object.entries(style)) element("picture").style.setProperty(name, value);
 });
 
-// An address may say what is shown at first, such as view.html#row=35&mode=over&factor=50.
+// The address may set the initial view, such as view.html#row=35&mode=over&factor=50.
 function start() {
   const parameters = new URLSearchParams(location.hash.slice(1));
   const mode = parameters.get("mode");

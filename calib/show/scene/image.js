@@ -1,4 +1,4 @@
-// The image of the step shown: where corners were measured, and where each robot predicts them, magnified.
+// The image of the step shown: its measured corners, and those that each robot predicts, displaced by a factor.
 const images = table.images && {
   ...table.images,
   measured: floats(table.images.measured),
@@ -18,7 +18,7 @@ function drawImage() {
   for (let corner = images.starts[state.row]; corner < images.starts[state.row + 1]; corner++) {
     const [u, v] = [images.measured[2 * corner], images.measured[2 * corner + 1]];
     for (const who of names) {
-      // Measured minus predicted: the prediction lies behind.
+      // The residual is measured minus predicted.
       const x2 = u - images.factor * images[who][2 * corner], y2 = v - images.factor * images[who][2 * corner + 1];
       svg(drawing, "line", { x1: u, y1: v, x2, y2, stroke: table.colours[who], "stroke-width": width / 200 });
       svg(drawing, "circle", { cx: x2, cy: y2, r: width / 130, fill: table.colours[who] });

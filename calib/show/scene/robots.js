@@ -1,5 +1,5 @@
-// Where the robots are: the table that the page brings, the row shown, and what is magnified.
-// Each robot stands at its own base, unless the overlaid ones are to be seen as they were registered.
+// The robots: the page's table of their poses, the row shown, and what is magnified.
+// Each robot stands at its own base, unless the overlaid ones are shown as they were registered.
 const THREE = MeshCat.THREE;
 const table = JSON.parse(document.getElementById("table").textContent);
 const element = (name) => document.getElementById(name);
@@ -21,11 +21,11 @@ for (const who of names) {
   robots[who] = { ...table.robots[who], poses: floats(table.robots[who].poses) };
 }
 const hasMeasured = measured.some((value) => Number.isFinite(value));
-// Base of the nominal robot in the calibrated one's at each row, as registered; null where both are one.
+// Base of the nominal robot in the calibrated one's at each row, as registered; null if they are the same.
 const bases = table.bases ? floats(table.bases) : null;
 const targets = table.targets ? floats(table.targets) : null;
 
-// ---- where a mover is at a row, the calibrated robot's difference magnified ----
+// ---- the pose of a mover at a row, with the calibrated robot's difference magnified ----
 
 const place = new THREE.Vector3(), turn = new THREE.Quaternion();
 const nominalPlace = new THREE.Vector3(), nominalTurn = new THREE.Quaternion(), step = new THREE.Quaternion();
@@ -54,7 +54,7 @@ function read(who, row, mover, atPlace, atTurn, registered = asRegistered()) {
   atTurn.premultiply(baseTurn);
 }
 
-// The displacement from the nominal mover times a factor: the way along a line, the turn about its own axis.
+// The displacement from the nominal mover times a factor: the shift along its line, the turn about its own axis.
 function locate(who, row, mover) {
   read(who, row, mover, place, turn);
   const same = robots[who].same[mover];
@@ -81,7 +81,7 @@ function trueTarget(who, row, registered) {
   return from;
 }
 
-// Where the target was measured, true to scale: side by side as each robot was registered; null where it was not.
+// The measured target, true to scale, side by side as each robot was registered; null if it was not measured.
 function trueMeasured(who, row) {
   if (!Number.isFinite(measured[3 * row])) return null;
   const at = new THREE.Vector3().fromArray(measured, 3 * row);

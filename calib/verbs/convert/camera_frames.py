@@ -47,7 +47,7 @@ def estimated_camera(calibration: Calibration, name: str | None = None) -> Estim
     is_estimated = len(setup.unknown[index]) == len(DIRECTIONS)
     if not (is_estimated or setup.frame_given[index] or calibration.rows.tells_place):
         raise ModelError(
-            f"No measurement of this result tells where the camera '{setup.groups[index]}' is: its kinds are "
+            f"No measurement in this result determines the pose of the camera '{setup.groups[index]}': its kinds are "
             f"{choices(dict.fromkeys(calibration.rows.kinds))}. Calibrate with pictures of a board, kind 'pixel'."
         )
     T_link_optical = rigid_inverse(setup.T_frame_base[index])
@@ -68,8 +68,8 @@ def estimated_board(calibration: Calibration, name: str | None = None) -> Estima
     index = index_of("board", "--board", name, setup.targets)
     if not setup.oriented:
         raise ModelError(
-            f"The target '{setup.targets[index]}' of this result is a point: its orientation was not measured, so that "
-            "it has no frame. Leave out the board's link."
+            f"The target '{setup.targets[index]}' of this result is a point: its orientation was not measured, so it "
+            "has no frame. Leave out the board's link."
         )
     T_link_board = setup.T_tip_target[index]
     return EstimatedFrame(setup.targets[index], calibration.robot.tip, read_only(T_link_board))
@@ -140,6 +140,6 @@ def check_names(options: CameraOptions) -> None:
     frames = (options.camera_frame, options.new_camera_frame, options.new_board_frame)
     if not any(frames):
         raise CalibError(
-            "Name the link of the camera's optical frame: --camera-frame LINK with --move JOINT where the URDF has "
-            "the camera, --new-camera-frame NAME where it does not."
+            "Name the link of the camera's optical frame: --camera-frame LINK with --move JOINT if the URDF has the "
+            "camera, --new-camera-frame NAME if it does not."
         )

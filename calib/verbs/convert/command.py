@@ -44,7 +44,7 @@ class ArmOptions:
 
 @dataclass(frozen=True, slots=True)
 class ControllerFiles:
-    """Files of the robot's own controller that a new one is made from."""
+    """Files of the robot's own controller from which a new one is made."""
 
     urcontrol: Annotated[
         Path | None,
@@ -78,7 +78,7 @@ class CameraNames:
 
     camera: Annotated[
         str | None,
-        typer.Option(metavar="NAME", help="Which camera, where the table has several (group)."),
+        typer.Option(metavar="NAME", help="Which camera, if the table has several (group)."),
     ] = None
     camera_frame: Annotated[
         str | None,
@@ -88,7 +88,7 @@ class CameraNames:
         str | None,
         typer.Option(
             metavar="JOINT",
-            help="Fixed joint whose origin is changed, so that the optical frame comes out right. "
+            help="Fixed joint whose origin is changed, so that the optical frame gets its estimated pose. "
             "Default: the only one between the link that carries the camera and --camera-frame.",
         ),
     ] = None
@@ -96,12 +96,12 @@ class CameraNames:
         str | None,
         typer.Option(
             metavar="NAME",
-            help="Link to add at the optical frame, where the URDF has no camera.",
+            help="Link to add at the optical frame, if the URDF has no camera.",
         ),
     ] = None
     board: Annotated[
         str | None,
-        typer.Option(metavar="NAME", help="Which board, where the table has several (target)."),
+        typer.Option(metavar="NAME", help="Which board, if the table has several (target)."),
     ] = None
     new_board_frame: Annotated[
         str | None, typer.Option(metavar="NAME", help="Link to add at the board.")
@@ -143,9 +143,9 @@ Examples:
   calib convert result.json --to camera-mount --camera-frame color_optical --move camera_joint -o robot.urdf
   calib convert result.json --camera-frame color_optical -o camera.launch.py
 
-What is written is read back and compared with the robot before it appears; what a format cannot hold is said. A result
-whose verdict is 'do not use', a URDF that states it, and joint zeros that are no better than none, are refused with
-exit status 3, unless --accept is given.
+Every file is read back and compared with the robot before it appears; what a format cannot hold is reported. A result
+whose verdict is 'do not use', a URDF that states this verdict, and joint zeros that are no better than none are refused
+with exit status 3, unless --accept is given.
 """,
     {"{formats}": _formats},
 )
@@ -173,7 +173,7 @@ def convert(
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
-    """Run the verb; its help is the text of `verb`."""
+    """Convert, print what was read and written, and say if a verdict was accepted."""
     from calib.verbs.convert.convert import convert as convert_robot
     from calib.verbs.convert.format import Options
     from calib.verbs.convert.text import text

@@ -163,12 +163,13 @@ def convert(
     if chosen.update is not None and not row.updates:
         able = [other for other, one in FORMATS.items() if one.updates]
         raise CalibError(
-            f"--update {chosen.update}: a file of the format '{name}' is written anew; --update is for {choices(able)}."
+            f"--update {chosen.update}: the format '{name}' does not copy an existing file; --update is for "
+            f"{choices(able)}."
         )
     if chosen.camera != CameraOptions() and not row.of_camera:
         able = [other for other, one in FORMATS.items() if one.of_camera]
         raise CalibError(
-            f"A camera or board was named, of which the format '{name}' has nothing; give --to with {choices(able)}."
+            f"A camera or board was named, but the format '{name}' has neither; give --to with {choices(able)}."
         )
 
     # If another file is applied to a URDF, the verdict that this URDF states is on an earlier calibration, and does not

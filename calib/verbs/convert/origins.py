@@ -162,29 +162,20 @@ def read_origins(path: str | os.PathLike[str], data: bytes | None = None) -> dic
     section = parse_yaml(content, str(path), _WHAT).get("origins")
     if not isinstance(section, dict) or not section:
         raise FileError(
-            f"{path}: this is no origins file: it has no section 'origins:' with a line for each joint, such as "
+            f"{path}: this is not an origins file: it has no section 'origins:' with a line for each joint, such as "
             f"{_EXAMPLE}"
         )
     origins = {}
     for name, value in section.items():
-        origin = _origin(value)
-        if not isinstance(name, str) or origin is None:
+        entries = value if isinstance(value, dict) else {}
+        xyz = _three_numbers(entries.get("xyz"))
+        rpy = _three_numbers(entries.get("rpy"))
+        if not isinstance(name, str) or xyz is None or rpy is None:
             raise FileError(
                 f"{path}, joint '{name}': xyz and rpy are wanted, three numbers [m] and [rad], as in {_EXAMPLE}"
             )
-        origins[name] = origin
+        origins[name] = JointOrigin(xyz, rpy)
     return origins
-
-
-def _origin(value: object) -> JointOrigin | None:
-    """Return the origin of a joint from its entry in the YAML; None if it is malformed."""
-    if not isinstance(value, dict):
-        return None
-    xyz = _three_numbers(value.get("xyz"))
-    rpy = _three_numbers(value.get("rpy"))
-    if xyz is None or rpy is None:
-        return None
-    return JointOrigin(xyz, rpy)
 
 
 def _three_numbers(value: object) -> tuple[float, ...] | None:

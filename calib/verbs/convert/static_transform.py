@@ -178,10 +178,10 @@ def transform_text(conversion: Conversion) -> list[str]:
     transform = transform_of(conversion.source, conversion.options.camera)
     pose = pose_text(transform.T_parent_child)
     sentence = (
-        f"'{transform.child}' is at {pose} in '{transform.parent}'. It goes with the corrected robot; publish it where "
-        "robot_state_publisher does not have this frame from its URDF: a frame has one parent. MoveIt reads it from "
-        "tf2, and needs nothing else; images and point clouds must come with the frame_id of the camera's optical "
-        "frame."
+        f"'{transform.child}' is at {pose} in '{transform.parent}'. It goes with the corrected robot; publish it only "
+        "if robot_state_publisher does not have this frame from its URDF, because a frame has one parent. MoveIt reads "
+        "it from tf2, and needs nothing else; images and point clouds must come with the frame_id of the camera's "
+        "optical frame."
     )
     path = shlex.quote(str(conversion.path))
     start = "ros2 launch" if conversion.path.suffix.lower() == LAUNCH else "sh"

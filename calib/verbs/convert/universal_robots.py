@@ -163,9 +163,8 @@ def _read_conf(
 
     if arm is None:
         raise ModelError(
-            f"{path}: a calibration.conf has only what is added to an arm's nominal rows. Say of "
-            "which arm it is, as in --ur-model UR5e, or give its --urcontrol, or its nominal URDF "
-            "as --robot."
+            f"{path}: a calibration.conf has only what is added to an arm's nominal rows. Say which arm it is for, "
+            "as in --ur-model UR5e, or give its --urcontrol, or its nominal URDF as --robot."
         )
     nominal = ur_robot(arm) if robot is None else robot
     moved = _checked_distance(path, arm, chain_of)
@@ -202,7 +201,7 @@ def _hash_notes(path: PathLike, hash: str | None) -> Notes:
     """Return a note if a hash is that of a nominal arm."""
     if not any(kinematics_hash(known.rows) == hash for known in MODELS):
         return ()
-    sentence = "{0} has the hash of a nominal arm: it is of no particular robot."
+    sentence = "{0} has the hash of a nominal arm, which does not identify a particular robot."
     return (Note("nominal hash", sentence, (str(path),)),)
 
 
@@ -304,8 +303,8 @@ def _chain_of(source: Source, path: PathLike) -> tuple[Mount, Array]:
     """Return how the arm of a source is mounted, and its chain, shape (7, 4, 4) [m]."""
     if source.nominal is None or source.model is None:
         raise ModelError(
-            f"{path}: this format is for arms of Universal Robots, and the nominal robot is none "
-            "that is known. Name the arm with --ur-model, or give its nominal URDF as --robot."
+            f"{path}: this format is for arms of Universal Robots, and the nominal robot is not a known one. "
+            "Name the arm with --ur-model, or give its nominal URDF as --robot."
         )
     mount = the_mount(source.nominal, source.model)
     check_same_joints(source.robot, source.nominal)

@@ -10,8 +10,8 @@ shape (7, 4, 4): joint i in joint i - 1, the first in the controller's base, the
 nominal rows these are the poses that ``kinematics.yaml`` gives its six links.
 
 A *mount* says which frames of a URDF are the arm's base and flange. The names of the links in Universal Robots'
-descriptions show where they are; the axes do not show errors of the first joint's zero and height, or of the last
-one's. The arm is the one with the nearest nominal kinematics.
+descriptions identify them; the axes would not, because they do not show errors of the zero and height of the first
+joint and of the last one. The arm is the one with the nearest nominal kinematics.
 """
 
 from __future__ import annotations
@@ -204,11 +204,11 @@ def the_mount(robot: Robot, model: UrModel | None = None) -> Mount:
                 read_only(T_arm_joint),
                 nominal=is_nominal,
             )
-    name = model.name if model else "arm of Universal Robots that calib knows"
+    name = f"a {model.name}" if model else "an arm of Universal Robots that calib knows"
     raise ModelError(
-        f"The robot '{robot.name}' from '{robot.base}' to '{robot.tip}' is no {name}: that has the "
-        f"joints {choices(JOINTS)} between base and tip, the link names of Universal Robots' "
-        "description, and kinematics near the nominal ones."
+        f"The robot '{robot.name}' from '{robot.base}' to '{robot.tip}' is not {name}: such an arm has the joints "
+        f"{choices(JOINTS)} between base and tip, the link names of Universal Robots' description, and kinematics near "
+        "the nominal ones."
     )
 
 

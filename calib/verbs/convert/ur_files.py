@@ -120,7 +120,7 @@ def read_nominal(path: PathLike) -> Array:
         path: The file, with ``a``, ``d``, ``alpha`` and perhaps ``theta`` in ``[DH]``.
 
     Returns:
-        theta (0 where it is not given), a, d, alpha, shape (6, 4), [rad] and [m].
+        theta (0 if it is not given), a, d, alpha, shape (6, 4), [rad] and [m].
 
     Raises:
         FileError: The file cannot be read, or lacks these numbers.
@@ -150,8 +150,8 @@ def _columns(path: PathLike, values: Mapping[str, str], largest: Mapping[str, fl
         words = values.get(key, "").strip("[] ").split(",")
         if len(words) != 6:
             raise FileError(
-                f"{path}: {key} is no list of six numbers in brackets, one a joint; "
-                f"{choices(largest)} are wanted."
+                f"{path}: {key} is not a list of six numbers in brackets, one for each joint; the file must have "
+                f"{choices(largest)}."
             )
         where = f"{path}: {key}"
         columns.append([robot_number(where, word.strip(), most) for word in words])
@@ -218,7 +218,7 @@ def kinematics_bytes(chain: Array, hash: str, like: KinematicsYaml | None = None
     Its numbers read back exactly, except that rounding errors are written as 0.
 
     Args:
-        chain: Placements, shape (7, 4, 4) [m], of which the first six are written.
+        chain: Placements, shape (7, 4, 4) [m]; the first six are written.
         hash: The hash of the robot's own calibration.
         like: The robot's own file: a number that differs from its number by rounding is written as that one. None:
             there is no such file.
@@ -267,7 +267,7 @@ def robot_number(where: str, word: str, largest: float) -> float:
     number = float(word) if NUMBER.fullmatch(word) else np.inf
     if not abs(number) <= largest:
         raise FileError(
-            f"{where}: '{word[:_QUOTED]}' is no number up to {largest:.4g}. Lengths are in metres, "
+            f"{where}: '{word[:_QUOTED]}' is not a number up to {largest:.4g}. Lengths are in metres, "
             "angles in radians."
         )
     return number

@@ -218,8 +218,8 @@ def offsets_bytes(file: OffsetFile, rounded: RoundedZeros, update: str | Path | 
     Args:
         file: What kind of file it is.
         rounded: The zeros.
-        update: The robot's own file, of which everything else is kept; None: the file has the changes alone, under the
-            key with the suffix ``_change``.
+        update: The robot's own file, a copy of which gets the new offsets; None: the file has the changes alone, under
+            the key with the suffix ``_change``.
 
     Returns:
         The file.
@@ -287,7 +287,7 @@ def _old_offset(file: OffsetFile, entry: Mapping[str, Any], key: str, where: str
     """Return the offset of an entry; `FileError` if it has none that is a number."""
     if file.foreign_key in entry:
         raise FileError(
-            f"{where}: it has a '{file.foreign_key}', so that this is no {file.what}. Choose the format of this file "
+            f"{where}: it has a '{file.foreign_key}', so this is not a {file.what}. Choose the format of this file "
             "with --to."
         )
     if key not in entry and not file.is_json:
@@ -321,7 +321,7 @@ def _number(entry: Mapping[str, Any], key: str, where: str) -> float:
     """Return a number of an entry; `FileError` if it is not a finite one."""
     value = entry.get(key)
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-        raise FileError(f"{where}: its {key} is {value!r}; a number is wanted.")
+        raise FileError(f"{where}: its {key} is {value!r}; it must be a number.")
     return float(value)
 
 
@@ -433,7 +433,7 @@ def _notes_on_file(file: OffsetFile | None, options: Options) -> Iterator[Note]:
         yield Note(
             "end positions move",
             "range_min and range_max stay as they are, so that each joint's end positions move with its zero: check "
-            "them. The readings must grow with the servo's ticks; where they fall, turn the sign.",
+            "them. The readings must grow with the servo's ticks; if they fall, change the sign.",
         )
 
 

@@ -41,9 +41,9 @@ def zeros_text(stored: StoredNumber, conversion: Conversion) -> list[str]:
     rounded = RoundedZeros.of(conversion.source, stored.with_ticks(conversion.options.ticks))
     rms_errors = RmsErrors.of(calibration_of(conversion.source), rounded)
     meaning = (
-        "The best joint zeros where nothing else of the robot is corrected. While the robot stands still, the reading "
-        "of each joint must go up by its zero (down where it is negative). Then taught points and the rest of this "
-        "result no longer hold: measure again."
+        "The best joint zeros if nothing else of the robot is corrected. While the robot stands still, the reading of "
+        "each joint must go up by its zero (down if it is negative). After that taught points and the rest of this "
+        "result are no longer valid: measure again."
     )
     return [
         fill(meaning),

@@ -29,12 +29,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class SetupOptions(CellOptions):
-    """Measurement setup; targets are those of the result or of the URDF where it has them."""
+    """Frames, targets and cameras; by default the targets of the result, or of the URDF if it has any."""
 
     target: ResultTarget = None
 
 
-@verb("""Show robots, and what was measured, in the browser.
+@verb("""Show robots and measurements in the browser.
 
 \b
 Examples:
@@ -66,8 +66,6 @@ def view(
     quiet: Quiet = False,
 ) -> None:
     """Load the robots and the table, write the page, and open it if it is a temporary file."""
-    from calib.verbs.view.page import view_page, write_or_open
-
     if other is not None and calibration is not None:
         raise CalibError("OTHER and --calibration are both the second robot; leave out one.")
     if data is None and any((*asdict(table).values(), setup.kind, setup.frame)):
@@ -80,6 +78,8 @@ def view(
         shown = _view_of_robots(arm, other, measurements, cell)
     else:
         shown = _view_of_result(robot, cell, setup, data, table, calibration)
+    from calib.verbs.view.page import view_page, write_or_open
+
     page = view_page(shown)
     written = write_or_open(page, output, overwrite=force)
     if not quiet:

@@ -182,7 +182,7 @@ def view_of(calibration: Calibration, *, accepted: bool = False) -> View:
     elif not against(c.verdict):
         meaning = "the corrected URDF"
     elif accepted:
-        meaning = "the corrected URDF, accepted all the same"
+        meaning = "the corrected URDF, accepted in spite of the verdict"
     else:
         meaning = "as fitted, not to be used: no URDF is written"
     names = (view.names[0], ("Calibrated", meaning))

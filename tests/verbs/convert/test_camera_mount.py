@@ -167,7 +167,7 @@ def test_a_frame_that_is_read_elsewhere_is_refused(monkeypatch):
 
 def test_names_of_a_camera_belong_to_its_formats(tmp_path):
     path = tmp_path / "arm.urdf"
-    with pytest.raises(CalibError, match=r"'urdf' has nothing.*'camera-mount'"):
+    with pytest.raises(CalibError, match=r"'urdf' has neither.*'camera-mount'"):
         convert(calibration(), path, options=Options(camera=MOVED))
     assert not path.exists()
 

@@ -119,7 +119,7 @@ def test_intrinsics_are_handed_over(call, tmp_path):
     assert read.values.tolist() == written.values.tolist()
     words = ("--to", "dh", "--camera", "color", "-o", "rows.csv")
     done = call(tmp_path, "convert", "result.json", *words)
-    assert (done.code, "'dh' has nothing" in said(done.err)) == (1, True)
+    assert (done.code, "'dh' has neither" in said(done.err)) == (1, True)
 
 
 @pytest.mark.parametrize(

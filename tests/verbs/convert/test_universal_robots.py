@@ -184,9 +184,9 @@ def test_names_that_do_not_agree(conf_of, tmp_path, ur3, panda):
     urcontrol = urcontrol_of(rows(UR3["nominal"]), tmp_path / "urcontrol.conf")
     for words, said in (
         ({"urcontrol": urcontrol, "model": "UR5"}, "are not those of the UR5"),
-        ({"model": "UR5", "robot": ur3}, "is no UR5"),
-        ({"robot": panda}, "is no arm of Universal Robots"),
-        ({}, "Say of which arm it is"),
+        ({"model": "UR5", "robot": ur3}, "is not a UR5"),
+        ({"robot": panda}, "is not an arm of Universal Robots"),
+        ({}, "Say which arm it is for"),
     ):
         with pytest.raises(ModelError, match=said):
             read_ur(conf, **words)

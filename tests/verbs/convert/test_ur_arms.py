@@ -152,9 +152,9 @@ def test_robots_that_are_no_such_arm(panda, ur3):
     renamed = Robot.from_urdf(urdf, "base", "tool0")
     five = ur3.rebuilt(base="shoulder_link")
     for robot in (panda, five, held, renamed, corrected(ur3, 0.1)):
-        with pytest.raises(ModelError, match="is no arm of Universal Robots"):
+        with pytest.raises(ModelError, match="is not an arm of Universal Robots"):
             the_mount(robot)
-    with pytest.raises(ModelError, match="is no UR5"):
+    with pytest.raises(ModelError, match="is not a UR5"):
         the_mount(ur3, ur_model("UR5"))
 
 

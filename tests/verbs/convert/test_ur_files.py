@@ -80,10 +80,10 @@ def test_an_update_keeps_every_other_byte(factory):
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("delta_alpha", "delta_alfa", "delta_alpha is no list of six numbers"),
+        ("delta_alpha", "delta_alfa", "delta_alpha is not a list of six numbers"),
         ("[mounting]", "mounting", "cannot be read as sections"),
-        ("0.0111", "zero", "delta_a: 'zero' is no number"),
-        ("0.0111", "11.1", "delta_a: '11.1' is no number up to 10. Lengths are in metres"),
+        ("0.0111", "zero", "delta_a: 'zero' is not a number"),
+        ("0.0111", "11.1", "delta_a: '11.1' is not a number up to 10. Lengths are in metres"),
     ],
 )
 def test_damaged_files(old, new, message, factory):
@@ -99,7 +99,7 @@ def test_the_status_and_the_numbers(factory):
     assert Conf.read(factory).status == "1"
     assert robot_number("file: key", "-1e-3", 1.0) == -1e-3
     for word in ("nan", "inf", "1_0", "", "1.001"):
-        with pytest.raises(FileError, match=r"file: key: '.*' is no number up to 1"):
+        with pytest.raises(FileError, match=r"file: key: '.*' is not a number up to 1"):
             robot_number("file: key", word, 1.0)
 
 
@@ -123,7 +123,7 @@ def written(tmp_path):
     ("old", "new", "message"),
     [
         ("forearm", "fore_arm", "no 'forearm'"),
-        ("z: 0.152", "z: 152.2 #", "z of 'shoulder': '152.2' is no number up to 10"),
+        ("z: 0.152", "z: 152.2 #", "z of 'shoulder': '152.2' is not a number up to 10"),
     ],
 )
 def test_damaged_yaml_files(old, new, message, written):
