@@ -1,1 +1,1 @@
-"""Pages that show robots in 3-D, each one file. Imports report and below."""
+"""``calib view``: robots and measurements in 3-D, as one HTML page."""
