@@ -39,7 +39,7 @@ def test_a_calibration(default_result: Calibration):
     assert rows[2][1:3] == ["held-out, without outliers", str(validated.n)]
     assert rows[2][6:] == [mm(validated.max), mm(validated.mean), mm(validated.rms)]
     assert page.forms["rows"] == "35, 2 of them outliers"
-    assert "Verdict: none" in excerpt(with_part(c, "trust", verdict=None)).text
+    assert "Verdict: none" in excerpt(with_part(c, "geometry", verdict=None)).text
 
 
 def test_a_calibration_with_a_non_geometric_model(calibrated):

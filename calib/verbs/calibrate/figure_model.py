@@ -14,7 +14,7 @@ from calib.camera.optics import CORNER
 from calib.model.families import unit_of
 from calib.numerics.solvers import has_weights_and_priors
 from calib.result.calibration import Calibration
-from calib.result.prediction import ParameterEstimate
+from calib.result.fitted_model import ParameterEstimate
 from calib.show.look import CALIBRATED, INK, NOMINAL, OUTLIER, SOFT, short_names
 from calib.show.plotting import WIDTH, few_ticks, legend_above, log_axis, new_figure
 

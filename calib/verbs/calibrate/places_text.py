@@ -15,7 +15,7 @@ from calib.data.kinds import Kind
 from calib.model.error_model import placed_name
 from calib.model.parameters import BOARD, CAMERA, Parameter
 from calib.result.calibration import Calibration
-from calib.result.prediction import ParameterEstimate
+from calib.result.fitted_model import ParameterEstimate
 from calib.show.lines import deg, mm, number
 
 #: A target further than this from the position given was given wrongly, not mounted inexactly [m].

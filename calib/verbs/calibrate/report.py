@@ -24,7 +24,7 @@ from calib.model.parameters import FRAME
 from calib.numerics.errors import interval_factor
 from calib.result.calibration import Calibration
 from calib.result.calibration_file import versions
-from calib.result.prediction import ParameterEstimate
+from calib.result.fitted_model import ParameterEstimate
 from calib.show.as_text import blocks_text, page_text
 from calib.show.blocks import (
     HTML,

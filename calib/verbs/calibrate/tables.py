@@ -16,7 +16,7 @@ from calib.model.dh_table import dh_table
 from calib.model.families import unit_of
 from calib.numerics.errors import Errors
 from calib.result.calibration import Calibration
-from calib.result.prediction import ParameterEstimate
+from calib.result.fitted_model import ParameterEstimate
 from calib.show.blocks import HTML, TERMINAL
 from calib.show.errors import (
     ERROR_COLUMNS,

@@ -14,8 +14,8 @@ from calib.model.families import FAMILIES
 from calib.model.parameters import FRAME, TARGET
 from calib.numerics.correlated_noise import PoseNoise
 from calib.result.calibration import Calibration
+from calib.result.fitted_model import ParameterEstimate
 from calib.result.parts import Outlier
-from calib.result.prediction import ParameterEstimate
 from calib.show.errors import measured_lengths
 from calib.show.lines import listed, mm, plural
 from calib.show.sizes import shown, with_unit

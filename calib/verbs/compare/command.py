@@ -70,7 +70,7 @@ def compare(
 
 def _view(c: Comparison) -> View:
     """View both results with the first one's target, each in the base of its own fit."""
-    from calib.show.scene.puppet import translation
+    from calib.show.scene.posed_robot import translation
     from calib.verbs.compare.text import sentence
     from calib.verbs.view.view import view_of_robots
 
