@@ -37,23 +37,28 @@ def blocks_text(blocks: Iterable[Block]) -> str:
 
 
 def _paragraph_lines(paragraph: Paragraph) -> list[str]:
+    """Break a paragraph into lines."""
     return [wrap(paragraph.text)] if paragraph.text else []
 
 
 def _bullet_lines(bullets: Bullets) -> list[str]:
+    """Write an item a line, after the lead; nothing without items."""
     lines = [wrap(item, bullets.indent) for item in bullets.listed(TERMINAL)]
     return [wrap(bullets.lead), *lines] if lines and bullets.lead else lines
 
 
 def _fact_lines(facts: Facts) -> list[str]:
+    """Write a label and its text a line; labels without a text are left out."""
     return [wrap(f"{label}: {text}") for label, text in facts.pairs if text]
 
 
 def _verdict_lines(verdict: Verdict) -> list[str]:
+    """Write a verdict, and below it what it rests on."""
     return [verdict.text, *(wrap(reason, "  ") for reason in verdict.reasons)]
 
 
 def _table_lines(table: Table) -> list[str]:
+    """Align a table, its title above or at the head of the names; rows beyond the most are counted."""
     if not table.rows:
         return []
     first, *others = table.columns

@@ -24,10 +24,10 @@ _LINE = 100
 #: Letters in a line of an entry of the form.
 _ENTRY = 28
 
-#: Letters of a reason that there is room for.
+#: Most letters of a reason.
 _REASON = 2 * _LINE
 
-#: Letters of a robot's name that there is room for.
+#: Most letters of a robot's name.
 _NAME = 60
 
 #: What follows a text that was shortened.

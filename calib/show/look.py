@@ -87,7 +87,7 @@ class RowKind(NamedTuple):
         """Return matplotlib's properties of a line of markers; its label holds the number of rows.
 
         Args:
-            factor: Factor of the markers' size; where many rows are drawn they are half as large.
+            factor: Factor of the markers' size; they are half as large if many rows are drawn.
         """
         is_outlier = self.name == "outlier"
         count = int(np.count_nonzero(self.mask))
@@ -124,7 +124,7 @@ def rows_text(mask: Mask, kind: str, noun: str = " row") -> str:
     Args:
         mask: shape (N,), the rows that count.
         kind: The word before the noun.
-        noun: The noun in singular, with a blank before it; empty where ``kind`` is the noun.
+        noun: The noun in singular, with a blank before it; empty if ``kind`` is the noun.
     """
     count = int(np.count_nonzero(mask))
     plural = "" if count == 1 else "s"

@@ -45,7 +45,7 @@ def measured_in_base(m: Measurements, T_frame_base: Array) -> Array:
         T_frame_base: shape (N, 4, 4), base in each row's measurement frame [m].
 
     Returns:
-        shape (N, 3), [m]; NaN where no position was measured.
+        shape (N, 3), [m]; NaN in rows that measured no position.
     """
     T_base_frame = rigid_inverse(T_frame_base)
     rotation = T_base_frame[:, :3, :3]

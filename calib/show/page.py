@@ -96,7 +96,7 @@ def _cells(table: Table) -> dict[str, Any]:
 
 
 def _has_long_word(text: str) -> bool:
-    """Tell if a cell holds a word that must be broken to fit its column."""
+    """Say if a cell holds a word that must be broken to fit its column."""
     return any(len(word) > _LONGEST_WORD for word in text.split())
 
 

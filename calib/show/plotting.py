@@ -1,7 +1,7 @@
 """Figures by matplotlib: their look, legends, axes, and the files that they are written into.
 
-A figure belongs to no window and leaves no trace in matplotlib's global state. Names from files are plain text: none is
-read as a formula. Matplotlib is an extra, so it is imported when something is drawn.
+A figure belongs to no window and leaves no trace in matplotlib's global state. Names from files are plain text, never
+read as formulas. Matplotlib is an extra, so it is imported when something is drawn.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ MOST_SHAPES = 250
 #: Rows are numbered in a figure if there are not more than this: more numbers would overlap.
 _MOST_NUMBERS = 12
 
-#: Fonts that draw letters that DejaVu Sans lacks, where they are installed.
+#: Fonts with letters that DejaVu Sans lacks; those that are installed are used.
 _FALLBACKS = ("Noto Sans", "Noto Sans CJK JP", "Arial Unicode MS", "Microsoft YaHei", "PingFang SC")
 
 #: Metadata that PDF and SVG must not hold, since it would differ between two files of one figure.
@@ -69,7 +69,7 @@ def styled() -> Iterator[None]:
 
     look = Path(__file__).parent / "figures.mplstyle"
     with style.context(["default", look]), warnings.catch_warnings():
-        # A name in letters that no font has is drawn as boxes; the terminal is no place to say so.
+        # Letters that no font has are drawn as boxes: do not warn about them in the terminal.
         warnings.filterwarnings("ignore", message=".*Glyph", category=UserWarning)
         installed = set(get_font_names())
         fallbacks = [font for font in _FALLBACKS if font in installed]
@@ -98,7 +98,7 @@ def picture_bytes(
     if layout is not None:
         figure.set_dpi(dpi)
         layout.execute(figure)
-        # Without a default layout None is none at all; "none" would stand for a layout that is drawn for.
+        # With a default layout, None would ask for that one; "none" would keep a placeholder that is drawn for.
         with mpl.rc_context({"figure.constrained_layout.use": False}):
             figure.set_layout_engine(None)
     data = io.BytesIO()
@@ -110,10 +110,10 @@ def picture_bytes(
 
 
 def check_kind(kind: str) -> None:
-    """Refuse a kind of file that is none of `KINDS`.
+    """Refuse a kind of file that is not one of `KINDS`.
 
     Raises:
-        FileError: It is none.
+        FileError: It is not.
     """
     if kind not in KINDS:
         raise FileError(f"Figures cannot be written as '{kind}'; choose one of {choices(KINDS)}.")
@@ -135,8 +135,8 @@ def legend_above(figure: Figure, columns: int = 4) -> None:
     """Draw one legend of every label above all panels, where it hides nothing.
 
     Args:
-        figure: The figure; panels that have a legend already are passed over.
-        columns: Entries side by side at most.
+        figure: The figure; panels that already have a legend are left out.
+        columns: Most entries side by side.
     """
     handle_of: dict[str, Any] = {}
     for ax in figure.axes:
@@ -166,7 +166,7 @@ def few_ticks(count: int, *, integers: bool = False) -> MaxNLocator:
     """Return a locator of ticks at round numbers.
 
     Args:
-        count: Steps between ticks at most.
+        count: Most steps between ticks.
         integers: Ticks at integers only.
     """
     from matplotlib.ticker import MaxNLocator

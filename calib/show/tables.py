@@ -40,7 +40,7 @@ class Column:
 
     #: Its heading
     head: str
-    #: In a terminal: the fewest characters of its cells; longer cells widen the column
+    #: In a terminal: its least width in characters; longer cells widen the column
     width: int = 0
     #: Cells are aligned to the left, otherwise to the right
     left: bool = False
@@ -140,7 +140,7 @@ def format_cells(
 
 
 def _has_value(cell: Cell) -> bool:
-    """Tell if a cell is neither empty nor NaN."""
+    """Say if a cell is neither empty nor NaN."""
     return not math.isnan(cell) if isinstance(cell, float) else bool(cell)
 
 
