@@ -132,7 +132,7 @@ def new_figure(height: float, width: float = WIDTH) -> Figure:
 
 
 def legend_above(figure: Figure, columns: int = 4) -> None:
-    """Draw one legend of every label above all panels, where it hides nothing.
+    """Draw one legend of every label above all panels, so that it hides nothing.
 
     Args:
         figure: The figure; panels that already have a legend are left out.

@@ -120,7 +120,7 @@ def cell_means(seen: SeenCorners) -> tuple[Array, Array, Mask]:
     """Average the residuals in cells of the image, if enough images have corners there.
 
     Corners of one image are displaced together, by the robot's own errors; so each image counts once in a cell, and the
-    scatter over images tells which means are by chance.
+    scatter over images shows which means are due to chance.
 
     Args:
         seen: The corners that a camera saw.

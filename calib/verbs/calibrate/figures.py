@@ -48,7 +48,7 @@ class FigureKind(NamedTuple):
 
     #: Draws it
     draw: Callable[[Calibration], Figure]
-    #: Tells if a calibration has it
+    #: Says if a calibration has it
     applies: Callable[[Calibration], bool]
 
 
@@ -63,12 +63,12 @@ def _has_vectors(unit: str) -> Callable[[Calibration], bool]:
 
 
 def _has_images(c: Calibration) -> bool:
-    """Tell if any row is the image of a corner."""
+    """Say if any row is the image of a corner."""
     return bool(np.any(image_rows(c)))
 
 
 def _always(_: Calibration) -> bool:
-    """Tell that every calibration has a figure."""
+    """Say that every calibration has a figure."""
     return True
 
 

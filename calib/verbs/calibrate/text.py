@@ -223,7 +223,7 @@ def errorless(c: Calibration) -> frozenset[str]:
     """Return the names of the parameters of families that the data showed to have no errors.
 
     Their family's estimated prior standard deviation is zero to the digits shown: they stay nominal, and their
-    interval, which is zero too, is not shown, since it is no knowledge of them.
+    interval, which is zero too, is not shown, because it would be taken for knowledge of them.
     """
     if c.method.prior_std_from != "data":
         return frozenset()

@@ -140,7 +140,7 @@ def drift_test(
         floor: Rounding of each coordinate, standard deviation, in the unit of the difference.
 
     Returns:
-        The test; of no combinations, with p = 1, where there is no difference or the data know nothing.
+        The test; of no combinations, with p = 1, if there is no difference or the data know nothing.
     """
     if not len(difference):
         return _NOT_TESTED

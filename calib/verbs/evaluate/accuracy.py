@@ -90,7 +90,7 @@ class PoseAccuracy(Value):
         object.__setattr__(self, "by_unit", ReadOnlyMapping(self.by_unit))
 
     def __getitem__(self, unit: str) -> PoseFigures:
-        """Return the figures in a unit, by its symbol; all NaN where none was measured."""
+        """Return the figures in a unit, by its symbol; all NaN if none was measured."""
         return self.by_unit.get(unit, _NOTHING)
 
 
@@ -424,10 +424,9 @@ class _KnownResiduals:
 
 
 def _recognise(c: Calibration, robot: Robot, measurements: Measurements, cell: Cell) -> Mask:
-    """Find the rows of a table whose residuals are those of a row that a result was fitted to; shape (N,).
+    """Find the rows of a table, shape (N,), whose residuals are those of a row that a result was fitted to.
 
-    Raises:
-        CalibError: The table cannot be evaluated, such as with a station that the result does not know.
+    A table that cannot be evaluated, such as one with a station that the result does not know, raises `CalibError`.
     """
     nominal = evaluate(c.uncorrected(robot), measurements, cell, known=c.nominal_setup)
     corrected = evaluate(c.corrected(robot), measurements, cell, known=c.setup)
@@ -452,7 +451,7 @@ def _recognise(c: Calibration, robot: Robot, measurements: Measurements, cell: C
 
 
 def _are_among(residuals: Array, stored: Array) -> Mask:
-    """Tell which residuals (n, k) are, within `_SAME` in every component, one of the stored ones (s, k); shape (n,)."""
+    """Say which residuals (n, k) are, within `_SAME` in every component, one of the stored ones (s, k); shape (n,)."""
     tree = KDTree(stored)
     distance, _ = tree.query(residuals, p=np.inf, distance_upper_bound=_SAME)
     return np.asarray(distance <= _SAME)

@@ -137,7 +137,7 @@ def evaluate(
     """Compare a robot with measurements.
 
     Target and measurement frame are used as the cell gives them; what it does not give is registered to the estimation
-    rows, or to all rows if there are none; to the others where no estimation row sees it.
+    rows, or to all rows if there are none; to the others if no estimation row sees it.
 
     Args:
         robot: The robot, nominal or corrected; or the path of a URDF or xacro, or a name such as ``"ur3"``: base and
@@ -226,7 +226,7 @@ def registration_rows(measurements: Measurements) -> Mask:
 
 
 def _not_given(setup: Setup) -> tuple[str, ...]:
-    """List what has to be registered: ``"target"`` if one is unknown and was not given, then ``"frame"`` likewise."""
+    """List what has to be registered, of ``"target"`` and ``"frame"``: what is unknown and was not given."""
     places = []
     if np.any(setup.target_unknown & ~setup.target_given):
         places.append("target")
