@@ -35,7 +35,8 @@ if TYPE_CHECKING:
     from calib.verbs.base_frame.survey import base_frame as base_frame
     from calib.verbs.calibrate.uncertainty import bootstrap as bootstrap
     from calib.verbs.compare.comparison import Comparison as Comparison, compare as compare
-    from calib.verbs.compensate.commands import Commands as Commands, compensate as compensate
+    from calib.verbs.compensate.commands import Commands as Commands
+    from calib.verbs.compensate.compensate import compensate as compensate
     from calib.verbs.compensate.program import Program as Program
     from calib.verbs.convert.conversion import convert as convert
     from calib.verbs.evaluate.acceptance import Acceptance as Acceptance, acceptance as acceptance
@@ -64,7 +65,8 @@ _NAMES = {
     "calib.boards.board": "Board",
     "calib.camera.camera": "Camera",
     "calib.verbs.base_frame.survey": "base_frame",
-    "calib.verbs.compensate.commands": "Commands compensate",
+    "calib.verbs.compensate.commands": "Commands",
+    "calib.verbs.compensate.compensate": "compensate",
     "calib.verbs.compensate.program": "Program",
     "calib.verbs.convert.conversion": "convert",
     "calib.data.cell": "Cell",

@@ -246,7 +246,7 @@ def _models_of_result(robot: str, path: Path, model: ModelChoice, chain: ChainOp
 
 def _read_program(path: Path, nominal: Robot, goal: GoalOptions, chain: ChainOptions) -> Program:
     """Read the program for the nominal robot."""
-    from calib.verbs.compensate.program_file import read_program
+    from calib.verbs.compensate.program_table import read_program
 
     return read_program(
         path,
@@ -259,7 +259,7 @@ def _read_program(path: Path, nominal: Robot, goal: GoalOptions, chain: ChainOpt
 
 def _compute(models: _Models, program: Program, model: ModelChoice, goal: GoalOptions) -> Commands:
     """Compute the commands."""
-    from calib.verbs.compensate.commands import compensate as compute_commands
+    from calib.verbs.compensate.compensate import compensate as compute_commands
 
     length, angle = parse_pair(goal.tolerance, "--tolerance", "0.05 mm 0.01 deg")
     non_geometric: bool | Payload = not model.geometry
@@ -279,7 +279,7 @@ def _compute(models: _Models, program: Program, model: ModelChoice, goal: GoalOp
 
 def _write(commands: Commands, outputs: CommandOutputs, orientation: str | None) -> None:
     """Write the table of commands, if it was asked for."""
-    from calib.verbs.compensate.command_table import write_commands
+    from calib.verbs.compensate.program_table import write_commands
 
     if outputs.output is None:
         return

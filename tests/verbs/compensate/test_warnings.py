@@ -9,11 +9,11 @@ import pytest
 
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
-from calib.verbs.compensate.commands import Commands, compensate
+from calib.verbs.compensate.commands import Commands, CommandWarning
+from calib.verbs.compensate.compensate import compensate
 from calib.verbs.compensate.inverse import Matching
 from calib.verbs.compensate.nominal_actual import Arm
 from calib.verbs.compensate.program import Program
-from calib.verbs.compensate.warnings import CommandWarning
 from tests.hard_cases import made
 from tests.verbs.compensate.arms import off
 
