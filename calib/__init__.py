@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from calib.result.calibration import Calibration as Calibration
     from calib.robot.dh.rows import DHRow as DHRow
     from calib.robot.robot import Robot as Robot
-    from calib.verbs.base_frame.survey import base_frame as base_frame
+    from calib.verbs.base_frame.base_frame import base_frame as base_frame
     from calib.verbs.calibrate.uncertainty import bootstrap as bootstrap
     from calib.verbs.compare.comparison import Comparison as Comparison, compare as compare
     from calib.verbs.compensate.commands import Commands as Commands
@@ -64,7 +64,7 @@ _NAMES = {
     "calib.verbs.evaluate.evaluation": "Evaluation evaluate",
     "calib.boards.board": "Board",
     "calib.camera.camera": "Camera",
-    "calib.verbs.base_frame.survey": "base_frame",
+    "calib.verbs.base_frame.base_frame": "base_frame",
     "calib.verbs.compensate.commands": "Commands",
     "calib.verbs.compensate.compensate": "compensate",
     "calib.verbs.compensate.program": "Program",

@@ -15,7 +15,7 @@ from calib.errors import CalibError
 
 if TYPE_CHECKING:
     from calib.robot.robot import Robot
-    from calib.verbs.base_frame.survey import Survey
+    from calib.verbs.base_frame.base_frame import BaseFrame
 
 _File = Path | None
 
@@ -63,7 +63,7 @@ class FrameOutputs:
     json: Annotated[_File, typer.Option(help="Write all of it as JSON.")] = None
     force: Force = False
 
-    def write(self, survey: Survey, cell_text: str) -> None:
+    def write(self, frame: BaseFrame, cell_text: str) -> None:
         """Write the files that were asked for."""
         from calib.basics.files import write_atomically
         from calib.result.calibration_file import write_table
@@ -71,7 +71,7 @@ class FrameOutputs:
         if self.cell_out is not None:
             write_atomically(self.cell_out, cell_text.encode(), overwrite=self.force)
         if self.json is not None:
-            write_table(survey.table(), self.json, overwrite=self.force)
+            write_table(frame.table(), self.json, overwrite=self.force)
 
 
 @verb("""Find the robot's base frame in the tracker's from points on its mounting plane and sweeps of joints 1 and 2.
@@ -100,9 +100,9 @@ def base_frame(
 ) -> None:
     """Run the verb; its help is the text of `verb`."""
     from calib.basics.units import LENGTH, parse_amount
-    from calib.verbs.base_frame.survey import base_frame as estimate_base_frame
+    from calib.verbs.base_frame.base_frame import base_frame as estimate_base_frame
     from calib.verbs.base_frame.sweeps import read_sweeps
-    from calib.verbs.base_frame.text import cell_text, survey_text
+    from calib.verbs.base_frame.text import base_frame_text, cell_text
 
     if arm.robot is None and (arm.base or arm.tip):
         raise CalibError("--base and --tip are links of a robot; name it with --robot.")
@@ -112,9 +112,9 @@ def base_frame(
     joint_names = None if robot is None else robot.joint_names
     sweeps = read_sweeps(data, joint_names, tables.parsed(), tables.points, tables.points_unit)
     offset = parse_amount(plane_offset, "--plane-offset", LENGTH, "19.05 mm", signed=True)
-    survey = estimate_base_frame(sweeps, robot, plane_offset=offset, robust=robust)
-    lines = survey_text(survey, sweeps.source, robot)
+    frame = estimate_base_frame(sweeps, robot, plane_offset=offset, robust=robust)
+    lines = base_frame_text(frame, sweeps.source, robot)
     base = robot.base if robot else None
-    outputs.write(survey, cell_text(survey.frame, sweeps.source, base=base, tip=arm.tip))
+    outputs.write(frame, cell_text(frame, sweeps.source, base=base, tip=arm.tip))
     if not quiet:
         typer.echo("\n".join([*lines, *written_lines(*files)]))

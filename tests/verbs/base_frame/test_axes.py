@@ -1,4 +1,4 @@
-"""The base frame from a plane and two circles: the paper's construction, its derivatives, its intervals."""
+"""The frame that a plane and two axes make: the paper's construction, its derivatives, its intervals."""
 
 from dataclasses import replace
 
@@ -9,14 +9,9 @@ import pytest
 from calib.basics.arrays import rigid_inverse
 from calib.errors import UrdfError
 from calib.robot.robot import Robot
-from calib.verbs.base_frame.fits import Circle, Plane, fit_circle, fit_plane
-from calib.verbs.base_frame.frame import (
-    BaseFrame,
-    Line,
-    frame_of,
-    nominal_axes,
-    nominal_axes_frame,
-)
+from calib.verbs.base_frame.axes import Line, nominal_axes, nominal_axes_frame
+from calib.verbs.base_frame.base_frame import BaseFrame, frame_of
+from calib.verbs.base_frame.circles import Circle, Plane, fit_circle, fit_plane
 
 SIGMA = 33e-6
 T_TRUE = pin.exp6(np.array([2.0, 1.0, -0.5, 0.3, -0.8, 1.2])).homogeneous
