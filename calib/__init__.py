@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from calib.verbs.convert.conversion import convert as convert
     from calib.verbs.evaluate.acceptance import Acceptance as Acceptance, acceptance as acceptance
     from calib.verbs.evaluate.evaluation import Evaluation as Evaluation, evaluate as evaluate
-    from calib.verbs.fleet.tables import fleet as fleet
+    from calib.verbs.fleet.fleet import fleet as fleet
     from calib.verbs.inspect.inspection import inspect as inspect
     from calib.verbs.plan.choice import PlanRequest as PlanRequest
     from calib.verbs.plan.plan import Plan as Plan, plan as plan
@@ -78,7 +78,7 @@ _NAMES = {
     "calib.verbs.workspace.workspace": "workspace",
     "calib.errors": "CalibError",
     "calib.verbs.inspect.inspection": "inspect",
-    "calib.verbs.fleet.tables": "fleet",
+    "calib.verbs.fleet.fleet": "fleet",
     "calib.verbs.plan.plan": "Plan plan",
     "calib.verbs.evaluate.acceptance": "Acceptance acceptance",
     "calib.verbs.calibrate.uncertainty": "bootstrap",

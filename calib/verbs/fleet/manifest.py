@@ -15,7 +15,7 @@ from calib.errors import CalibError, choices
 
 if TYPE_CHECKING:
     from calib.robot.urdf import Urdf
-    from calib.verbs.fleet.fleet_robot import FleetInputs, FleetRobot
+    from calib.verbs.fleet.job import FleetInputs, FleetRobot
 
 #: Columns that a manifest must have.
 NEEDED = ("name", "robot", "data")
@@ -48,7 +48,7 @@ def read_manifest(
         CalibError: A column is missing or unknown, a cell is empty, or a name is no folder's or there twice.
     """
     from calib.basics.tables import Table
-    from calib.verbs.fleet.fleet_robot import FleetRobot, check_names
+    from calib.verbs.fleet.job import FleetRobot, check_names
 
     # Options that are wrong for every robot are refused before the work.
     columns.parsed()
@@ -111,7 +111,7 @@ def _load(
         defaults: Options for what it does not say.
         urdf_of: Reads a URDF, or returns one that was read already.
     """
-    from calib.verbs.fleet.fleet_robot import FleetRobot
+    from calib.verbs.fleet.job import FleetRobot
 
     folder = defaults.folder
     options: dict[str, Any] = {name: cells[name] for name in _SETUP if name in cells}

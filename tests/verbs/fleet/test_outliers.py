@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from calib.verbs.fleet.outliers import FEWEST, fleet_outliers, limit, scores
-from calib.verbs.fleet.record import DONE, FAILED, FleetParameter, FleetRow
+from calib.verbs.fleet.rows import DONE, FAILED, FleetParameter, FleetRow
 from calib.verbs.fleet.text import few_text
 
 
