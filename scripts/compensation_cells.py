@@ -22,7 +22,7 @@ from calib.data.measurements import Measurements
 from calib.numerics.geometry import pose_of
 from calib.result.calibrate import calibrate
 from calib.result.calibration import Calibration
-from calib.robot.payload import Payload
+from calib.robot.gravity import Payload
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 from calib.verbs.compensate.compensate import compensate

@@ -39,10 +39,10 @@ from verification_truth import Truth, draw_joint_values
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.model.parameters import FRAME
-from calib.numerics.intervals import interval_factor
+from calib.numerics.errors import interval_factor
 from calib.result.calibrate import calibrate
 from calib.result.calibration import Calibration
-from calib.robot.payload import Payload
+from calib.robot.gravity import Payload
 from calib.robot.robot import Robot
 from calib.verbs.inspect.inspection import inspect
 

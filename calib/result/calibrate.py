@@ -14,9 +14,8 @@ import numpy as np
 
 from calib.basics.arguments import check_callable, check_flags
 from calib.basics.arrays import Array, Mask, read_only
-from calib.basics.blas import one_blas_thread
 from calib.basics.channels import RESIDUAL_UNITS, Channels
-from calib.basics.jobs import Progress
+from calib.basics.jobs import Progress, one_blas_thread
 from calib.data.cell import Cell
 from calib.data.inputs import CellInput, RobotInput, TableInput, inputs_of
 from calib.data.measurements import Measurements
@@ -25,7 +24,6 @@ from calib.diagnosis.extrapolation import extrapolation
 from calib.diagnosis.reasons import NO, Verdict, Why
 from calib.diagnosis.verdict import verdict
 from calib.fit.estimate.fitting import Fitted, fit
-from calib.fit.estimate.task import PAPER
 from calib.fit.registration.registration import nominal_setup, register_held_out
 from calib.fit.registration.rows import Rows
 from calib.fit.registration.setup import Setup
@@ -372,7 +370,7 @@ def _robustness(geometry: Fitted) -> Robustness | None:
         None where no row is an outlier, and for the paper's solver, which has no robust weights.
     """
     has_outliers = np.any(geometry.estimate.outliers)
-    if not has_outliers or geometry.task.solver == PAPER:
+    if not has_outliers or not geometry.task.has_weights_and_priors:
         return None
     return compare_weights(geometry)
 
@@ -429,7 +427,7 @@ def _model_values(
         "covariance": covariance,
         "prior_std": fitted.estimate.prior_std,
         "parameters": parameter_estimates(fitted, observability),
-        "setup": fitted.placed(),
+        "setup": fitted.estimated_setup(),
         "base_motion": base_motion,
         "cross_validation": validation,
         "expected_measured": expected_error(kinematics, x, covariance, rows.samples, base_motion),

@@ -15,8 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from calib.basics.arguments import check_path, check_type
 from calib.basics.arrays import Array, rigid_inverse
-from calib.basics.shown import shown_by
-from calib.basics.values import Value
+from calib.basics.values import Value, shown_by
 from calib.data.record import BLANK, Record
 from calib.diagnosis.coverage import OutsideRow, outside
 from calib.diagnosis.reasons import Verdict
@@ -28,8 +27,12 @@ from calib.numerics.errors import CrossValidation, Errors
 from calib.result.cameras import ResultOptics
 from calib.result.joint_zeros import JointZeros
 from calib.result.parts import FitInMemory, Method, Noise, ResultRows, Source, Trust
-from calib.result.prediction import FittedModel, NonGeometric, ParameterEstimate
-from calib.robot.payload import Payload
+from calib.result.prediction import (
+    FittedModel,
+    NonGeometric,
+    ParameterEstimate,
+)
+from calib.robot.gravity import Payload
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
 

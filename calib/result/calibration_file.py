@@ -32,16 +32,15 @@ from calib.model.families import FAMILIES, Factor, factor_of
 from calib.model.kinematics import Kinematics
 from calib.model.observability import Observability
 from calib.model.parameters import SETUP, ErrorModel, Parameter
+from calib.numerics.correlated_noise import PoseNoise
 from calib.numerics.errors import CrossValidation, Errors, UnitErrors
-from calib.numerics.pose_noise import PoseNoise
 from calib.numerics.repeats import Repeats
 from calib.result.calibration import Calibration
 from calib.result.cameras import ResultOptics
 from calib.result.cameras_file import boards_table, cameras_table, read_boards, read_cameras
 from calib.result.parts import Method, ResultRows, Source
 from calib.result.prediction import FittedModel, NonGeometric
-from calib.robot.payload import Payload
-from calib.robot.readings import coupling_of_table, coupling_table
+from calib.robot.coupled_readings import coupling_of_table, coupling_table
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
 from calib.version import __version__
@@ -207,7 +206,6 @@ _LAYOUT: JsonLayout = JsonLayout(
                 lambda table: {row["name"]: row["value"] for row in table},
             ),
         },
-        Payload: {"mass": "mass_kg", "com": "com_m"},
         PoseNoise: {
             "position": "position_m",
             "orientation": "orientation_rad",

@@ -13,8 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from calib.basics.arrays import Array
-from calib.basics.mappings import ReadOnlyMapping
-from calib.basics.values import Value
+from calib.basics.values import ReadOnlyMapping, Value
 from calib.boards.board import Board
 from calib.camera import optics
 from calib.camera.camera import UNKNOWN, Camera

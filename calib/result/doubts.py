@@ -30,12 +30,12 @@ from calib.diagnosis.residual_patterns import (
 from calib.diagnosis.stated_covariances import idle_covariances
 from calib.diagnosis.stations import disagreeing_stations, flagged_station
 from calib.fit.estimate.fitting import Fitted, fit
-from calib.fit.estimate.gauge import measures_length
 from calib.fit.estimate.problem import Problem
-from calib.fit.estimate.task import PAPER
+from calib.fit.estimate.special_cases.arm_size import measures_length
 from calib.fit.registration.registration import ENOUGH
 from calib.fit.registration.rows import Rows
 from calib.model.families import FAMILIES, joint_families
+from calib.numerics.solvers import has_weights_and_priors
 from calib.result.calibration import Calibration
 from calib.robot.ranges import column_ranges, spread_poses
 from calib.robot.robot import Robot
@@ -134,7 +134,7 @@ def _named_model(result: Calibration) -> bool:
         result: The result. True if its ``candidates``, the models of a choice, are empty, and its ``solver`` is not the
             paper's.
     """
-    return not result.method.candidates and result.method.solver != PAPER
+    return not result.method.candidates and has_weights_and_priors(result.method.solver)
 
 
 def _given_targets(result: Calibration) -> Iterator[Reason]:
@@ -341,9 +341,9 @@ def thin(fitted: Fitted) -> tuple[Fitted, Mask]:
         Problem.initial(problem.kinematics, rows, problem.distances),
         weights=problem.weights[chosen],
         noise=problem.noise,
-        precision=problem.precision,
-        centre=problem.centre,
-        rho=problem.rho,
+        prior_precision=problem.prior_precision,
+        prior_mean=problem.prior_mean,
+        stop_shares=problem.stop_shares,
         gauge=problem.gauge,
     )
     thinned = replace(

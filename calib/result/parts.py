@@ -9,8 +9,7 @@ import numpy as np
 
 from calib.basics.arrays import Array, Mask
 from calib.basics.channels import Channels
-from calib.basics.mappings import keep_read_only
-from calib.basics.values import Value
+from calib.basics.values import Value, keep_read_only
 from calib.data.cell import Cell
 from calib.data.columns import SETS
 from calib.data.measurements import Measurements
@@ -20,8 +19,8 @@ from calib.fit.estimate.fitting import Fitted
 from calib.fit.selection.candidates import Candidate
 from calib.fit.selection.robustness import Robustness
 from calib.model.observability import Observability
+from calib.numerics.correlated_noise import PoseNoise
 from calib.numerics.errors import CrossValidation, Errors
-from calib.numerics.pose_noise import PoseNoise
 from calib.numerics.repeats import Repeats
 from calib.numerics.solvers import Solution
 from calib.result.image_errors import errors_at_board

@@ -16,20 +16,16 @@ import numpy as np
 
 import calib.data.kinds as registry
 from calib.basics.arrays import Array, read_only
-from calib.basics.mappings import keep_read_only
-from calib.basics.values import Value
+from calib.basics.values import Value, keep_read_only
 from calib.diagnosis.reasons import Verdict
 from calib.fit.estimate.fitting import Fitted
-from calib.fit.estimate.task import PAPER
 from calib.fit.registration.setup import Setup
 from calib.model.kinematics import Kinematics, Samples
 from calib.model.observability import Observability
 from calib.model.parameters import FRAME, TARGET, ErrorModel
-from calib.numerics.errors import CrossValidation, rms
-from calib.numerics.intervals import interval_factor
+from calib.numerics.errors import CrossValidation, interval_factor, rms
 from calib.numerics.rigid_motion import best_motion, displacements_by
-from calib.robot.gravity import gravity_loads
-from calib.robot.payload import Payload
+from calib.robot.gravity import Payload, gravity_loads
 from calib.robot.robot import Robot
 
 #: The most poses over which an expected error is averaged.
@@ -308,9 +304,9 @@ def parameter_estimates(
     estimate = fitted.estimate
     std = _std(fitted)
     half_width = interval_factor(estimate.freedom) * std
-    prior_std = _prior_std(estimate.problem.precision)
+    prior_std = _prior_std(estimate.problem.prior_precision)
     data_gradient = _data_gradient(fitted)
-    placed = fitted.placed()
+    placed = fitted.estimated_setup()
     result = []
     for k, parameter in enumerate(fitted.kinematics.model.parameters):
         nominal, value, delta = _values(fitted, placed, k)
@@ -408,9 +404,9 @@ def _data_gradient(fitted: Fitted) -> Array:
         shape (p,), [1/unit]; positive where the data ask for a larger value.
     """
     x, problem = fitted.estimate.x, fitted.estimate.problem
-    if fitted.task.solver == PAPER:  # not at the least of squares, and without priors
-        return np.asarray(problem.precision * (x - problem.centre))
-    without_priors = replace(problem, precision=np.zeros(len(x)))
+    if not fitted.task.has_weights_and_priors:  # x is not at the least of squares
+        return np.asarray(problem.prior_precision * (x - problem.prior_mean))
+    without_priors = replace(problem, prior_precision=np.zeros(len(x)))
     # Measured minus predicted in standard deviations, (m,), and its derivative by the parameters, (m, p).
     residual, jacobian = without_priors.system(x)
     return -residual @ jacobian

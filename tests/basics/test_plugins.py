@@ -224,7 +224,7 @@ def test_a_cell_file_loads_its_plugins_before_its_other_keys(tmp_path):
     assert plugins.loaded()[-1].name == str(tmp_path / "my_plugin.py")
     for text, said in (
         ('plugins = "my_plugin.py"', "'plugins' is 'my_plugin.py'; it must be a list of names"),
-        ("plugins = [1]", "A plugin in 'plugins' is 1"),
+        ("plugins = [1]", "entry 1 of 'plugins' is 1"),
         ('plugins = ["none.py"]', "cell.toml: Plugin"),
     ):
         path.write_text(text)

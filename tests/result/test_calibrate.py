@@ -22,8 +22,7 @@ from calib.numerics.errors import Errors
 from calib.result.calibrate import _validated, calibrate
 from calib.result.calibration_file import read_result
 from calib.result.fits import fit_table
-from calib.robot.gravity import gravity_loads
-from calib.robot.payload import Payload
+from calib.robot.gravity import Payload, gravity_loads
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
@@ -296,7 +295,7 @@ def test_unseen_poses_of_a_known_truth_are_right(calibrated, name, bar):
     scene, c = calibrated(name)
     q = random_joint_values(scene.robot, 200, 71)
     fitted = c.fit.non_geometric or c.fit.geometry
-    into_base = rigid_inverse(fitted.placed().T_frame_base[0])
+    into_base = rigid_inverse(fitted.estimated_setup().T_frame_base[0])
     for t, target in enumerate(c.setup.targets):
         found = (into_base @ c.predict_poses(q, target=target))[:, :3, 3]
         # Where frames are estimated, the base itself is known up to its own first placement.

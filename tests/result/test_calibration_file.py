@@ -22,7 +22,7 @@ from calib.result.calibration_file import (
     read_result,
     write_result,
 )
-from calib.robot.payload import Payload
+from calib.robot.gravity import Payload
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 from calib.verbs.calibrate.text import summary

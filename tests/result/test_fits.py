@@ -17,7 +17,7 @@ from calib.model.parameters import FRAME
 from calib.result import fits as module
 from calib.result.calibrate import calibrate
 from calib.result.fits import fit_table
-from calib.robot.payload import Payload
+from calib.robot.gravity import Payload
 from tests.fits import TARGETS, every_sixth_validates
 
 

@@ -15,6 +15,7 @@ from calib.basics.arrays import Array, Mask
 from calib.basics.channels import RESIDUAL_UNITS
 from calib.camera.optics import CORNER
 from calib.model.families import unit_of
+from calib.numerics.solvers import has_weights_and_priors
 from calib.result.calibration import Calibration
 from calib.result.prediction import ParameterEstimate
 from calib.show.figure_base import CALIBRATED, INK, NOMINAL, OUTLIER, SOFT
@@ -77,7 +78,8 @@ def convergence(c: Calibration) -> Figure:
     step = np.array([iteration.step for iteration in history])
     damping = np.array([iteration.mu for iteration in history])
     accepted = np.array([iteration.accepted for iteration in history], dtype=np.bool_)
-    step_label = "step" if c.method.solver == "paper" else "step\n[mm, mrad]"
+    # The paper's steps are in units of their own.
+    step_label = "step\n[mm, mrad]" if has_weights_and_priors(c.method.solver) else "step"
     series = [("cost E", cost, np.append(accepted, [True])), (step_label, step, accepted)]
     if np.any(damping > 0.0):
         series.append(("damping μ", damping, accepted))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from calib.basics.channels import RESIDUAL_UNITS, Channels
 from calib.fit.registration.rows import USUAL_POSE_NOISE
-from calib.numerics.pose_noise import PoseNoise
+from calib.numerics.correlated_noise import PoseNoise
 from calib.result.calibration import Calibration
 from calib.show.errors import measured_lengths
 from calib.show.lines import listed

@@ -17,7 +17,7 @@ from calib.basics.files import write_atomically
 from calib.data.forms.orientations import find_convention
 from calib.data.measurements import Measurements
 from calib.diagnosis.reasons import Why
-from calib.numerics.intervals import interval_factor
+from calib.numerics.errors import interval_factor
 from calib.result.calibration import Calibration
 from calib.result.calibration_file import versions
 from calib.show.doubtful_rows import outside_text, robustness_text

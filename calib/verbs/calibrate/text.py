@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from calib.basics.short import one_line
+from calib.basics.values import one_line
 from calib.model.families import FAMILIES, unit_of
 from calib.model.parameters import FRAME, TARGET
 from calib.numerics.errors import Errors

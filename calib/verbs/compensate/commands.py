@@ -8,8 +8,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from calib.basics.arrays import Array, Mask
-from calib.basics.short import one_line
-from calib.basics.values import Value
+from calib.basics.values import Value, one_line
 from calib.robot.robot import Robot
 from calib.verbs.compensate.expected import ExpectedErrors
 from calib.verbs.compensate.inverse import POSE, Matching

@@ -27,7 +27,7 @@ from calib.diagnosis.reasons import NO
 from calib.errors import VerdictError
 from calib.result.calibration import Calibration
 from calib.result.result_input import RESULT, is_result_file, result_of
-from calib.robot.payload import Payload
+from calib.robot.gravity import Payload
 from calib.robot.ranges import column_limits
 from calib.robot.robot import Robot
 from calib.verbs.compensate.commands import Commands

@@ -24,8 +24,7 @@ from numpy.typing import ArrayLike
 from scipy.special import chdtri, fdtri, gammaln
 
 from calib.basics.arrays import Array, read_only
-from calib.basics.mappings import keep_read_only
-from calib.basics.values import Value
+from calib.basics.values import Value, keep_read_only
 from calib.model.kinematics import Samples
 from calib.numerics.errors import CrossValidation
 from calib.result.calibration import Calibration

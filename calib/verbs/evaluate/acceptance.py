@@ -22,10 +22,8 @@ from scipy.special import betaincinv
 from calib.basics.arguments import check_mapping, check_type
 from calib.basics.arrays import Array, Mask
 from calib.basics.channels import RESIDUAL_UNITS, residual_unit
-from calib.basics.mappings import ReadOnlyMapping, keep_read_only
-from calib.basics.short import one_line
 from calib.basics.units import split_header
-from calib.basics.values import Value
+from calib.basics.values import ReadOnlyMapping, Value, keep_read_only, one_line
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.diagnosis.coverage import OutsideRow

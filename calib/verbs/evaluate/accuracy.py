@@ -25,8 +25,7 @@ from scipy.spatial import KDTree
 
 from calib.basics.arrays import Array, Integers, Mask, read_only
 from calib.basics.channels import RESIDUAL_UNITS, Channels
-from calib.basics.mappings import ReadOnlyMapping
-from calib.basics.values import Value
+from calib.basics.values import ReadOnlyMapping, Value
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.errors import CalibError, MeasurementError

@@ -19,7 +19,7 @@ from calib.basics.arguments import check_callable, check_executor, check_type, w
 from calib.basics.files import make_folder, write_atomically
 from calib.basics.jobs import Progress, run
 from calib.basics.json_files import json_bytes, plain
-from calib.basics.short import one_line
+from calib.basics.values import one_line
 from calib.data.cell import Cell
 from calib.data.inputs import CELL, ROBOT, TABLE, CellInput, RobotInput, TableInput
 from calib.data.measurements import Measurements

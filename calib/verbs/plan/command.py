@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import typer
 
+from calib.cli.loading import load
 from calib.cli.notices import say_accepted
-from calib.cli.options import Accept, Force, ModelOptions, Quiet, RobotFile, Seed
+from calib.cli.options import Accept, CellOptions, Force, Quiet, RobotFile, Seed
 from calib.cli.outputs import check_outputs, written_lines
-from calib.cli.setup import load, read_cell
 from calib.cli.terminal import stages_bar
 from calib.cli.verb import verb
-from calib.cli.words import parse_held, parse_tracker
 from calib.errors import CalibError, VerdictError
 from calib.verbs.plan.image_command import ImageOptions, board_of
 
@@ -33,42 +32,74 @@ _File = Path | None
 
 
 @dataclass(frozen=True, slots=True)
+class PlanCellOptions(CellOptions):
+    """Options of the cell, with those of the errors of the robot and of the tracker."""
+
+    groups: ClassVar[tuple[str, ...]] = ("model", "tracker")
+
+
+@dataclass(frozen=True, slots=True)
 class PoseOptions:
     """Poses that are wanted."""
 
-    count: Annotated[int, typer.Option(metavar="N", help="Poses to calibrate with.")] = 30
-    validation: Annotated[int, typer.Option(metavar="N", help="Random validation poses.")] = 5
-    criterion: Annotated[str, typer.Option(metavar="V|D|A", help="Optimality criterion.")] = "V"
+    count: Annotated[int, typer.Option(metavar="N", help="Number of poses to calibrate with.")] = 30
+    validation: Annotated[
+        int, typer.Option(metavar="N", help="Number of random poses for validation.")
+    ] = 5
+    criterion: Annotated[
+        str,
+        typer.Option(
+            metavar="V|D|A",
+            help="Optimality criterion. V: the predicted errors of position in the workspace; D: the volume of the "
+            "parameters' covariance; A: the sum of the parameters' variances.",
+        ),
+    ] = "V"
     candidates: Annotated[
         int | None,
-        typer.Option(metavar="N", help="Poses to choose from. Default: 20000, of images 600."),
+        typer.Option(
+            metavar="N",
+            help="Number of random poses to choose from. Default: 20000, or 600 for images.",
+        ),
     ] = None
     seed: Seed = 0
-    margin: Annotated[str, typer.Option(metavar="ANGLE", help="Margin to joint limits.")] = "5 deg"
-    taken: Annotated[_File, typer.Option(help="Table of poses measured already, to add to.")] = None
+    margin: Annotated[
+        str, typer.Option(metavar="ANGLE", help="Margin that is kept to the limits of the joints.")
+    ] = "5 deg"
+    taken: Annotated[
+        _File,
+        typer.Option(help="Table of poses that were measured already and that the plan adds to."),
+    ] = None
     start: Annotated[
         list[str] | None,
-        typer.Option(metavar='"JOINT=VALUE UNIT"', help="Start pose; other joints are at 0."),
+        typer.Option(
+            metavar='"JOINT=VALUE UNIT"',
+            help="Joint value of the pose that the robot starts from; joints that are not named are at 0. Can be "
+            "repeated.",
+        ),
     ] = None
 
 
 @dataclass(frozen=True, slots=True)
 class SceneOptions:
-    """Tracker, region and obstacles."""
+    """Region and obstacles."""
 
-    tracker: Annotated[
-        str | None,
-        typer.Option(metavar='"X Y Z UNIT"', help="Position of the tracker, in the base."),
+    region: Annotated[
+        _File,
+        typer.Option(help="Region that the target is to stay in, as 'calib workspace' writes it."),
     ] = None
-    region: Annotated[_File, typer.Option(help="Region for the target, of calib workspace.")] = None
-    clearance: Annotated[str, typer.Option(metavar="LENGTH", help="Least distance of bodies.")] = (
-        "0 mm"
-    )
-    collisions: Annotated[bool, typer.Option(help="Check poses and moves for collisions.")] = True
-    floor: Annotated[bool, typer.Option(help="Keep above the robot's mounting plane.")] = True
+    clearance: Annotated[
+        str,
+        typer.Option(metavar="LENGTH", help="Smallest distance that is kept between two bodies."),
+    ] = "0 mm"
+    collisions: Annotated[
+        bool, typer.Option(help="Check poses and the moves between them for collisions.")
+    ] = True
+    floor: Annotated[bool, typer.Option(help="Keep the robot above its mounting plane.")] = True
     package_dir: Annotated[
         list[Path] | None,
-        typer.Option(metavar="FOLDER", help="Folder with packages of meshes."),
+        typer.Option(
+            metavar="FOLDER", help="Folder with the ROS packages of the meshes. Can be repeated."
+        ),
     ] = None
 
 
@@ -76,9 +107,13 @@ class SceneOptions:
 class PlanOutputs:
     """Files that are written."""
 
-    output: Annotated[_File, typer.Option("-o", "--output", help="Table of poses.")] = None
-    json: Annotated[_File, typer.Option(help="Plan and forecast as JSON.")] = None
-    view: Annotated[_File, typer.Option(help="3D page of the plan.")] = None
+    output: Annotated[
+        _File, typer.Option("-o", "--output", help="Write the plan as a table of poses.")
+    ] = None
+    json: Annotated[_File, typer.Option(help="Write the plan and the forecast as JSON.")] = None
+    view: Annotated[
+        _File, typer.Option(help="Write a page that shows the plan in 3D, to open in a browser.")
+    ] = None
     force: Force = False
     accept: Accept = False
 
@@ -102,32 +137,37 @@ a calibration is checked: drive a pointer to corners of the board.
 """)
 def plan(
     robot: RobotFile,
-    setup: ModelOptions,
-    poses: PoseOptions,
-    images: ImageOptions,
-    scene: SceneOptions,
+    cell_options: PlanCellOptions,
+    pose_options: PoseOptions,
+    image_options: ImageOptions,
+    scene_options: SceneOptions,
     outputs: PlanOutputs,
     quiet: Quiet = False,
 ) -> None:
-    """Run the verb; its help is the text of `verb`."""
+    """Plan poses, images or touches, write the files and print the plan."""
     files = (outputs.output, outputs.json, outputs.view)
-    inputs = [robot, setup.cell, scene.region, poses.taken, images.touch]
+    inputs = [
+        robot,
+        cell_options.file,
+        scene_options.region,
+        pose_options.taken,
+        image_options.touch,
+    ]
     check_outputs(files, inputs, force=outputs.force)
-    cell = read_cell(**asdict(setup))
-    if images.touch is not None:
-        _touch(robot, cell, images, scene, outputs, quiet=quiet)
+    cell = cell_options.cell()
+    if image_options.touch is not None:
+        _touch(robot, cell, image_options, scene_options, outputs, quiet=quiet)
         return
-    cell = replace(cell, tracker=parse_tracker(scene.tracker, cell.tracker))
-    collisions = _collision_check(scene)
-    arm = _load_chain(robot, cell, poses.taken)
-    taken, first_row = _read_taken(arm, poses.taken, of_images=bool(cell.cameras))
-    request = _request(arm, poses, of_images=bool(cell.cameras))
+    collisions = _collision_check(scene_options)
+    arm = _load_chain(robot, cell, pose_options.taken)
+    taken, first_row = _read_taken(arm, pose_options.taken, of_images=bool(cell.cameras))
+    request = _request(arm, pose_options, of_images=bool(cell.cameras))
     with stages_bar(quiet=quiet) as progress:
         shared = {"taken": taken, "collisions": collisions, "progress": progress}
         if cell.cameras:
-            planned = _plan_images(arm, cell, images, request, scene, shared)
+            planned = _plan_images(arm, cell, image_options, request, scene_options, shared)
         else:
-            planned = _plan(arm, cell, request, scene, shared)
+            planned = _plan(arm, cell, request, scene_options, shared)
     _write(planned, outputs, first_row)
     if not quiet:
         from calib.verbs.plan.text import plan_text
@@ -146,7 +186,7 @@ def _load_chain(robot: str, cell: Cell, taken: Path | None) -> Robot:
 
 def _request(arm: Robot, options: PoseOptions, *, of_images: bool) -> PlanRequest:
     """Return the request for the poses that are wanted."""
-    from calib.basics.units import ANGLE, parse_amount
+    from calib.basics.units import ANGLE, parse_amount, parse_joint_values
     from calib.verbs.compensate.inverse import start_values
     from calib.verbs.plan.choice import PlanRequest
     from calib.verbs.plan.images.plan import CANDIDATES
@@ -162,7 +202,9 @@ def _request(arm: Robot, options: PoseOptions, *, of_images: bool) -> PlanReques
     )
     if not options.start:
         return request
-    return replace(request, start=start_values(arm, parse_held(options.start, "--start"), 0.0))
+    return replace(
+        request, start=start_values(arm, parse_joint_values(options.start, "--start"), 0.0)
+    )
 
 
 def _collision_check(options: SceneOptions) -> CollisionCheck | None:
@@ -203,38 +245,42 @@ def _read_taken(arm: Robot, path: Path | None, *, of_images: bool) -> tuple[Arra
 
 
 def _plan(
-    arm: Robot, cell: Cell, request: PlanRequest, scene: SceneOptions, shared: Mapping[str, Any]
+    arm: Robot,
+    cell: Cell,
+    request: PlanRequest,
+    scene_options: SceneOptions,
+    shared: Mapping[str, Any],
 ) -> Plan:
     """Plan the poses of an instrument, with the arguments that images are planned with, too."""
     from calib.verbs.plan.plan import plan as plan_poses
 
-    region = _read_region(arm, cell, scene.region)
+    region = _read_region(arm, cell, scene_options.region)
     return plan_poses(arm, cell, request, region=region, **shared)
 
 
 def _plan_images(
     arm: Robot,
     cell: Cell,
-    images: ImageOptions,
+    image_options: ImageOptions,
     request: PlanRequest,
-    scene: SceneOptions,
+    scene_options: SceneOptions,
     shared: Mapping[str, Any],
 ) -> Plan:
     """Plan images of a board."""
     from calib.verbs.plan.images.plan import plan_images
     from calib.verbs.plan.reaching import reach
 
-    if scene.region is not None:
+    if scene_options.region is not None:
         raise CalibError("--region is for targets; where the board is seen is said by --board-at.")
-    wanted = replace(images.request(), poses=request)
+    wanted = replace(image_options.request(), poses=request)
     return plan_images(arm, cell, wanted, reach, **shared)
 
 
 def _touch(
     robot: str,
     cell: Cell,
-    images: ImageOptions,
-    scene: SceneOptions,
+    image_options: ImageOptions,
+    scene_options: SceneOptions,
     outputs: PlanOutputs,
     *,
     quiet: bool,
@@ -246,20 +292,20 @@ def _touch(
     from calib.verbs.plan.touch_file import write_touch
     from calib.verbs.plan.touch_text import no_touch_text, touch_text
 
-    assert images.touch is not None
+    assert image_options.touch is not None
     if outputs.json is not None or outputs.view is not None:
         raise CalibError("--touch writes a table (-o), no --json and no --view.")
-    result = read_result(images.touch)
+    result = read_result(image_options.touch)
     stated = against(result.verdict)
     if stated and not outputs.accept:
-        raise VerdictError(refusal(f"'{images.touch}'", stated))
+        raise VerdictError(refusal(f"'{image_options.touch}'", stated))
     load(robot, replace(cell, base=result.nominal.base, tip=result.nominal.tip))
     touches = plan_touch(
         result,
         board_of(cell, result.optics.nominal_boards),
-        images.tool(),
-        images.ids(),
-        collisions=_collision_check(scene),
+        image_options.tool(),
+        image_options.ids(),
+        collisions=_collision_check(scene_options),
     )
     if not touches.usable.any():
         raise CalibError(no_touch_text(touches))
@@ -267,7 +313,7 @@ def _touch(
         write_touch(touches, outputs.output, overwrite=outputs.force)
     if not quiet:
         typer.echo("\n".join([touch_text(touches), "", *written_lines(outputs.output)]))
-    say_accepted(f"'{images.touch}'", stated)
+    say_accepted(f"'{image_options.touch}'", stated)
 
 
 def _write(planned: Plan, outputs: PlanOutputs, first_row: int) -> None:

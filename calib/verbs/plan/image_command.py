@@ -31,25 +31,28 @@ class TouchOptions:
         Path | None,
         typer.Option(
             metavar="RESULT",
-            help="In place of a plan: joint values that bring a pointer to corners of the board, "
-            "by this result JSON, and the error to expect.",
+            help="Result of a calibration to check: in place of a plan, write the joint values that bring a pointer to "
+            "corners of the board, and the error to expect.",
         ),
     ] = None
     pointer: Annotated[
         str | None,
         typer.Option(
             metavar='"X Y Z UNIT [RX RY RZ UNIT]"',
-            help="Tip of the pointer for --touch, in its link; it points along z.",
+            help="Pose of the pointer's tip in its link, for --touch; the pointer points along z.",
         ),
     ] = None
     pointer_on: Annotated[
         str | None,
-        typer.Option(metavar="LINK", help="Link of the pointer. Default: that of the camera."),
+        typer.Option(
+            metavar="LINK", help="Link that the pointer is mounted on. Default: that of the camera."
+        ),
     ] = None
     corners: Annotated[
         str | None,
         typer.Option(
-            metavar='"ID ..."', help="Corners to touch. Default: four outer ones and the middle."
+            metavar='"ID ..."',
+            help="Ids of the corners to touch. Default: four outer ones and one in the middle.",
         ),
     ] = None
 
@@ -85,7 +88,8 @@ class ImageOptions(TouchOptions):
         str | None,
         typer.Option(
             metavar=_POSE,
-            help="Rough pose of the camera in its link, rotation vector; z is the line of sight, y "
+            help="Approximate pose of the camera in its link, with a rotation vector; z is the line of sight, "
+            "and y points "
             "down in the image. Default: the link is the camera's optical frame.",
         ),
     ] = None
@@ -93,22 +97,31 @@ class ImageOptions(TouchOptions):
         str | None,
         typer.Option(
             metavar=_POSE,
-            help="Rough pose of the board in its link, rotation vector; x along its columns, z into the page.",
+            help="Approximate pose of the board in its link, with a rotation vector; x points along its columns, z "
+            "into the page.",
         ),
     ] = None
     distance: Annotated[
         str | None,
         typer.Option(
             metavar='"NEAREST FARTHEST UNIT"',
-            help="Distances at which the camera is sharp. Default: the board fills 15 to 80 % of the image.",
+            help="Distances between which the camera is in focus. Default: those at which the board fills 15 to "
+            "80 % of "
+            "the image.",
         ),
     ] = None
     tilt: Annotated[
-        str, typer.Option(metavar="ANGLE", help="Largest tilt of the board to the line of sight.")
+        str,
+        typer.Option(
+            metavar="ANGLE", help="Largest angle between the board's normal and the line of sight."
+        ),
     ] = "55 deg"
     share: Annotated[
         float,
-        typer.Option(metavar="SHARE", help="Share of the board's corners that an image must show."),
+        typer.Option(
+            metavar="SHARE",
+            help="Share of the board's corners that each image must show, from 0 to 1.",
+        ),
     ] = 1.0
 
     def request(self) -> ImageRequest:

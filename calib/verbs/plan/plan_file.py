@@ -28,7 +28,7 @@ from calib.data.layout import Layout
 from calib.data.measurements import Measurements
 from calib.data.values import read_values
 from calib.errors import MeasurementError
-from calib.robot.readings import coupling_table
+from calib.robot.coupled_readings import coupling_table
 from calib.robot.robot import Robot
 from calib.verbs.plan.forecast import Forecast
 from calib.verbs.plan.plan import Plan

@@ -211,7 +211,7 @@ class Sensitivity:
             blocks=np.arange(n),
         ).as_measured_at(T_frame_target)
         slopes = rows.derivative(T_frame_target, twists)
-        return rows.standardised(slopes)
+        return rows.standardise(slopes)
 
     def located(self, q: Array) -> Array:
         """Differentiate the predicted positions of the k targets, in the measurement frame, by the p parameters.
@@ -363,7 +363,7 @@ def _with_generic_targets(setup: Setup) -> Setup:
     """
     T_tip_target = setup.T_tip_target.copy()
     T_tip_target[~setup.target_given, :3, 3] = GENERIC_TARGET
-    return setup.placed(setup.T_frame_base, T_tip_target)
+    return setup.with_poses(setup.T_frame_base, T_tip_target)
 
 
 def planned_model(robot: Robot, cell: Cell, setup: Setup) -> ErrorModel:
@@ -384,7 +384,9 @@ def planned_model(robot: Robot, cell: Cell, setup: Setup) -> ErrorModel:
     """
     is_auto = cell.model == AUTO
     name = PLANNED_FOR_AUTO if is_auto else cell.model
-    model = setup.aligned(Task(robot, cell, setup, name, allow_absent=is_auto).error_model())
+    model = setup.turn_directions(
+        Task(robot, cell, setup, name, allow_absent=is_auto).error_model()
+    )
     if not is_auto:
         for parameter in (*cell.parameter_priors, *cell.bounds):
             model.index(parameter)

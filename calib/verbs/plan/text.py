@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from calib.basics.channels import RESIDUAL_UNITS
-from calib.basics.short import one_line
+from calib.basics.values import one_line
 from calib.show.lines import mm, paragraphs, plural, wrap
 from calib.show.notebook import chain_name, html_table
 from calib.show.readings import coupling_sentence

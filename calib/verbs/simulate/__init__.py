@@ -1,1 +1,1 @@
-"""Virtual cells with a known truth, and studies of many of them. Imports design and below."""
+"""Simulate measurements of a robot whose errors are known."""

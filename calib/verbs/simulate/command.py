@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from calib.cli.executor import executor_of
+from calib.cli.loading import load
 from calib.cli.options import ColumnChoice, Force, JobOptions, ModelOptions, Quiet, RobotFile
 from calib.cli.outputs import check_outputs, written_lines
-from calib.cli.setup import load, read_cell
 from calib.cli.terminal import progress_bar
 from calib.cli.verb import verb
 from calib.errors import CalibError, choices
+from calib.verbs.simulate.scenario_words import ScenarioWords
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
@@ -29,49 +30,23 @@ _File = Path | None
 
 
 @dataclass(frozen=True, slots=True)
-class ScenarioOptions:
-    """Errors of the robot, and disturbances of the measurements."""
-
-    sizes: Annotated[
-        _Text,
-        typer.Option(
-            metavar='"FAMILY VALUE, ..."',
-            help='Standard deviations of the errors, "length 0.5 mm, angle 3 mrad", or none. '
-            "Default: typical; none with --error.",
-        ),
-    ] = None
-    error: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NAME=VALUE", help='One error, "elbow_joint.rx=2 mrad". Can be repeated.'
-        ),
-    ] = None
-    truth_robot: Annotated[_File, typer.Option(help="URDF of the true robot.")] = None
-    target_error: Annotated[
-        _Text,
-        typer.Option(help="Standard deviation of the targets' places. Default: 1 mm."),
-    ] = None
-    noise: Annotated[
-        _Text,
-        typer.Option(
-            help='Of a coordinate: "0.05 mm", "15 um + 6 um/m", or none; of a corner in a picture "0.3 px". '
-            "Default: the cell's, or a tracker's."
-        ),
-    ] = None
-    outliers: Annotated[_Text, typer.Option(metavar='N|"P %"', help="Outliers.")] = None
-
-
-@dataclass(frozen=True, slots=True)
 class PoseOptions(ColumnChoice):
     """Poses of a table, and the seed of all random numbers."""
 
-    poses: Annotated[_File, typer.Option(help="Poses, from this plan or table.")] = None
-    count: Annotated[int, typer.Option(min=1, metavar="N", help="Random poses.")] = 30
+    poses: Annotated[_File, typer.Option(help="Plan or table whose poses are simulated.")] = None
+    count: Annotated[
+        int, typer.Option(min=1, metavar="N", help="Number of random poses to calibrate with.")
+    ] = 30
     validation: Annotated[
         int | None,
-        typer.Option(min=0, help="Random poses for validation. Default: 10; 0 with --poses."),
+        typer.Option(
+            min=0, help="Number of random poses for validation. Default: 10, or 0 with --poses."
+        ),
     ] = None
-    seed: Annotated[int, typer.Option(min=0, help="Of all random numbers.")] = 0
+    seed: Annotated[
+        int,
+        typer.Option(min=0, help="Seed of all random numbers; the same seed gives the same files."),
+    ] = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,16 +54,23 @@ class SimulateOutputs:
     """Files that are written."""
 
     output: Annotated[_File, typer.Option("-o", "--output", help="Write the table.")] = None
-    truth: Annotated[_File, typer.Option(help="Default: TABLE_truth.json.")] = None
-    truth_urdf: Annotated[_File, typer.Option(help="Write the URDF of the true robot.")] = None
+    truth: Annotated[
+        _File,
+        typer.Option(
+            help="Write the truth to this file. Default: TABLE_truth.json, next to the table."
+        ),
+    ] = None
+    truth_urdf: Annotated[
+        _File, typer.Option(help="Write the URDF of the true robot to this file.")
+    ] = None
     images: Annotated[
         _File,
         typer.Option(
             metavar="FOLDER",
-            help="Of the kind pixel: draw the pictures into this folder, with joints.csv, board.toml and camera.yaml.",
+            help="With --kind pixel: draw the pictures into this folder, with joints.csv, board.toml and camera.yaml.",
         ),
     ] = None
-    json: Annotated[_File, typer.Option(help="Of a study: write every trial as JSON.")] = None
+    json: Annotated[_File, typer.Option(help="With --study: write every trial as JSON.")] = None
     force: Force = False
 
     @property
@@ -113,11 +95,19 @@ class SimulateOutputs:
 class StudyOptions:
     """A study: simulation, calibration and verification of many robots."""
 
-    study: Annotated[int | None, typer.Option(min=2, help="Simulate and calibrate N robots.")] = (
-        None
-    )
-    planned: Annotated[bool, typer.Option("--planned", help="Of a study: plan the poses.")] = False
-    fit_model: Annotated[_Text, typer.Option(help="Of a study: what is estimated.")] = None
+    study: Annotated[
+        int | None, typer.Option(min=2, help="Simulate and calibrate this number of robots.")
+    ] = None
+    planned: Annotated[
+        bool,
+        typer.Option("--planned", help="With --study: plan the poses in place of random ones."),
+    ] = False
+    fit_model: Annotated[
+        _Text,
+        typer.Option(
+            help="With --study: the errors that the calibrations estimate, as of --model. Default: auto."
+        ),
+    ] = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -158,27 +148,27 @@ pictures at poses from which the whole board is seen; --images draws them, for c
 """)
 def simulate(
     robot: RobotFile,
-    setup: ModelOptions,
-    errors: ScenarioOptions,
-    poses: PoseOptions,
+    cell_options: ModelOptions,
+    error_options: ScenarioWords,
+    pose_options: PoseOptions,
     outputs: SimulateOutputs,
-    study: StudyOptions,
-    jobs: JobOptions,
+    study_options: StudyOptions,
+    job_options: JobOptions,
     quiet: Quiet = False,
 ) -> None:
-    """Run the verb; its help is the text of `verb`."""
-    _check_options(outputs, study)
+    """Simulate a table, pictures or a study, write the files and print what was simulated."""
+    _check_options(outputs, study_options)
     check_outputs(
         outputs.files,
-        [robot, poses.poses, setup.cell, errors.truth_robot],
+        [robot, pose_options.poses, cell_options.file, error_options.truth_robot],
         force=outputs.force,
     )
     # Workers begin first: they import what they need while robot and scenario are prepared here.
-    with executor_of(jobs.workers, jobs.dask, study.study) as executor:
-        simulation = _prepare(robot, setup, errors, poses)
-        _check_kind(simulation.scenario, outputs, study)
-        if study.study is not None:
-            text, written = _run_study(simulation, study, outputs, executor, quiet=quiet)
+    with executor_of(job_options.workers, job_options.dask, study_options.study) as executor:
+        simulation = _prepare(robot, cell_options, error_options, pose_options)
+        _check_kind(simulation.scenario, outputs, study_options)
+        if study_options.study is not None:
+            text, written = _run_study(simulation, study_options, outputs, executor, quiet=quiet)
         elif simulation.scenario.kind.optical:
             text, written = _simulate_pictures(simulation, outputs, quiet=quiet)
         else:
@@ -187,7 +177,7 @@ def simulate(
         typer.echo("\n".join([f"{text}\n", *written_lines(*written)]))
 
 
-def _check_options(outputs: SimulateOutputs, study: StudyOptions) -> None:
+def _check_options(outputs: SimulateOutputs, study_options: StudyOptions) -> None:
     """Refuse options of a table with a study, and those of a study without one; raises `CalibError`."""
     of_table: dict[str, Any] = {
         "-o": outputs.output,
@@ -196,25 +186,25 @@ def _check_options(outputs: SimulateOutputs, study: StudyOptions) -> None:
         "--images": outputs.images,
     }
     of_study: dict[str, Any] = {
-        "--fit-model": study.fit_model,
+        "--fit-model": study_options.fit_model,
         "--json": outputs.json,
-        "--planned": study.planned or None,
+        "--planned": study_options.planned or None,
     }
-    if study.study is None:
+    if study_options.study is None:
         _refuse_given(of_study, "does not go without --study")
     else:
         _refuse_given(of_table, "does not go with --study")
-    if study.study is None and outputs.output is None and outputs.images is None:
+    if study_options.study is None and outputs.output is None and outputs.images is None:
         raise CalibError("Name the table to write: -o table.csv.")
 
 
-def _check_kind(scenario: Scenario, outputs: SimulateOutputs, study: StudyOptions) -> None:
+def _check_kind(scenario: Scenario, outputs: SimulateOutputs, study_options: StudyOptions) -> None:
     """Refuse pictures of other kinds, and plans of pictures in a study; raises `CalibError`."""
     if outputs.images is not None and not scenario.kind.optical:
         raise CalibError(
             "--images draws what a camera sees of a printed board: add --kind pixel, with --camera-on and --board-on."
         )
-    if study.planned and scenario.kind.optical:
+    if study_options.planned and scenario.kind.optical:
         raise CalibError(
             f"--planned does not go with the kind '{scenario.kind.name}', whose poses are those from which the board "
             "is seen; give those of a plan with --poses."
@@ -230,27 +220,29 @@ def _refuse_given(options: Mapping[str, Any], reason: str) -> None:
 
 def _prepare(
     robot: str,
-    setup: ModelOptions,
-    errors: ScenarioOptions,
-    poses: PoseOptions,
+    cell_options: ModelOptions,
+    error_options: ScenarioWords,
+    pose_options: PoseOptions,
 ) -> _Simulation:
     """Load the robot, and read the scenario and the poses."""
     import calib.verbs.simulate.study  # noqa: F401  while the workers import it too
     from calib.verbs.plan.plan_file import read_poses
-    from calib.verbs.simulate.scenario_words import ScenarioWords, read_scenario
+    from calib.verbs.simulate.scenario_words import read_scenario
 
-    cell = read_cell(**asdict(setup))
+    cell = cell_options.cell()
     arm = load(robot, cell)
-    scenario = read_scenario(arm, cell, setup.cell, ScenarioWords(**asdict(errors)))
+    scenario = read_scenario(arm, cell, cell_options.file, error_options)
     joints: Array | None = None
     sets: tuple[str, ...] = ()
     default_validation = 10
-    if poses.poses is not None:
-        table = read_poses(poses.poses, arm, poses.parsed())
+    if pose_options.poses is not None:
+        table = read_poses(pose_options.poses, arm, pose_options.parsed())
         joints, sets = table.joints, table.sets
         default_validation = 0
-    validation = default_validation if poses.validation is None else poses.validation
-    return _Simulation(scenario, cell, joints, sets, poses.count, validation, poses.seed)
+    validation = default_validation if pose_options.validation is None else pose_options.validation
+    return _Simulation(
+        scenario, cell, joints, sets, pose_options.count, validation, pose_options.seed
+    )
 
 
 def _simulate_table(simulation: _Simulation, outputs: SimulateOutputs) -> tuple[str, list[Path]]:

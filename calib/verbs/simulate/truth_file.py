@@ -14,7 +14,7 @@ from calib.basics.arrays import Array
 from calib.basics.files import write_atomically
 from calib.basics.json_files import json_bytes
 from calib.model.parameters import ErrorModel
-from calib.robot.readings import coupling_table
+from calib.robot.coupled_readings import coupling_table
 from calib.robot.robot import Robot
 from calib.verbs.simulate.scenario import Scenario, Simulated
 from calib.verbs.simulate.truth import Truth

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from calib.basics.arrays import Array, Integers, Mask, rigid_inverse
-from calib.basics.mappings import ReadOnlyMapping
+from calib.basics.values import ReadOnlyMapping
 from calib.camera.camera import Camera
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements

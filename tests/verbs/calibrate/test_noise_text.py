@@ -11,7 +11,7 @@ import pytest
 from calib.basics.channels import channels_of
 from calib.data.kinds import get
 from calib.fit.registration.rows import USUAL_POSE_NOISE
-from calib.numerics.pose_noise import PoseNoise
+from calib.numerics.correlated_noise import PoseNoise
 from calib.show.errors import measured_lengths
 from calib.verbs.calibrate.noise_text import ENOUGH_FREEDOM, noise_text, pose_noise_text
 from calib.verbs.calibrate.text import POSE_NOISE, facts

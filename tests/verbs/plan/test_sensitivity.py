@@ -14,8 +14,7 @@ from calib.errors import ModelError
 from calib.model.kinematics import Kinematics, Samples
 from calib.numerics.rigid_motion import without_rigid_motion
 from calib.result.calibrate import calibrate
-from calib.robot.gravity import gravity_loads
-from calib.robot.payload import Payload
+from calib.robot.gravity import Payload, gravity_loads
 from calib.robot.ranges import random_joint_values, spread_poses
 from calib.verbs.inspect.inspection import inspect
 from calib.verbs.plan.forecast import forecast

@@ -98,7 +98,7 @@ def test_measured_points_are_shown_in_the_base_frame_and_the_tracker_where_it_st
     moved = replace(
         result.fit.measurements, points=result.fit.measurements.points @ T[:3, :3].T + T[:3, 3]
     )
-    setup = result.setup.placed(T[None], result.setup.T_tip_target)
+    setup = result.setup.with_poses(T[None], result.setup.T_tip_target)
     view = view_of(with_rows(with_part(result, "geometry", setup=setup), moved))
     np.testing.assert_allclose(view.measured, result.fit.measurements.points, atol=1e-12)
     np.testing.assert_allclose(view.instruments, [np.linalg.inv(T)], atol=1e-12)

@@ -9,7 +9,7 @@ import numpy as np
 from calib.basics.arrays import Array, Integers, Mask
 from calib.camera import optics
 from calib.camera.lenses import LENSES
-from calib.fit.registration.cameras import corners_of
+from calib.fit.registration.table_optics import number_corners
 from calib.fit.registration.table_rows import rows_and_setup
 from calib.result.calibration import Calibration
 from calib.show.row_values import flagged_rows
@@ -81,7 +81,7 @@ def _image_names(images: tuple[str, ...], poses: Integers) -> tuple[str, ...]:
 def _of_camera(c: Calibration, predicted: _Prediction, at: Integers) -> SeenCorners:
     """Return the corners that one camera saw, by their indices ``at`` in the table."""
     m = c.fit.measurements
-    names, corner = corners_of(m)
+    names, corner = number_corners(m)
     values = predicted.optics[at]
     T_camera_board = predicted.T_frame_target[at]
     printed = optics.board_points(values)

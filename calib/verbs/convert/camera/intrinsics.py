@@ -9,7 +9,7 @@ import numpy as np
 
 from calib.basics.arrays import Array
 from calib.basics.files import write_atomically
-from calib.basics.mappings import ReadOnlyMapping
+from calib.basics.values import ReadOnlyMapping
 from calib.camera.camera import Camera
 from calib.camera.camera_file import camera_info_yaml, opencv_yaml
 from calib.camera.camera_yaml import camera_of_yaml

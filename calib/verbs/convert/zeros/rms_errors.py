@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from calib.basics.channels import RESIDUAL_UNITS
-from calib.basics.mappings import keep_read_only
-from calib.basics.values import Value
+from calib.basics.values import Value, keep_read_only
 from calib.errors import VerdictError
 from calib.numerics.errors import Errors
 from calib.result.calibration import Calibration

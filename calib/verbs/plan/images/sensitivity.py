@@ -28,8 +28,8 @@ from calib.camera.camera import UNKNOWN, Camera
 from calib.camera.lenses import LENSES
 from calib.data.cell import Cell, TrackerNoise
 from calib.data.measurements import Measurements
-from calib.fit.registration.cameras import optics_of_rows
 from calib.fit.registration.setup import Setup
+from calib.fit.registration.table_optics import initial_optics
 from calib.fit.registration.table_setup import measurement_setup
 from calib.model.kinematics import Kinematics
 from calib.robot.kernel import over_blocks
@@ -81,10 +81,10 @@ class ImageSensitivity(Sensitivity):
         table = _one_image(robot, sight)
         pose = np.zeros(len(table), dtype=np.int_)
         setup = measurement_setup(cell, table, (registry.get(PIXEL),), pose)
-        optics, unknowns = optics_of_rows(table, cell, setup, pose)
+        optics, unknowns = initial_optics(table, cell, setup, pose)
         assert optics is not None
         setup = replace(setup, optics=unknowns)
-        setup = setup.placed(sight.T_frame_base[None], sight.T_tip_board[None])
+        setup = setup.with_poses(sight.T_frame_base[None], sight.T_tip_board[None])
         return cls._assembled(robot, cell, setup, sight, optics)
 
     @classmethod

@@ -249,6 +249,6 @@ def widest_ray(camera: Camera) -> float:
     edges = np.array(
         [[u, v] for u in (-0.5, 0.5 * right, right) for v in (-0.5, 0.5 * bottom, bottom)]
     )
-    rays = LENSES[camera.lens].rays(edges, intrinsics(camera))
+    rays = LENSES[camera.lens].undistort(edges, intrinsics(camera))
     angles = np.arctan2(np.hypot(rays[:, 0], rays[:, 1]), rays[:, 2])
     return float(np.nanmax(angles)) if np.isfinite(angles).any() else _WIDEST

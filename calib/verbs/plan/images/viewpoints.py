@@ -44,7 +44,7 @@ def _rays(sight: CameraSight, unit: Array) -> Array:
     """Return unit vectors in the camera to pixels; numbers between 0 and 1 (n, 2) are shares of width and height."""
     camera = sight.camera
     pixels = unit * [camera.width, camera.height] - 0.5
-    rays = LENSES[camera.lens].rays(pixels, intrinsics(camera))
+    rays = LENSES[camera.lens].undistort(pixels, intrinsics(camera))
     rays = np.where(np.isfinite(rays), rays, [0.0, 0.0, 1.0])
     return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))
 

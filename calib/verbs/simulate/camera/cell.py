@@ -7,8 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.basics.arrays import Array, read_only
-from calib.basics.short import one_line
-from calib.basics.values import Value
+from calib.basics.values import Value, one_line
 from calib.boards.board import Board
 from calib.boards.printed import Print, draw_print
 from calib.camera.camera import Camera

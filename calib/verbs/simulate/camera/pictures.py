@@ -17,8 +17,7 @@ from numpy.typing import ArrayLike
 import calib.data.kinds as registry
 from calib.basics.arguments import check_names
 from calib.basics.arrays import Array, Integers, read_only
-from calib.basics.short import one_line
-from calib.basics.values import Value
+from calib.basics.values import Value, one_line
 from calib.boards.project import Sight, corner_pixels
 from calib.data.columns import SETS
 from calib.data.measurements import Measurements
