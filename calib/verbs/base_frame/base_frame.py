@@ -268,7 +268,7 @@ def frame_of(
 
     parts = np.array(propagate(twist, lines, figures))
     covariance = parts.sum(axis=0)
-    # Welch's degrees of freedom, see the module's text; infinite ones where the noise was given.
+    # Welch's degrees of freedom, see the module's text; infinite if the noise was given.
     share = np.diagonal(parts, axis1=1, axis2=2) / np.diag(covariance)
     dof_of_figures = np.array([figure.dof for figure in figures])
     with np.errstate(divide="ignore"):

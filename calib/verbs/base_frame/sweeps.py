@@ -45,9 +45,9 @@ class Sweep(Value):
     name: str
     #: Shape (N, 3) in the tracker's frame [m]
     points: Array
-    #: Standard deviation of a coordinate of each point, shape (N,) [m]; None where not given
+    #: Standard deviation of a coordinate of each point, shape (N,) [m]; None if not given
     sigma: Array | None
-    #: Values of the chain's joints, shape (N, n) [rad]; None where not given
+    #: Values of the chain's joints, shape (N, n) [rad]; None if not given
     joints: Array | None
     #: Their numbers in the file, for messages
     rows: tuple[int, ...]
@@ -69,13 +69,13 @@ class Sweeps(Value):
 
     #: The plane first, then the joints in the order of the chain; one of each at most
     sweeps: tuple[Sweep, ...]
-    #: The chain's joints, base to tip; empty where they were not given
+    #: The chain's joints, base to tip; empty if they were not given
     joint_names: tuple[str, ...]
     #: The file's name
     source: str
 
     def label(self, joint: int) -> str:
-        """Return the name of a joint, from 0, or ``joint`` and its number from 1 where it has none."""
+        """Return the name of a joint, from 0, or ``joint`` and its number from 1 if it has none."""
         return self.joint_names[joint] if joint < len(self.joint_names) else f"joint {joint + 1}"
 
 

@@ -101,7 +101,7 @@ class Commands(Value):
 
     @property
     def expected_errors(self) -> Array:
-        """Expected error of each row, mean distance [m] and angle [rad], shape (N, 2); NaN where it is not known."""
+        """Expected error of each row, mean distance [m] and angle [rad], shape (N, 2); NaN if it is not known."""
         errors = np.full((len(self), 2), np.nan)
         if self.expected is not None:
             errors[self.reached] = self.expected.errors

@@ -1,7 +1,7 @@
 """Commands for a robot whose controller keeps its own model, such that the true robot arrives (paper, stage four).
 
-The calibrated model predicts where the true robot is, T_true(q), the nominal one what its controller believes,
-T_nominal(q). For a wanted pose T of the tool:
+The calibrated model predicts where the true robot is, T_true(q), and the nominal one where its controller believes it
+to be, T_nominal(q). For a wanted pose T of the tool:
 
     q:       T_true(q) = T               joint values to command, in the branch of the nominal solution
     T_send = T_nominal(q)                the pose to send: the controller's own inverse kinematics makes q of it
@@ -80,16 +80,16 @@ def compensate(
         calibration: The model of the true robot: a result, or the path of its file (.json); or a corrected robot, the
             path of its URDF or xacro, or its name.
         program: The poses to reach.
-        nominal: The model that its controller has, or the path of its URDF or xacro, or its name; None: the nominal
+        nominal: The model that the controller has, or the path of its URDF or xacro, or its name; None: the nominal
             robot of the result.
         tool: What is to arrive: a pose in the tip, shape (4, 4) [m], or a position, shape (3,); or the name of a target
             of the calibration ("" for the only one), where the calibrated model has it; None: the tip itself.
-        frame: The base in the frame that poses are given and sent in, shape (4, 4) [m], or the name of a group of the
+        frame: The base in the frame that poses are given and sent in, shape (4, 4) [m], or the name of a station of the
             calibration ("" for the only one); None: the base.
         tolerance: Error that a row may keep: position [m], angle [rad]; no less than 1e-9.
         non_geometric: Whether to use the non-geometric model, if there is one, else the geometry of the URDF; or
             the payload to use it with, in place of the one at its calibration.
-        accept: Whether commands are made even where the verdict on the model that is used is ``do not use``.
+        accept: Whether commands are made even if the verdict on the model in use is ``do not use``.
 
     Returns:
         The commands, a row for each of the program.
@@ -195,8 +195,8 @@ def _match(program: Program, pair: Pair) -> str:
 def _solve_nominal(pair: Pair, program: Program, matching: Matching) -> tuple[Array, Solution]:
     """Return the wanted poses in the base, (N, 4, 4) [m], and the nominal robot at its joint values for them.
 
-    These joint values are for the full pose where one is given and the robot can have it, even if less is matched: what
-    is left free stays as the program has it.
+    If a full pose is given and the robot can have it, these joint values are for the full pose even if less is matched:
+    what is left free stays as the program has it.
     """
     nominal = pair.nominal
     if program.T_wanted is None:

@@ -7,9 +7,9 @@ at once, with the singular values of the Jacobian J = U S V^T:
     dq = V S (S^2 + lambda^2)^-1 U^T e + (1 - V_r V_r^T) (q_start - q)
 
 The damping lambda is zero until a step fails to lower the error; the second term keeps a redundant arm at the joint
-values nearest to where it started. Steps are short, so that a row stays in its branch. Where readings are coupled, the
-steps are of the joints' values, which the limits are of; starts and solutions are readings. Source: Y. Nakamura,
-H. Hanafusa, Inverse kinematic solutions with singularity robustness, 1986.
+values nearest to those at which it started. Steps are short, so that a row stays in its branch. If readings are
+coupled, steps are in the joints' values, to which the limits apply; starts and solutions are readings. Source:
+Y. Nakamura, H. Hanafusa, Inverse kinematic solutions with singularity robustness, 1986.
 """
 
 from __future__ import annotations
@@ -369,7 +369,7 @@ def _by_whole_turns(robot: Robot, q: Array, seed: Array, allowed: Array) -> Arra
     may_turn = []
     for name, column in zip(robot.joint_names, robot.mimic_matrix.T, strict=True):
         turns = robot.joint_types[name] != "prismatic"
-        # A joint that others follow in another ratio would leave them where they were not.
+        # Joints that follow in another ratio would not make whole turns.
         is_one_to_one = set(np.abs(column)) <= {0.0, 1.0}
         may_turn.append(turns and is_one_to_one)
     low, high = allowed.T

@@ -6,7 +6,7 @@ its errors add:
 
     dT/dq_j  =  (1 + sum_k x_k df_k/dq_j) dT/d(displacement of joint j),    dq_j = x_1 f_1(q_j) + x_2 f_2(q_j) + ...
 
-Here q_j is the joint's value, which differs from its reading where readings are coupled.
+Here q_j is the joint's value, which differs from its reading if readings are coupled.
 """
 
 from __future__ import annotations
@@ -193,9 +193,9 @@ class Pair(Value):
         typical = float(np.median(np.linalg.norm(difference, axis=1)))
         if typical > _NO_CALIBRATION * self.reach:
             raise ModelError(
-                f"The calibrated robot has the tool {1e3 * typical:.0f} mm away from where the nominal robot "
-                f"'{robot.name}' ({robot.urdf.source}) has it; a calibration moves it by millimetres. Give the nominal "
-                "and the calibrated model of one robot, with zero positions that agree."
+                f"The calibrated robot has the tool {1e3 * typical:.0f} mm away from its place on the nominal robot "
+                f"'{robot.name}' ({robot.urdf.source}); a calibration moves it by millimetres. Give nominal and "
+                "calibrated model of the same robot, with the same zero positions."
             )
 
     @property

@@ -31,7 +31,7 @@ def read_manifest(
     column_options: ColumnChoice,
     points_unit: str | None,
 ) -> tuple[FleetRobot, ...]:
-    """Read a manifest; the robots themselves are read later, where they are calibrated.
+    """Read a manifest; the robots themselves are read later, when their turn has come.
 
     Args:
         path: The manifest, a CSV table.

@@ -62,7 +62,7 @@ class FleetOutlier:
 
     #: The robot's name
     name: str
-    #: Name of the figure or parameter, or ``"data"``, of which all numbers are NaN
+    #: Name of the figure or parameter; or ``"data"``, with NaN for all numbers
     figure: str
     #: Unit of ``value`` and ``usual``; ``""`` for data
     unit: str = ""

@@ -119,7 +119,7 @@ class FleetRow:
         Args:
             name: The robot's name.
             calibration: Its calibration.
-            accept: Whether its URDF is written also where the verdict is ``do not use``.
+            accept: Whether its URDF is also written if the verdict is ``do not use``.
 
         Returns:
             The row.
