@@ -186,7 +186,7 @@ def _views(pair: Pair, result: Calibration, part: FittedModel, q: Array) -> tupl
     in_base, unknown = pair.group is None, bool(unknown_base_directions(result))
     known = np.zeros((6, 6))
     base = unmodelled_base(result, part) if in_base and unknown else known
-    # If no positions were measured, they determine poses in the base up to a rigid motion of it.
+    # If no positions were measured, poses in the base are determined up to a rigid motion of the base.
     as_base = not result.rows.tells_place or (in_base and not unknown)
     gauge = known if result.rows.tells_place else None
     return (

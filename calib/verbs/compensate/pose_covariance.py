@@ -85,10 +85,9 @@ def pose_covariance(part: FittedModel, view: View) -> PoseCovariance:
         covariance[:p, :p][of_target[:, None] | of_target] = 0.0
     if view.base is not None:
         covariance[p:, p:] = view.base
+    # R R^T is the covariance, which may be singular.
     values, vectors = np.linalg.eigh(covariance)
-    root = vectors * np.sqrt(
-        np.maximum(values, 0.0)
-    )  # R R^T is the covariance, which may be singular
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
 
     derivative = _derivative(part, view)
     count = len(view.samples)
