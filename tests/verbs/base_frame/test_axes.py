@@ -109,6 +109,17 @@ def test_errors_are_those_of_the_covariance_and_within_the_cramer_rao_bound(arcs
         assert np.median(np.linalg.norm(xi[:, 3:], axis=1)) < 0.1e-3
 
 
+def test_degrees_of_freedom_are_those_of_the_figures_that_a_component_depends_on():
+    plane, first, second = figures(rng=np.random.default_rng(3))
+    dof = frame_of(plane, first, second).dof
+    # Along z it is the plane, across it circle 1; about z circle 2, and a little the tilt of axis 1.
+    assert dof[[0, 1, 3, 4]] == pytest.approx(first.dof)
+    assert dof[2] == pytest.approx(plane.dof, rel=1e-6)
+    assert second.dof < dof[5] < first.dof + second.dof
+    given = frame_of(*figures(rng=np.random.default_rng(3), given=True))
+    assert np.isinf(given.dof).all()
+
+
 @pytest.mark.slow
 def test_a_plane_of_four_points_widens_the_intervals_as_its_one_degree_of_freedom_does():
     rng = np.random.default_rng(3)

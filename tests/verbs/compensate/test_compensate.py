@@ -183,6 +183,21 @@ def test_what_is_left_free_stays_as_the_program_has_it(ur3, match):
     assert POSE.misses(off(ur3).poses(found.q), wanted).max() > 1e-4
 
 
+def test_a_full_pose_out_of_reach_is_matched_in_part(ur3):
+    """The arm is nearly stretched out, and its tool turned over: only the position can be had."""
+    q = np.array([np.radians([10.0, -60.0, 8.0, -60.0, 40.0, 0.0]), START])
+    wanted = ur3.poses(q)
+    wanted[0, :3, :3] = wanted[0, :3, :3] @ np.diag([1.0, -1.0, -1.0])
+    program = Program.of_poses(wanted, q)
+    assert compensate(off(ur3), program, nominal=ur3).reached.tolist() == [False, True]
+    found = compensate(off(ur3), replace(program, match="position"), nominal=ur3)
+    assert found.reached.all()
+    arrived = ur3.poses(found.q_nominal)
+    assert arrived[:, :3, 3] == pytest.approx(wanted[:, :3, 3], abs=1e-9)
+    # The pose that can be had in full stays as it was.
+    assert arrived[1] == pytest.approx(wanted[1], abs=1e-9)
+
+
 def test_a_program_of_points_leaves_the_nominal_robot_as_it_is_turned(ur3):
     points = ur3.poses(START + 0.01)[:, :3, 3]
     found = compensate(off(ur3), Program.of_points(points, START), nominal=ur3)

@@ -186,6 +186,10 @@ def test_a_robot_that_is_not_to_be_used_gets_no_urdf_unless_it_is_accepted(right
     out = tmp_path / "out"
     calibrated = run_fleet(right, out, JUDGED)
     assert [row.urdf for row in calibrated.rows] == [WRITTEN, WITHHELD]
+    for row in calibrated.rows:
+        assert row.unseen == "cross-validation"
+        assert row.unseen_rms == row.held_out_rms
+        assert row.held_out_rms["m"] > 0.0
     assert [row.name for row in calibrated.withheld] == ["right"]
     assert not calibrated.failed
     assert set(files(out / "right")) == MADE - {"corrected.urdf"}
