@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from calib.verbs.compensate.commands import Commands as Commands
     from calib.verbs.compensate.compensate import compensate as compensate
     from calib.verbs.compensate.program import Program as Program
-    from calib.verbs.convert.conversion import convert as convert
+    from calib.verbs.convert.convert import convert as convert
     from calib.verbs.evaluate.acceptance import Acceptance as Acceptance, acceptance as acceptance
     from calib.verbs.evaluate.evaluation import Evaluation as Evaluation, evaluate as evaluate
     from calib.verbs.fleet.fleet import fleet as fleet
@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from calib.verbs.plan.choice import PlanRequest as PlanRequest
     from calib.verbs.plan.plan import Plan as Plan, plan as plan
     from calib.verbs.simulate.scenario import Scenario as Scenario, simulate as simulate
-    from calib.verbs.view.live import view as view
+    from calib.verbs.view.page import view as view
     from calib.verbs.workspace.region import Region as Region
     from calib.verbs.workspace.workspace import workspace as workspace
 
@@ -68,7 +68,7 @@ _NAMES = {
     "calib.verbs.compensate.commands": "Commands",
     "calib.verbs.compensate.compensate": "compensate",
     "calib.verbs.compensate.program": "Program",
-    "calib.verbs.convert.conversion": "convert",
+    "calib.verbs.convert.convert": "convert",
     "calib.data.cell": "Cell",
     "calib.data.forms.column_options": "ColumnOptions",
     "calib.data.measurements": "Measurements",
@@ -85,7 +85,7 @@ _NAMES = {
     "calib.robot.dh.rows": "DHRow",
     "calib.robot.robot": "Robot",
     "calib.verbs.simulate.scenario": "Scenario simulate",
-    "calib.verbs.view.live": "view",
+    "calib.verbs.view.page": "view",
     "calib.boards.detection.detect": "detect",
 }
 #: Modules by which a user extends calib: a registry each, by its name in `calib.plugins.WORDS`, and plugins.

@@ -16,7 +16,7 @@ import numpy as np
 from calib.basics.arrays import Array
 from calib.boards.board import Board
 from calib.camera.optics import across
-from calib.result.prediction import FittedModel
+from calib.result.fitted_model import FittedModel
 
 
 class PrintedCorners(NamedTuple):
