@@ -1,4 +1,4 @@
-"""``calib plan``: a robot in, the poses to measure out, and the accuracy to expect; images and touches of a board."""
+"""``calib plan``: a robot in, the poses to measure out, and the accuracy to expect, of a tracker or of a camera."""
 
 from __future__ import annotations
 
@@ -8,15 +8,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from calib.cli.notices import say_accepted
-from calib.cli.options import Accept, Force, ModelOptions, Quiet, RobotFile, Seed
+from calib.cli.options import Force, ModelOptions, Quiet, RobotFile, Seed
 from calib.cli.outputs import check_outputs, written_lines
 from calib.cli.setup import load, read_cell
 from calib.cli.terminal import stages_bar
 from calib.cli.verb import verb
 from calib.cli.words import parse_held, parse_tracker
-from calib.errors import CalibError, VerdictError
-from calib.verbs.plan.image_command import ImageOptions, board_of
+from calib.errors import CalibError
+from calib.verbs.plan.image_command import ImageOptions
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -80,7 +79,6 @@ class PlanOutputs:
     json: Annotated[_File, typer.Option(help="Plan and forecast as JSON.")] = None
     view: Annotated[_File, typer.Option(help="3D page of the plan.")] = None
     force: Force = False
-    accept: Accept = False
 
 
 @verb("""Plan the poses of a calibration: which to measure, in which order, and how accurate the robot will be.
@@ -93,12 +91,10 @@ Examples:
   calib plan robot.urdf --taken measured.csv --count 5 --validation 0 -o next.csv
   calib plan robot.urdf --camera-on tool0 --camera 1280x720 --camera-at "0 60 30 mm"
     --board-on base_link --board board.toml --board-at "500 0 0 mm 180 0 0 deg" -o images.csv
-  calib plan robot.urdf --touch result.json --pointer "0 0 120 mm" -o touch.csv
 
 Put boxes, reflector, noise and joint ranges into the cell file. Drive the poses from top to bottom, write what was
 measured into the empty columns, and give the table to calib calibrate, which leaves out rows that stay empty. With
---camera images of a printed board are planned: save each under the name in the table, for calib detect. With --touch
-a calibration is checked: drive a pointer to corners of the board.
+--camera images of a printed board are planned: save each under the name in the table, for calib detect.
 """)
 def plan(
     robot: RobotFile,
@@ -111,12 +107,9 @@ def plan(
 ) -> None:
     """Run the verb; its help is the text of `verb`."""
     files = (outputs.output, outputs.json, outputs.view)
-    inputs = [robot, setup.cell, scene.region, poses.taken, images.touch]
+    inputs = [robot, setup.cell, scene.region, poses.taken]
     check_outputs(files, inputs, force=outputs.force)
     cell = read_cell(**asdict(setup))
-    if images.touch is not None:
-        _touch(robot, cell, images, scene, outputs, quiet=quiet)
-        return
     cell = replace(cell, tracker=parse_tracker(scene.tracker, cell.tracker))
     collisions = _collision_check(scene)
     arm = _load_chain(robot, cell, poses.taken)
@@ -228,46 +221,6 @@ def _plan_images(
         raise CalibError("--region is for targets; where the board is seen is said by --board-at.")
     wanted = replace(images.request(), poses=request)
     return plan_images(arm, cell, wanted, reach, **shared)
-
-
-def _touch(
-    robot: str,
-    cell: Cell,
-    images: ImageOptions,
-    scene: SceneOptions,
-    outputs: PlanOutputs,
-    *,
-    quiet: bool,
-) -> None:
-    """Plan to touch corners of a calibrated board."""
-    from calib.result.calibration_file import read_result
-    from calib.show.verdict import against, refusal
-    from calib.verbs.plan.touch import plan_touch
-    from calib.verbs.plan.touch_file import write_touch
-    from calib.verbs.plan.touch_text import no_touch_text, touch_text
-
-    assert images.touch is not None
-    if outputs.json is not None or outputs.view is not None:
-        raise CalibError("--touch writes a table (-o), no --json and no --view.")
-    result = read_result(images.touch)
-    stated = against(result.verdict)
-    if stated and not outputs.accept:
-        raise VerdictError(refusal(f"'{images.touch}'", stated))
-    load(robot, replace(cell, base=result.nominal.base, tip=result.nominal.tip))
-    touches = plan_touch(
-        result,
-        board_of(cell, result.nominal_boards),
-        images.tool(),
-        images.ids(),
-        collisions=_collision_check(scene),
-    )
-    if not touches.usable.any():
-        raise CalibError(no_touch_text(touches))
-    if outputs.output is not None:
-        write_touch(touches, outputs.output, overwrite=outputs.force)
-    if not quiet:
-        typer.echo("\n".join([touch_text(touches), "", *written_lines(outputs.output)]))
-    say_accepted(f"'{images.touch}'", stated)
 
 
 def _write(planned: Plan, outputs: PlanOutputs, first_row: int) -> None:

@@ -1,9 +1,8 @@
-"""Options of ``calib plan`` for images of a board and for touching one, and how they are read."""
+"""Options of ``calib plan`` for images of a board, and how they are read."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -11,75 +10,16 @@ import typer
 from calib.errors import CalibError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from calib.basics.arrays import Array, Integers
-    from calib.boards.board import Board
-    from calib.data.cell import Cell
+    from calib.basics.arrays import Array
     from calib.verbs.plan.images.plan import ImageRequest
-    from calib.verbs.plan.touch import Pointer
 
 #: Columns of the option's text in the help.
 _POSE = '"X Y Z UNIT RX RY RZ UNIT"'
 
 
 @dataclass(frozen=True, slots=True)
-class TouchOptions:
-    """Corners of a calibrated board to touch with a pointer, to check a calibration."""
-
-    touch: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="RESULT",
-            help="In place of a plan: joint values that bring a pointer to corners of the board, "
-            "by this result JSON, and the error to expect.",
-        ),
-    ] = None
-    pointer: Annotated[
-        str | None,
-        typer.Option(
-            metavar='"X Y Z UNIT [RX RY RZ UNIT]"',
-            help="Tip of the pointer for --touch, in its link; it points along z.",
-        ),
-    ] = None
-    pointer_on: Annotated[
-        str | None,
-        typer.Option(metavar="LINK", help="Link of the pointer. Default: that of the camera."),
-    ] = None
-    corners: Annotated[
-        str | None,
-        typer.Option(
-            metavar='"ID ..."', help="Corners to touch. Default: four outer ones and the middle."
-        ),
-    ] = None
-
-    def tool(self) -> Pointer:
-        """Return the pointer; raises `CalibError` where it is missing."""
-        from calib.verbs.plan.touch import Pointer
-
-        if self.pointer is None:
-            raise CalibError(
-                '--touch needs the pointer: --pointer "0 0 120 mm" for a tip 120 mm in front of the flange.'
-            )
-        return Pointer(pose_of(self.pointer, "--pointer"), self.pointer_on or "")
-
-    def ids(self) -> Integers | None:
-        """Return the ids of the corners, shape (k,); None: the usual ones; raises `CalibError`."""
-        import numpy as np
-
-        if self.corners is None:
-            return None
-        words = self.corners.replace(",", " ").split()
-        if not words or not all(word.isdigit() for word in words):
-            raise CalibError(
-                f'--corners "{self.corners}": it must be ids of corners, such as "0 7 32 39".'
-            )
-        return np.array([int(word) for word in words])
-
-
-@dataclass(frozen=True, slots=True)
-class ImageOptions(TouchOptions):
-    """Images of a printed board, where camera and board roughly are, and corners to touch."""
+class ImageOptions:
+    """Images of a printed board, and where camera and board roughly are."""
 
     camera_at: Annotated[
         str | None,
@@ -169,19 +109,3 @@ def pose_of(text: str, option: str) -> Array:
     T[:3, 3] = values.get(LENGTH, [0.0, 0.0, 0.0])
     T[:3, :3] = Rotation.from_rotvec(values.get(ANGLE, [0.0, 0.0, 0.0])).as_matrix()
     return T
-
-
-def board_of(cell: Cell, calibrated: Mapping[str, Board]) -> Board:
-    """Return the board whose corners are touched.
-
-    Args:
-        cell: Boards that were given.
-        calibrated: Boards of the result, as it was given them; they count where none was given.
-
-    Raises:
-        CalibError: There is none, or there are several.
-    """
-    boards = cell.boards or calibrated
-    if len(boards) != 1:
-        raise CalibError("--touch needs the board whose corners are touched: --board board.toml.")
-    return next(iter(boards.values()))

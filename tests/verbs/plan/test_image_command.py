@@ -1,4 +1,4 @@
-"""calib plan --camera and --touch: from options to tables, and what is wrong with options."""
+"""calib plan --camera: from options to tables, and what is wrong with options."""
 
 from __future__ import annotations
 
@@ -9,10 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.boards.board import Board
-from calib.data.cell import Cell
 from calib.errors import CalibError
-from calib.verbs.plan.image_command import ImageOptions, board_of, pose_of
+from calib.verbs.plan.image_command import ImageOptions, pose_of
 
 #: Written by `calib board`.
 BOARD = """\
@@ -51,14 +49,6 @@ def test_options_of_images():
     assert ImageOptions(board_at="1 2 3 mm").request().distances is None
 
 
-def test_options_of_a_touch():
-    options = ImageOptions(pointer="0 0 120 mm", pointer_on="finger", corners="0, 7 31")
-    assert options.ids().tolist() == [0, 7, 31]
-    assert options.tool().link == "finger"
-    np.testing.assert_allclose(options.tool().T_link_pointer[:3, 3], [0, 0, 0.12])
-    assert ImageOptions().ids() is None
-
-
 @pytest.mark.parametrize(
     ("make", "words"),
     [
@@ -66,22 +56,11 @@ def test_options_of_a_touch():
         (lambda: ImageOptions(board_at="here").request(), "--board-at"),
         (lambda: ImageOptions(board_at="0 0 1 mm", distance="3 mm").request(), "--distance"),
         (lambda: ImageOptions(board_at="0 0 1 mm", tilt="40").request(), "--tilt"),
-        (lambda: ImageOptions().tool(), "--pointer"),
-        (lambda: ImageOptions(corners="a b").ids(), "--corners"),
-        (lambda: ImageOptions(corners=" ").ids(), "--corners"),
-        (lambda: board_of(Cell(), {}), "--board board.toml"),
     ],
 )
 def test_options_that_are_missing_or_wrong(make, words):
     with pytest.raises(CalibError, match=words):
         make()
-
-
-def test_the_board_of_a_cell():
-    board = Board(pattern="chessboard", columns=8, rows=6, square=0.03)
-    other = Board(pattern="chessboard", columns=5, rows=4, square=0.03)
-    assert board_of(Cell(boards={"left": board}), {"": other}) is board
-    assert board_of(Cell(), {"": other}) is other
 
 
 # Calls
@@ -143,32 +122,3 @@ def test_a_plan_of_images_that_cannot_be_made(call, images: Path, changed, words
     done = call(images, *given, *changed, *SMALL, "--no-collisions")
     assert done.code == 1
     assert words in " ".join(done.err.split())
-
-
-@pytest.mark.slow
-def test_corners_to_touch(call, images: Path):
-    from calib.result.calibration_file import write_result
-    from tests.verbs.plan.test_touch import result
-
-    write_result(result(), images / "result.json")
-    given = ("plan", "robot.urdf", "--touch", "result.json", "--board", "board.toml", "--accept")
-    tool = ("--pointer", "0 -50 120 mm", "--corners", "0 7", "--no-collisions")
-    done = call(images, *given, *tool, "-o", "touch.csv")
-    assert done.code == 0
-    assert "Written: touch.csv" in done.out
-    with (images / "touch.csv").open(encoding="utf-8", newline="") as file:
-        rows = list(csv.DictReader(file))
-    assert [(row["corner"], row["step"]) for row in rows] == [
-        ("0", "above"),
-        ("0", "touch"),
-        ("7", "above"),
-        ("7", "touch"),
-    ]
-    far = ("--pointer", "0 0 3000 mm", "--no-collisions", "-o", "far.csv")
-    done = call(images, *given, *far)
-    assert done.code == 1
-    assert "5 out of reach" in " ".join(done.err.split())
-    assert not (images / "far.csv").exists()
-    done = call(images, *given, "--json", "touch.json")
-    assert done.code == 1
-    assert "--touch writes a table" in done.err
