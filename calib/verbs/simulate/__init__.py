@@ -1,1 +1,1 @@
-"""Virtual cells with a known truth, and studies of many of them. Imports design and below."""
+"""Virtual cells with a known truth."""

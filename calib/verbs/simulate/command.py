@@ -1,25 +1,21 @@
-"""``calib simulate``: a table of a robot whose errors are known, and the truth beside it; or a study of many."""
+"""``calib simulate``: a table of a robot whose errors are known, and the truth beside it."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from calib.cli.executor import executor_of
-from calib.cli.options import ColumnChoice, Force, JobOptions, ModelOptions, Quiet, RobotFile
+from calib.cli.options import ColumnChoice, Force, ModelOptions, Quiet, RobotFile
 from calib.cli.outputs import check_outputs, written_lines
 from calib.cli.setup import load, read_cell
 from calib.cli.terminal import progress_bar
 from calib.cli.verb import verb
-from calib.errors import CalibError, choices
+from calib.errors import CalibError
 
 if TYPE_CHECKING:
-    from concurrent.futures import Executor
-
     from calib.basics.arrays import Array
     from calib.data.cell import Cell
     from calib.verbs.simulate.scenario import Scenario
@@ -88,7 +84,6 @@ class SimulateOutputs:
             help="Of the kind pixel: draw the pictures into this folder, with joints.csv, board.toml and camera.yaml.",
         ),
     ] = None
-    json: Annotated[_File, typer.Option(help="Of a study: write every trial as JSON.")] = None
     force: Force = False
 
     @property
@@ -103,21 +98,10 @@ class SimulateOutputs:
     @property
     def files(self) -> list[Path | None]:
         """The files but the pictures, without what goes into a folder that is yet to be made."""
-        files = [self.output, self.truth_path, self.truth_urdf, self.json]
+        files = [self.output, self.truth_path, self.truth_urdf]
         if self.images is None or self.images.is_dir():
             return files
         return [path for path in files if path is None or path.parent != self.images]
-
-
-@dataclass(frozen=True, slots=True)
-class StudyOptions:
-    """A study: simulation, calibration and verification of many robots."""
-
-    study: Annotated[int | None, typer.Option(min=2, help="Simulate and calibrate N robots.")] = (
-        None
-    )
-    planned: Annotated[bool, typer.Option("--planned", help="Of a study: plan the poses.")] = False
-    fit_model: Annotated[_Text, typer.Option(help="Of a study: what is estimated.")] = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -146,12 +130,11 @@ Examples:
   calib simulate robot.urdf --count 50 --validation 20 --frame estimate -o table.csv
   calib simulate robot.urdf --error "elbow_joint.rx=2 mrad" --noise none -o table.csv
   calib simulate ur5 --kind pixel --camera-on tool0 --board-on base_link --images pictures -o corners.csv
-  calib simulate robot.urdf --count 30 --planned --study 200
 
 It writes a table for calib calibrate and the truth beside it: the robot's errors, targets, frames and what happened in
 which row. The same seed gives the same files. --model is the error model of the simulated robot, placement by default;
 --target is the nominal place of the target, 50 50 50 mm by default. The cell file's table [simulation] has encoder
-resolution, drift, a moved target and more. A study repeats simulation, calibration and verification with other robots.
+resolution, drift, a moved target and more.
 
 Of the kind pixel it places a camera and a printed board, usual ones or those of --camera and --board, and takes
 pictures at poses from which the whole board is seen; --images draws them, for calib detect.
@@ -162,70 +145,37 @@ def simulate(
     errors: ScenarioOptions,
     poses: PoseOptions,
     outputs: SimulateOutputs,
-    study: StudyOptions,
-    jobs: JobOptions,
     quiet: Quiet = False,
 ) -> None:
     """Run the verb; its help is the text of `verb`."""
-    _check_options(outputs, study)
+    _check_options(outputs)
     check_outputs(
         outputs.files,
         [robot, poses.poses, setup.cell, errors.truth_robot],
         force=outputs.force,
     )
-    # Workers begin first: they import what they need while robot and scenario are prepared here.
-    with executor_of(jobs.workers, jobs.dask, study.study) as executor:
-        simulation = _prepare(robot, setup, errors, poses)
-        _check_kind(simulation.scenario, outputs, study)
-        if study.study is not None:
-            text, written = _run_study(simulation, study, outputs, executor, quiet=quiet)
-        elif simulation.scenario.kind.optical:
-            text, written = _simulate_pictures(simulation, outputs, quiet=quiet)
-        else:
-            text, written = _simulate_table(simulation, outputs)
+    simulation = _prepare(robot, setup, errors, poses)
+    _check_kind(simulation.scenario, outputs)
+    if simulation.scenario.kind.optical:
+        text, written = _simulate_pictures(simulation, outputs, quiet=quiet)
+    else:
+        text, written = _simulate_table(simulation, outputs)
     if not quiet:
         typer.echo("\n".join([f"{text}\n", *written_lines(*written)]))
 
 
-def _check_options(outputs: SimulateOutputs, study: StudyOptions) -> None:
-    """Refuse options of a table with a study, and those of a study without one; raises `CalibError`."""
-    of_table: dict[str, Any] = {
-        "-o": outputs.output,
-        "--truth": outputs.truth,
-        "--truth-urdf": outputs.truth_urdf,
-        "--images": outputs.images,
-    }
-    of_study: dict[str, Any] = {
-        "--fit-model": study.fit_model,
-        "--json": outputs.json,
-        "--planned": study.planned or None,
-    }
-    if study.study is None:
-        _refuse_given(of_study, "does not go without --study")
-    else:
-        _refuse_given(of_table, "does not go with --study")
-    if study.study is None and outputs.output is None and outputs.images is None:
+def _check_options(outputs: SimulateOutputs) -> None:
+    """Refuse a call that writes neither a table nor pictures; raises `CalibError`."""
+    if outputs.output is None and outputs.images is None:
         raise CalibError("Name the table to write: -o table.csv.")
 
 
-def _check_kind(scenario: Scenario, outputs: SimulateOutputs, study: StudyOptions) -> None:
-    """Refuse pictures of other kinds, and plans of pictures in a study; raises `CalibError`."""
+def _check_kind(scenario: Scenario, outputs: SimulateOutputs) -> None:
+    """Refuse pictures of other kinds; raises `CalibError`."""
     if outputs.images is not None and not scenario.kind.optical:
         raise CalibError(
             "--images draws what a camera sees of a printed board: add --kind pixel, with --camera-on and --board-on."
         )
-    if study.planned and scenario.kind.optical:
-        raise CalibError(
-            f"--planned does not go with the kind '{scenario.kind.name}', whose poses are those from which the board "
-            "is seen; give those of a plan with --poses."
-        )
-
-
-def _refuse_given(options: Mapping[str, Any], reason: str) -> None:
-    """Refuse the options, by name, that have a value; None: not given."""
-    given = [name for name, value in options.items() if value is not None]
-    if given:
-        raise CalibError(f"{choices(given)} {reason}.")
 
 
 def _prepare(
@@ -235,7 +185,6 @@ def _prepare(
     poses: PoseOptions,
 ) -> _Simulation:
     """Load the robot, and read the scenario and the poses."""
-    import calib.verbs.simulate.study  # noqa: F401  while the workers import it too
     from calib.verbs.plan.plan_file import read_poses
     from calib.verbs.simulate.scenario_words import ScenarioWords, read_scenario
 
@@ -312,38 +261,3 @@ def _simulate_pictures(
         truth = pictures.cell.truth
         written.append(truth.write_urdf(outputs.truth_urdf, overwrite=outputs.force))
     return simulated_pictures_text(pictures), written
-
-
-def _run_study(
-    simulation: _Simulation,
-    options: StudyOptions,
-    outputs: SimulateOutputs,
-    executor: Executor | None,
-    *,
-    quiet: bool,
-) -> tuple[str, list[Path]]:
-    """Simulate and calibrate many robots; returns the text, and the files."""
-    from calib.result.calibration_file import write_table
-    from calib.verbs.simulate.study import study, study_table
-    from calib.verbs.simulate.text import study_text
-    from calib.verbs.simulate.trial import Trials
-
-    assert options.study is not None
-    # The fit is given what a person would know, and not the errors of the robot.
-    fit_cell = replace(simulation.cell, model=options.fit_model or "auto")
-    trials = Trials(
-        simulation.scenario,
-        fit_cell,
-        simulation.poses,
-        simulation.sets,
-        simulation.count,
-        simulation.validation,
-        options.planned,
-    )
-    with progress_bar("trials", quiet=quiet) as progress:
-        done = study(trials, options.study, simulation.seed, executor, progress)
-    written = []
-    if outputs.json is not None:
-        table = study_table(done, trials, simulation.seed)
-        written.append(write_table(table, outputs.json, overwrite=outputs.force))
-    return study_text(done, trials), written

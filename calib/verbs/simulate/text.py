@@ -1,4 +1,4 @@
-"""A simulation as `calib simulate` prints it: a row for each thing simulated; or the figures of a study."""
+"""A simulation as `calib simulate` prints it: a row for each thing simulated."""
 
 from __future__ import annotations
 
@@ -9,11 +9,9 @@ import numpy as np
 from calib.basics.arrays import Array
 from calib.model.families import FAMILIES, unit_of
 from calib.numerics.errors import rms
-from calib.show.lines import fill, mm, plural, row_ranges
-from calib.show.tables import Column, labelled, name_column, table_lines
+from calib.show.lines import fill, row_ranges
+from calib.show.tables import labelled
 from calib.verbs.simulate.scenario import Scenario, Simulated
-from calib.verbs.simulate.study import Study
-from calib.verbs.simulate.trial import VERIFIED, Trials
 from calib.verbs.simulate.truth import Truth
 
 #: Columns from a label to its text.
@@ -164,80 +162,6 @@ def _noise(scenario: Scenario, simulated: Simulated) -> str:
     if noise.repeatability:
         text += f", robot {1e6 * noise.repeatability:g} um"
     return text
-
-
-def study_text(study: Study, trials: Trials) -> str:
-    """Write a study in figures.
-
-    Args:
-        study: The study.
-        trials: What was simulated in each trial.
-
-    Returns:
-        Errors at verification poses, coverage, models, verdicts, outliers and failures, in lines of 100 columns.
-    """
-    choice = "planned" if trials.planned else "random"
-    poses = f"{trials.fitted} {choice} poses"
-    if trials.poses is not None:
-        poses = f"the {trials.fitted} poses given"
-    lines = [
-        f"Study: {len(study.trials)} robots, each with errors of its own, measured at {poses},",
-        f"  calibrated, and verified at {VERIFIED} other poses.",
-        "",
-        *_study_errors(study),
-        "",
-    ]
-    covered = 100 * study.values("covered").mean()
-    if np.isfinite(covered):
-        lines.append(
-            f"Inside the 95 % regions that the fits state: {covered:.1f} % of the true positions."
-        )
-    lines += _study_counts(study)
-    if study.failures:
-        seed, reason = study.failures[0]
-        count = plural(len(study.failures), "trial")
-        text = f"{count} ended with an error; the first, seed {seed}: {reason}"
-        lines.append(fill(text))
-    return "\n".join(lines)
-
-
-def _study_errors(study: Study) -> list[str]:
-    """Write the table of position errors: rms over all trials, and the range of 90 % of them."""
-    rows = [
-        ("nominal", mm(study.nominal_rms), study.range("nominal_rms")),
-        ("calibrated", mm(study.rms), study.range("rms")),
-        ("calibrated, the worst pose of each", "", study.range("max")),
-    ]
-    forecast = study.forecast
-    if forecast is not None:
-        between = (forecast.rms_low, forecast.rms_high)
-        rows.append(("forecast before any measurement", mm(forecast.rms), between))
-    stated = rms(study.values("stated_rms"))
-    rows.append(("expected by the fits", mm(stated), study.range("stated_rms")))
-    columns = [
-        name_column("Position error at verification poses [mm]", 44),
-        Column("rms", 9, gap=0),
-        Column("90 % of robots between", 25),
-    ]
-    cells = []
-    for label, size, (low, high) in rows:
-        cells.append((label, size, f"{1e3 * low:.3f} to {1e3 * high:.3f}"))
-    return table_lines(columns, cells)
-
-
-def _study_counts(study: Study) -> Iterator[str]:
-    """Write the shares of models and verdicts, and the counts of outliers."""
-    for label, name in (("Models", "model"), ("Verdicts", "verdict")):
-        shares = []
-        for word, count in study.counts(name).items():
-            if word:
-                shares.append(f"{word} {100 * count / len(study.trials):.0f} %")
-        if shares:
-            yield f"{label}: {', '.join(shares)}"
-    names = ("outliers", "flagged", "false_alarms")
-    outliers, flagged, false_alarms = (int(study.values(name).sum()) for name in names)
-    if outliers or false_alarms:
-        yield f"Outliers: {flagged} of {outliers} flagged, and {false_alarms} rows flagged wrongly."
 
 
 def _mm(value: float) -> str:

@@ -8,15 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.data.cell import Cell, TrackerNoise
+from calib.data.cell import TrackerNoise
 from calib.model.families import FAMILIES
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 from calib.verbs.simulate.disturbances import MovedTarget, Outliers
 from calib.verbs.simulate.scenario import Scenario, Simulated
-from calib.verbs.simulate.study import Study
-from calib.verbs.simulate.text import _errors_by_family, simulated_text, study_text
-from calib.verbs.simulate.trial import Trial, Trials
+from calib.verbs.simulate.text import _errors_by_family, simulated_text
 from calib.verbs.simulate.truth import draw_truth
 from tests.verbs.simulate.cells import virtual
 
@@ -81,45 +79,6 @@ def test_what_is_not_simulated_has_no_line(text: str):
     assert "Encoder steps" not in text
     assert "Drift" not in text
     assert "Noise of an orientation" not in text
-
-
-def trial(seed: int, **values: object) -> Trial:
-    figures = {
-        "nominal_rms": 2e-3 + 1e-4 * seed,
-        "rms": 2e-4 + 1e-5 * seed,
-        "max": 5e-4,
-        "stated_rms": 2.1e-4,
-        "covered": 0.94,
-        "sigma": 1e-4,
-        "model": "dh",
-        "verdict": "use",
-        "outliers": 2,
-        "flagged": 1,
-        "false_alarms": 1,
-    }
-    return Trial(seed, **{**figures, **values})
-
-
-@pytest.fixture(scope="module")
-def study() -> Study:
-    trials = (trial(1), trial(2, model="dh+gain"), trial(3, verdict="use with care"), trial(4))
-    return Study(trials, ((5, "no fit"),), None)
-
-
-def test_the_figures_of_a_study(ur3: Robot, study: Study):
-    trials = Trials(Scenario(ur3), Cell(), validate=True)
-    text = study_text(study, trials)
-    for label, name in (("nominal", "nominal_rms"), ("calibrated", "rms")):
-        low, high = (1e3 * end for end in study.range(name))
-        line = line_of(text, f"{label} ")
-        assert f" {1e3 * getattr(study, name):.3f} " in line
-        assert line.endswith(f" {low:.3f} to {high:.3f}")
-    assert "94.0 % of the true positions." in text
-    assert "Models: dh 75 %, dh+gain 25 %" in text.splitlines()
-    assert "Verdicts: use 75 %, use with care 25 %" in text.splitlines()
-    assert "Outliers: 4 of 8 flagged, and 4 rows flagged wrongly." in text.splitlines()
-    assert "1 trial ended with an error; the first, seed 5: no fit" in text.splitlines()
-    assert max(map(len, text.splitlines())) <= 100
 
 
 def test_families_of_errors_stand_in_their_order(ur3: Robot):
