@@ -23,13 +23,12 @@ from calib.data.cell import Cell
 from calib.data.inputs import CellInput, RobotInput, cell_of, robot_of
 from calib.robot.robot import Robot
 from calib.verbs.plan.candidates import Condition, Pool, draw, planning_ranges
-from calib.verbs.plan.choice import Choice, PlanRequest, choose_poses
+from calib.verbs.plan.choice import PlanRequest, choose_poses
 from calib.verbs.plan.collision import CollisionCheck, CollisionModel
 from calib.verbs.plan.forecast import Forecast
 from calib.verbs.plan.images.sight import CameraSight
 from calib.verbs.plan.notes import Note
-from calib.verbs.plan.ordering import Blocked, Route
-from calib.verbs.plan.route import route
+from calib.verbs.plan.route import Blocked, find_route
 from calib.verbs.plan.sensitivity import Sensitivity
 from calib.verbs.plan.sight import in_cone, in_range, target_positions
 from calib.verbs.workspace.region import Region
@@ -217,17 +216,31 @@ def planned_of(planned: Planned, progress: Callable[[int, int], None] | None) ->
     """
     sensitivity, request, pool, taken, body, sight = planned
     choice = choose_poses(sensitivity, pool, request, taken, progress=progress)
-    way = _route(sensitivity, request, pool, choice, body)
+    robot = sensitivity.kinematics.robot
+    poses = np.concatenate([choice.planned, choice.validation])
+    start = None if request.start is None else np.asarray(request.start, dtype=np.float64)
+
+    def stops() -> Array:
+        """Return the first poses of the region that are free of collision; nothing need see the target there."""
+        in_region = pool.workspace[:_STOPS]
+        return in_region if body is None else in_region[body.free(in_region)]
+
+    # With errors that change with a joint's value, a pose one turn on is another pose.
+    turns = not sensitivity.kinematics.model.joint_terms
+    limits = planning_ranges(robot, sensitivity.cell.ranges, request.margin, turns=turns)
+    free_path = None if body is None else body.path_free
+    route = find_route(robot, poses, limits, start, free_path, stops)
+    sets = np.where(route.order < len(choice.planned), "estimate", "validate")
     return Plan(
-        robot=sensitivity.kinematics.robot,
+        robot=robot,
         cell=sensitivity.cell,
         request=request,
-        joints=way.joints,
-        sets=_sets(way, len(choice.planned)),
+        joints=route.joints,
+        sets=tuple(sets.tolist()),
         taken=taken,
         targets=sensitivity.setup.targets,
         T_tip_target=sensitivity.setup.T_tip_target,
-        expected=read_only(sensitivity.expected(way.joints)),
+        expected=read_only(sensitivity.expected(route.joints)),
         model=sensitivity.kinematics.model.name,
         kind=sensitivity.kind,
         forecast=choice.forecast,
@@ -237,16 +250,11 @@ def planned_of(planned: Planned, progress: Callable[[int, int], None] | None) ->
         drawn=pool.drawn,
         candidates=len(pool.q),
         refused=pool.refused,
-        travel=way.length,
-        blocked=way.blocked,
+        travel=route.travel,
+        blocked=route.blocked,
         notes=(*sensitivity.notes, *_notes(sensitivity.cell, body)),
         sight=sight,
     )
-
-
-def _sets(way: Route, count: int) -> tuple[str, ...]:
-    """Return the set of each pose in the order to drive: the first ``count`` poses of the choice are to be fitted."""
-    return tuple(np.where(way.indices < count, "estimate", "validate").tolist())
 
 
 def stage(progress: Progress | None, stage: str) -> Callable[[int, int], None] | None:
@@ -348,56 +356,6 @@ def _conditions(
         for T in T_tip_target:
             yield Condition("beam", partial(body.beam_free, T, tracker.position))
     yield Condition("collision", body.free)
-
-
-def _route(
-    sensitivity: Sensitivity,
-    request: PlanRequest,
-    pool: Pool,
-    choice: Choice,
-    body: CollisionModel | None,
-) -> Route:
-    """Find the order to drive the chosen poses, those to fit and those to validate with mixed.
-
-    Args:
-        sensitivity: The nominal robot in its cell; ``cell.ranges`` narrow the ranges of joints by name, [rad] or [m].
-            ``kinematics.model.joint_terms`` are the errors that move a joint with its value or load; without any,
-            joints may be turned by whole turns.
-        request: ``request.margin`` to the limits of joints that turn [rad], and ``request.start``, the robot's joint
-            values before the first move, shape (m,), [rad] or [m], or None.
-        pool: ``pool.workspace``, joint values of poses in the region, shape (k, m): where the straight way is blocked,
-            one of them that is free of collision may be driven by.
-        choice: ``choice.planned`` and ``choice.validation``, joint values of the poses to fit and to validate with,
-            shape (count, m) and (validation, m), [rad] or [m].
-        body: Tests poses and moves for collisions; None: all are free.
-
-    Returns:
-        Joint values of the poses in the order to drive, shape (count + validation, m), some turned by 2 pi;
-        ``indices``, their places, from 0, among ``choice.planned`` followed by ``choice.validation``; the sum over all
-        moves of the largest move of a joint [rad or m]; and the moves that are blocked.
-    """
-    robot = sensitivity.kinematics.robot
-    # With errors that change with a joint's value, a pose one turn on is another pose.
-    turns = not sensitivity.kinematics.model.joint_terms
-    limits = planning_ranges(robot, sensitivity.cell.ranges, request.margin, turns=turns)
-    start = None
-    if request.start is not None:
-        start = np.asarray(request.start, dtype=np.float64)
-
-    def stops() -> Array:
-        """Return poses of the region that are free of collision, of the first 4000; nothing need see the target there.
-
-        Returns:
-            Joint values, shape (n, m), [rad] or [m].
-        """
-        in_region = pool.workspace[:_STOPS]
-        if body is None:
-            return in_region
-        return in_region[body.free(in_region)]
-
-    poses = np.concatenate([choice.planned, choice.validation])
-    free_path = None if body is None else body.path_free
-    return route(robot, poses, limits, start, free_path, stops)
 
 
 def _notes(cell: Cell, body: CollisionModel | None) -> list[Note]:

@@ -18,8 +18,8 @@ from calib.verbs.plan.plan import Plan
 if TYPE_CHECKING:
     from calib.verbs.plan.forecast import Forecast
     from calib.verbs.plan.notes import Code, Note
-    from calib.verbs.plan.ordering import Blocked
     from calib.verbs.plan.plan import Plan
+    from calib.verbs.plan.route import Blocked
 
 _CRITERIA = {
     "V": "least mean error over the workspace (V-optimal)",

@@ -14,9 +14,9 @@ from calib.errors import MeasurementError
 from calib.result.calibration_file import write_table
 from calib.robot.robot import Robot
 from calib.verbs.plan.choice import PlanRequest
-from calib.verbs.plan.ordering import Blocked
 from calib.verbs.plan.plan import plan
 from calib.verbs.plan.plan_file import SCHEMA, plan_table, read_poses, write_plan
+from calib.verbs.plan.route import Blocked
 from tests.places import ROOT
 
 CELL = Cell(target=np.array([0.05, 0.07, 0.03]), model="dh")

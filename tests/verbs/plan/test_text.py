@@ -11,8 +11,8 @@ import pytest
 from calib.data.cell import Cell
 from calib.verbs.plan.choice import PlanRequest
 from calib.verbs.plan.notes import Code, Note
-from calib.verbs.plan.ordering import Blocked
 from calib.verbs.plan.plan import Plan, plan
+from calib.verbs.plan.route import Blocked
 from calib.verbs.plan.text import note_text, plan_text
 
 
