@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -14,21 +14,19 @@ from calib.cli.setup import load, read_cell
 from calib.cli.terminal import stages_bar
 from calib.cli.verb import verb
 from calib.cli.words import parse_held, parse_tracker
-from calib.errors import CalibError
-from calib.verbs.plan.image_command import ImageOptions
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from calib.basics.arrays import Array
     from calib.data.cell import Cell
+    from calib.instruments.camera import SightLimits
     from calib.robot.robot import Robot
     from calib.verbs.plan.choice import PlanRequest
     from calib.verbs.plan.collision import CollisionCheck
-    from calib.verbs.plan.plan import Plan
-    from calib.verbs.workspace.region import Region
 
 _File = Path | None
+
+#: Columns of the option's text in the help.
+_POSE = '"X Y Z UNIT RX RY RZ UNIT"'
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +48,87 @@ class PoseOptions:
         typer.Option(metavar='"JOINT=VALUE UNIT"', help="Start pose; other joints are at 0."),
     ] = None
 
+    def request(self, arm: Robot, sight: SightLimits) -> PlanRequest:
+        """Return the request for the poses that are wanted; raises `CalibError` for a text that an option refuses."""
+        from calib.basics.units import ANGLE, parse_amount
+        from calib.verbs.compensate.inverse import start_values
+        from calib.verbs.plan.choice import PlanRequest
+
+        start = None
+        if self.start:
+            start = start_values(arm, parse_held(self.start, "--start"), 0.0)
+        return PlanRequest(
+            self.count,
+            self.validation,
+            self.criterion,
+            self.candidates,
+            parse_amount(self.margin, "--margin", ANGLE, "5 deg"),
+            start=start,
+            seed=self.seed,
+            sight=sight,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class ImageOptions:
+    """Images of a printed board, and where camera and board roughly are."""
+
+    camera_at: Annotated[
+        str | None,
+        typer.Option(
+            metavar=_POSE,
+            help="Rough pose of the camera in its link, rotation vector; z is the line of sight, y "
+            "down in the image. Default: the link is the camera's optical frame.",
+        ),
+    ] = None
+    board_at: Annotated[
+        str | None,
+        typer.Option(
+            metavar=_POSE,
+            help="Rough pose of the board in its link, rotation vector; x along its columns, z into the page.",
+        ),
+    ] = None
+    distance: Annotated[
+        str | None,
+        typer.Option(
+            metavar='"NEAREST FARTHEST UNIT"',
+            help="Distances at which the camera is sharp. Default: the board fills 15 to 80 % of the image.",
+        ),
+    ] = None
+    tilt: Annotated[
+        str, typer.Option(metavar="ANGLE", help="Largest tilt of the board to the line of sight.")
+    ] = "55 deg"
+    share: Annotated[
+        float,
+        typer.Option(metavar="SHARE", help="Share of the board's corners that an image must show."),
+    ] = 1.0
+
+    def in_cell(self, cell: Cell) -> Cell:
+        """Return a cell with its camera and board where they were said to be; without a camera as it is."""
+        from calib.basics.arrays import rigid_inverse
+
+        if cell.cameras and self.camera_at is not None:
+            T_link_camera = pose_of(self.camera_at, "--camera-at")
+            cell = replace(cell, T_frame_base=rigid_inverse(T_link_camera), frames={})
+        if cell.cameras and self.board_at is not None:
+            T = pose_of(self.board_at, "--board-at")
+            cell = replace(cell, target=T[:3, 3], target_rotation=T[:3, :3], targets={})
+        return cell
+
+    def limits(self) -> SightLimits:
+        """Return where the board may be in the camera; raises `CalibError` for a text that an option refuses."""
+        from calib.basics.units import ANGLE, LENGTH, parse_amount, parse_quantities
+        from calib.instruments.camera import SightLimits
+
+        distances = None
+        if self.distance is not None:
+            example = "300 900 mm"
+            near, far = parse_quantities(self.distance, "--distance", {LENGTH: 2}, example)[LENGTH]
+            distances = float(near), float(far)
+        return SightLimits(
+            distances, parse_amount(self.tilt, "--tilt", ANGLE, "55 deg"), self.share
+        )
+
 
 @dataclass(frozen=True, slots=True)
 class SceneOptions:
@@ -70,10 +149,20 @@ class SceneOptions:
         typer.Option(metavar="FOLDER", help="Folder with packages of meshes."),
     ] = None
 
+    def check(self) -> CollisionCheck | None:
+        """Return what is checked for collisions; None: nothing."""
+        from calib.basics.units import LENGTH, parse_amount
+        from calib.verbs.plan.collision import CollisionCheck
+
+        clearance = parse_amount(self.clearance, "--clearance", LENGTH, "1 mm")
+        folders = tuple(self.package_dir or ())
+        check = CollisionCheck(clearance, self.floor, package_dirs=folders)
+        return check if self.collisions else None
+
 
 @dataclass(frozen=True, slots=True)
 class PlanOutputs:
-    """Files that are written."""
+    """Output options of ``calib plan``."""
 
     output: Annotated[_File, typer.Option("-o", "--output", help="Table of poses.")] = None
     json: Annotated[_File, typer.Option(help="Plan and forecast as JSON.")] = None
@@ -105,136 +194,78 @@ def plan(
     outputs: PlanOutputs,
     quiet: Quiet = False,
 ) -> None:
-    """Run the verb; its help is the text of `verb`."""
-    files = (outputs.output, outputs.json, outputs.view)
-    inputs = [robot, setup.cell, scene.region, poses.taken]
-    check_outputs(files, inputs, force=outputs.force)
-    cell = read_cell(**asdict(setup))
-    cell = replace(cell, tracker=parse_tracker(scene.tracker, cell.tracker))
-    collisions = _collision_check(scene)
-    arm = _load_chain(robot, cell, poses.taken)
-    taken, first_row = _read_taken(arm, poses.taken, of_images=bool(cell.cameras))
-    request = _request(arm, poses, of_images=bool(cell.cameras))
-    with stages_bar(quiet=quiet) as progress:
-        shared = {"taken": taken, "collisions": collisions, "progress": progress}
-        if cell.cameras:
-            planned = _plan_images(arm, cell, images, request, scene, shared)
-        else:
-            planned = _plan(arm, cell, request, scene, shared)
-    _write(planned, outputs, first_row)
-    if not quiet:
-        from calib.verbs.plan.text import plan_text
-
-        typer.echo("\n".join([plan_text(planned), "", *written_lines(*files)]))
-
-
-def _load_chain(robot: str, cell: Cell, taken: Path | None) -> Robot:
-    """Load the robot; without a tip the chain is that of the joints in the table of poses already measured."""
+    """Load robot and cell, plan the poses, write table, JSON and page, and print the plan."""
     from calib.basics.tables import Table
     from calib.data.columns import column_names
-
-    joints = None if taken is None else column_names(Table.read(taken))
-    return load(robot, cell, joints)
-
-
-def _request(arm: Robot, options: PoseOptions, *, of_images: bool) -> PlanRequest:
-    """Return the request for the poses that are wanted."""
-    from calib.basics.units import ANGLE, parse_amount
-    from calib.verbs.compensate.inverse import start_values
-    from calib.verbs.plan.choice import PlanRequest
-    from calib.verbs.plan.images.plan import CANDIDATES
-
-    usual = CANDIDATES if of_images else PlanRequest().candidates
-    request = PlanRequest(
-        options.count,
-        options.validation,
-        options.criterion,
-        usual if options.candidates is None else options.candidates,
-        parse_amount(options.margin, "--margin", ANGLE, "5 deg"),
-        seed=options.seed,
-    )
-    if not options.start:
-        return request
-    return replace(request, start=start_values(arm, parse_held(options.start, "--start"), 0.0))
-
-
-def _collision_check(options: SceneOptions) -> CollisionCheck | None:
-    """Return what is checked for collisions; None: nothing."""
-    from calib.basics.units import LENGTH, parse_amount
-    from calib.verbs.plan.collision import CollisionCheck
-
-    clearance = parse_amount(options.clearance, "--clearance", LENGTH, "1 mm")
-    folders = tuple(options.package_dir or ())
-    check = CollisionCheck(clearance, options.floor, package_dirs=folders)
-    return check if options.collisions else None
-
-
-def _read_region(arm: Robot, cell: Cell, path: Path | None) -> Region | None:
-    """Read the region for the (first) target; None without one."""
+    from calib.result.calibration_file import write_table
+    from calib.verbs.plan.plan import plan as plan_poses, refuse_region
+    from calib.verbs.plan.plan_file import next_number, plan_table, read_poses, write_plan
+    from calib.verbs.plan.sensitivity import instrument_of
+    from calib.verbs.plan.text import plan_text
     from calib.verbs.workspace.region_file import read_region
 
-    if path is None:
-        return None
-    target = next(iter(cell.targets.values()), cell.target)
-    return read_region(path, arm, target)
-
-
-def _read_taken(arm: Robot, path: Path | None, *, of_images: bool) -> tuple[Array | None, int]:
-    """Read the poses that are measured already.
-
-    Returns:
-        Their joint values, None without a table; and the number of the plan's first row, or image, behind theirs.
-    """
-    from calib.verbs.plan.images.plan_file import next_number
-    from calib.verbs.plan.plan_file import read_poses
-
-    if path is None:
-        return None, 1
-    measured = read_poses(path, arm, taken=True)
-    first_row = next_number(path) if of_images else max(measured.last_row, 0) + 1
-    return measured.joints, first_row
-
-
-def _plan(
-    arm: Robot, cell: Cell, request: PlanRequest, scene: SceneOptions, shared: Mapping[str, Any]
-) -> Plan:
-    """Plan the poses of an instrument, with the arguments that images are planned with, too."""
-    from calib.verbs.plan.plan import plan as plan_poses
-
-    region = _read_region(arm, cell, scene.region)
-    return plan_poses(arm, cell, request, region=region, **shared)
-
-
-def _plan_images(
-    arm: Robot,
-    cell: Cell,
-    images: ImageOptions,
-    request: PlanRequest,
-    scene: SceneOptions,
-    shared: Mapping[str, Any],
-) -> Plan:
-    """Plan images of a board."""
-    from calib.verbs.plan.images.plan import plan_images
-    from calib.verbs.plan.reaching import reach
-
+    files = (outputs.output, outputs.json, outputs.view)
+    check_outputs(files, [robot, setup.cell, scene.region, poses.taken], force=outputs.force)
+    cell = images.in_cell(read_cell(**asdict(setup)))
+    cell = replace(cell, tracker=parse_tracker(scene.tracker, cell.tracker))
+    # Without a tip the chain is that of the joints in the table of poses already measured.
+    joints = None if poses.taken is None else column_names(Table.read(poses.taken))
+    arm = load(robot, cell, joints)
+    request = poses.request(arm, images.limits())
+    instrument = instrument_of(cell, request.sight)
+    region = None
     if scene.region is not None:
-        raise CalibError("--region is for targets; where the board is seen is said by --board-at.")
-    wanted = replace(images.request(), poses=request)
-    return plan_images(arm, cell, wanted, reach, **shared)
-
-
-def _write(planned: Plan, outputs: PlanOutputs, first_row: int) -> None:
-    """Write the files that were asked for."""
-    from calib.result.calibration_file import write_table
-    from calib.verbs.plan.images.plan_file import write_image_plan
-    from calib.verbs.plan.plan_file import plan_table, write_plan
-
+        refuse_region(instrument)
+        target = next(iter(cell.targets.values()), cell.target)
+        region = read_region(scene.region, arm, target)
+    taken: Array | None = None
+    first_row = 1
+    if poses.taken is not None:
+        measured = read_poses(poses.taken, arm, taken=True)
+        taken, first_row = measured.joints, next_number(instrument, measured)
+    with stages_bar(quiet=quiet) as progress:
+        planned = plan_poses(
+            arm,
+            cell,
+            request,
+            region=region,
+            taken=taken,
+            collisions=scene.check(),
+            progress=progress,
+        )
     if outputs.output is not None:
-        write = write_plan if planned.sight is None else write_image_plan
-        write(planned, outputs.output, overwrite=outputs.force, first_row=first_row)
+        write_plan(planned, outputs.output, overwrite=outputs.force, first_row=first_row)
     if outputs.json is not None:
         write_table(plan_table(planned), outputs.json, overwrite=outputs.force)
     if outputs.view is not None:
-        from calib.verbs.plan.view import plan_page
+        from calib.verbs.plan.view import plan_page  # with meshcat
 
         plan_page(planned, first_row=first_row).write(outputs.view, overwrite=outputs.force)
+    if not quiet:
+        typer.echo("\n".join([plan_text(planned), "", *written_lines(*files)]))
+
+
+def pose_of(text: str, option: str) -> Array:
+    """Parse a pose, a position with or without a rotation vector.
+
+    Args:
+        text: As typed, such as ``0 0 100 mm 0 0 90 deg``.
+        option: The option that it was given with, for messages.
+
+    Returns:
+        Shape (4, 4), [m].
+
+    Raises:
+        CalibError: It is no such text.
+    """
+    import numpy as np
+    from scipy.spatial.transform import Rotation
+
+    from calib.basics.units import ANGLE, LENGTH, parse_quantities
+
+    example = "0 0 100 mm 0 0 90 deg"
+    values = parse_quantities(text, option, {LENGTH: 3, ANGLE: 3}, example)
+    T = np.eye(4)
+    T[:3, 3] = values.get(LENGTH, [0.0, 0.0, 0.0])
+    T[:3, :3] = Rotation.from_rotvec(values.get(ANGLE, [0.0, 0.0, 0.0])).as_matrix()
+    return T

@@ -28,6 +28,7 @@ from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.fit.registration.registration import register
 from calib.fit.registration.table_rows import rows_and_setup
+from calib.instruments.camera import is_image
 from calib.robot.kernel import over_blocks
 from calib.robot.ranges import spread_between
 from calib.robot.robot import Robot
@@ -57,16 +58,10 @@ class Workspace(NamedTuple):
         """Differentiate what is measured, and the positions of the targets, at the poses over which accuracy counts.
 
         Args:
-            sensitivity: The nominal robot in its cell, with k targets, under the error model of the fit with p
-                parameters.
+            sensitivity: The nominal robot in its cell under the error model of the fit.
             q: Joint values of n poses, shape (n, m), [rad] or for sliding joints [m], columns as ``robot.joint_names``.
-            measurable: Joint values of n poses at which something can be measured, shape (n, m), for what is measured
-                in a part of the workspace only, such as images; None: those of ``q``.
-
-        Returns:
-            Derivatives by the parameters: ``measured``, of the d scalars measured at a pose, shape (n, d, p), in
-            standard deviations of the noise per unit; ``located``, of the positions of the targets, shape (n, 3 k, p),
-            [m per unit]. And ``rank``, the number of parameters or combinations that all these poses determine.
+            measurable: As many poses at which something is measured, shape (n, m), for an instrument that sees a part
+                of the workspace only; None: those of ``q``.
         """
         if measurable is None:
             measurable = q
@@ -117,8 +112,8 @@ class Forecast(Value):
     indices: Mapping[str, float]
 
     def __post_init__(self) -> None:
-        """Keep a read-only copy of the mapping."""
-        keep_read_only(self, "indices")
+        """Keep read-only copies of the mappings."""
+        keep_read_only(self, "indices", "sigma")
 
     @classmethod
     def of(cls, sensitivity: Sensitivity, workspace: Workspace, q: Array) -> Forecast:
@@ -127,17 +122,10 @@ class Forecast(Value):
         The parameters' covariance after the fit, by measurements and priors, is propagated to the workspace.
 
         Args:
-            sensitivity: The nominal robot in its cell under the error model of the fit with p parameters;
-                ``precision``, shape (p,), is 1 / tau^2 of their priors.
-            workspace: The poses over which accuracy counts, with the derivatives there, by the parameters, of what is
-                measured and of the targets' positions.
+            sensitivity: The nominal robot in its cell under the error model of the fit.
+            workspace: The poses over which accuracy counts.
             q: Joint values of the N poses to measure, shape (N, m), [rad] or for sliding joints [m], columns as
                 ``robot.joint_names``.
-
-        Returns:
-            Expected standard deviations of the parameters, in their units, and which of them the N poses determine; rms
-            with its range of 90 %, and largest standard deviation, of predicted positions (x, y, z together) over the
-            workspace [m]; the noise by unit; ranks and observability indices.
         """
         measured = sensitivity.measured(q)
         root = covariance_root(measured, sensitivity.precision)
@@ -164,19 +152,21 @@ class Forecast(Value):
         )
 
 
+@lru_cache(maxsize=4)
+def _chi_squares(count: int) -> Array:
+    """Return 20,000 draws of independent chi-squares of one degree of freedom, (20000, count), always the same ones.
+
+    They are kept: drawing them takes longer than a forecast.
+    """
+    return np.random.default_rng(20170401).chisquare(1, size=(20_000, count))
+
+
 def _range_of_rms(squares: Array) -> tuple[float, float]:
-    """Compute between which rms position errors over the workspace 90 % of calibrations lie.
+    """Compute between which rms position errors over the workspace 90 % of calibrations lie [m].
 
-    The squared rms is x^T S x with x ~ N(0, I): a sum of chi-squares of one degree of freedom, weighted by the
-    eigenvalues of S. Its quantiles are those of 20,000 draws, always the same ones.
-
-    Args:
-        squares: S = root^T B root, shape (p, p) [m^2], with a root of the covariance of the p parameters, C = root
-            root^T, and the mean B of J^T J over the positions, with the derivative J, shape (3, p), of one of them by
-            the parameters.
-
-    Returns:
-        The quantiles 0.05 and 0.95 of the rms error [m].
+    With a root of the covariance C of the p parameters, C = root root^T, and the mean B of J^T J over the positions,
+    the squared rms is x^T S x with x ~ N(0, I) and S = root^T B root, ``squares``, shape (p, p) [m^2]: a sum of
+    chi-squares of one degree of freedom, weighted by the eigenvalues of S. Its quantiles are those of random draws.
     """
     weights = np.maximum(np.linalg.eigvalsh(squares), 0.0)
     draws = _chi_squares(len(squares)) @ weights
@@ -190,14 +180,13 @@ def forecast(robot: Robot, cell: Cell, joints: ArrayLike) -> Forecast:
 
     Args:
         robot: The nominal robot.
-        cell: The measurement setup that the fit will use: frames, targets, noise, priors and model; the model
-            ``"auto"`` is taken as ``"placement"``. Its ``ranges`` narrow the joint ranges.
+        cell: What the fit will use: frames, targets, noise, priors and model; the model ``"auto"`` is taken as
+            ``"placement"``. Its ``ranges`` narrow the joint ranges.
         joints: Joint values of the N poses to measure, shape (N, m), [rad] or for sliding joints [m], columns as
             ``robot.joint_names``.
 
     Returns:
-        The expected standard deviations of the parameters, in their units, and of predicted positions [m], over 4096
-        poses that are spread over the joint ranges.
+        The forecast, over 4096 poses that are spread over the joint ranges.
 
     Raises:
         ModelError: A kind of measurement, or a parameter, that cannot be planned for.
@@ -215,7 +204,7 @@ def position_std(sensitivity: Sensitivity, measured: Array, joints: Array) -> Ar
     The root of the variances of x, y, z added up, sqrt(tr(J C J^T)); its rms over the workspace is `Forecast.rms`.
 
     Args:
-        sensitivity: The nominal robot in its cell, with k targets, under the error model of the fit.
+        sensitivity: The nominal robot in its cell, with k targets.
         measured: Joint values of the poses to measure and to fit, shape (N, m), [rad] or for sliding joints [m].
         joints: Joint values of the poses in question, shape (n, m), likewise.
 
@@ -235,12 +224,12 @@ def forecast_of_table(robot: Robot, cell: Cell, measurements: Measurements) -> F
 
     Args:
         robot: The nominal robot.
-        cell: The measurement setup that the fit will use: frames, targets, noise, priors and model.
-        measurements: The table: joint values and what was measured there; rows of the set ``validate`` do not count.
+        cell: What the fit will use: frames, targets, noise, priors and model.
+        measurements: The table; rows of the set ``validate`` do not count.
 
     Returns:
-        The forecast, over 4096 poses that are spread over the joint ranges; None where rows are of several kinds,
-        targets or stations, or of a kind whose poses cannot be chosen freely, such as a ball in a socket, or images.
+        The forecast, over 4096 poses that are spread over the joint ranges; None for rows of several kinds, targets or
+        stations, for a kind whose poses cannot be chosen freely, such as a ball in a socket, and for images.
 
     Raises:
         ModelError: A parameter that cannot be planned for.
@@ -249,7 +238,7 @@ def forecast_of_table(robot: Robot, cell: Cell, measurements: Measurements) -> F
     fitted = measurements.select(measurements.estimation)
     sorts = set(zip(fitted.kinds, fitted.targets, fitted.groups, strict=True))
     kind = fitted.kinds[0]
-    if len(sorts) > 1 or not registry.get(kind).free or registry.get(kind).optical:
+    if len(sorts) > 1 or not registry.get(kind).free or is_image(registry.get(kind)):
         return None
     rows, setup = rows_and_setup(robot, measurements, cell)
     rows = rows.select(measurements.estimation)
@@ -277,9 +266,8 @@ def covariance_root(measured: Array, precision: Array) -> Array:
     nothing but a weak prior holds, are too far apart for their squares.
 
     Args:
-        measured: Derivatives A of the d scalars measured at each of n poses by the p parameters, shape (n, d, p), in
-            standard deviations of the noise per unit of the parameter.
-        precision: 1 / tau^2 of each parameter's prior, with its standard deviation tau in its unit, shape (p,).
+        measured: Whitened derivatives A of the d scalars measured at each of n poses, shape (n, d, p).
+        precision: 1 / tau^2 of each parameter's prior, shape (p,).
 
     Returns:
         The root, upper triangular, shape (p, p), rows in the parameters' units.
@@ -293,17 +281,10 @@ def covariance_root(measured: Array, precision: Array) -> Array:
 def _spreads(workspace: Workspace, root: Array) -> tuple[Array, Array, Array]:
     """Propagate the covariance C = root root^T of p parameters to a workspace of n poses with k targets.
 
-    Args:
-        workspace: Derivatives by the parameters at the n poses: ``measured``, of the d scalars measured at a pose,
-            shape (n, d, p), in standard deviations of the noise per unit; and ``located``, of the positions of the
-            targets, shape (n, 3 k, p), [m per unit].
-        root: A root of the covariance, shape (p, p), rows in the parameters' units.
-
     Returns:
         The variance of each target's position, x, y, z added up, shape (n k,) [m^2], the k targets at the first pose
-        first; the variance of what is predicted for the d scalars at each pose, added up, shape (n,), in variances of
-        the noise; and root^T B root, shape (p, p) [m^2], with the mean B of J^T J over the n k positions, J of each of
-        shape (3, p).
+        first; the variance of what is predicted for all scalars at each pose, added up, shape (n,), in variances of the
+        noise; and root^T B root, shape (p, p) [m^2], with the mean B of J^T J over the n k positions.
     """
     p = len(root)
 
@@ -328,27 +309,11 @@ def information(A: Array) -> Array:
     """Compute the information matrix sum_i A_i^T A_i of measurements at n poses.
 
     Args:
-        A: Derivative of the d scalars at each pose by p parameters (or coordinates along p directions of these), in
-            standard deviations of the noise per unit, shape (n, d, p); n may be 0. A derivative in other units gives
-            the same sum.
+        A: Derivative of the d scalars at each pose by p parameters (or coordinates along p directions of these), shape
+            (n, d, p); n may be 0.
 
     Returns:
         Shape (p, p), symmetric, per product of two parameters' units.
     """
     flat = A.reshape(-1, A.shape[2])
     return np.asarray(flat.T @ flat)
-
-
-@lru_cache(maxsize=4)
-def _chi_squares(count: int) -> Array:
-    """Return random draws of independent chi-squares of one degree of freedom, always the same ones.
-
-    They are kept: drawing them takes longer than a forecast.
-
-    Args:
-        count: Number of chi-squares of each draw.
-
-    Returns:
-        Shape (20000, count), [-], one draw a row.
-    """
-    return np.random.default_rng(20170401).chisquare(1, size=(20_000, count))

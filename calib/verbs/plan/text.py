@@ -1,24 +1,28 @@
-"""Plans of poses, and regions of the workspace, as `calib plan` and `calib workspace` print them."""
+"""Plans of poses, as `calib plan` prints them, and in notebooks."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from functools import singledispatch
 from typing import TYPE_CHECKING
+
+import numpy as np
 
 from calib.basics.channels import RESIDUAL_UNITS
 from calib.basics.short import one_line
+from calib.instruments.camera import CameraInstrument
+from calib.instruments.instrument import Instrument
 from calib.show.lines import mm, paragraphs, plural, wrap
 from calib.show.notebook import chain_name, html_table
 from calib.show.readings import coupling_sentence
 from calib.show.tables import Column, labelled, name_column, table_lines
-from calib.verbs.plan.images.text import image_facts, image_head
 from calib.verbs.plan.plan import Plan
+from calib.verbs.plan.plan_file import distances_and_tilts
 
 if TYPE_CHECKING:
     from calib.verbs.plan.forecast import Forecast
     from calib.verbs.plan.notes import Code, Note
-    from calib.verbs.plan.plan import Plan
     from calib.verbs.plan.route import Blocked
 
 _CRITERIA = {
@@ -103,18 +107,31 @@ def _mm(value: float) -> str:
 
 def _head(plan: Plan) -> Iterator[str]:
     """Write the robot, the numbers of poses and candidates, and the model."""
-    if plan.sight is None:
-        yield _instrument_head(plan)
-    else:
-        yield image_head(plan)
-    for label, text in _labelled_facts(plan):
+    forecast = plan.forecast
+    auto = ", for 'auto'" if plan.cell.model != plan.model else ""
+    indices = ", ".join(f"{name} {value:.3g}" for name, value in forecast.indices.items())
+    rejected = ", ".join(f"{n} {_REASONS[why]}" for why, n in plan.refused.items() if n)
+    yield _what_is_planned(plan.instrument, plan)
+    for label, text in (
+        *_facts(plan.instrument, plan),
+        ("criterion", _CRITERIA[plan.request.criterion]),
+        (
+            "error model",
+            f"{plan.model}{auto}: {forecast.columns} parameters, rank {forecast.rank} (whole workspace "
+            f"{forecast.workspace_rank})",
+        ),
+        ("observability", f"{indices} (1 mm, 1 mrad)"),
+        ("candidates", f"{plan.candidates} of {plan.drawn} drawn"),
+        ("rejected", rejected or "none"),
+    ):
         yield labelled(label, text, _PLAN_LABEL, "  ")
     coupling = coupling_sentence(plan.robot)
     if coupling:
         yield wrap(coupling, "  ")
 
 
-def _instrument_head(plan: Plan) -> str:
+@singledispatch
+def _what_is_planned(_instrument: Instrument, plan: Plan) -> str:
     """Word the robot, its chain, the numbers of poses and the targets."""
     robot, count = plan.robot, len(plan.estimation)
     taken = f" beside {len(plan.taken)} measured already" if len(plan.taken) else ""
@@ -124,23 +141,32 @@ def _instrument_head(plan: Plan) -> str:
     )
 
 
-def _labelled_facts(plan: Plan) -> Iterator[tuple[str, str]]:
-    """Word how the poses were chosen, each fact with its label."""
-    forecast = plan.forecast
-    auto = ", for 'auto'" if plan.cell.model != plan.model else ""
-    indices = ", ".join(f"{name} {value:.3g}" for name, value in forecast.indices.items())
-    rejected = ", ".join(f"{n} {_REASONS[why]}" for why, n in plan.refused.items() if n)
-    if plan.sight is not None:
-        yield from image_facts(plan)
-    yield "criterion", _CRITERIA[plan.request.criterion]
-    yield (
-        "error model",
-        f"{plan.model}{auto}: {forecast.columns} parameters, rank {forecast.rank} (whole workspace "
-        f"{forecast.workspace_rank})",
+@_what_is_planned.register
+def _(_instrument: CameraInstrument, plan: Plan) -> str:
+    """Word the robot, the links of camera and board, and the numbers of images."""
+    robot, count = plan.robot, len(plan.estimation)
+    taken = f" beside {len(plan.taken)} taken already" if len(plan.taken) else ""
+    return (
+        f"Plan for '{robot.name}' ({robot.urdf.source}), camera on {robot.base}, board on {robot.tip}: {count} images "
+        f"for calibration{taken}, {len(plan.joints) - count} for validation."
     )
-    yield "observability", f"{indices} (1 mm, 1 mrad)"
-    yield "candidates", f"{plan.candidates} of {plan.drawn} drawn"
-    yield "rejected", rejected or "none"
+
+
+@singledispatch
+def _facts(_instrument: Instrument, _plan: Plan) -> Iterator[tuple[str, str]]:
+    """Word what the poses cover as the instrument sees it, each fact with its label."""
+    yield from ()
+
+
+@_facts.register
+def _(instrument: CameraInstrument, plan: Plan) -> Iterator[tuple[str, str]]:
+    """Word distances and tilts of the board, and how much of the image its corners cover."""
+    distances, tilts = distances_and_tilts(instrument, plan)
+    least, most, half = np.degrees([tilts.min(), tilts.max(), np.median(tilts)])
+    covered = instrument.coverage(plan.sightline.target_poses(plan.joints))
+    yield "distance", f"{1e3 * distances.min():.0f} to {1e3 * distances.max():.0f} mm"
+    yield "tilt", f"{least:.0f} to {most:.0f} deg, half of the images above {half:.0f} deg"
+    yield "image", f"corners in {100.0 * covered:.0f} % of its area"
 
 
 def _forecasts(plan: Plan) -> Iterator[str]:
@@ -217,9 +243,6 @@ def _blocked_move(plan: Plan, blocked: Blocked) -> str:
         slides = joint.type == "prismatic"
         values.append(f"{1e3 * value:.1f} mm" if slides else f"{math.degrees(value):.1f} deg")
     return f"{text} (via {', '.join(values)})"
-
-
-# The workspace
 
 
 def plan_html(p: Plan) -> str:

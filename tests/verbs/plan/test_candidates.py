@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from calib.errors import CalibError, ModelError
+from calib.instruments.instrument import Condition
 from calib.robot.robot import Robot
-from calib.verbs.plan.candidates import Condition, draw, planning_ranges
+from calib.verbs.plan.candidates import draw, planning_ranges
 
 DEG = math.pi / 180.0
 

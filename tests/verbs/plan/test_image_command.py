@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import csv
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from calib.camera.camera import Camera
+from calib.data.cell import Cell
 from calib.errors import CalibError
-from calib.verbs.plan.image_command import ImageOptions, pose_of
+from calib.instruments.camera import USUAL_LIMITS
+from calib.verbs.plan.command import ImageOptions, pose_of
 
 #: Written by `calib board`.
 BOARD = """\
@@ -34,33 +38,50 @@ def test_a_pose_is_a_position_and_a_rotation_vector():
     T = pose_of("10 20 30 mm 0 0 90 deg", "--board-at")
     np.testing.assert_allclose(T[:3, 3], [0.01, 0.02, 0.03])
     np.testing.assert_allclose(T[:3, :3] @ [1, 0, 0], [0, 1, 0], atol=1e-15)
-    np.testing.assert_array_equal(pose_of("0 0 1 m", "--pointer")[:3, :3], np.eye(3))
+    np.testing.assert_array_equal(pose_of("0 0 1 m", "--camera-at")[:3, :3], np.eye(3))
 
 
 def test_options_of_images():
     options = ImageOptions(
-        board_at="1 2 3 mm 0 0 0 deg", distance="300 900 mm", tilt="40 deg", share=0.7
+        board_at="1 2 3 mm 0 0 90 deg", distance="300 900 mm", tilt="40 deg", share=0.7
     )
-    request = options.request()
-    assert request.distances == (0.3, 0.9)
-    assert request.tilt == pytest.approx(np.radians(40.0))
-    assert request.share == 0.7
-    np.testing.assert_array_equal(request.T_link_camera, np.eye(4))
-    assert ImageOptions(board_at="1 2 3 mm").request().distances is None
+    limits = options.limits()
+    assert limits.distances == (0.3, 0.9)
+    assert limits.tilt == pytest.approx(np.radians(40.0))
+    assert limits.share == 0.7
+    assert ImageOptions().limits() == USUAL_LIMITS
+
+
+def test_camera_and_board_are_put_into_the_cell():
+    options = ImageOptions(camera_at="0 60 30 mm 0 0 90 deg", board_at="1 2 3 mm 0 0 90 deg")
+    cell = Cell(cameras={"": Camera(width=640, height=480)})
+    placed = options.in_cell(cell)
+    np.testing.assert_allclose(np.linalg.inv(placed.T_frame_base)[:3, 3], [0.0, 0.06, 0.03])
+    np.testing.assert_allclose(placed.target, [1e-3, 2e-3, 3e-3])
+    np.testing.assert_allclose(placed.target_rotation @ [1, 0, 0], [0, 1, 0], atol=1e-15)
+    # What was typed counts, and what was not is the file's.
+    stated = replace(placed, targets={"big": np.ones(3)})
+    moved = ImageOptions(board_at="9 9 9 mm").in_cell(stated)
+    assert moved.target == pytest.approx([9e-3] * 3)
+    assert not moved.targets
+    np.testing.assert_array_equal(moved.T_frame_base, placed.T_frame_base)
+    # They are a camera's.
+    without = Cell()
+    assert options.in_cell(without) is without
 
 
 @pytest.mark.parametrize(
     ("make", "words"),
     [
-        (lambda: ImageOptions().request(), "--board-at"),
-        (lambda: ImageOptions(board_at="here").request(), "--board-at"),
-        (lambda: ImageOptions(board_at="0 0 1 mm", distance="3 mm").request(), "--distance"),
-        (lambda: ImageOptions(board_at="0 0 1 mm", tilt="40").request(), "--tilt"),
+        (lambda cell: ImageOptions(board_at="here").in_cell(cell), "--board-at"),
+        (lambda cell: ImageOptions(camera_at="here").in_cell(cell), "--camera-at"),
+        (lambda _: ImageOptions(distance="3 mm").limits(), "--distance"),
+        (lambda _: ImageOptions(tilt="40").limits(), "--tilt"),
     ],
 )
-def test_options_that_are_missing_or_wrong(make, words):
+def test_options_that_are_wrong(make, words):
     with pytest.raises(CalibError, match=words):
-        make()
+        make(Cell(cameras={"": Camera(width=640, height=480)}))
 
 
 # Calls

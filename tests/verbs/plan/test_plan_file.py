@@ -197,6 +197,6 @@ def test_targets_of_one_pose_are_one_pose_and_repeats_are_several(ur3, tmp_path)
     one, other = "1,2,3,4,5,6,9,9,9", "1,2,3,4,5,7,9,9,9"
     lines = [f"estimate,a,{one}", f"estimate,b,{one}", f"estimate,a,{one}", f"validate,b,{other}"]
     path.write_text("\n".join([HEADER, *lines, ""]))
-    q, sets, _ = read_poses(path, ur3)
-    assert len(q) == 3
-    assert sets == ("estimate", "estimate", "validate")
+    poses = read_poses(path, ur3)
+    assert len(poses.joints) == 3
+    assert poses.sets == ("estimate", "estimate", "validate")

@@ -1,4 +1,4 @@
-"""What a plan says of moves that collide, and of parameters that no pose tells apart."""
+"""What a plan says of moves that collide, of parameters that no pose tells apart, and of images."""
 
 from __future__ import annotations
 
@@ -12,8 +12,10 @@ from calib.data.cell import Cell
 from calib.verbs.plan.choice import PlanRequest
 from calib.verbs.plan.notes import Code, Note
 from calib.verbs.plan.plan import Plan, plan
+from calib.verbs.plan.plan_file import distances_and_tilts
 from calib.verbs.plan.route import Blocked
 from calib.verbs.plan.text import note_text, plan_text
+from tests.verbs.plan import test_images
 
 
 @pytest.fixture(scope="module")
@@ -50,3 +52,25 @@ def test_every_note_is_a_sentence():
         text = note_text(Note(code, values))
         assert text.endswith((".", ")."))
         assert "{" not in text
+
+
+# Images
+
+
+def test_the_head_names_links_and_numbers():
+    text = said(test_images.planned())
+    assert (
+        "camera on tool0, board on base_link: 12 images for calibration, 2 for validation." in text
+    )
+    assert "chain" not in text.split("criterion")[0]
+
+
+def test_what_the_images_cover():
+    images = test_images.planned()
+    text, camera = said(images), images.instrument
+    distances, tilts = distances_and_tilts(camera, images)
+    assert f"distance {1e3 * distances.min():.0f} to {1e3 * distances.max():.0f} mm" in text
+    low, high, half = np.round(np.degrees([tilts.min(), tilts.max(), np.median(tilts)]))
+    assert f"tilt {low:.0f} to {high:.0f} deg, half of the images above {half:.0f} deg" in text
+    covered = 100 * camera.coverage(images.sightline.target_poses(images.joints))
+    assert f"image corners in {covered:.0f} % of its area" in text

@@ -10,17 +10,20 @@ import numpy as np
 import pytest
 
 from calib import example
+from calib.basics.arrays import rigid_inverse
 from calib.data.cell import Box, Cell, Tracker
 from calib.data.measurements import Measurements
 from calib.robot.ranges import joint_ranges, random_joint_values
 from calib.verbs.plan.choice import PlanRequest
 from calib.verbs.plan.plan import plan
 from calib.verbs.plan.plan_file import write_plan
-from calib.verbs.plan.view import plan_page
+from calib.verbs.plan.view import on_foot, plan_page
 from calib.verbs.workspace.region import Density
 from calib.verbs.workspace.region_rows import Checked, RegionView
 from calib.verbs.workspace.view import region_page
 from calib.verbs.workspace.workspace import workspace_points
+from tests.instruments.scenes import BOARD, standing
+from tests.verbs.plan import test_images
 from tests.verbs.view.test_page import floats, table_of
 from tests.view_fixtures import scene_of
 
@@ -182,3 +185,51 @@ def test_many_voxels_are_thinned_out_and_a_share_has_its_bands(view, ur3):
     assert np.count_nonzero(big.region.cells) > 70_000
     scene = scene_of(region_page(big))
     assert sum(len(positions(scene, f"band{i}")) for i in range(3)) == 60_000
+
+
+# Images
+
+
+def test_a_camera_in_the_hand_moves_and_the_board_stands():
+    plan = test_images.planned()
+    moving = on_foot(plan.instrument, plan)
+    assert (moving.robot.base, moving.robot.tip) == ("base_link", "tool0")
+    assert moving.robot.joint_names == plan.robot.joint_names[::-1]
+    # The camera in the foot, by the chain the other way round.
+    T_camera_foot = plan.sightline.T_instrument_base @ plan.robot.poses(plan.joints)
+    expected = rigid_inverse(T_camera_foot)[:, :3, 3]
+    np.testing.assert_allclose(moving.places(moving.joints)[:, 0], expected, atol=1e-12)
+    (box,) = moving.cell.boxes
+    middle = plan.sightline.T_tip_target @ np.append(BOARD.centre, 1.0)
+    np.testing.assert_allclose(box.T_base_box[:3, 3], middle[:3], atol=1e-12)
+    np.testing.assert_allclose(box.size[:2], BOARD.size)
+
+
+def test_a_board_in_the_hand_moves_and_the_camera_stands():
+    plan = test_images.planned(standing)
+    moving = on_foot(plan.instrument, plan)
+    assert moving.robot is plan.robot
+    T_base_camera = rigid_inverse(plan.sightline.T_instrument_base)
+    middle = (T_base_camera @ np.c_[plan.expected[:, 0], np.ones(14)].T).T[:, :3]
+    np.testing.assert_allclose(moving.places(moving.joints)[:, 0], middle, atol=1e-12)
+    assert moving.cell.boxes[0].name == "camera"
+    np.testing.assert_allclose(moving.cell.boxes[0].T_base_box, T_base_camera)
+
+
+def test_other_plans_are_as_they_are(planned):
+    assert on_foot(planned.instrument, planned) is planned
+
+
+def test_the_page_has_images_in_place_of_points():
+    plan = test_images.planned()
+    page = plan_page(plan, first_row=3)
+    numbers = table_of(page)["numbers"]
+    assert numbers["image"][:2] == ["image_003.png", "image_004.png"]
+    assert "point" not in numbers
+    degrees = float(numbers["wrist_3_joint"][0].split()[0])
+    assert degrees == pytest.approx(np.degrees(plan.joints[0, 0]), abs=1e-3)
+    assert numbers["distance of the board"][0].endswith(" mm")
+    (board,) = moved(scene_of(page), r"nominal/around/\d+")
+    np.testing.assert_allclose(
+        board, on_foot(plan.instrument, plan).cell.boxes[0].T_base_box, atol=1e-12
+    )

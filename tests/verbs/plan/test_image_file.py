@@ -3,28 +3,27 @@
 from __future__ import annotations
 
 import csv
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from calib.data.measurements import Measurements
 from calib.robot.robot import Robot
-from calib.verbs.plan.images.plan_file import (
-    coverage,
+from calib.verbs.plan.plan_file import (
     distances_and_tilts,
     image_name,
     next_number,
-    write_image_plan,
+    plan_table,
+    read_poses,
+    write_plan,
 )
-from calib.verbs.plan.plan_file import plan_table, read_poses
-from tests.verbs.plan.images.test_plan import planned
-from tests.verbs.plan.images.views import BOARD, standing
+from tests.instruments.scenes import BOARD, standing
+from tests.verbs.plan.test_images import planned
 
 
 @pytest.fixture
 def rows(tmp_path):
-    path = write_image_plan(planned(), tmp_path / "plan.csv", first_row=4)
+    path = write_plan(planned(), tmp_path / "plan.csv", first_row=4)
     with path.open(newline="", encoding="utf-8") as stream:
         return list(csv.DictReader(stream))
 
@@ -50,12 +49,12 @@ def test_joints_are_listed_from_the_foot_to_the_hand(rows):
 
 
 def test_a_chain_from_foot_to_hand_stays_as_it_is(tmp_path):
-    path = write_image_plan(planned(standing), tmp_path / "plan.csv")
+    path = write_plan(planned(standing), tmp_path / "plan.csv")
     assert path.read_text(encoding="utf-8").startswith("set,image,shoulder_pan_joint [deg]")
 
 
 def test_the_board_is_expected_where_the_nominal_robot_has_it(rows):
-    distances, tilts = distances_and_tilts(planned())
+    distances, tilts = distances_and_tilts(planned().instrument, planned())
     for row, distance, tilt in zip(rows, distances, tilts, strict=True):
         assert float(row["expected distance [mm]"]) == pytest.approx(1e3 * distance, abs=0.051)
         assert float(row["expected tilt [deg]"]) == pytest.approx(np.degrees(tilt), abs=0.051)
@@ -63,7 +62,7 @@ def test_the_board_is_expected_where_the_nominal_robot_has_it(rows):
 
 def test_the_poses_are_read_back(tmp_path):
     plan = planned()
-    path = write_image_plan(plan, tmp_path / "plan.csv")
+    path = write_plan(plan, tmp_path / "plan.csv")
     poses = read_poses(path, plan.robot)
     np.testing.assert_array_equal(poses.joints, plan.joints)
     assert poses.sets == plan.sets
@@ -74,7 +73,7 @@ def test_the_poses_are_read_back(tmp_path):
 
 def test_the_detection_of_corners_finds_the_images(tmp_path):
     matching = pytest.importorskip("calib.verbs.detect.matching")
-    path = write_image_plan(planned(), tmp_path / "plan.csv")
+    path = write_plan(planned(), tmp_path / "plan.csv")
     table = matching.read_joint_table(path)
     assert table.image is not None
     assert "image_003.png" in table.table.column(table.image)
@@ -84,7 +83,7 @@ def test_the_detection_of_corners_finds_the_images(tmp_path):
 def test_a_table_of_corners_is_read_and_its_images_counted(tmp_path):
     """As detection writes it: the plan's columns, and those of corners behind them."""
     plan = planned()
-    path = write_image_plan(plan, tmp_path / "plan.csv", first_row=7)
+    path = write_plan(plan, tmp_path / "plan.csv", first_row=7)
     with path.open(newline="", encoding="utf-8") as stream:
         header, *rows = csv.reader(stream)
     of_corner = ["corner", "board_x [m]", "board_y [m]", "board_z [m]", "u [px]", "v [px]", "kind"]
@@ -98,34 +97,23 @@ def test_a_table_of_corners_is_read_and_its_images_counted(tmp_path):
     measured = Measurements.read(corners, plan.robot.joint_names)
     assert len(measured) == 140
     assert len(set(measured.images)) == 14
-    taken = read_poses(corners, plan.robot, taken=True).joints
-    assert len(np.unique(taken, axis=0)) == plan.sets.count("estimate")
-    assert next_number(corners) == next_number(path) == 21
+    taken = read_poses(corners, plan.robot, taken=True)
+    assert len(plan.instrument.stops(taken.joints)) == plan.sets.count("estimate")
+    assert next_number(plan.instrument, taken) == 21
+    assert next_number(plan.instrument, read_poses(path, plan.robot)) == 21
 
 
-def test_images_without_numbers_begin_with_one(tmp_path):
+@pytest.mark.parametrize("lines", ["image,j1 [deg]\nleft.png,1\n", "j1 [deg]\n1\n"])
+def test_images_without_numbers_begin_with_one(tmp_path, serial_urdf, lines):
+    arm = Robot.from_urdf(serial_urdf([("revolute", (0, 0, 0.1), (0, 0, 0), (0, 0, 1))]))
     table = tmp_path / "table.csv"
-    table.write_text("image,j [deg]\nleft.png,1\n", encoding="utf-8")
-    assert next_number(table) == 1
-    table.write_text("j [deg]\n1\n", encoding="utf-8")
-    assert next_number(table) == 1
-
-
-def test_coverage_counts_the_cells_of_the_image_with_corners():
-    plan = planned()
-    full = coverage(plan)
-    assert 0.5 < full <= 1.0
-    one = replace(plan, joints=plan.joints[:1])
-    u, v = plan.sight.corner_pixels(plan.sight.board_poses(plan.robot, one.joints))
-    cells = set(zip((u[0] + 0.5) // 160, (v[0] + 0.5) // 160, strict=True))
-    assert coverage(one) == pytest.approx(len(cells) / 48)
-    assert coverage(one) < full
-    assert len(u[0]) == len(BOARD.corners)
+    table.write_text(lines, encoding="utf-8")
+    assert next_number(planned().instrument, read_poses(table, arm)) == 1
 
 
 def test_the_plan_as_tables_has_the_tilt():
     plan = planned()
     table = plan_table(plan)
-    _, tilts = distances_and_tilts(plan)
+    _, tilts = distances_and_tilts(plan.instrument, plan)
     assert [pose["tilt_rad"] for pose in table["poses"]] == pytest.approx(tilts)
     assert table["asked"]["kind"] == "pixel"

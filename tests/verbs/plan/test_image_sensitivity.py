@@ -11,38 +11,38 @@ import pytest
 from calib.camera import optics as columns
 from calib.camera.camera import Camera
 from calib.data.cell import Cell, Tracker, TrackerNoise
-from calib.errors import ModelError
+from calib.fit.registration.cameras import optics_of_rows
+from calib.instruments.camera import SightLimits
+from calib.instruments.tracker import TrackerInstrument
 from calib.model.kinematics import Samples
 from calib.robot.ranges import random_joint_values
-from calib.verbs.plan.images.sensitivity import ImageSensitivity, sensitivity_of
-from calib.verbs.plan.sensitivity import Sensitivity
-from tests.verbs.plan.images.test_candidates import drawn
-from tests.verbs.plan.images.views import BOARD, CAMERA, in_hand
-
-SIZE = Camera(width=1280, height=960)
+from calib.verbs.plan.sensitivity import Sensitivity, instrument_of
+from tests.instruments.scenes import BOARD, CAMERA, SIZE, at_places, in_hand
+from tests.verbs.plan.test_image_candidates import drawn
 
 
 def cell(camera=SIZE, repeatability=0.0, **changes) -> Cell:
     tracker = Tracker(np.zeros(3), noise=TrackerNoise(repeatability=repeatability))
     given = {"model": "hayati", "sigma": {"px": 0.2}, "tracker": tracker} | changes
-    return Cell(cameras={"": camera}, boards={"": BOARD}, **given)
+    cell = Cell(cameras={"": camera}, boards={"": BOARD}, **given)
+    seen = in_hand("ur5")
+    return at_places(cell, seen.T_instrument_base, seen.T_tip_target)
 
 
 @cache
-def model(repeatability: float = 0.0) -> ImageSensitivity:
-    robot, seen = in_hand("ur5")
-    return ImageSensitivity.of_images(robot, cell(repeatability=repeatability), seen)
+def model(repeatability: float = 0.0) -> Sensitivity:
+    return Sensitivity.of(in_hand("ur5").robot, cell(repeatability=repeatability))
 
 
 @cache
 def poses() -> np.ndarray:
-    return drawn(*in_hand("ur5"), count=4).q
+    return drawn(in_hand("ur5"), count=4).q
 
 
-def images_at(sensitivity: ImageSensitivity, x: np.ndarray, q: np.ndarray) -> np.ndarray:
+def images_at(sensitivity: Sensitivity, x: np.ndarray, q: np.ndarray) -> np.ndarray:
     """The images of all corners at one pose, in standard deviations."""
-    corners = len(sensitivity.optics)
-    samples = replace(Samples.at(np.repeat(q[None], corners, axis=0)), optics=sensitivity.optics)
+    optics = sensitivity.instrument.optics
+    samples = replace(Samples.at(np.repeat(q[None], len(optics), axis=0)), optics=optics)
     changed = sensitivity.kinematics.optics(x, samples)
     T = sensitivity.kinematics.poses(x, samples)
     return columns.images(T, changed.values).ravel() / 0.2
@@ -64,7 +64,7 @@ def test_parameters_are_those_of_robot_mount_board_and_lens():
     assert {"frame_x", "frame_rz", "target_x", "target_rz", "fx", "k3"} <= set(names)
     assert {"board_scale_x", "board_sag_y"} <= set(names)
     assert not any(name.startswith("corner") for name in names)
-    assert model().kind == "pixel"
+    assert model().instrument.kind.name == "pixel"
 
 
 def test_the_information_of_an_image_is_that_of_all_its_corners():
@@ -88,7 +88,7 @@ def test_the_robot_s_repeatability_moves_all_corners_of_an_image():
     p = len(exact.names)
     J = derivative(lambda x: images_at(exact, x, q), p)
     # By a translation along the camera's axes: by the mount's position, turned.
-    T = exact.sight.T_frame_base
+    T = exact.sightlines[0].T_instrument_base
     by_mount = J[:, [exact.names.index(f"frame_{axis}") for axis in "xyz"]]
     B = r * by_mount @ np.linalg.inv(T[:3, :3])
     expected = J.T @ np.linalg.solve(np.eye(len(J)) + B @ B.T, J)
@@ -100,13 +100,13 @@ def test_the_robot_s_repeatability_moves_all_corners_of_an_image():
 
 
 def test_corners_outside_of_the_image_do_not_count():
-    robot, seen = in_hand("ur5")
-    half = replace(seen, limits=replace(seen.limits, share=0.3))
-    sensitivity = ImageSensitivity.of_images(robot, cell(), half)
-    T = half.board_poses(robot, poses()[:1])
+    sensitivity = model()
+    half = instrument_of(cell(), SightLimits(share=0.3))
+    (sightline,) = sensitivity.sightlines
+    T = sightline.target_poses(poses()[:1])
     visible = half.visible(T, BOARD.corners)[0]
-    narrow = replace(half, camera=replace(CAMERA, width=700))
-    fewer = replace(sensitivity, sight=narrow)
+    narrow = replace(half, camera=replace(half.camera, width=700))
+    fewer = replace(sensitivity, instrument=narrow)
     in_narrow = narrow.visible(T, BOARD.corners)[0]
     assert 0 < in_narrow.sum() < visible.sum()
     J = derivative(lambda x: images_at(sensitivity, x, poses()[0]), len(sensitivity.names))
@@ -116,9 +116,9 @@ def test_corners_outside_of_the_image_do_not_count():
     np.testing.assert_allclose(
         A.T @ A / np.outer(scale, scale), kept.T @ kept / np.outer(scale, scale), atol=1e-6
     )
-    # Where the camera looks elsewhere, nothing is measured.
-    q = random_joint_values(robot, 20)
-    unseen = q[~half.visible(half.board_poses(robot, q), BOARD.corners).any(axis=1)]
+    # If the camera looks away from the board, nothing is measured.
+    q = random_joint_values(sightline.robot, 20)
+    unseen = q[~half.visible(sightline.target_poses(q), BOARD.corners).any(axis=1)]
     assert len(unseen) > 5
     assert not sensitivity.measured(unseen).any()
 
@@ -137,10 +137,8 @@ def test_the_middle_of_the_board_is_located():
 
 
 def test_what_is_known_of_the_lens_is_its_prior():
-    robot, seen = in_hand("ur5")
-
     def prior(camera: Camera) -> dict[str, float]:
-        sensitivity = ImageSensitivity.of_images(robot, cell(camera), seen)
+        sensitivity = Sensitivity.of(in_hand("ur5").robot, cell(camera))
         return dict(zip(sensitivity.names, sensitivity.precision**-0.5, strict=True))
 
     unknown = prior(SIZE)
@@ -154,12 +152,12 @@ def test_what_is_known_of_the_lens_is_its_prior():
 
 
 def test_what_is_assumed_is_remarked():
-    robot, seen = in_hand("ur5")
-    codes = [note.code for note in ImageSensitivity.of_images(robot, cell(sigma={}), seen).notes]
+    robot = in_hand("ur5").robot
+    codes = [note.code for note in Sensitivity.of(robot, cell(sigma={})).notes]
     assert codes == ["camera_assumed", "image_noise"]
-    assert ImageSensitivity.of_images(robot, cell(CAMERA), seen).notes == ()
+    assert Sensitivity.of(robot, cell(CAMERA)).notes == ()
     # From the cell of a plan, too, which has the assumed intrinsics.
-    again = ImageSensitivity.of_images(robot, model().cell, seen)
+    again = Sensitivity.of(robot, model().cell)
     assert again.notes[0].code == "camera_assumed"
     np.testing.assert_array_equal(again.precision, model().precision)
 
@@ -169,9 +167,14 @@ def test_noise_is_in_pixels():
     assert model().sigma_by_unit(poses()) == {"px": 0.2}
 
 
-def test_the_model_of_a_plan_with_and_without_a_camera(ur3):
-    robot, seen = in_hand("ur5")
-    assert isinstance(sensitivity_of(robot, cell(), seen), ImageSensitivity)
-    assert type(sensitivity_of(ur3, Cell(), None)) is Sensitivity
-    with pytest.raises(ModelError, match="planned as images"):
-        Sensitivity.of(ur3, Cell(kind="pixel"))
+def test_the_numbers_of_the_instrument_are_those_of_the_fit():
+    table = model().instrument.stop_rows(in_hand("ur5").robot, ("target",), "")
+    stop = np.zeros(len(table), dtype=int)
+    optics, _ = optics_of_rows(table, model().cell, model().setup, stop)
+    np.testing.assert_array_equal(model().instrument.optics, optics)
+
+
+def test_a_cell_with_a_camera_plans_images_unless_it_states_another_kind():
+    assert model().instrument.kind.name == "pixel"
+    assert isinstance(instrument_of(cell(kind="pose")), TrackerInstrument)
+    assert isinstance(instrument_of(Cell()), TrackerInstrument)

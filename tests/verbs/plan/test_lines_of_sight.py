@@ -1,19 +1,15 @@
-"""What the tracker sees: edges of range and cone to a hair, walls in the way, and a UR3 against rays and FCL."""
+"""Lines of sight: a ball in the way to a hair, and a UR3 against rays and FCL."""
 
 from functools import cache
 
 import fcl
 import numpy as np
-import pytest
 import trimesh
-from hypothesis import assume, given, settings, strategies as st
 
 from calib import example
-from calib.data.cell import Reflector, Tracker
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
 from calib.verbs.plan.collision import BEAM, NEST, CollisionCheck, CollisionModel
-from calib.verbs.plan.sight import in_cone, in_range
 from tests.verbs.plan.fcl_scene import objects, placed, touch
 
 #: A post that turns about z, and on it a ball of 50 mm, 1 m away and beside the tip that is 1.5 m away.
@@ -37,27 +33,6 @@ def model_of(robot: Robot, boxes=()) -> CollisionModel:
 
 ORIGIN = np.eye(4)
 ZERO = np.zeros((1, 1))
-
-
-@pytest.mark.parametrize(
-    ("nearest", "farthest", "seen"),
-    [(1.0, 2.0, True), (1.0 + 1e-6, 2.0, False), (0.5, 1.0, True), (0.5, 1.0 - 1e-6, False)],
-)
-def test_the_range(nearest, farthest, seen):
-    tracker = Tracker((2.5, 0, 0), nearest, farthest)
-    assert in_range(turntable(), ORIGIN, tracker, ZERO).tolist() == [seen]
-
-
-@given(q=st.floats(-3.1, 3.1), half=st.floats(0.05, 3.1))
-@settings(deadline=None)
-def test_the_cone_in_closed_form(q, half):
-    # The target in the base is at (1.5 cos q, 1.5 sin q), the normal along the arm.
-    point, normal = 1.5 * np.array([np.cos(q), np.sin(q)]), np.array([np.cos(q), np.sin(q)])
-    way = np.array([3.0, 1.0]) - point
-    angle = np.arccos(np.clip(way @ normal / np.linalg.norm(way), -1.0, 1.0))
-    assume(abs(angle - half) > 1e-6)
-    tracker, reflector = Tracker((3.0, 1.0, 0.0)), Reflector((1, 0, 0), half)
-    assert in_cone(turntable(), ORIGIN, tracker, reflector, np.array([[q]])) == [angle <= half]
 
 
 def beam(y: float, tracker=(-2.0, 0.0, 0.0)) -> bool:

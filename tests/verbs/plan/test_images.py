@@ -8,117 +8,106 @@ from functools import cache
 import numpy as np
 import pytest
 
-from calib.basics.arrays import Array, rigid_inverse
-from calib.camera.camera import Camera
+from calib.basics.arrays import Array
 from calib.camera.lenses import LENSES
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.errors import ArgumentError, CalibError
+from calib.instruments.camera import SightLimits
 from calib.result.calibrate import calibrate
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 from calib.verbs.plan.choice import PlanRequest
-from calib.verbs.plan.images.plan import ImageRequest, plan_images
-from calib.verbs.plan.plan import Plan
-from calib.verbs.plan.reaching import reach
+from calib.verbs.plan.plan import Plan, plan
+from calib.verbs.workspace.region import Region
+from tests.instruments.scenes import BOARD, SIZE, at_places, in_hand, pose, standing
 from tests.verbs.compensate.arms import off
-from tests.verbs.plan.images.views import BOARD, in_hand, pose, standing
 
-SIZE = Camera(width=1280, height=960)
 EXACT = replace(BOARD, sigma_scale=1e-5, sigma_corner=0.0)
 SMALL = PlanRequest(12, 2, candidates=120, ladder=False)
 
 
-def cell(**changes) -> Cell:
+def cell(seen=None, **changes) -> Cell:
+    """A cell with a camera and a board as they are in a sightline; at no place without one."""
     given = {
         "model": "hayati",
         "sigma": {"px": 0.2},
         "cameras": {"": SIZE},
         "boards": {"": EXACT},
     }
-    return Cell(**(given | changes))
-
-
-def wanted(seen, poses: PlanRequest = SMALL, **changes) -> ImageRequest:
-    places = rigid_inverse(seen.T_frame_base), seen.T_tip_board
-    return ImageRequest(*places, poses=poses, **changes)
+    made = Cell(**(given | changes))
+    return made if seen is None else at_places(made, seen.T_instrument_base, seen.T_tip_target)
 
 
 @cache
 def planned(where=in_hand, request: PlanRequest = SMALL) -> Plan:
-    robot, seen = where("ur5")
-    return plan_images(robot, cell(), wanted(seen, request), reach, collisions=None)
+    seen = where("ur5")
+    return plan(seen.robot, cell(seen), request, collisions=None)
 
 
 @pytest.mark.parametrize("where", [in_hand, standing])
 def test_every_image_of_a_plan_shows_the_board(where):
-    plan = planned(where)
-    assert plan.joints.shape == (14, 6)
-    assert plan.sets.count("validate") == 2
-    assert plan.kind == "pixel"
-    T = plan.sight.board_poses(plan.robot, plan.joints)
-    assert plan.sight.in_image(T).all()
-    assert plan.sight.in_focus(T).all()
-    assert plan.sight.is_facing(T).all()
-    np.testing.assert_allclose(plan.expected[:, 0], plan.sight.centres(T))
-    assert plan.forecast.rms < plan.at_random.rms
-    assert plan.candidates == 120
+    found = planned(where)
+    assert found.joints.shape == (14, 6)
+    assert found.sets.count("validate") == 2
+    assert found.kind == "pixel"
+    T = found.sightline.target_poses(found.joints)
+    assert found.instrument.in_image(T).all()
+    assert found.instrument.in_focus(T).all()
+    assert found.instrument.is_facing(T).all()
+    np.testing.assert_allclose(found.expected[:, 0], (T @ np.append(BOARD.centre, 1.0))[:, :3])
+    assert found.forecast.rms < found.at_random.rms
+    assert found.candidates == 120
 
 
 def test_the_limits_asked_for_are_kept():
-    robot, seen = in_hand("ur5")
-    images = wanted(seen, distances=(0.5, 0.8), tilt=0.4, share=0.8)
-    plan = plan_images(robot, cell(), images, reach, collisions=None)
-    T = plan.sight.board_poses(robot, plan.joints)
-    assert plan.sight.distances(T).min() >= 0.5
-    assert plan.sight.distances(T).max() <= 0.8
-    assert plan.sight.tilts(T).max() <= 0.4
+    seen = in_hand("ur5")
+    request = replace(SMALL, sight=SightLimits((0.5, 0.8), tilt=0.4, share=0.8))
+    found = plan(seen.robot, cell(seen), request, collisions=None)
+    T = found.sightline.target_poses(found.joints)
+    assert found.instrument.board_distances(T).min() >= 0.5
+    assert found.instrument.board_distances(T).max() <= 0.8
+    assert found.instrument.board_tilts(T).max() <= 0.4
 
 
 def test_images_taken_already_count_each_once():
-    robot, seen = in_hand("ur5")
+    seen = in_hand("ur5")
     first = planned()
     rows = np.repeat(first.estimation, 3, axis=0)
     few = PlanRequest(4, 0, candidates=120, ladder=False, seed=1)
-    more = plan_images(robot, cell(), wanted(seen, few), reach, taken=rows, collisions=None)
+    more = plan(seen.robot, cell(seen), few, taken=rows, collisions=None)
     assert len(more.taken) == 12
     assert more.before.rms == pytest.approx(first.forecast.rms)
     assert more.forecast.rms < first.forecast.rms
 
 
 def test_a_print_that_is_not_measured_makes_most_of_the_error():
-    robot, seen = in_hand("ur5")
-    rough = cell(boards={"": replace(BOARD, sigma_scale=0.003)})
-    plan = plan_images(robot, rough, wanted(seen), reach, collisions=None)
-    note = plan.notes[0]
+    seen = in_hand("ur5")
+    rough = cell(seen, boards={"": replace(BOARD, sigma_scale=0.003)})
+    found = plan(seen.robot, rough, SMALL, collisions=None)
+    note = found.notes[0]
     assert note.code == "board_scale"
     assert note.values[0] == 0.003
-    assert note.values[1] < 0.7 * plan.forecast.rms
+    assert note.values[1] < 0.7 * found.forecast.rms
     assert note.values[1] == pytest.approx(planned().forecast.rms, rel=0.2)
     assert "board_scale" not in [other.code for other in planned().notes]
 
 
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"cameras": {}}, "--camera 1280x720"),
-        ({"boards": {}}, "--board board.toml"),
-        ({"boards": {"a": BOARD, "b": BOARD}}, "2 were given"),
-    ],
-)
-def test_one_camera_and_one_board(changes, words):
-    robot, seen = in_hand("ur5")
-    with pytest.raises(CalibError, match=words):
-        plan_images(robot, cell(**changes), wanted(seen), reach)
+def test_600_candidates_are_usual():
+    seen = in_hand("ur5")
+    request = PlanRequest(6, 0, ladder=False)
+    assert plan(seen.robot, cell(seen), request, collisions=None).request.candidates == 600
 
 
-def test_arguments_of_another_type():
-    robot, _ = in_hand("ur5")
-    with pytest.raises(ArgumentError, match="images"):
-        plan_images(robot, cell(), 3, reach)
-    short = ImageRequest(np.zeros(3), np.eye(4))
-    with pytest.raises(CalibError, match="T_link_camera"):
-        plan_images(robot, cell(), short, reach)
+def test_where_the_board_is_must_be_known_and_no_region_is_taken():
+    seen = in_hand("ur5")
+    with pytest.raises(CalibError, match="--board-at"):
+        plan(seen.robot, cell(), SMALL)
+    region = Region(np.zeros(3), 0.1, np.ones((2, 2, 2), dtype=bool), 1.0, 1.0)
+    with pytest.raises(CalibError, match="--region is for targets"):
+        plan(seen.robot, cell(seen), SMALL, region=region, collisions=None)
+    with pytest.raises(ArgumentError, match="sight"):
+        PlanRequest(sight=3)
 
 
 # The forecast
@@ -126,14 +115,13 @@ def test_arguments_of_another_type():
 
 def images_of(plan: Plan, seed: int) -> tuple[Measurements, Robot, Array, Array]:
     """Images by a robot with errors; that robot; and the true poses of its camera and of the board."""
+    seen = plan.sightline
     rng = np.random.default_rng(seed)
     true = off(plan.robot, seed, "hayati")
     T_frame_base = (
-        pose(rng.normal(size=3) * 5e-3, rng.normal(size=3) * 0.02) @ plan.sight.T_frame_base
+        pose(rng.normal(size=3) * 5e-3, rng.normal(size=3) * 0.02) @ seen.T_instrument_base
     )
-    T_tip_board = plan.sight.T_tip_board @ pose(
-        rng.normal(size=3) * 5e-3, rng.normal(size=3) * 0.02
-    )
+    T_tip_board = seen.T_tip_target @ pose(rng.normal(size=3) * 5e-3, rng.normal(size=3) * 0.02)
     T = T_frame_base @ true.poses(plan.joints) @ T_tip_board
     T[:, :3, 3] += rng.normal(size=(len(T), 3)) * 2e-5
     corners = np.einsum("nij,cj->nci", T[:, :3, :3], BOARD.corners) + T[:, None, :3, 3]

@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.data.cell import Box
+from calib.data.cell import Box, Cell
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
-from calib.verbs.plan.collision import CollisionCheck
-from calib.verbs.plan.images.bodies import ImageBodies
-from tests.verbs.plan.images.views import BOARD, pose, sight
+from calib.verbs.plan.bodies import collision_model, free_lines_of_sight
+from calib.verbs.plan.collision import CollisionCheck, CollisionModel
+from calib.verbs.plan.sensitivity import Sensitivity
+from tests.instruments.scenes import BOARD, CAMERA, at_places, pose
 
 #: A slide along z on a foot, with a ball of 50 mm beside it, and on it a hand.
 SLIDE = """<robot name="s"><link name="foot"/>
@@ -30,12 +31,28 @@ def board_ahead(x: float = 0.0) -> np.ndarray:
     return pose((x - BOARD.centre[0], -BOARD.centre[1], 0.0))
 
 
-def held_by_foot(T_tip_board: np.ndarray, boxes=()) -> ImageBodies:
+class Bodies:
+    """The robot with a camera and the board, from the camera's link to the board's."""
+
+    def __init__(self, robot: Robot, T_camera_base, T_tip_board, boxes=()):
+        cell = Cell(cameras={"": CAMERA}, boards={"": BOARD}, boxes=tuple(boxes), model="zeros")
+        self.sensitivity = Sensitivity.of(robot, at_places(cell, T_camera_base, T_tip_board))
+        self.model: CollisionModel = collision_model(
+            self.sensitivity.instrument, self.sensitivity, NO_FLOOR
+        )
+
+    def view_free(self, q: np.ndarray) -> np.ndarray:
+        conditions = list(free_lines_of_sight(self.sensitivity, self.model))
+        assert [condition.reason for condition in conditions] == ["beam"] * 5
+        return np.all([condition.passes(q) for condition in conditions], axis=0)
+
+
+def held_by_foot(T_tip_board: np.ndarray, boxes=()) -> Bodies:
     """The camera in the hand looks down along -z at the board on the foot, face up."""
     # In the hand z is up: the camera is turned about x.
-    T_frame_base = pose((0.0, 0.0, 0.0), (np.pi, 0.0, 0.0))
-    robot = slide("hand", "foot")
-    return ImageBodies.of(robot, sight(T_frame_base, T_tip_board), boxes, NO_FLOOR)
+    return Bodies(
+        slide("hand", "foot"), pose((0.0, 0.0, 0.0), (np.pi, 0.0, 0.0)), T_tip_board, boxes
+    )
 
 
 #: Face up: turned about the x axis through its middle.
@@ -82,7 +99,7 @@ def test_a_camera_that_stands_is_not_touched():
     T_base_camera = pose((0.0, 0.0, 0.7))
     T_tip_board = board_ahead() + 0.0
     T_tip_board[2, 3] = 1.0
-    bodies = ImageBodies.of(robot, sight(np.linalg.inv(T_base_camera), T_tip_board), (), NO_FLOOR)
+    bodies = Bodies(robot, np.linalg.inv(T_base_camera), T_tip_board)
     # The ball, 300 mm below the hand, has a radius of 50 mm and the camera one of 35 mm.
     heights = np.array([[0.914], [0.916], [1.0], [1.084], [1.086]])
     assert bodies.model.free(heights).tolist() == [True, False, False, False, True]
@@ -93,8 +110,9 @@ def test_the_camera_in_the_hand_is_a_rod_from_its_link(length):
     T_tip_board = FACE_UP.copy()
     robot = slide("hand", "foot")
     T_base_camera = pose((0.0, 0.0, -length), (np.pi, 0.0, 0.0))
-    bodies = ImageBodies.of(robot, sight(np.linalg.inv(T_base_camera), T_tip_board), (), NO_FLOOR)
-    assert bodies.eye == pytest.approx([0.0, 0.0, -length])
+    bodies = Bodies(robot, np.linalg.inv(T_base_camera), T_tip_board)
+    (sightline,) = bodies.sensitivity.sightlines
+    assert sightline.eye == pytest.approx([0.0, 0.0, -length])
     # Its end is a half ball of 20 mm; the ball of the hand touches the board before, unless the hand is below.
     heights = np.array([[length + 0.02 + 1e-3], [length + 0.02 - 1e-3]])
     free = bodies.model.free(heights)
