@@ -56,7 +56,7 @@ class Task:
 
     def poses_of(self, seed: int) -> Array:
         """Return the poses of one trial, shape (N, m), [rad] or [m]."""
-        return self.scenario.poses(seed, self.count, given=self.poses)[0]
+        return self.scenario.random_poses(self.count, seed) if self.poses is None else self.poses
 
 
 @dataclass(frozen=True, slots=True)

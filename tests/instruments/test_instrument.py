@@ -34,6 +34,16 @@ def test_exchanged_links_give_the_inverse_pose():
     np.testing.assert_allclose(camera_in_hand.eye, T_HAND[:3, 3])
 
 
+def test_target_poses_go_from_the_instrument_through_the_robot():
+    ur5 = Robot.load("ur5", base="tool0", tip="base_link")
+    sightline = Sightline(ur5, rigid_inverse(T_HAND), T_TABLE)
+    q = np.array([[0.3, -1.2, 1.5, -0.4, 0.9, 2.0]])
+    arm = Robot.load("ur5", base="base_link", tip="tool0")
+    T_world_camera = arm.poses(q[:, ::-1])[0] @ T_HAND
+    expected = rigid_inverse(T_world_camera) @ T_TABLE
+    np.testing.assert_allclose(sightline.target_poses(q)[0], expected, atol=1e-12)
+
+
 def test_a_second_chain_is_a_second_sightline():
     """Of a robot with two arms one hand sees the other, and each sees the torso."""
     left, right = "left_gripper", "right_gripper"

@@ -70,7 +70,9 @@ def test_the_noise_is_the_cells_or_the_trackers_or_a_usual_one():
     noise = TrackerNoise(10e-6, 50e-6, 1e-6)
     tracker = Tracker((2.5, 0, 0), noise=noise)
     assert noise_of_lengths(Cell()) is USUAL_NOISE
-    assert noise_of_lengths(Cell(tracker=tracker)) == noise
+    assert noise_of_lengths(Cell(tracker=tracker)) is noise
+    of_cell = noise_of_lengths(Cell(tracker=tracker, sigma={"m": 3e-5}))
+    assert of_cell == TrackerNoise(3e-5, 0.0, 0.0)
     stated = TrackerInstrument.of(Cell(tracker=tracker, sigma={"m": 3e-5}))
     assert stated.noise(np.array([1.0, 5.0])).tolist() == [3e-5, 3e-5]
     found = TrackerInstrument.of(Cell(tracker=tracker)).noise(np.array([1.0, 2.0]))

@@ -17,8 +17,6 @@ from calib.errors import CalibError
 
 if TYPE_CHECKING:
     from calib.basics.arrays import Array
-    from calib.data.cell import Cell
-    from calib.verbs.simulate.scenario import Scenario
 
 _Text = str | None
 _File = Path | None
@@ -72,7 +70,7 @@ class PoseOptions(ColumnChoice):
 
 @dataclass(frozen=True, slots=True)
 class SimulateOutputs:
-    """Files that are written."""
+    """Output options of ``calib simulate``."""
 
     output: Annotated[_File, typer.Option("-o", "--output", help="Write the table.")] = None
     truth: Annotated[_File, typer.Option(help="Default: TABLE_truth.json.")] = None
@@ -104,23 +102,6 @@ class SimulateOutputs:
         return [path for path in files if path is None or path.parent != self.images]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Simulation:
-    """A virtual cell and the poses to measure in it."""
-
-    scenario: Scenario
-    cell: Cell
-    #: (N, m), [rad] or [m]; None: random ones
-    poses: Array | None
-    #: The set of each of these poses
-    sets: tuple[str, ...]
-    #: Number of random poses to fit
-    count: int
-    #: Number of random poses to validate with
-    validation: int
-    seed: int
-
-
 @verb("""Simulate measurements of a robot whose errors are known.
 
 \b
@@ -147,117 +128,51 @@ def simulate(
     outputs: SimulateOutputs,
     quiet: Quiet = False,
 ) -> None:
-    """Run the verb; its help is the text of `verb`."""
-    _check_options(outputs)
-    check_outputs(
-        outputs.files,
-        [robot, poses.poses, setup.cell, errors.truth_robot],
-        force=outputs.force,
-    )
-    simulation = _prepare(robot, setup, errors, poses)
-    _check_kind(simulation.scenario, outputs)
-    if simulation.scenario.kind.optical:
-        text, written = _simulate_pictures(simulation, outputs, quiet=quiet)
-    else:
-        text, written = _simulate_table(simulation, outputs)
-    if not quiet:
-        typer.echo("\n".join([f"{text}\n", *written_lines(*written)]))
-
-
-def _check_options(outputs: SimulateOutputs) -> None:
-    """Refuse a call that writes neither a table nor pictures; raises `CalibError`."""
-    if outputs.output is None and outputs.images is None:
-        raise CalibError("Name the table to write: -o table.csv.")
-
-
-def _check_kind(scenario: Scenario, outputs: SimulateOutputs) -> None:
-    """Refuse pictures of other kinds; raises `CalibError`."""
-    if outputs.images is not None and not scenario.kind.optical:
-        raise CalibError(
-            "--images draws what a camera sees of a printed board: add --kind pixel, with --camera-on and --board-on."
-        )
-
-
-def _prepare(
-    robot: str,
-    setup: ModelOptions,
-    errors: ScenarioOptions,
-    poses: PoseOptions,
-) -> _Simulation:
-    """Load the robot, and read the scenario and the poses."""
+    """Read robot and scenario, simulate, write pictures, table, truth and URDF, and print what was simulated."""
+    from calib.instruments.camera import is_image
     from calib.verbs.plan.plan_file import read_poses
-    from calib.verbs.simulate.scenario_words import ScenarioWords, read_scenario
-
-    cell = read_cell(**asdict(setup))
-    arm = load(robot, cell)
-    scenario = read_scenario(arm, cell, setup.cell, ScenarioWords(**asdict(errors)))
-    joints: Array | None = None
-    sets: tuple[str, ...] = ()
-    default_validation = 10
-    if poses.poses is not None:
-        table = read_poses(poses.poses, arm, poses.parsed())
-        joints, sets = table.joints, table.sets
-        default_validation = 0
-    validation = default_validation if poses.validation is None else poses.validation
-    return _Simulation(scenario, cell, joints, sets, poses.count, validation, poses.seed)
-
-
-def _simulate_table(simulation: _Simulation, outputs: SimulateOutputs) -> tuple[str, list[Path]]:
-    """Simulate one table, and write it with the truth; returns the text, and the files."""
+    from calib.verbs.simulate.picture_files import write_pictures
     from calib.verbs.simulate.scenario import simulate as simulate_rows
+    from calib.verbs.simulate.scenario_words import ScenarioWords, read_scenario
     from calib.verbs.simulate.text import simulated_text
     from calib.verbs.simulate.truth_file import write_truth
 
-    assert outputs.output is not None
-    assert outputs.truth_path is not None
-    scenario = simulation.scenario
-    simulated = simulate_rows(
-        scenario,
-        simulation.count,
-        simulation.validation,
-        simulation.seed,
-        simulation.poses,
-        simulation.sets,
-    )
-    simulated.measurements.write(outputs.output, overwrite=outputs.force)
-    truth = write_truth(scenario, simulated, outputs.truth_path, overwrite=outputs.force)
-    written = [outputs.output, truth]
-    if outputs.truth_urdf is not None:
-        urdf = simulated.truth.write_urdf(outputs.truth_urdf, overwrite=outputs.force)
-        written.append(urdf)
-    return simulated_text(scenario, simulated), written
+    if outputs.truth_path is None or (outputs.output is None and outputs.images is None):
+        raise CalibError("Name the table to write: -o table.csv.")
+    inputs = [robot, poses.poses, setup.cell, errors.truth_robot]
+    check_outputs(outputs.files, inputs, force=outputs.force)
+    cell = read_cell(**asdict(setup))
+    arm = load(robot, cell)
+    scenario = read_scenario(arm, cell, setup.cell, ScenarioWords(**asdict(errors)))
+    if outputs.images is not None and not is_image(scenario.kind):
+        raise CalibError(
+            "--images draws what a camera sees of a printed board: add --kind pixel, with --camera-on and --board-on."
+        )
+    joints: Array | None = None
+    sets: tuple[str, ...] = ()
+    validation = 10
+    if poses.poses is not None:
+        table = read_poses(poses.poses, arm, poses.parsed())
+        joints, sets, validation = table.joints, table.sets, 0
+    if poses.validation is not None:
+        validation = poses.validation
+    simulated = simulate_rows(scenario, poses.count, validation, poses.seed, joints, sets)
 
-
-def _simulate_pictures(
-    simulation: _Simulation, outputs: SimulateOutputs, *, quiet: bool
-) -> tuple[str, list[Path]]:
-    """Simulate pictures, write their corners and draw them, as is wanted; returns the text, and the files."""
-    from calib.verbs.simulate.camera.picture_files import write_pictures
-    from calib.verbs.simulate.camera.simulate import simulate_pictures
-    from calib.verbs.simulate.camera.text import simulated_pictures_text
-    from calib.verbs.simulate.camera.truth_file import write_camera_truth
-
-    assert outputs.truth_path is not None
-    pictures = simulate_pictures(
-        simulation.scenario,
-        simulation.count,
-        simulation.validation,
-        simulation.seed,
-        simulation.poses,
-        simulation.sets,
-    )
     written = []
     if outputs.images is not None:
         with progress_bar("pictures", quiet=quiet) as progress:
             drawn = write_pictures(
-                pictures, outputs.images, overwrite=outputs.force, progress=progress
+                simulated, outputs.images, overwrite=outputs.force, progress=progress
             )
         written += [path for path in drawn if path.suffix != ".png"]
     if outputs.output is not None:
-        pictures.measurements.write(outputs.output, overwrite=outputs.force)
+        simulated.measurements.write(outputs.output, overwrite=outputs.force)
         written.append(outputs.output)
-    written.append(write_camera_truth(pictures, outputs.truth_path, overwrite=outputs.force))
+    truth = write_truth(scenario, simulated, outputs.truth_path, overwrite=outputs.force)
+    written.append(truth)
     if outputs.truth_urdf is not None:
-        truth = pictures.cell.truth
-        written.append(truth.write_urdf(outputs.truth_urdf, overwrite=outputs.force))
-    return simulated_pictures_text(pictures), written
+        urdf = simulated.truth.write_urdf(outputs.truth_urdf, overwrite=outputs.force)
+        written.append(urdf)
+    if not quiet:
+        text = simulated_text(scenario, simulated)
+        typer.echo("\n".join([f"{text}\n", *written_lines(*written)]))

@@ -15,11 +15,12 @@ from calib.basics.units import LENGTH, parse_amount, parse_noise, quantity_name
 from calib.data.cell import Cell, TrackerNoise
 from calib.data.cell_file import DEGREES, MM, POINT, TEXT, Field, numbers, read_table, read_toml
 from calib.data.inputs import chain_of, robot_of
+from calib.instruments.camera import is_image
+from calib.instruments.tracker import noise_of_lengths
 from calib.model.error_model import error_model
 from calib.model.families import unit_of
 from calib.model.parameters import ErrorModel
 from calib.robot.robot import Robot
-from calib.verbs.simulate.cell_noise import cell_noise, further_noise
 from calib.verbs.simulate.disturbances import Encoder, MovedTarget, Outliers
 from calib.verbs.simulate.scenario import DEFAULT_MODEL, Scenario
 from calib.verbs.simulate.truth import NONE, TARGET_ERROR, parse_error_sizes
@@ -134,12 +135,12 @@ def _noise(cell: Cell, text: str | None) -> tuple[TrackerNoise | None, dict[str,
     Returns:
         The noise of lengths, and that of one scalar in the other units by their symbols.
     """
-    is_optical = cell.kind is not None and registry.get(cell.kind).optical
-    if not is_optical or text is None or text == NONE:
+    of_images = cell.kind is not None and is_image(registry.get(cell.kind))
+    if not of_images or text is None or text == NONE:
         noise = parse_tracker_noise(cell, text)
         return noise, _further_noise(cell, noise)
     pixels = parse_amount(text, "--noise", quantity_name("pixel"), "0.3 px")
-    noise = cell_noise(cell)
+    noise = noise_of_lengths(cell)
     return noise, {**_further_noise(cell, noise), "px": pixels}
 
 
@@ -149,7 +150,8 @@ def _further_noise(cell: Cell, noise: TrackerNoise | None) -> dict[str, float]:
         return {}
     usual = {symbol: unit.assumed_sigma for symbol, unit in RESIDUAL_UNITS.items()}
     del usual["m"]
-    return usual | {"rad": _PROBE} | further_noise(cell)
+    of_cell = {unit: std for unit, std in cell.sigma.items() if unit != "m"}
+    return usual | {"rad": _PROBE} | of_cell
 
 
 def _outliers(text: str | None, events: Mapping[str, Any]) -> Outliers | None:
@@ -191,4 +193,4 @@ def parse_tracker_noise(cell: Cell, text: str | None) -> TrackerNoise | None:
     if text is not None:
         constant, per_length = (0.0, 0.0) if text == NONE else parse_noise(text, "--noise")
         return TrackerNoise(constant, per_length, 0.0) if constant or per_length else None
-    return cell_noise(cell)
+    return noise_of_lengths(cell)

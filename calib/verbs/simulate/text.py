@@ -6,13 +6,17 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from calib.basics.arrays import Array
+from calib.basics.arrays import Array, rigid_inverse
+from calib.boards.project import corner_pixels
+from calib.camera.lenses import LENSES
 from calib.model.families import FAMILIES, unit_of
 from calib.numerics.errors import rms
-from calib.show.lines import fill, row_ranges
+from calib.show.lines import fill, plural, row_ranges
 from calib.show.tables import labelled
+from calib.verbs.simulate.readings import OUTLIER, Pictures
 from calib.verbs.simulate.scenario import Scenario, Simulated
 from calib.verbs.simulate.truth import Truth
+from calib.verbs.simulate.views import board_tilts, filled_shares
 
 #: Columns from a label to its text.
 _LABEL = 26
@@ -29,28 +33,50 @@ def simulated_text(scenario: Scenario, simulated: Simulated) -> str:
         simulated: The robot with its true errors, and its measurements.
 
     Returns:
-        Errors of the robot, places of targets and frames, disturbances of the measurements, in lines of 100 columns.
+        Errors of the robot, places of targets and frames, or camera, print and mounts, and disturbances of the
+        measurements, in lines of 100 columns.
     """
-    table, robot, truth = simulated.measurements, scenario.robot, simulated.truth
+    robot, pictures = scenario.robot, simulated.pictures
+    if pictures is None:
+        title = (
+            f"Simulated: robot '{robot.name}', {robot.base} to {robot.tip}, {_counts(simulated)}."
+        )
+        facts = [
+            ("Each row measures", f"the {scenario.kind.words}"),
+            ("Targets at each pose", ", ".join(simulated.truth.targets)),
+            ("Stations in turn", ", ".join(simulated.truth.groups)),
+            ("Visits of each pose", str(scenario.visits)),
+            *error_lines(simulated.truth, simulated.q),
+            *_places(scenario, simulated),
+            *_disturbances(scenario, simulated),
+        ]
+    else:
+        title = (
+            f"Simulated: robot '{robot.name}', camera on {robot.base}, board on {robot.tip}, "
+            f"{_picture_counts(pictures)}."
+        )
+        facts = [
+            *_what_is_seen(pictures),
+            *error_lines(simulated.truth, pictures.q),
+            *_camera(pictures, simulated.truth),
+            *_board(pictures, simulated.truth),
+            *_picture_disturbances(scenario, simulated, pictures),
+        ]
+    lines = [fill(title), ""]
+    for label, text in facts:
+        if text:
+            lines.append(labelled(label, text, _LABEL))
+    return "\n".join(lines)
+
+
+def _counts(simulated: Simulated) -> str:
+    """Word the number of rows."""
+    table = simulated.measurements
     rows = f"{len(table)} rows"
     validation = int(table.validation.sum())
     if validation:
         rows += f" ({len(table) - validation} for estimation, {validation} for validation)"
-    title = f"Simulated: robot '{robot.name}', {robot.base} to {robot.tip}, {rows}."
-    labels_and_texts = [
-        ("Each row measures", f"the {scenario.kind.words}"),
-        ("Targets at each pose", ", ".join(truth.targets)),
-        ("Stations in turn", ", ".join(truth.groups)),
-        ("Visits of each pose", str(scenario.visits)),
-        *error_lines(simulated.truth, simulated.q),
-        *_places(scenario, simulated),
-        *_disturbances(scenario, simulated),
-    ]
-    lines = [fill(title), ""]
-    for label, text in labels_and_texts:
-        if text:
-            lines.append(labelled(label, text, _LABEL))
-    return "\n".join(lines)
+    return rows
 
 
 def error_lines(truth: Truth, q: Array) -> Iterator[tuple[str, str]]:
@@ -162,6 +188,78 @@ def _noise(scenario: Scenario, simulated: Simulated) -> str:
     if noise.repeatability:
         text += f", robot {1e6 * noise.repeatability:g} um"
     return text
+
+
+# Pictures
+
+
+def _picture_counts(pictures: Pictures) -> str:
+    """Word the number of pictures and of corners."""
+    text = f"{plural(len(pictures.picture), 'corner')} in {plural(len(pictures.images), 'picture')}"
+    validation = sum(name != "estimate" for name in pictures.sets)
+    if validation:
+        estimation = len(pictures.images) - validation
+        text += f" ({estimation} for estimation, {validation} for validation)"
+    return text
+
+
+def _what_is_seen(pictures: Pictures) -> Iterator[tuple[str, str]]:
+    """Yield label and text of what the pictures show."""
+    camera, printed = pictures.equipment.camera, pictures.equipment.printed
+    corners = len(printed.corners)
+    fewest = np.bincount(pictures.picture, minlength=len(pictures.images)).min()
+    T = pictures.T_camera_board[np.unique(pictures.picture)]
+    tilts = np.rad2deg(board_tilts(printed.board, T))
+    fills = 100.0 * filled_shares(camera, corner_pixels(camera, printed.corners, T)[0])
+    yield "Corners in a picture", f"{fewest} to {corners} of {corners}"
+    yield (
+        "Board in the pictures",
+        f"tilted by {tilts.min():.0f} to {tilts.max():.0f} deg, spans {fills.min():.0f} to "
+        f"{fills.max():.0f} % of the image",
+    )
+
+
+def _camera(pictures: Pictures, truth: Truth) -> Iterator[tuple[str, str]]:
+    """Yield label and text of the camera's true numbers and of its mount."""
+    camera, stated = pictures.equipment.camera, pictures.equipment.stated
+    names = LENSES[camera.lens].names
+    words = []
+    for values in (camera.values, stated.values):
+        numbers = [] if values is None else zip(names, values.tolist(), strict=True)
+        words.append(", ".join(f"{name} {value:.6g}" for name, value in numbers))
+    yield "Camera", f"{camera.width} x {camera.height} px, {camera.lens}; true {words[0]}"
+    yield "  stated", words[1] or "nothing but the size"
+    T_base_camera = rigid_inverse(truth.T_frame_base[0])
+    yield "  mounted", f"at {point_mm(T_base_camera[:3, 3])} mm in {truth.nominal.base}"
+
+
+def _board(pictures: Pictures, truth: Truth) -> Iterator[tuple[str, str]]:
+    """Yield label and text of the board as printed and of its mount."""
+    printed, board = pictures.equipment.printed, pictures.equipment.printed.board
+    pattern = f"{board.pattern} of {board.columns} x {board.rows}, {1e3 * board.square:g} mm"
+    scale_x, scale_y = (100.0 * (scale - 1.0) for scale in printed.scale)
+    sag_x, sag_y = (1e3 * sag for sag in printed.warp)
+    text = (
+        f"{pattern}; printed {scale_x:+.2f} % wide and {scale_y:+.2f} % high, sags by {sag_x:.2f} mm along x and "
+        f"{sag_y:.2f} mm along y"
+    )
+    if printed.offsets is not None:
+        text += f", corners {1e6 * rms(printed.offsets[:, :2].ravel()):.0f} um rms off"
+    yield "Board", text
+    middle = truth.T_tip_target[0] @ np.append(board.centre, 1.0)
+    yield "  mounted", f"its middle at {point_mm(middle[:3])} mm in {truth.nominal.tip}"
+
+
+def _picture_disturbances(
+    scenario: Scenario, simulated: Simulated, pictures: Pictures
+) -> Iterator[tuple[str, str]]:
+    """Yield label and text of noise, repeatability, encoder steps and outliers; the text is empty without one."""
+    yield "Noise of a corner", f"{pictures.sigma:g} px along u and along v, in a table (-o)"
+    if scenario.noise is not None and scenario.noise.repeatability:
+        yield "Repeatability", f"{1e6 * scenario.noise.repeatability:g} um per coordinate"
+    yield "Encoder steps", encoder_steps(scenario)
+    if simulated.outlier_rows:
+        yield f"Outliers of {OUTLIER:g} px", f"rows {row_ranges(simulated.outlier_rows)}"
 
 
 def _mm(value: float) -> str:

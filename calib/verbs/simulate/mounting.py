@@ -1,6 +1,7 @@
-"""Where a camera and a board may be mounted: on the flange, on the table or a wall, beside the robot.
+"""Where a camera and a board are mounted: on the flange, on the table or a wall, beside the robot.
 
-Up is z of the link that does not move. A camera's z axis is the line of sight, a board's points into the page.
+Several places are drawn, and the one with most views, and the most various, is taken. Up is z of the link that does not
+move. A camera's z axis is the line of sight, a board's points into the page.
 """
 
 from __future__ import annotations
@@ -8,9 +9,30 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from calib.basics.arrays import Array
+from calib.basics.arrays import Array, read_only, rigid_inverse
+from calib.boards.printed import Print
+from calib.camera.camera import Camera
+from calib.errors import CalibError
+from calib.instruments.instrument import Sightline
+from calib.numerics.geometry import pose_of
 from calib.robot.ranges import spread_poses
 from calib.robot.robot import Robot
+from calib.verbs.simulate.views import (
+    USUAL_FRAMING,
+    CameraScene,
+    Framing,
+    filling_distance,
+    try_views,
+)
+
+#: Places that are compared.
+_PLACES = 12
+
+#: Views that are tried for at each.
+_TRIES = 48
+
+#: Share of the image that a board fills at least if it is seen from beside the robot.
+_STILL_FILLS = 0.25
 
 #: Distance of a camera from the axis of the flange that carries it [m].
 _BESIDE_FLANGE = (0.05, 0.12)
@@ -40,11 +62,97 @@ _ON_WALL = 0.3
 _POINTS = 0.3
 
 
+def draw_scene(
+    robot: Robot,
+    camera: Camera,
+    printed: Print,
+    seed: int | np.random.Generator,
+    T_camera_base: Array | None = None,
+    T_tip_board: Array | None = None,
+    framing: Framing = USUAL_FRAMING,
+) -> CameraScene:
+    """Draw the places of camera and board in a cell.
+
+    A camera on the flange looks outward, and the board lies on the table or hangs on a wall; a camera beside the robot
+    looks at its workspace, and the board is on the flange.
+
+    Args:
+        robot: The chain from the link that carries the camera to the one that carries the board. If both move, the
+            camera's mount must be given.
+        camera: The camera, whose numbers are known.
+        printed: The board.
+        seed: Of the random numbers, or where they come from.
+        T_camera_base: Pose of the camera's link in the camera, shape (4, 4) [m]; None: drawn.
+        T_tip_board: Pose of the board in its link, shape (4, 4) [m]; None: drawn.
+        framing: How pictures are to show the board.
+
+    Raises:
+        CalibError: Both links move and the camera's mount is not given, or the board is seen from nowhere.
+    """
+    rng = np.random.default_rng(seed)
+    best = None
+    most = 0.0
+    centre = printed.board.centre
+    for _ in range(_PLACES):
+        T_camera, T_board = T_camera_base, T_tip_board
+        if T_camera is None:
+            T_camera = rigid_inverse(_draw_camera_mount(robot, camera, printed, rng))
+        if T_board is None and moving_sides(robot)[1]:
+            T_board = board_on_flange(robot, centre, rng)
+        elif T_board is None:
+            T_board = board_in_workspace(_reversed(robot), centre, rng)
+        sightline = Sightline(robot, read_only(T_camera), read_only(T_board))
+        scene = CameraScene(sightline, camera, printed)
+        q = try_views(scene, _TRIES, rng, framing)
+        # Views are worth their number, times how far the joints move between them. The root of the standard deviations
+        # counts the joint that hardly moves, and is not lost in one that turns round.
+        worth = float(len(q) * np.mean(np.sqrt(q.std(axis=0)))) if len(q) else 0.0
+        if worth > most:
+            best, most = scene, worth
+    if best is None:
+        raise CalibError(
+            f"In {_PLACES} cells that were drawn the camera at '{robot.base}' never sees the whole board at "
+            f"'{robot.tip}': make the board smaller or larger, or state in the cell file where both are: "
+            "frame_xyz_mm and frame_rpy_deg, target_mm and target_rpy_deg."
+        )
+    return best
+
+
+def _draw_camera_mount(
+    robot: Robot, camera: Camera, printed: Print, rng: np.random.Generator
+) -> Array:
+    """Draw a camera on the flange, or beside the robot; returns T_base_camera, shape (4, 4) [m]."""
+    moves_camera, moves_board = moving_sides(robot)
+    if moves_camera and moves_board:
+        raise CalibError(
+            f"Both '{robot.base}', which carries the camera, and '{robot.tip}', which carries the board, move; state "
+            "in the cell file where the link is in the camera: frame_xyz_mm and frame_rpy_deg."
+        )
+    if moves_camera:
+        return camera_on_flange(_reversed(robot), rng)
+    return camera_beside(robot, filling_distance(camera, printed.board) / _STILL_FILLS, rng)
+
+
+def _reversed(robot: Robot) -> Robot:
+    """Return the chain from the board's link to the camera's."""
+    return robot.rebuilt(base=robot.tip, tip=robot.base)
+
+
+def moving_sides(robot: Robot) -> tuple[bool, bool]:
+    """Return whether the robot's joints move the camera, its base, and whether they move the board, its tip."""
+    moving = {joint.name for joint in robot.joints}
+    on_camera_side, on_board_side = robot.urdf.chain(robot.base, robot.tip)
+    return bool(moving.intersection(on_camera_side)), bool(moving.intersection(on_board_side))
+
+
+# Places
+
+
 def outward(arm: Robot) -> Array:
     """Return the direction into which a flange points, in its frame, shape (3,).
 
-    That is along the axis of the last joint, on the side away from the joint before it; where that axis is across, the
-    way from that joint to the flange.
+    That is along the axis of the last joint, on the side away from the joint before it; if that axis is across, the way
+    from that joint to the flange.
 
     Args:
         arm: The chain that ends at the flange.
@@ -83,7 +191,7 @@ def camera_on_flange(arm: Robot, rng: np.random.Generator) -> Array:
     """Draw a camera beside the flange that looks outward; returns T_flange_camera, shape (4, 4) [m]."""
     flange = frame_along(outward(arm), rng.uniform(0.0, 2.0 * np.pi))
     place = [rng.uniform(*_BESIDE_FLANGE), 0.0, rng.uniform(*_ALONG_FLANGE)]
-    return pose(flange @ _turned(rng), flange @ place)
+    return pose_of(flange @ place, flange @ _draw_turn(rng))
 
 
 def board_on_flange(arm: Robot, centre: Array, rng: np.random.Generator) -> Array:
@@ -98,11 +206,11 @@ def board_on_flange(arm: Robot, centre: Array, rng: np.random.Generator) -> Arra
         T_flange_board, shape (4, 4) [m].
     """
     direction = outward(arm)
-    R = frame_along(-direction, rng.uniform(0.0, 2.0 * np.pi)) @ _turned(rng)
+    R = frame_along(-direction, rng.uniform(0.0, 2.0 * np.pi)) @ _draw_turn(rng)
     beside = rng.uniform(-0.04, 0.04, size=3)
     beside -= (beside @ direction) * direction
     middle = rng.uniform(*_BEFORE_FLANGE) * direction + beside
-    return pose(R, middle - R @ centre)
+    return pose_of(middle - R @ centre, R)
 
 
 def board_in_workspace(arm: Robot, centre: Array, rng: np.random.Generator) -> Array:
@@ -126,8 +234,8 @@ def board_in_workspace(arm: Robot, centre: Array, rng: np.random.Generator) -> A
     else:
         into_page = -up
         middle = length * (rng.uniform(0.35, 0.75) * direction + rng.uniform(-0.2, 0.15) * up)
-    R = frame_along(into_page, rng.uniform(0.0, 2.0 * np.pi)) @ _turned(rng, _TURN / 5.0)
-    return pose(R, middle - R @ centre)
+    R = frame_along(into_page, rng.uniform(0.0, 2.0 * np.pi)) @ _draw_turn(rng, _TURN / 5.0)
+    return pose_of(middle - R @ centre, R)
 
 
 def camera_beside(arm: Robot, farthest: float, rng: np.random.Generator) -> Array:
@@ -154,17 +262,9 @@ def camera_beside(arm: Robot, farthest: float, rng: np.random.Generator) -> Arra
     right = np.cross(line_of_sight, up)
     right /= np.linalg.norm(right)
     upright = np.column_stack([right, np.cross(line_of_sight, right), line_of_sight])
-    return pose(upright @ _turned(rng), middle + distance * towards_camera)
+    return pose_of(middle + distance * towards_camera, upright @ _draw_turn(rng))
 
 
-def pose(R: Array, p: Array) -> Array:
-    """Return the pose of a rotation (3, 3) and a position (3,) [m], shape (4, 4)."""
-    T = np.eye(4)
-    T[:3, :3] = R
-    T[:3, 3] = p
-    return T
-
-
-def _turned(rng: np.random.Generator, most: float = _TURN) -> Array:
+def _draw_turn(rng: np.random.Generator, most: float = _TURN) -> Array:
     """Draw a small rotation about each axis, at most an angle [rad], shape (3, 3)."""
     return np.asarray(Rotation.from_rotvec(rng.uniform(-most, most, size=3)).as_matrix())

@@ -1,4 +1,4 @@
-"""Joint values at which the camera sees the board, near and far, tilted every way, all over the image.
+"""Joint values at which a camera sees the whole board, near and far, tilted every way, all over the image.
 
 A view is wished for at random: where the board's middle c and its normal n are to be in the camera. From random joint
 values Levenberg-Marquardt steps lead towards it, with differences for derivatives, and stay within the limits:
@@ -11,20 +11,20 @@ whole board in the end.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from calib.basics.arrays import Array, read_only
+from calib.basics.arrays import Array, Mask, read_only
 from calib.basics.jobs import Progress
-from calib.boards.project import rays
+from calib.basics.values import Value
+from calib.boards.board import Board
+from calib.boards.printed import Print
+from calib.boards.project import Sight, corner_pixels, in_camera, rays
+from calib.camera.camera import Camera
 from calib.errors import CalibError
+from calib.instruments.instrument import Sightline
 from calib.verbs.plan.candidates import planning_ranges
-from calib.verbs.simulate.camera.scene import (
-    USUAL_FRAMING,
-    CameraScene,
-    Framing,
-    filling_distance,
-    is_framed,
-)
 
 #: Views that are wished for at once.
 _BATCH = 128
@@ -64,6 +64,75 @@ _SCATTER = 0.3
 _CENTRAL = 0.7
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class CameraScene(Value):
+    """A camera on one link of a robot, and a board on another."""
+
+    #: The camera and the board, with the chain between them.
+    sightline: Sightline
+    #: The camera, whose numbers are known.
+    camera: Camera
+    #: The board.
+    printed: Print
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Framing(Value):
+    """Conditions under which a picture shows the board well."""
+
+    #: Distance of the corners from the image's edges [px].
+    margin: float = 15.0
+    #: Largest angle between the board's normal and the line of sight to its middle [rad].
+    tilt: float = np.deg2rad(50.0)
+    #: Least and greatest share of the image's width or height, whichever is more, that the corners span.
+    fill: tuple[float, float] = (0.2, 0.8)
+
+
+#: The usual framing.
+USUAL_FRAMING = Framing()
+
+
+def board_tilts(board: Board, T_camera_board: Array) -> Array:
+    """Return the angle between a board's normal and the line of sight to its middle at poses (N, 4, 4), (N,) [rad]."""
+    middle = in_camera(T_camera_board, board.centre[None])[:, 0]
+    along_normal = np.einsum("ni,ni->n", T_camera_board[:, :3, 2], middle)
+    cosine = np.clip(along_normal / np.linalg.norm(middle, axis=1), -1.0, 1.0)
+    return np.asarray(np.arccos(cosine))
+
+
+def filled_shares(camera: Camera, pixels: Array) -> Array:
+    """Return the share of the image's width or height, whichever is more, that corners (N, n, 2) [px] span, (N,)."""
+    spans = pixels.max(axis=1) - pixels.min(axis=1)
+    return np.asarray((spans / [camera.width, camera.height]).max(axis=1))
+
+
+def is_framed(scene: CameraScene, T_camera_board: Array, framing: Framing = USUAL_FRAMING) -> Mask:
+    """Return whether pictures show the whole board as it is to be shown.
+
+    Args:
+        scene: Has the camera and the board.
+        T_camera_board: Poses of the board in the camera, shape (N, 4, 4) [m].
+        framing: How it is to be shown.
+
+    Returns:
+        shape (N,).
+    """
+    sight = Sight(margin=framing.margin, tilt=np.pi / 2.0)
+    pixels, is_seen = corner_pixels(scene.camera, scene.printed.corners, T_camera_board, sight)
+    fill = filled_shares(scene.camera, pixels)
+    least, most = framing.fill
+    is_facing = board_tilts(scene.printed.board, T_camera_board) <= framing.tilt
+    return np.asarray(is_seen.all(axis=1) & is_facing & (fill >= least) & (fill <= most))
+
+
+def filling_distance(camera: Camera, board: Board) -> float:
+    """Return from how far a board fills the image's width or height, whichever is full first [m]."""
+    assert camera.values is not None
+    focal_lengths = camera.values[:2]
+    shares = focal_lengths * board.size / [camera.width, camera.height]
+    return float(shares.max())
+
+
 def draw_views(
     scene: CameraScene,
     count: int,
@@ -87,7 +156,7 @@ def draw_views(
         CalibError: Too few were found.
     """
     rng = np.random.default_rng(seed)
-    views = np.empty((0, len(scene.robot.joint_names)))
+    views = np.empty((0, len(scene.sightline.robot.joint_names)))
     for _ in range(_BATCHES):
         if len(views) >= count:
             break
@@ -106,30 +175,19 @@ def try_views(
     scene: CameraScene, tries: int, rng: np.random.Generator, framing: Framing = USUAL_FRAMING
 ) -> Array:
     """Try for a number of views; returns the readings (n, m) [rad] or [m] of those that show the whole board."""
-    robot = scene.robot
-    ranges = planning_ranges(robot, {}, _LIMIT_MARGIN)
+    robot = scene.sightline.robot
+    low, high = planning_ranges(robot, {}, _LIMIT_MARGIN).T
     limits = planning_ranges(robot, {}, _LIMIT_MARGIN, turns=True)
-    wished = _wishes(scene, tries, rng, framing)
-    low, high = ranges.T
-    start = rng.uniform(low, high, size=(tries, len(ranges)))
+    wished = _wish(scene, tries, rng, framing)
+    start = rng.uniform(low, high, size=(tries, len(limits)))
     values = _approach(scene, wished, start, limits)
     miss = np.linalg.norm(wished - _shown(scene, values), axis=1)
-    q = robot.readings(_scattered(values, miss, limits, rng))
-    return np.asarray(q[is_framed(scene, scene.board_poses(q), framing)])
+    q = robot.readings(_scatter(values, miss, limits, rng))
+    return np.asarray(q[is_framed(scene, scene.sightline.target_poses(q), framing)])
 
 
-def _wishes(scene: CameraScene, count: int, rng: np.random.Generator, framing: Framing) -> Array:
-    """Draw where the board's middle and its normal are to be in the camera.
-
-    Args:
-        scene: Has the camera and the board.
-        count: Number of views.
-        rng: Random numbers.
-        framing: How the pictures are to show the board.
-
-    Returns:
-        The middle [m] and the normal times `_NORMAL`, shape (count, 6).
-    """
+def _wish(scene: CameraScene, count: int, rng: np.random.Generator, framing: Framing) -> Array:
+    """Draw where the board's middle [m] and its normal, times L, are to be in the camera, shape (count, 6)."""
     camera = scene.camera
     size = np.array([camera.width, camera.height])
     pixels = (size - 1) / 2.0 + size * rng.uniform(-0.5, 0.5, size=(count, 2)) * _CENTRAL
@@ -137,35 +195,22 @@ def _wishes(scene: CameraScene, count: int, rng: np.random.Generator, framing: F
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     fill = rng.uniform(*framing.fill, size=count)
     distance = filling_distance(camera, scene.printed.board) / fill
-    tilt = framing.tilt * np.sqrt(rng.uniform(size=count))
-    normals = _tilted(directions, tilt, rng)
+    tilt = framing.tilt * np.sqrt(rng.uniform(size=count))[:, None]
+    side = np.cross(directions, rng.standard_normal(directions.shape))
+    side /= np.linalg.norm(side, axis=1, keepdims=True)
+    normals = np.cos(tilt) * directions + np.sin(tilt) * side
     return np.column_stack([distance[:, None] * directions, _NORMAL * normals])
 
 
-def _tilted(directions: Array, tilt: Array, rng: np.random.Generator) -> Array:
-    """Turn unit vectors (n, 3) by angles (n,) [rad] to random sides, shape (n, 3)."""
-    side = np.cross(directions, rng.standard_normal(directions.shape))
-    side /= np.linalg.norm(side, axis=1, keepdims=True)
-    return np.asarray(np.cos(tilt)[:, None] * directions + np.sin(tilt)[:, None] * side)
-
-
 def _approach(scene: CameraScene, wished: Array, start: Array, limits: Array) -> Array:
-    """Go from joint values towards views.
-
-    Args:
-        scene: The robot, the camera and the board.
-        wished: Middle and normal of the board, see `_wishes`, shape (n, 6).
-        start: Joint values, shape (n, m), [rad] or [m].
-        limits: Lowest and highest joint values, shape (m, 2), [rad] or [m].
-
-    Returns:
-        Joint values, shape (n, m), [rad] or [m].
-    """
+    """Go from joint values (n, m) towards views (n, 6), see `_wish`, within limits (m, 2); returns joint values."""
     low, high = limits.T
     values = start
+    steps = _DIFFERENCE * np.eye(len(low))
     for _ in range(_STEPS):
         shown = _shown(scene, values)
-        J = _derivative(scene, values, shown)
+        columns = [(_shown(scene, values + step) - shown) / _DIFFERENCE for step in steps]
+        J = np.stack(columns, axis=-1)
         J_transposed = np.swapaxes(J, 1, 2)
         normal_matrix = J_transposed @ J + _DAMPING**2 * np.eye(len(low))
         gradient = J_transposed @ (wished - shown)[..., None]
@@ -176,17 +221,10 @@ def _approach(scene: CameraScene, wished: Array, start: Array, limits: Array) ->
     return values
 
 
-def _scattered(values: Array, miss: Array, limits: Array, rng: np.random.Generator) -> Array:
-    """Scatter joint values that missed their view: they lie where the arm is stretched, or a joint at its limit.
+def _scatter(values: Array, miss: Array, limits: Array, rng: np.random.Generator) -> Array:
+    """Scatter joint values (n, m) that missed their view by lengths (n,) [m], and joints that are at a limit (m, 2).
 
-    Args:
-        values: Joint values, shape (n, m), [rad] or [m].
-        miss: How far each is from its view, shape (n,), [m].
-        limits: Lowest and highest joint values, shape (m, 2), [rad] or [m].
-        rng: Random numbers.
-
-    Returns:
-        Joint values, shape (n, m), [rad] or [m]. A joint at its limit goes back from it.
+    Those are where the arm is stretched; a joint at its limit goes back from it.
     """
     low, high = limits.T
     most = np.minimum(_SCATTER_SHARE * (high - low), _SCATTER)
@@ -199,14 +237,8 @@ def _scattered(values: Array, miss: Array, limits: Array, rng: np.random.Generat
 
 
 def _shown(scene: CameraScene, values: Array) -> Array:
-    """Return middle and normal of the board, see `_wishes`, at joint values (n, m) [rad] or [m], shape (n, 6)."""
-    T = scene.board_poses(scene.robot.readings(values))
+    """Return middle [m] and normal, times L, of the board at joint values (n, m), shape (n, 6)."""
+    sightline = scene.sightline
+    T = sightline.target_poses(sightline.robot.readings(values))
     middle = T[:, :3, :3] @ scene.printed.board.centre + T[:, :3, 3]
     return np.concatenate([middle, _NORMAL * T[:, :3, 2]], axis=1)
-
-
-def _derivative(scene: CameraScene, values: Array, shown: Array) -> Array:
-    """Return the derivative of `_shown` at joint values (n, m), where it is (n, 6), by differences, (n, 6, m)."""
-    steps = _DIFFERENCE * np.eye(values.shape[1])
-    columns = [(_shown(scene, values + step) - shown) / _DIFFERENCE for step in steps]
-    return np.stack(columns, axis=-1)

@@ -16,8 +16,10 @@ from calib.boards.board_file import board_toml
 from calib.boards.render import USUAL_SCENE, Scene, render, write_png
 from calib.camera.camera_file import camera_info_yaml
 from calib.data.columns import SETS
-from calib.verbs.simulate.camera.pictures import Pictures
+from calib.robot.robot import Robot
 from calib.verbs.simulate.random_streams import stream
+from calib.verbs.simulate.readings import Pictures
+from calib.verbs.simulate.scenario import Simulated
 
 #: Names of the files beside the pictures.
 JOINTS = "joints.csv"
@@ -41,47 +43,50 @@ class Quality:
 USUAL_QUALITY = Quality()
 
 
-def picture_paths(pictures: Pictures, folder: str | Path) -> tuple[Path, ...]:
-    """Return the files that `write_pictures` writes, the pictures first."""
-    others = [JOINTS, BOARD]
-    if pictures.cell.stated.values is not None:
-        others.append(CAMERA)
-    return tuple(Path(folder) / name for name in (*pictures.images, *others))
-
-
 def write_pictures(
-    pictures: Pictures,
+    simulated: Simulated,
     folder: str | Path,
     quality: Quality = USUAL_QUALITY,
     *,
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> tuple[Path, ...]:
-    """Draw the pictures, and write them with the files beside them.
+    """Draw the pictures of a simulation, and write them with the files beside them.
 
     Args:
-        pictures: What the camera sees.
+        simulated: Measurements by a camera.
         folder: Made if it does not exist.
         quality: Blur, noise and light.
         overwrite: Whether existing files are replaced.
         progress: Called after each picture with the number drawn and the number of all; None: nothing is called.
 
     Returns:
-        The files. ``camera.yaml`` is not among them where nothing is stated of the camera but the size of its images.
+        The files, the pictures first. ``camera.yaml`` is not among them if nothing is stated of the camera but the size
+        of its images.
 
     Raises:
         FileError: A file exists, or cannot be written.
         CalibError: OpenCV is not installed.
     """
-    paths = picture_paths(pictures, make_folder(folder))
+    pictures = simulated.pictures
+    assert pictures is not None
+    equipment = pictures.equipment
+    rows = _joint_rows(pictures, simulated.truth.nominal)
+    contents = {
+        JOINTS: csv_bytes(rows),
+        BOARD: board_toml(equipment.printed.board).encode(),
+    }
+    if equipment.stated.values is not None:
+        contents[CAMERA] = camera_info_yaml(equipment.stated).encode()
+    made = make_folder(folder)
+    paths = tuple(made / name for name in (*pictures.images, *contents))
     for path in paths:
         check_writable(path, overwrite=overwrite)
-    cell = pictures.cell
-    rng = stream(pictures.seed, "pictures")
+    rng = stream(simulated.seed, "pictures")
     for k, T in enumerate(pictures.T_camera_board):
         image = render(
-            cell.printed,
-            cell.camera,
+            equipment.printed,
+            equipment.camera,
             T,
             scene=quality.scene,
             blur=quality.blur,
@@ -91,17 +96,13 @@ def write_pictures(
         write_png(image, paths[k], overwrite=overwrite)
         if progress is not None:
             progress(k + 1, len(pictures.images))
-    contents = [csv_bytes(_joint_rows(pictures)), board_toml(cell.printed.board).encode()]
-    if cell.stated.values is not None:
-        contents.append(camera_info_yaml(cell.stated).encode())
-    for path, content in zip(paths[len(pictures.images) :], contents, strict=True):
-        write_atomically(path, content, overwrite=overwrite)
+    for name, content in contents.items():
+        write_atomically(made / name, content, overwrite=overwrite)
     return paths
 
 
-def _joint_rows(pictures: Pictures) -> Iterator[list[object]]:
+def _joint_rows(pictures: Pictures, robot: Robot) -> Iterator[list[object]]:
     """Yield the rows of the table of joint values, its header first."""
-    robot = pictures.cell.truth.nominal
     headers = [
         f"{joint.name} [m]" if joint.type == "prismatic" else f"{joint.name} [rad]"
         for joint in robot.inputs

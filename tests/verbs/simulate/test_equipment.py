@@ -10,7 +10,7 @@ import pytest
 from calib.camera.camera import UNKNOWN, Camera
 from calib.camera.lenses import LENSES
 from calib.robot.robot import Robot
-from calib.verbs.simulate.camera.equipment import draw_camera, folds, usual_board, usual_camera
+from calib.verbs.simulate.equipment import draw_camera, folds, usual_board, usual_camera
 from tests.boards.boards import FISHEYE
 
 

@@ -1,22 +1,29 @@
-"""Mounts: where flanges point, how far arms reach, where cameras and boards are put."""
+"""Mounts: where flanges point, how far arms reach, where cameras and boards are put, and what is never seen."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from calib.boards.printed import Print
+from calib.errors import CalibError
 from calib.robot.dh.rows import DHRow
 from calib.robot.robot import Robot
-from calib.verbs.simulate.camera.mounts import (
+from calib.verbs.simulate.mounting import (
     board_in_workspace,
     board_on_flange,
     camera_beside,
     camera_on_flange,
+    draw_scene,
     frame_along,
+    moving_sides,
     outward,
     reach,
 )
+from tests.verbs.simulate.cells import BOARD, CAMERA
 
 CENTRE = np.array([0.14, 0.1, 0.0])
 
@@ -114,3 +121,61 @@ def test_a_camera_comes_nearer_for_a_small_board_but_not_into_the_workspace(pand
     assert 1.0 <= np.linalg.norm(T[:3, 3] - nearest[:3, 3]) + 0.9 * reach(panda) <= 1.5
     moved = (nearer[:3, 3] - T[:3, 3]) / np.linalg.norm(nearer[:3, 3] - T[:3, 3])
     assert moved @ sight > 0.9
+
+
+def test_the_chain_says_what_the_robot_moves():
+    assert moving_sides(Robot.load("ur5", base="tool0", tip="base_link")) == (True, False)
+    assert moving_sides(Robot.load("ur5", base="base_link", tip="tool0")) == (False, True)
+
+
+def test_a_moved_camera_and_a_moved_board_are_to_be_stated():
+    both = Robot.load("baxter", base="left_wrist", tip="right_wrist")
+    with pytest.raises(CalibError, match=r"left_wrist.*right_wrist"):
+        draw_scene(both, CAMERA, Print(BOARD), seed=0)
+
+
+@pytest.mark.slow
+def test_mounts_that_are_given_are_kept():
+    robot = Robot.load("ur5", base="tool0", tip="base_link")
+    drawn = draw_scene(robot, CAMERA, Print(BOARD), seed=0).sightline
+    T_camera_base, T_tip_board = drawn.T_instrument_base, drawn.T_tip_target
+    other = draw_scene(robot, CAMERA, Print(BOARD), 1, T_camera_base=T_camera_base).sightline
+    np.testing.assert_array_equal(other.T_instrument_base, T_camera_base)
+    assert np.abs(other.T_tip_target - T_tip_board).max() > 0.05
+    other = draw_scene(robot, CAMERA, Print(BOARD), 1, T_tip_board=T_tip_board).sightline
+    np.testing.assert_array_equal(other.T_tip_target, T_tip_board)
+    assert np.abs(other.T_instrument_base - T_camera_base).max() > 0.05
+
+
+def test_a_camera_on_a_head_sees_the_board_on_the_hand():
+    """Both links move: the camera looks forward along x of the head, and the board is drawn on the hand."""
+    robot = Robot.load("tiago", base="head_2_link", tip="wrist_ft_tool_link")
+    assert moving_sides(robot) == (True, True)
+    T_camera_base = np.eye(4)
+    T_camera_base[:3, :3] = [[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]]
+    sightline = draw_scene(robot, CAMERA, Print(BOARD), 0, T_camera_base).sightline
+    assert np.linalg.norm(sightline.T_tip_target[:3, 3]) < 0.3
+
+
+def test_a_camera_is_put_on_the_flange_and_the_board_in_the_workspace():
+    sightline = draw_scene(
+        Robot.load("ur5", base="tool0", tip="base_link"), CAMERA, Print(BOARD), 0
+    ).sightline
+    assert 0.05 <= np.linalg.norm(sightline.T_instrument_base[:3, 3]) <= 0.13
+    assert 0.2 < np.linalg.norm(sightline.T_tip_target[:3, 3]) < 1.5
+
+
+def test_a_camera_is_put_beside_the_robot_and_the_board_on_the_flange():
+    sightline = draw_scene(
+        Robot.load("ur5", base="base_link", tip="tool0"), CAMERA, Print(BOARD), 0
+    ).sightline
+    assert 1.0 <= np.linalg.norm(sightline.T_instrument_base[:3, 3]) < 2.2
+    assert np.linalg.norm(sightline.T_tip_target[:3, 3]) < 0.3
+
+
+def test_a_board_that_is_too_small_is_seen_from_nowhere(monkeypatch):
+    monkeypatch.setattr("calib.verbs.simulate.mounting._PLACES", 2)
+    tiny = replace(BOARD, square=4e-4, marker=3e-4)
+    robot = Robot.load("ur5", base="base_link", tip="tool0")
+    with pytest.raises(CalibError, match="smaller or larger"):
+        draw_scene(robot, CAMERA, Print(tiny), seed=0)
