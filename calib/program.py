@@ -1,28 +1,100 @@
-"""The program: all verbs of the command line, and the options before them."""
+"""The program: all verbs of the command line, and the options before them.
+
+A verb's module is imported when the verb is called: ``calib --help`` needs none of them.
+"""
 
 from __future__ import annotations
 
+import importlib
+from collections.abc import Iterator, Mapping
+from functools import cache
+from typing import Any
+
 import typer
+from typer.core import TyperGroup
+from typer.main import get_command
 
 from calib.cli.verb import Verb
-from calib.verbs.base_frame.command import base_frame
-from calib.verbs.board.command import board
-from calib.verbs.calibrate.command import calibrate
-from calib.verbs.compare.command import compare
-from calib.verbs.compensate.command import compensate
-from calib.verbs.convert.command import convert
-from calib.verbs.demo.command import demo
-from calib.verbs.detect.command import detect
-from calib.verbs.evaluate.command import evaluate
-from calib.verbs.fleet.command import fleet
-from calib.verbs.inspect.command import inspect
-from calib.verbs.plan.command import plan
-from calib.verbs.simulate.command import simulate
-from calib.verbs.view.command import view
-from calib.verbs.workspace.command import workspace
+
+#: The verbs, in the order of ``calib --help``; ``base-frame`` is that of the folder ``base_frame``. The docstring of a
+#: verb's package is what it does in one line.
+VERBS = (
+    "demo",
+    "detect",
+    "calibrate",
+    "fleet",
+    "evaluate",
+    "compare",
+    "compensate",
+    "inspect",
+    "base-frame",
+    "board",
+    "plan",
+    "simulate",
+    "convert",
+    "view",
+    "workspace",
+)
+
+#: Earlier names of verbs, kept for one release.
+_EARLIER = {"fit": "calibrate"}
+
+
+class _Commands(Mapping[str, Any]):
+    """The commands by name, each made when it is asked for."""
+
+    def __getitem__(self, name: str) -> Any:  # noqa: ANN401  a class of typer's own
+        """Import a verb's module and make its command."""
+        if name not in {*VERBS, *_EARLIER}:
+            raise KeyError(name)
+        return _command(name)
+
+    def __iter__(self) -> Iterator[str]:
+        """Iterate over the names."""
+        return iter((*VERBS, *_EARLIER))
+
+    def __len__(self) -> int:
+        """Return their number."""
+        return len(VERBS) + len(_EARLIER)
+
+
+@cache
+def _command(name: str) -> Any:  # noqa: ANN401  a class of typer's own
+    """Return the command of a verb."""
+    folder = _EARLIER.get(name, name).replace("-", "_")
+    function = getattr(importlib.import_module(f"calib.verbs.{folder}.command"), folder)
+    single = typer.Typer(add_completion=False, rich_markup_mode=None)
+    single.command(name, cls=Verb, hidden=name in _EARLIER)(function)
+    return get_command(single)
+
+
+class Program(TyperGroup):
+    """The group of the verbs."""
+
+    def __init__(self, **arguments: Any) -> None:  # noqa: ANN401  typer's own
+        """Put the commands in place of those that typer knows."""
+        super().__init__(**{**arguments, "commands": {}})
+        self.commands = _Commands()  # type: ignore[assignment]
+
+    def list_commands(self, ctx: Any) -> list[str]:  # noqa: ANN401
+        """Return the names of the verbs."""
+        del ctx
+        return list(self.commands)
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:  # noqa: ANN401
+        """Write the verbs with what they do, without their commands."""
+        del ctx
+        rows = []
+        for name in VERBS:
+            package = importlib.import_module(f"calib.verbs.{name.replace('-', '_')}")
+            rows.append((name, package.__doc__ or ""))
+        with formatter.section("Commands"):
+            formatter.write_dl(rows)
+
 
 app = typer.Typer(
     name="calib",
+    cls=Program,
     no_args_is_help=True,
     add_completion=False,
     rich_markup_mode=None,
@@ -30,28 +102,6 @@ app = typer.Typer(
     help="Kinematic calibration of robot arms: URDF in, corrected URDF out.",
     epilog="Start with:  calib demo     then:  calib calibrate robot.urdf data.csv -o corrected.urdf",
 )
-#: The verbs, in the order of ``calib --help``.
-_VERBS = (
-    demo,
-    detect,
-    calibrate,
-    fleet,
-    evaluate,
-    compare,
-    compensate,
-    inspect,
-    base_frame,
-    board,
-    plan,
-    simulate,
-    convert,
-    view,
-    workspace,
-)
-for command in _VERBS:
-    app.command(cls=Verb)(command)
-# The earlier name of `calibrate`, kept for one release.
-app.command("fit", cls=Verb, hidden=True)(calibrate)
 
 
 def _print_version(given: bool) -> None:

@@ -243,7 +243,7 @@ def start_ratio(arm: tuple[str, str, str], seed: int, *, known: bool) -> float:
     m = table_of(cell.measure(cell.poses(FEW, seed), seed))
     rows, setup = rows_and_setup(cell.truth.nominal, m, given)
     task = Task(cell.truth.nominal, given, setup, MODEL)
-    true_places = setup.placed(cell.truth.T_frame_base, cell.truth.T_tip_target)
+    true_places = setup.with_poses(cell.truth.T_frame_base, cell.truth.T_tip_target)
     of_none = fit(task, rows).residual(rows)
     of_truth = fit(task, rows, registered=true_places).residual(rows)
     return float(np.sqrt(np.mean(of_none**2) / np.mean(of_truth**2)))

@@ -22,7 +22,7 @@ from calib.data.measurements import Measurements
 from calib.numerics.geometry import pose_of
 from calib.result.calibrate import calibrate
 from calib.result.calibration import Calibration
-from calib.robot.payload import Payload
+from calib.robot.gravity import Payload
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 from calib.verbs.compensate.commands import compensate
@@ -187,7 +187,7 @@ def cell_outcomes(seed: int) -> list[Outcome]:
     setup = cell.result.part(non_geometric=not cell.geometry).setup
     poses = cell.nominal.poses(cell.program) @ cell.T_tip_tool
     in_base = Program.of_poses(poses, cell.program)
-    if not cell.result.frame_estimated:
+    if not cell.result.method.frame_estimated:
         return [command(cell, in_base, None, "frame known")]
     in_frame = Program.of_poses(setup.T_frame_base[0] @ poses, cell.program)
     return [

@@ -141,9 +141,9 @@ def print_random(title: str, result: Calibration, count: int, seed: int) -> None
 
 def paper_rows(result: Calibration) -> Iterator[list[str]]:
     """Yield errors of commands for the points of rows 31 to 35, with a model fitted to all 35 rows."""
-    table, robot = result.measurements, result.nominal
+    table, robot = result.fit.measurements, result.nominal
     all_rows = replace(table, sets=("estimate",) * len(table))
-    reference = calibrate(robot, all_rows, cell=result.cell, validate=False)
+    reference = calibrate(robot, all_rows, cell=result.fit.cell, validate=False)
     points = table.points[table.validation]
     q = table.joints_for(robot.joint_names)[table.validation]
     commands = compensate(result, Program.of_points(points, q), tool="", frame="")

@@ -177,7 +177,7 @@ def calibrate_case(name: str, arm: str, seed: int) -> Calibration:
 def case_row(name: str, arm: str, seed: int) -> list[str]:
     """Return the row of one table."""
     result = calibrate_case(name, arm, seed)
-    validations = (result.nominal_cross_validation, result.cross_validation)
+    validations = (result.trust.nominal_cross_validation, result.cross_validation)
     errors = [v.errors_without_outliers["m"].rms for v in validations if v is not None]
     first = verdict_of(result).reasons[0].code
     return [

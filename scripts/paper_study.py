@@ -73,9 +73,9 @@ def fit_row(title: str, result: Calibration) -> list[str]:
         model, validation = "non_geometric", result.non_geometric.cross_validation
     if validation is None:
         raise RuntimeError("The fit was not cross-validated.")
-    numbers = np.array(result.measurements.rows)[result.measurements.estimation]
+    numbers = np.array(result.fit.measurements.rows)[result.fit.measurements.estimation]
     held_out = Errors.of(validation.residual[numbers != BAD_ROW])
-    flagged = " ".join(str(outlier.row) for outlier in result.outliers)
+    flagged = " ".join(str(outlier.row) for outlier in result.rows.outliers)
     errors = result.errors[model]["validation"]
     return [title, *errors_cells(errors), f"{1e3 * held_out['m'].rms:.3f}", flagged or "-"]
 
@@ -117,7 +117,7 @@ def frame_rows(robot: Robot, table: Measurements) -> Iterator[list[str]]:
                 for seed in seeds
             ]
             rms = max(result.errors["calibrated"]["validation"]["m"].rms for result in results)
-            errors = [np.linalg.norm(result.residual_calibrated, axis=1) for result in results]
+            errors = [np.linalg.norm(result.rows.residual_calibrated, axis=1) for result in results]
             text = "-"
             if unmoved is None:
                 unmoved = np.array(errors)

@@ -27,11 +27,11 @@ from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.fit.estimate.fitting import Fitted, fit
 from calib.fit.estimate.problem import Problem
-from calib.fit.estimate.stop_bodies import twists_of_joints
+from calib.fit.estimate.special_cases.stops import twists_of_joints
 from calib.fit.estimate.task import Task
 from calib.fit.registration.rows import Rows
 from calib.fit.registration.table_rows import rows_and_setup
-from calib.numerics.pose_noise import PoseNoise
+from calib.numerics.correlated_noise import PoseNoise
 from calib.robot.robot import Robot
 from calib.verbs.simulate.disturbances import Encoder
 from calib.verbs.simulate.readings import Pictures

@@ -45,8 +45,7 @@ from calib.fit.selection.reference_fit import with_better_weights
 from calib.model.families import FAMILIES
 from calib.model.kinematics import Samples
 from calib.result.fits import fit_table
-from calib.robot.gravity import gravity_loads
-from calib.robot.payload import Payload
+from calib.robot.gravity import Payload, gravity_loads
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 from calib.verbs.simulate.truth import Truth, draw_truth

@@ -133,7 +133,7 @@ def calibrate_table(arm: str, seed: int) -> Outcomes:
         """Return the figures with the row displaced, shape (3,), [m]."""
         result = table.calibrate_with(row_error)
         ratio = table.error(result) / error
-        return Outcome(float(result.weights[table.row]), table.named_by(result), ratio)
+        return Outcome(float(result.rows.weights[table.row]), table.named_by(result), ratio)
 
     return Outcomes(
         arm=arm,

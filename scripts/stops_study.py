@@ -189,7 +189,7 @@ def compare_fits(robot: Robot, stops: int, missed: float, seed: int) -> Figures:
         by_points=rms(np.linalg.norm(point_fit_errors(hand, of_points), axis=2)),
         by_poses=rms(np.linalg.norm(pose_fit_errors(hand, of_poses, body), axis=2)),
         stated=stated_std(of_points),
-        shares=tuple(of_points.estimate.problem.rho[0].tolist()),
+        shares=tuple(of_points.estimate.problem.stop_shares[0].tolist()),
     )
 
 

@@ -169,7 +169,7 @@ def _prediction_errors(task: Task, truth: Truth, fitted: Fitted) -> tuple[Array,
         T_frame_target = truth.T_frame_base[0] @ T_base_target
         return poses[:, :3, 3] - T_frame_target[:, :3, 3], J
     # Lengths do not tell where the base is: only the shape of all positions counts.
-    T_base_frame = rigid_inverse(fitted.placed().T_frame_base[0])
+    T_base_frame = rigid_inverse(fitted.estimated_setup().T_frame_base[0])
     predicted = (T_base_frame @ poses)[:, :3, 3]
     difference = (predicted - T_base_target[:, :3, 3])[:, :, None]
     error = without_rigid_motion(predicted, difference)[:, :, 0]

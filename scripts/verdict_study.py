@@ -37,7 +37,7 @@ from calib.data.measurements import Measurements
 from calib.diagnosis.reasons import CARE, NO, USE
 from calib.result.calibrate import calibrate
 from calib.result.calibration import Calibration
-from calib.robot.payload import Payload
+from calib.robot.gravity import Payload
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 from calib.verbs.evaluate.evaluation import evaluate

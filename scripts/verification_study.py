@@ -39,10 +39,10 @@ from verification_truth import Truth, draw_joint_values
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.model.parameters import FRAME
-from calib.numerics.intervals import interval_factor
+from calib.numerics.errors import interval_factor
 from calib.result.calibrate import calibrate
 from calib.result.calibration import Calibration
-from calib.robot.payload import Payload
+from calib.robot.gravity import Payload
 from calib.robot.robot import Robot
 from calib.verbs.inspect.inspection import inspect
 
@@ -158,7 +158,7 @@ def accuracy(case: str, rng: np.random.Generator) -> Figures:
     return {
         "error": rms_length(run.errors(result)),
         "bound": np.sqrt(run.bound),
-        "sigma": result.sigma["m"] / sigma,
+        "sigma": result.noise.sigma["m"] / sigma,
         "model": chosen_model(result),
     }
 
@@ -210,9 +210,9 @@ def coverage(case: str, rng: np.random.Generator) -> Figures:
 def prediction_coverage(run: Run, result: Calibration) -> tuple[float, float]:
     """Return the shares of coordinates and of points in 3-D that are inside their 95 % intervals and regions."""
     errors = run.errors(result)
-    estimate = result.fitted.estimate
+    estimate = result.fit.geometry.estimate
     samples = result.samples(run.q)
-    _, J = result.fitted.kinematics.twists(estimate.x, samples, rotation=False)
+    _, J = result.fit.geometry.kinematics.twists(estimate.x, samples, rotation=False)
     covariance = np.einsum("nij,jk,nlk->nil", J, estimate.covariance, J)
     std = np.sqrt(np.einsum("nii->ni", covariance))
     whitened = np.linalg.solve(covariance, errors[:, :, None])[..., 0]
@@ -277,7 +277,7 @@ def outliers(case: str, rng: np.random.Generator) -> Figures:
         return calibrate(truth.nominal, measurements, cell=run.cell, model="dh", validate=False)
 
     result = calibrated(table)
-    flagged = {outlier.row for outlier in result.outliers}
+    flagged = {outlier.row for outlier in result.rows.outliers}
     rows = {table.rows[i] for i in np.flatnonzero(displaced)}
     return {
         "error": rms_length(run.errors(result)),

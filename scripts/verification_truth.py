@@ -17,7 +17,7 @@ from studies import draw_errors
 from calib.basics.arrays import Array
 from calib.model.error_model import error_model
 from calib.numerics.geometry import pose_of
-from calib.robot.payload import Payload
+from calib.robot.gravity import Payload
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 

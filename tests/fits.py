@@ -21,8 +21,7 @@ from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics, Samples
 from calib.result.calibrate import calibrate
 from calib.result.calibration import Calibration
-from calib.robot.gravity import GRAVITY, gravity_loads
-from calib.robot.payload import Payload
+from calib.robot.gravity import GRAVITY, Payload, gravity_loads
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 

@@ -17,8 +17,8 @@ from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.example import PAPER_TARGET, paper_measurements, paper_urdf
 from calib.result.calibrate import calibrate
-from calib.result.calibration import Calibration, RowNames
-from calib.robot.payload import Payload
+from calib.result.calibration import Calibration
+from calib.robot.gravity import Payload
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
 from calib.verbs.simulate.disturbances import Outliers
@@ -199,8 +199,16 @@ def many_rows(count: int = 20_000) -> Calibration:
 
 def with_rows(c: Calibration, m: Measurements) -> Calibration:
     """The calibration as if its rows had been others."""
-    rows = RowNames(m.rows, m.sets, m.kinds, m.groups, m.targets)
-    return replace(c, rows=rows, fit=replace(c.fit, measurements=m))
+    rows = replace(
+        c.rows,
+        numbers=m.rows,
+        sets=m.sets,
+        kinds=m.kinds,
+        groups=m.groups,
+        targets=m.targets,
+        images=(),
+    )
+    return replace(c, rows=rows, fit_in_memory=replace(c.fit, measurements=m))
 
 
 #: What makes each case; in tests ``many_rows`` has 20,000 rows.

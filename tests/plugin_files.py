@@ -84,7 +84,7 @@ frame_rpy_deg = [90, 0, 90]
 @contextmanager
 def registries_kept() -> Iterator[None]:
     """Take out of the registries, in the end, what the block has registered."""
-    before = {what: dict(row.entries) for what, row in plugins._REGISTRIES.items()}
+    before = {what: dict(entries) for what, entries in plugins._REGISTRIES.items()}
     count = len(plugins.loaded())
     assert before.keys() == plugins.WORDS.keys()
     try:

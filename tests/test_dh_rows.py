@@ -226,7 +226,7 @@ def test_rows_in_python():
     np.testing.assert_allclose(modified.poses([0.3])[0], wanted, atol=1e-15)
     with pytest.raises(TypeError, match=r"rows\[0\]"):
         calib.Robot.from_dh([(0, 0, 0, 0)])  # type: ignore[list-item]
-    with pytest.raises(calib.CalibError, match="'denavit' is no convention"):
+    with pytest.raises(calib.CalibError, match="'denavit' is not a convention"):
         calib.Robot.from_dh(rows, "denavit")
     with pytest.raises(calib.CalibError, match="T_n_tip"):
         calib.Robot.from_dh(rows, T_n_tip=np.eye(3))

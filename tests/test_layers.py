@@ -167,6 +167,36 @@ def test_words_of_a_verb_are_its_own():
     assert not outside
 
 
+def test_boards_could_be_a_package_of_their_own():
+    wrong = {
+        f"{name} imports {imported}"
+        for name, found in GRAPH.items()
+        if room(name) == "boards"
+        for imported in found
+        if room(imported) not in ("boards", "basics", "errors")
+    }
+    assert not wrong
+
+
+def uses_opencv(tree: ast.Module) -> bool:
+    """Whether a module imports OpenCV, by a statement or by its name as a text, or what boards import it with."""
+    names = []
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            names += [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            names += [f"{node.module}.{alias.name}" for alias in node.names]
+        elif isinstance(node, ast.Constant) and node.value == "cv2":
+            names.append("cv2")
+    return any(f"{name}.".startswith(("cv2.", "calib.boards.opencv.")) for name in names)
+
+
+def test_opencv_is_used_inside_boards_alone():
+    using = {name for name, tree in TREES.items() if uses_opencv(tree)}
+    assert using
+    assert {room(name) for name in using} == {"boards"}
+
+
 def test_no_module_imports_itself_in_a_circle():
     assert sum(len(found) for found in GRAPH.values()) > 50
     TopologicalSorter(GRAPH).prepare()  # raises CycleError, which names the circle
@@ -202,3 +232,14 @@ def test_the_checks_see_what_they_look_for():
         "if TYPE_CHECKING:\n    from calib.errors import CalibError\n"
     )
     assert set(imports(tree)) == {"calib.cli.options", "calib.show.scene.scene", "calib.errors"}
+    for line in (
+        "import cv2",
+        "import cv2.aruco",
+        "from cv2 import aruco",
+        "import_module('cv2')",
+        "from calib.boards.opencv import opencv",
+        "from calib.boards import opencv",
+        "import calib.boards.opencv as opencv",
+    ):
+        assert uses_opencv(ast.parse(f"def f():\n    {line}\n")), line
+    assert not uses_opencv(ast.parse("from calib.boards.board import Board\nx = 'cv2.fisheye'\n"))

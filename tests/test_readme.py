@@ -177,7 +177,7 @@ def test_the_python_of_a_page_runs_on_files_of_its_names(page, tmp_path, monkeyp
     ranges = joint_ranges(result.nominal)
     view = RegionView(result.nominal, np.zeros(3), ranges, density, density.region(), None)
     write_region(view, "region.json", 0)
-    names = {"calib": calib, "result": result, "q": result.measurements.joints}
+    names = {"calib": calib, "result": result, "q": result.fit.measurements.joints}
     text = (ROOT / "docs" / page).read_text(encoding="utf-8")
     for code in re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL):
         exec(compile(code, page, "exec"), names)

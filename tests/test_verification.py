@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from calib.result.fits import fit_table
-from calib.robot.payload import Payload
+from calib.robot.gravity import Payload
 from tests.places import ROOT
 
 sys.path.insert(0, str(ROOT / "scripts"))

@@ -71,7 +71,7 @@ ROWS = [
     (
         'calib.Measurements(robot.joint_names, q, q[:,:3], sigma={"mm": [1.0, 1.0]})',
         CalibError,
-        "'mm' is no unit of residuals",
+        "'mm' is not a unit of residuals",
     ),
     (
         'calib.Measurements(robot.joint_names, q, q[:,:3], rotations="a")',
@@ -272,7 +272,7 @@ ROWS = [
     ('calib.Scenario(robot, sigma="a")', ArgumentError, "'sigma'"),
     ('calib.Scenario(robot, sigma={"m": 1e-4})', CalibError, "'noise'"),
     ('calib.Scenario(robot, sigma={"rad": nan})', ModelError, "sigma['rad']"),
-    ('calib.Scenario(robot, sigma={"deg": 1.0})', CalibError, "'deg' is no unit of residuals"),
+    ('calib.Scenario(robot, sigma={"deg": 1.0})', CalibError, "'deg' is not a unit of residuals"),
     ("calib.Scenario(robot, encoder=3)", ArgumentError, "'encoder'"),
     ("calib.Scenario(robot, outliers=3)", ArgumentError, "'outliers'"),
     ("calib.Scenario(robot, moved=3)", ArgumentError, "'moved'"),

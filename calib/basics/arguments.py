@@ -1,4 +1,7 @@
-"""Checks of what users give to functions: the message names the argument, what was given, and what is allowed."""
+"""Checks of what users give to functions: the message names the argument, what was given, and what is allowed.
+
+In all of them ``argument`` is the argument's name and ``given`` its value.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +14,7 @@ from numpy.typing import NDArray
 
 from calib.errors import ArgumentError, ModelError
 
-#: The most characters of a wrong value that are shown.
+#: The most characters of a wrong value that a message shows.
 _SHOWN = 60
 
 
@@ -32,26 +35,25 @@ def check_type(argument: str, given: object, types: type | tuple[type, ...], all
 
 
 def wrong_type(argument: str, given: object, allowed: str) -> ArgumentError:
-    """Return the error of an argument of a wrong type.
-
-    Args:
-        argument: Its name.
-        given: Its value.
-        allowed: What it may be.
-    """
-    return ArgumentError(f"The argument '{argument}' is {_words(given)}; it must be {allowed}.")
+    """Return the error of an argument of a wrong type; ``allowed`` says what it may be."""
+    described = f"of the type {type(given).__name__}"
+    if given is None:
+        described = "None"
+    elif isinstance(given, np.ndarray):
+        described += f" (shape {given.shape})"
+    else:
+        text = repr(given)
+        is_short = len(text) <= _SHOWN and "\n" not in text
+        if text and is_short and not text.startswith("<"):
+            described += f" ({text})"
+    return ArgumentError(f"The argument '{argument}' is {described}; it must be {allowed}.")
 
 
 def check_whole(argument: str, given: object, least: int) -> None:
-    """Refuse an argument that is no whole number, or less than the least one.
-
-    Args:
-        argument: Its name.
-        given: Its value.
-        least: The least number allowed.
+    """Refuse an argument that is not a whole number of at least ``least``.
 
     Raises:
-        ArgumentError: It is no whole number.
+        ArgumentError: It is not a whole number.
         ModelError: It is too small.
     """
     allowed = f"a whole number, {least} or more"
@@ -64,16 +66,10 @@ def check_whole(argument: str, given: object, least: int) -> None:
 def check_number(
     argument: str, given: object, least: float = -np.inf, largest: float = np.inf
 ) -> None:
-    """Refuse an argument that is no finite number, or out of a range.
-
-    Args:
-        argument: Its name.
-        given: Its value.
-        least: The least number allowed.
-        largest: The largest number allowed.
+    """Refuse an argument that is not a finite number from ``least`` to ``largest``.
 
     Raises:
-        ArgumentError: It is no number.
+        ArgumentError: It is not a number.
         ModelError: It is NaN, infinite, or out of the range.
     """
     allowed = "a finite number"
@@ -104,18 +100,18 @@ def check_callable(argument: str, given: object) -> None:
 
 
 def check_executor(given: object) -> None:
-    """Refuse an argument 'executor' that is neither an executor, Dask's too, nor None."""
+    """Refuse an argument 'executor' that is neither an executor (such as Dask's) nor None."""
     allowed = "an Executor of concurrent.futures, or None"
     check_type("executor", given, (Executor, type(None)), allowed)
 
 
 def check_path(argument: str, given: object) -> None:
-    """Refuse an argument that is no path of a file."""
+    """Refuse an argument that is not the path of a file."""
     check_type(argument, given, (str, os.PathLike), "the path of a file")
 
 
 def check_names(argument: str, given: object) -> None:
-    """Refuse an argument that is no collection of names; one text alone is none."""
+    """Refuse an argument that is not a collection of names; a single text is not one."""
     allowed = "a sequence of names, which are texts"
     if isinstance(given, (str, bytes)) or not isinstance(given, Collection):
         raise wrong_type(argument, given, allowed)
@@ -124,7 +120,7 @@ def check_names(argument: str, given: object) -> None:
 
 
 def check_mapping(argument: str, given: object) -> None:
-    """Refuse an argument that is no mapping from names."""
+    """Refuse an argument that is not a mapping from names."""
     if not isinstance(given, Mapping) or not all(isinstance(name, str) for name in given):
         raise wrong_type(argument, given, "a mapping from names, which are texts")
 
@@ -138,10 +134,10 @@ def numbers(argument: str, given: object, allowed: str) -> NDArray[np.float64]:
         allowed: What it may be, for the message: ``"joint values of shape (N, 6) or (6,)"``.
 
     Returns:
-        The numbers, of any shape; the array itself where it is one of ``float64``.
+        The numbers, of any shape; the array itself if it is one of ``float64``.
 
     Raises:
-        ArgumentError: It is not made of numbers, or of rows of different lengths.
+        ArgumentError: It is not made of numbers, or its rows have different lengths.
     """
     try:
         array = np.asarray(given)
@@ -160,11 +156,8 @@ def finite_numbers(
     Args:
         argument: Its name.
         given: Its value.
-        shape: The lengths; None: any.
+        shape: Its shape; a length of None may be any.
         allowed: What it may be, for the message.
-
-    Returns:
-        The numbers.
 
     Raises:
         ArgumentError: It is not made of numbers.
@@ -186,33 +179,8 @@ def finite_numbers(
 
 
 def mask_of_rows(argument: str, given: object, count: int) -> NDArray[np.bool_]:
-    """Return an argument as a mask of rows.
-
-    Args:
-        argument: Its name.
-        given: Its value.
-        count: Number N of rows.
-
-    Returns:
-        True for the rows that are marked, shape (N,).
-
-    Raises:
-        ArgumentError: It is not True or False for each row.
-    """
+    """Return an argument as a mask, shape (count,), of rows; ArgumentError if it is not True or False for each."""
     mask = np.asarray(given)
     if mask.shape != (count,) or not np.isin(mask, (0, 1)).all():
         raise wrong_type(argument, given, f"True or False for each of the {count} rows")
     return mask.astype(np.bool_)
-
-
-def _words(given: object) -> str:
-    """Return a value of a wrong type in words, in one line: None, or its type and its value if that is short."""
-    if given is None:
-        return "None"
-    text = "" if isinstance(given, np.ndarray) else repr(given)
-    if not text or len(text) > _SHOWN or "\n" in text or text.startswith("<"):
-        text = ""
-    if isinstance(given, np.ndarray):
-        text = f"shape {given.shape}"
-    kind = type(given).__name__
-    return f"of the type {kind} ({text})" if text else f"of the type {kind}"

@@ -2,7 +2,7 @@
 
 A row of a table measures the scalars of its kind, such as three lengths and three angles, and its residual has one
 entry for each. Scalars of one kind and one unit are a channel: they come from one instrument and share one noise. Error
-figures are by unit, over the rows of all kinds. `RESIDUAL_UNITS` is the registry of the units; one more is one entry.
+figures are by unit, over the rows of all kinds. `RESIDUAL_UNITS` is the registry of units: a further one is one entry.
 """
 
 from __future__ import annotations
@@ -14,21 +14,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.basics.arrays import Array, Integers, Mask
-from calib.basics.mappings import ReadOnlyMapping
 from calib.basics.units import UNITS, Quantity
+from calib.basics.values import ReadOnlyMapping
 from calib.errors import CalibError, choices
 
 #: Index in `Channels.index` of an entry without a scalar.
 NOT_MEASURED = -1
 
-
-#: Scalars of a vector.
+#: Number of scalars of a vector.
 VECTOR = 3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ResidualUnit:
-    """A unit in which residuals are computed, and what goes with it in tables, texts and verdicts."""
+    """A unit in which residuals are computed, and what tables, texts and verdicts need to know about it."""
 
     #: As in the units of a kind: ``"m"``
     symbol: str
@@ -36,21 +35,21 @@ class ResidualUnit:
     quantity: Quantity
     #: Symbol of the unit in which texts and tables show it: ``"mm"``
     shown: str
-    #: Digits behind the point in texts, in the unit shown
+    #: Digits after the decimal point in texts, in the unit shown
     digits: int
     #: What the noise of one scalar is stated for, in texts: ``"per coordinate"``
     per: str
     #: What several scalars measure together, for texts: ``"orientation"``
     measured: str
-    #: What errors of vectors are, along the axes of the frame (``"along"``) or about them
+    #: Whether errors of vectors are ``"along"`` or ``"about"`` the axes of the frame
     preposition: str = "along"
     #: Whether tables of errors show their span along each axis of the frame
     shows_span: bool = False
     #: Table column and cell key of the standard deviation of one scalar, without its unit: ``"sigma_angle"``
     sigma_name: str
-    #: Standard deviation of one scalar where none is stated
+    #: Standard deviation of one scalar, if none is stated
     assumed_sigma: float
-    #: Noise of one scalar above this is not an instrument's, where none is stated
+    #: Largest noise of one scalar that an instrument may have, if none is stated
     large_noise: float
     #: Repeatability of arms, which adds to the stated noise of one scalar
     repeatability: float
@@ -117,10 +116,10 @@ RESIDUAL_UNITS: Mapping[str, ResidualUnit] = ReadOnlyMapping(
 
 
 def residual_unit(symbol: str) -> ResidualUnit:
-    """Return the residual unit of a symbol, such as ``"m"``; CalibError if there is none."""
+    """Return the unit of residuals with a symbol, such as ``"m"``; CalibError if there is none."""
     if symbol not in RESIDUAL_UNITS:
         raise CalibError(
-            f"'{symbol}' is no unit of residuals; allowed are {choices(RESIDUAL_UNITS)}."
+            f"'{symbol}' is not a unit of residuals; allowed are {choices(RESIDUAL_UNITS)}."
         )
     return RESIDUAL_UNITS[symbol]
 
@@ -133,7 +132,7 @@ class Channels:
     units: tuple[str, ...]
     #: True for a channel whose scalars are a vector: three, along or about the axes x, y, z of the measurement frame
     vectors: tuple[bool, ...]
-    #: (N, D), index of each entry's channel, from 0; -1 where nothing was measured
+    #: (N, D), index of each entry's channel, from 0; `NOT_MEASURED` where nothing was measured
     index: NDArray[np.int8]
     #: (N, D), True for the entries that were measured
     used: Mask = field(init=False, repr=False)
@@ -149,7 +148,7 @@ class Channels:
 
     @classmethod
     def of_unit(cls, used: Mask, unit: str = "m") -> Channels:
-        """Make channels of entries that all have one unit, and are vectors if there are three.
+        """Make channels of entries that all have one unit; three columns are the vectors along x, y, z.
 
         Args:
             used: True for the entries that were measured, shape (N, D).
@@ -194,22 +193,18 @@ class Channels:
         return Channels(self.units, self.vectors, self.index[rows])
 
     def vector_columns(self, unit: str) -> tuple[Integers, Mask]:
-        """Return where rows have vectors in a unit: the residuals of positions, or of orientations.
-
-        Args:
-            unit: Symbol of the unit.
+        """Return where rows have vectors in a unit, by its symbol: the residuals of positions, or of orientations.
 
         Returns:
             The three columns along x, y, z, and a mask of the rows that have such a vector in these columns, shape
-            (N,); no column, and no row, where none has.
+            (N,); no column and no row if none has.
         """
-        nothing = np.zeros(0, dtype=np.int_), np.zeros(len(self), dtype=bool)
         of_vectors = [c for c, is_vector in enumerate(self.vectors) if is_vector]
         of_vectors = [c for c in of_vectors if self.units[c] == unit]
         in_vector = np.isin(self.index, of_vectors)
         columns = np.flatnonzero(in_vector.any(axis=0))
         if len(columns) != VECTOR:
-            return nothing
+            return np.zeros(0, dtype=np.int_), np.zeros(len(self), dtype=bool)
         return columns, np.all(in_vector[:, columns], axis=1)
 
     def norms(self, values: Array, unit: str) -> Array:
@@ -220,7 +215,7 @@ class Channels:
             unit: Symbol of the unit.
 
         Returns:
-            shape (N,), in this unit; NaN for a row that measures none.
+            Shape (N,), in this unit; NaN for a row that measures nothing in it.
         """
         of_unit = self.where(unit)
         norms = np.sqrt(np.sum(np.where(of_unit, values, 0.0) ** 2, axis=1))
@@ -235,13 +230,13 @@ def channels_of(
     """Number the channels of rows by their kinds: those in the first unit of `RESIDUAL_UNITS` first, kind after kind.
 
     Args:
-        units: Symbols of the units of the scalars of each of K kinds.
-        vector_units: Of each kind the units in which its scalars are a vector.
+        units: Symbols of the units of each kind's scalars, for K kinds.
+        vector_units: For each kind, the units in which its scalars are a vector.
         kinds: Index of each row's kind, shape (N,); negative for a row that measures nothing.
 
     Returns:
-        Entry j of a row is the scalar j of its kind. D is the largest number of scalars of a kind that occurs, at least
-        1.
+        The channels, in which entry j of a row is scalar j of its kind. D is the largest number of scalars of a kind
+        that occurs, at least 1.
     """
     occurring = [k for k in np.unique(kinds).tolist() if k >= 0]
     width = max([1, *(len(units[k]) for k in occurring)])

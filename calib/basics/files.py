@@ -13,14 +13,14 @@ from pathlib import Path
 
 from calib.errors import FileError
 
-#: Bytes read from pipes, by device and inode: a pipe cannot be read twice, and a command looks at a table repeatedly.
+#: Bytes read from pipes, by device and inode: a pipe can be read only once, and a command reads a table repeatedly.
 _PIPED: dict[tuple[int, int], bytes] = {}
 
 
 def _check_path(path: object) -> None:
-    """Refuse what is no path of a file."""
+    """Refuse anything but the path of a file."""
     if not isinstance(path, (str, os.PathLike)):
-        # NumPy is imported with it, which files alone do not need.
+        # Imported late because it imports NumPy, which files alone do not need.
         from calib.basics.arguments import wrong_type
 
         raise wrong_type("path", path, "the path of a file")
@@ -49,7 +49,7 @@ def read_bytes(path: str | os.PathLike[str], what: str) -> bytes:
     except FileNotFoundError as error:
         message = f"{what} '{path}' does not exist; check the name and the folder."
         if ":=" in str(path):
-            message += " Arguments of a xacro stand behind its name, with it in one pair of quotes."
+            message += " Arguments of a xacro follow its name, in the same pair of quotes."
         raise FileError(message) from error
     except IsADirectoryError as error:
         raise FileError(f"{what} '{path}' is a folder; name the file inside it.") from error
@@ -72,7 +72,7 @@ def write_atomically(path: str | os.PathLike[str], data: bytes, *, overwrite: bo
         The path.
 
     Raises:
-        FileError: It exists and is not to be overwritten, or cannot be written.
+        FileError: It exists and must not be overwritten, or cannot be written.
     """
     check_writable(path, overwrite=overwrite)
     target = Path(path).resolve()
@@ -100,7 +100,7 @@ def csv_bytes(rows: Iterable[Iterable[object]]) -> bytes:
 
 
 def check_writable(path: str | os.PathLike[str], *, overwrite: bool = True) -> None:
-    """Refuse, before the work is done, a place where `write_atomically` cannot write.
+    """Refuse, before any work is done, a place where `write_atomically` cannot write.
 
     Args:
         path: The file that is to be written.

@@ -2,6 +2,8 @@
 
 Jobs carry the plugins that are loaded here, and a worker loads them first. The rest of such a job is sent as bytes: it
 may name functions of a plugin, which exist in the worker only from then on.
+
+Within a job linear algebra takes one thread, see `one_blas_thread`.
 """
 
 from __future__ import annotations
@@ -9,7 +11,11 @@ from __future__ import annotations
 import pickle
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, Executor, Future, as_completed
+from contextlib import contextmanager
+from functools import cache
 from typing import Any, TypeVar
+
+from threadpoolctl import ThreadpoolController
 
 import calib.basics.plugins as plugins
 from calib.basics.plugins import Plugin
@@ -18,7 +24,7 @@ from calib.errors import CalibError
 #: Function that is called with the number of jobs done and of all jobs.
 Progress = Callable[[int, int], None]
 
-#: Batches that the jobs are divided into at least: several for each worker of a usual machine.
+#: The fewest batches that jobs are divided into: several for each worker of a usual machine.
 _BATCHES = 24
 
 Shared = TypeVar("Shared")
@@ -55,8 +61,15 @@ def run(
         yield from ((number, function(shared, item)) for number, item in numbered)
         return
     jobs = list(numbered)
-    batches = [jobs[k : k + batch] for k in range(0, len(jobs), batch)]
-    pending = [_submit(executor, function, shared, jobs) for jobs in batches]
+    loaded = plugins.loaded()
+    pending: list[Future[list[tuple[int, Result]]]] = []
+    for first in range(0, len(jobs), batch):
+        sent = jobs[first : first + batch]
+        if loaded:
+            call = pickle.dumps((function, shared, sent))
+            pending.append(executor.submit(_call_with_plugins, loaded, call))
+        else:
+            pending.append(executor.submit(_call, function, shared, sent))
     try:
         for future in as_completed(pending):
             yield from future.result()
@@ -79,27 +92,8 @@ def batch_size(count: int, largest: int = 50) -> int:
     return max(1, min(largest, count // _BATCHES))
 
 
-def _submit(
-    executor: Executor,
-    function: Callable[[Shared, Item], Result],
-    shared: Shared,
-    jobs: list[tuple[int, Item]],
-) -> Future[list[tuple[int, Result]]]:
-    """Send one batch of numbered items to a worker."""
-    loaded = plugins.loaded()
-    if not loaded:
-        return executor.submit(_call, function, shared, jobs)
-    call = pickle.dumps((function, shared, jobs))
-    return executor.submit(_call_with_plugins, loaded, call)
-
-
 def _call_with_plugins(loaded: Sequence[Plugin], call: bytes) -> list[tuple[int, Any]]:
-    """Load plugins, then return the numbers and results of one batch, in a worker.
-
-    Args:
-        loaded: The plugins of the process that sends the jobs.
-        call: The pickled arguments of `_call`.
-    """
+    """Load the plugins of the process that sends the jobs, then `_call` with the pickled arguments, in a worker."""
     plugins.load_sent(loaded)
     return _call(*pickle.loads(call))  # noqa: S301  from the process that sends the jobs
 
@@ -109,3 +103,19 @@ def _call(
 ) -> list[tuple[int, Result]]:
     """Return the numbers and results of one batch of numbered items, in a worker."""
     return [(number, function(shared, item)) for number, item in jobs]
+
+
+@cache
+def _blas_libraries() -> ThreadpoolController:
+    """Return the libraries that are loaded; searching for them takes as long as a fit."""
+    return ThreadpoolController()
+
+
+@contextmanager
+def one_blas_thread() -> Iterator[None]:
+    """Limit linear algebra (BLAS) to one thread inside a ``with`` block, or a function that this decorates.
+
+    On matrices as small as those of a fit, several threads wait for each other longer than they compute.
+    """
+    with _blas_libraries().limit(limits=1, user_api="blas"):
+        yield

@@ -1,8 +1,8 @@
 """JSON files of calib's own: tables with a ``schema``, made of dataclasses and read back into them.
 
-A `JsonLayout` makes tables of dataclasses and back: an attribute's type says how it is written, its key is its name
-unless the layout has another path. Dots separate nested tables; an empty path, or one that ends in a dot, puts the
-attribute's own keys beside the others.
+A `JsonLayout` turns dataclasses into tables and back: an attribute's type says how it is written, and its key is its
+name unless its field (`calib.basics.records.key`) or the layout has another path. Dots separate nested tables; an empty
+path, or one that ends in a dot, puts the keys of an attribute that is a dataclass into the table itself.
 """
 
 from __future__ import annotations
@@ -19,12 +19,13 @@ from typing import Any, Union, get_args, get_origin, get_type_hints
 import numpy as np
 
 from calib.basics.files import read_bytes
+from calib.basics.records import json_key
 from calib.errors import CalibError, FileError
 
 #: A table of a JSON file.
 Json = Mapping[str, Any]
 
-#: A list of more entries than this is written with one of them a line.
+#: A list with more entries than this is written with one entry a line.
 _LONG = 500
 
 
@@ -43,7 +44,7 @@ def read_json(
         expected: A sentence for messages about which schema is expected and which file to give.
 
     Raises:
-        FileError: It cannot be read, is no JSON, or of another schema.
+        FileError: It cannot be read, is not JSON, or has another schema.
     """
     table = parsed_json(
         read_bytes(path, what), f"{path}", f" Wanted is a {what} with its 'schema'; {expected}"
@@ -63,7 +64,7 @@ def parsed_json(text: str | bytes, source: str, wanted: str = "") -> Any:  # noq
         wanted: What should be there, for messages: a sentence after a blank.
 
     Raises:
-        FileError: It is no JSON.
+        FileError: It is not JSON.
     """
     try:
         return json.loads(text, parse_constant=_refuse_constant)
@@ -86,7 +87,7 @@ def damage(error: Exception) -> str:
 
 
 def json_bytes(table: Json) -> bytes:
-    """Return a table as JSON in UTF-8, one value a line, of a long list one entry a line; see `plain`."""
+    """Return a table (see `plain`) as JSON in UTF-8, one value a line, or, in a long list, one entry a line."""
     lines = []
     for key, value in table.items():
         entry = plain(value)
@@ -96,7 +97,7 @@ def json_bytes(table: Json) -> bytes:
         else:
             text = json.dumps(entry, indent=1, ensure_ascii=False).replace("\n", "\n ")
         lines.append(f" {json.dumps(key)}: {text}")
-    # A byte of a file's name that UTF-8 does not have is written as JSON's own escape.
+    # A byte of a file's name that is not UTF-8 is written as JSON's own escape.
     return ("{\n" + ",\n".join(lines) + "\n}\n").encode("utf-8", "backslashreplace")
 
 
@@ -115,7 +116,7 @@ def plain(value: Any) -> Any:  # noqa: ANN401  any value
 
 @dataclass(frozen=True, slots=True)
 class Key:
-    """Path of an attribute in the file, and functions for a value that its type does not say how to write."""
+    """Path of an attribute in the file, and functions for a value whose type does not say how it is written."""
 
     #: Keys of nested tables, separated by dots.
     path: str
@@ -132,16 +133,25 @@ class JsonLayout:
     #: By class, from the name of an attribute to its path in the file; None: the attribute is not in the file. An
     #: attribute that is not listed has its name as its path. Those of a base class hold for the classes below it.
     keys: Mapping[type, Mapping[str, Key | str | None]]
-    #: By type, the function that writes its values and the one that reads them; None: as without an entry.
+    #: By type, the function that writes its values and the one that reads them; None: as if there were no entry.
     types: Mapping[type, tuple[Callable[[Any], Any] | None, Callable[[Any], Any] | None]]
 
     def table(self, value: Any) -> dict[str, Any]:  # noqa: ANN401  a dataclass
         """Return a dataclass as nested tables."""
+        return nested(self.entries(value))
+
+    def entries(self, value: Any) -> dict[str, Any]:  # noqa: ANN401  a dataclass
+        """Return the entries of a dataclass's table by their paths, such as ``"robot.base"``."""
         entries = {}
         for name, key in self._keys_of(type(value)):
-            write = key.write or self._write
-            entries[key.path] = write(getattr(value, name))
-        return nested(entries)
+            attribute = getattr(value, name)
+            if key.path == "" or key.path.endswith("."):
+                for path, entry in self.entries(attribute).items():
+                    entries[key.path + path] = entry
+            else:
+                write = key.write or self._write
+                entries[key.path] = write(attribute)
+        return entries
 
     def values(self, kind: type, table: Json, excluded: Collection[str] = ()) -> dict[str, Any]:
         """Return the attributes of a dataclass by name, from its table.
@@ -152,8 +162,7 @@ class JsonLayout:
             excluded: Names of attributes that are not read.
 
         Returns:
-            Arguments for the class, without those excluded, and without those that have a default and are not in the
-            table.
+            Arguments for the class, but not those excluded, nor those that have a default and are not in the table.
 
         Raises:
             KeyError: An attribute without a default is missing.
@@ -169,7 +178,7 @@ class JsonLayout:
             place: Any = table
             for folder in folders:
                 place = place[folder]
-            if name in excluded or (name in with_default and last not in place):
+            if name in excluded or (last and name in with_default and last not in place):
                 continue
             entry = place[last] if last else place
             if key.read:
@@ -237,7 +246,7 @@ class JsonLayout:
             listed |= self.keys.get(base, {})
         result = []
         for field in fields(kind):
-            key = listed.get(field.name, field.name)
+            key = listed.get(field.name, json_key(field))
             if isinstance(key, str):
                 key = Key(key)
             if key is not None:
@@ -246,15 +255,12 @@ class JsonLayout:
 
 
 def nested(flat: Json) -> dict[str, Any]:
-    """Return nested tables from values by their paths, such as ``"robot.base"``; see the module's text."""
+    """Return nested tables from values by their paths, such as ``"robot.base"``."""
     result: dict[str, Any] = {}
     for path, value in flat.items():
         *folders, last = path.split(".")
         place = result
         for folder in folders:
             place = place.setdefault(folder, {})
-        if last:
-            place[last] = value
-        else:
-            place.update(value)
+        place[last] = value
     return result

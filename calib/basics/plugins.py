@@ -19,8 +19,8 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.machinery import SourceFileLoader
 from pathlib import Path
-from types import CodeType, ModuleType
-from typing import Any, NoReturn
+from types import CodeType
+from typing import Any
 
 from calib.basics.files import read_bytes
 from calib.errors import CalibError, FileError, PluginError, choices, did_you_mean
@@ -64,23 +64,16 @@ class Plugin:
     formats: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Registry:
-    """A registry that plugins add names to."""
-
-    #: The registry itself.
-    entries: dict[str, Any]
-    #: A copy of it with what calib itself has.
-    own: Mapping[str, Any]
-
-
 #: End of a message on a name that is not registered.
 HINT = (
     "One of your own comes from a plugin: load it with --plugin FILE, in Python with "
     'calib.plugins.load("FILE").'
 )
 
-_REGISTRIES: dict[str, _Registry] = {}
+#: The registries that plugins add names to, by the keys of `WORDS`.
+_REGISTRIES: dict[str, dict[str, Any]] = {}
+#: Copies of them with calib's own entries.
+_OWN: dict[str, Mapping[str, Any]] = {}
 _LOADED: list[Plugin] = []
 #: Workers of Dask are threads, which may begin their first jobs at once.
 _LOCK = threading.RLock()
@@ -91,9 +84,10 @@ def watch(what: str, entries: dict[str, Any]) -> None:
 
     Args:
         what: What the entries are, one of `WORDS`.
-        entries: The registry itself, no copy.
+        entries: The registry itself, not a copy.
     """
-    _REGISTRIES[what] = _Registry(entries, dict(entries))
+    _REGISTRIES[what] = entries
+    _OWN[what] = dict(entries)
 
 
 def loaded() -> tuple[Plugin, ...]:
@@ -104,7 +98,7 @@ def loaded() -> tuple[Plugin, ...]:
 def load(name: str | Path) -> Plugin:
     """Load a plugin, unless this process has it: the same file or module is loaded once.
 
-    Of a plugin that fails nothing stays registered.
+    If it fails, nothing of it stays registered.
 
     Args:
         name: A Python file, whose name ends in ``.py``, or a module that can be imported.
@@ -133,14 +127,26 @@ def load_installed() -> tuple[Plugin, ...]:
         PluginError: One cannot be loaded; the message names the distribution and the entry point.
     """
     entries = importlib.metadata.entry_points(group=GROUP)
-    return tuple(_load_entry(entry) for entry in sorted(entries, key=lambda entry: entry.name))
+    plugins = []
+    for entry in sorted(entries, key=lambda entry: entry.name):
+        distribution = entry.dist.name if entry.dist else ""
+        where = f"Entry point '{entry.name}' of the installed distribution '{distribution}'"
+        if entry.attr:
+            raise PluginError(
+                f"{where} names '{entry.attr}' in the module '{entry.module}'; it must name the module alone, which "
+                "calls register() when it is imported."
+            )
+        try:
+            plugins.append(load(entry.module))
+        except PluginError as error:
+            raise PluginError(
+                f"{where}: {error} To go on without it, uninstall the distribution."
+            ) from error
+    return tuple(plugins)
 
 
 def load_sent(plugins: Sequence[Plugin]) -> None:
-    """Load in a worker the plugins of the process that sends the jobs.
-
-    Args:
-        plugins: `loaded` of that process.
+    """Load in a worker the plugins of the process that sends the jobs, which `loaded` returned there.
 
     Raises:
         PluginError: One cannot be loaded, or differs from the one sent.
@@ -154,7 +160,7 @@ def load_sent(plugins: Sequence[Plugin]) -> None:
         if here.sha256 != plugin.sha256:
             raise PluginError(
                 f"{where} has other contents of the plugin '{plugin.source}'. Give all machines the same file, and "
-                "start the workers anew."
+                "restart the workers."
             )
 
 
@@ -168,7 +174,7 @@ def unknown(what: str, name: str, allowed: Iterable[str], *, plugin: str = "") -
         what: What it would be, one of `WORDS`.
         name: The name.
         allowed: The names that are registered.
-        plugin: The plugin that has it, as it was given; empty: not known.
+        plugin: The plugin that has it, as it was given; empty if it is not known.
     """
     if plugin:
         return (
@@ -213,7 +219,7 @@ def check_registered(
         PluginError: One is not; the message names the plugin that registered it.
     """
     for what in _NEEDED_TO_READ:
-        entries = _REGISTRIES[what].entries
+        entries = _REGISTRIES[what]
         for name in uses[what]:
             if name not in entries:
                 suppliers = [str(table["name"]) for table in tables if name in table[what]]
@@ -225,24 +231,16 @@ def check_registered(
 
 
 def _load(given: str, source: str) -> Plugin:
-    """Load a plugin, or return it if it is loaded.
-
-    Args:
-        given: Its name as given.
-        source: See `Plugin`.
-    """
+    """Load the plugin of a source (see `Plugin`), whose name was given so, or return it if it is loaded."""
     with _LOCK:
         for plugin in _LOADED:
             if plugin.source == source:
                 return plugin
         count = len(_LOADED)
-        before = {what: dict(registry.entries) for what, registry in _REGISTRIES.items()}
+        before = {what: dict(entries) for what, entries in _REGISTRIES.items()}
         try:
             sha256 = _run(given, source)
-            nested = _LOADED[count:]
-            names = _added(given, before, nested)
-            if not nested and not any(names.values()):
-                _refuse_nothing(given)
+            names = _registered_names(given, before, _LOADED[count:])
         except BaseException:
             _restore(before, count)
             raise
@@ -251,35 +249,17 @@ def _load(given: str, source: str) -> Plugin:
         return plugin
 
 
-def _refuse_nothing(given: str) -> NoReturn:
-    """Raise the error for a plugin that registered nothing: results could not name it."""
-    raise PluginError(
-        f"Plugin '{given}' registers nothing. It must call a register() when it is imported; if this program has "
-        "imported it already, leave that to calib.plugins.load."
-    )
-
-
-def _load_entry(entry: importlib.metadata.EntryPoint) -> Plugin:
-    """Load the plugin of an entry point; an error names the distribution."""
-    distribution = entry.dist.name if entry.dist else ""
-    where = f"Entry point '{entry.name}' of the installed distribution '{distribution}'"
-    if entry.attr:
-        raise PluginError(
-            f"{where} names '{entry.attr}' in the module '{entry.module}'; it must name the module alone, which calls "
-            "register() when it is imported."
-        )
-    try:
-        return load(entry.module)
-    except PluginError as error:
-        raise PluginError(
-            f"{where}: {error} To go on without it, uninstall the distribution."
-        ) from error
+def _restore(before: Mapping[str, Mapping[str, Any]], count: int) -> None:
+    """Make the registries what they were before, one imported since then calib's own, and keep ``count`` plugins."""
+    for what, entries in _REGISTRIES.items():
+        entries.clear()
+        entries.update(before.get(what, _OWN[what]))
+    del _LOADED[count:]
 
 
 def _run(given: str, source: str) -> str:
-    """Import a plugin; returns the SHA-256 of its source code."""
+    """Import a plugin, and return the SHA-256 of its source code; of a package, of all its Python files."""
     is_file = source.endswith(".py")
-    content = b""
     if is_file:
         try:
             content = read_bytes(source, f"Plugin '{given}': the file")
@@ -288,10 +268,15 @@ def _run(given: str, source: str) -> str:
     try:
         if is_file:
             _import_file(source)
-            return hashlib.sha256(content).hexdigest()
-        return _sha256_of_module(importlib.import_module(source))
+        else:
+            module = importlib.import_module(source)
+            files = [Path(module.__file__)] if module.__file__ else []
+            for folder in getattr(module, "__path__", ()):
+                files += sorted(Path(folder).rglob("*.py"))
+            content = b"".join(file.read_bytes() for file in files)
+        return hashlib.sha256(content).hexdigest()
     except ModuleNotFoundError as error:
-        # Not where the plugin lacks a module that it imports itself.
+        # The plugin itself is missing, not a module that it imports.
         if error.name is not None and f"{source}.".startswith(f"{error.name}."):
             is_beside = Path(f"{source}.py").is_file()
             hint = f" (did you mean the file '{source}.py'?)" if is_beside else ""
@@ -328,22 +313,13 @@ def _import_file(path: str) -> None:
         raise
 
 
-def _sha256_of_module(module: ModuleType) -> str:
-    """Return the SHA-256 of a module's source code, and of all Python files below it if it is a package."""
-    files = [Path(module.__file__)] if module.__file__ else []
-    for folder in getattr(module, "__path__", ()):
-        files += sorted(Path(folder).rglob("*.py"))
-    contents = b"".join(file.read_bytes() for file in files)
-    return hashlib.sha256(contents).hexdigest()
-
-
 def _failure(given: str, error: BaseException) -> str:
     """Return the message for a plugin that failed: the cause, and the line of its file."""
     cause = f"{type(error).__name__}: {error}"
     if isinstance(error, CalibError):
         cause = str(error)
     place = ""
-    # Behind the frames of this module and of Python's import the first one is the plugin's.
+    # After the frames of this module and of Python's import the first one is the plugin's.
     imports = (__file__, importlib.__file__)
     frames = [
         frame
@@ -361,45 +337,26 @@ def _failure(given: str, error: BaseException) -> str:
     return f"Plugin '{given}' cannot be loaded: {cause}{place}. Correct it, or leave it out."
 
 
-def _added(
+def _registered_names(
     given: str,
     before: Mapping[str, Mapping[str, Any]],
-    nested: Iterable[Plugin],
+    nested: Sequence[Plugin],
 ) -> dict[str, tuple[str, ...]]:
-    """Return the names that a plugin registered.
-
-    Args:
-        given: Its name as given.
-        before: The registries as they were; one that is missing had calib's own entries.
-        nested: Plugins that it loaded itself.
-
-    Returns:
-        The names, by the keys of `WORDS`.
-
-    Raises:
-        PluginError: It replaced an entry.
-    """
+    """Return the names that a plugin, but none that it loaded itself, added to the registries as they were before."""
     names = {}
-    for what, registry in _REGISTRIES.items():
-        earlier = before.get(what, registry.own)
-        replaced = [n for n, entry in earlier.items() if registry.entries.get(n) is not entry]
+    for what, entries in _REGISTRIES.items():
+        earlier = before.get(what, _OWN[what])  # a registry that the plugin imported was not there
+        replaced = [name for name, entry in earlier.items() if entries.get(name) is not entry]
         if replaced:
             raise PluginError(
                 f"Plugin '{given}' replaces the {WORDS[what]} {choices(replaced)}. Give yours a name of its own."
             )
         others = {name for plugin in nested for name in getattr(plugin, what)}
-        names[what] = tuple(n for n in registry.entries if n not in earlier and n not in others)
+        names[what] = tuple(n for n in entries if n not in earlier and n not in others)
+    if not nested and not any(names.values()):
+        # Results could not name it.
+        raise PluginError(
+            f"Plugin '{given}' registers nothing. It must call a register() when it is imported; if this program has "
+            "imported it already, leave that to calib.plugins.load."
+        )
     return names
-
-
-def _restore(before: Mapping[str, Mapping[str, Any]], count: int) -> None:
-    """Make the registries and the list of plugins what they were.
-
-    Args:
-        before: The registries; one that is missing had calib's own entries.
-        count: Number of plugins.
-    """
-    for what, registry in _REGISTRIES.items():
-        registry.entries.clear()
-        registry.entries.update(before.get(what, registry.own))
-    del _LOADED[count:]

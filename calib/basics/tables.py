@@ -24,7 +24,7 @@ from calib.basics.units import NUMBER, Unit, find_unit
 from calib.basics.workbook import read_sheet, split_sheet
 from calib.errors import CalibError, FileError, MeasurementError
 
-#: What may separate cells; in a tie the first wins.
+#: What may separate cells; if several are equally frequent in the header, the first of them does.
 SEPARATORS = (",", ";", "\t")
 
 #: A line before the header that tells Excel the separator: ``sep=;``.
@@ -33,7 +33,7 @@ _SEPARATOR_LINE = re.compile(r'"?sep=([,;\t])"?[\s,;]*$', re.IGNORECASE)
 #: Characters of a line without content.
 _BLANKS = " \t,;\n"
 
-#: What a line to be skipped begins with.
+#: Beginnings of lines that are skipped.
 _COMMENTS = ("#", '"#')
 
 _EXAMPLE = "such as: set,joint_1 [deg],joint_2 [deg],x [mm],y [mm],z [mm]"
@@ -54,7 +54,7 @@ class Column:
 
     @property
     def unit(self) -> Unit | None:
-        """The unit; None without one, and for an unknown one, which may not matter."""
+        """The unit; None without one, or for an unknown one, which may not matter."""
         if self.symbol is None:
             return None
         try:
@@ -69,21 +69,14 @@ class Column:
 
     @property
     def to_si(self) -> float:
-        """Factor from the numbers as written to SI units; 1 without a unit, as of quaternions."""
+        """Factor from the numbers as written to SI units; 1 without a unit, as for quaternions."""
         unit = self.unit
         return 1.0 if unit is None else unit.to_si
 
 
-#: A line of the file that is not skipped: its number, from 1, and its text.
-_Line = tuple[int, str]
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Table:
-    """A text table: comma, semicolon or tab separated, one header line, blank and # lines skipped.
-
-    A line ``sep=;`` before the header names the separator, as it does for Excel.
-    """
+    """A text table; a line ``sep=;`` before the header names the separator, as it does for Excel."""
 
     #: The file's name, for messages.
     source: str
@@ -109,11 +102,15 @@ class Table:
             The table; the numbers in its cells are not read yet.
 
         Raises:
-            MeasurementError: The file does not exist, is no text, has no header, or a row with
-                another number of cells than the header.
+            MeasurementError: The file does not exist, is not text, has no header, or a row has another number of cells
+                than the header.
         """
         source, sha256, text = read_text(path, "The table")
-        content = _content(text)
+        content = []  # number, from 1, and text of each line that is not skipped
+        for number, line in enumerate(io.StringIO(text), 1):
+            if line.strip(_BLANKS) and not line.lstrip().startswith(_COMMENTS):
+                content.append((number, line))
+
         named = _SEPARATOR_LINE.match(content[0][1]) if content else None
         if named is not None:
             del content[0]
@@ -125,70 +122,57 @@ class Table:
         separator = max(SEPARATORS, key=header_line.count)
         if named is not None and named[1] in header_line:
             separator = named[1]
+
         lines, cells = _split_lines(source, content, separator)
         header = tuple(cells[0])
         if all(NUMBER.fullmatch(cell) for cell in header):
             raise MeasurementError(
                 f"{source}: the first line holds numbers where the header should be, {_EXAMPLE}"
             )
-        table = cls(source, sha256, separator, header, tuple(lines[1:]), tuple(cells[1:]))
-        table._check_widths()
-        return table
-
-    def _check_widths(self) -> None:
-        """Refuse a row with more or fewer cells than the header."""
-        width = len(self.header)
-        for number, (line, row) in enumerate(zip(self.lines, self.cells, strict=True), 1):
-            if len(row) == width:
-                continue
-            comma = ""
-            if self.separator == "," and len(row) > width:
-                comma = " A decimal comma needs semicolons between the columns."
-            raise MeasurementError(
-                f"{self.source}, line {line} (row {number}): the row has {len(row)} cells, the "
-                f"header has {width}. Make them as many.{comma}"
-            )
+        for number, (line_number, row) in enumerate(zip(lines[1:], cells[1:], strict=True), 1):
+            if len(row) != len(header):
+                comma = ""
+                if separator == "," and len(row) > len(header):
+                    comma = " A decimal comma needs semicolons between the columns."
+                raise MeasurementError(
+                    f"{source}, line {line_number} (row {number}): the row has {len(row)} cells, the "
+                    f"header has {len(header)}. Make them as many.{comma}"
+                )
+        return cls(source, sha256, separator, header, tuple(lines[1:]), tuple(cells[1:]))
 
     def column(self, column: Column) -> list[str]:
         """Return the cells of a column, one a row."""
         return [row[column.index] for row in self.cells]
 
     def numbers(self, columns: Sequence[Column]) -> Array:
-        """Read the numbers of columns, in the units as written.
-
-        Args:
-            columns: The columns, of which there are c.
+        """Read the numbers of c columns, in the units as written.
 
         Returns:
-            Numbers, shape (rows, c); NaN where a cell is empty, infinite where it holds no number.
+            Numbers, shape (rows, c); NaN for an empty cell, infinite for one that holds anything but a number.
 
         Raises:
-            MeasurementError: Decimal points stand beside decimal commas, of which one may separate
+            MeasurementError: Some numbers have decimal points, others decimal commas: one of the two may separate
                 thousands.
         """
         texts = [self.column(column) for column in columns]
         if self.separator != ",":
-            self._check_decimal_signs(texts)
-            texts = [[text.replace(",", ".") for text in column] for column in texts]
+            first_lines: dict[str, int] = {}
+            for column_texts in texts:
+                for sign in ".,":
+                    row = next((i for i, text in enumerate(column_texts) if sign in text), None)
+                    if row is not None:
+                        first_lines.setdefault(sign, self.lines[row])
+            if len(first_lines) == 2:
+                raise MeasurementError(
+                    f"{self.source}: numbers have a decimal point in line {first_lines['.']} and a "
+                    f"decimal comma in line {first_lines[',']}. Write all in one way, without a sign "
+                    "between thousands."
+                )
+            texts = [[text.replace(",", ".") for text in column_texts] for column_texts in texts]
         result = np.empty((len(self.cells), len(columns)))
         for k, column_texts in enumerate(texts):
-            result[:, k] = _parsed(column_texts)
+            result[:, k] = _parse_numbers(column_texts)
         return result
-
-    def _check_decimal_signs(self, texts: Sequence[Sequence[str]]) -> None:
-        """Refuse columns of cells with a decimal point in one and a decimal comma in another."""
-        first_lines: dict[str, int] = {}
-        for column in texts:
-            for sign in ".,":
-                row = next((i for i, text in enumerate(column) if sign in text), None)
-                if row is not None:
-                    first_lines.setdefault(sign, self.lines[row])
-        if len(first_lines) == 2:
-            raise MeasurementError(
-                f"{self.source}: numbers have a decimal point in line {first_lines['.']} and a "
-                f"decimal comma in line {first_lines[',']}. Write all in one way, without a sign "
-                "between thousands."
-            )
 
     def fail(
         self,
@@ -203,8 +187,7 @@ class Table:
             row: The cell's row, from 0.
             column: The cell's column.
             what: What is wrong with it and how to mend it, for the message.
-            row_numbers: The column with the table's own row numbers, for the message; None: the
-                rows are counted from 1.
+            row_numbers: The column with the table's own row numbers, for the message; None: rows are counted from 1.
 
         Raises:
             MeasurementError: Always.
@@ -216,19 +199,10 @@ class Table:
         )
 
 
-def _content(text: str) -> list[_Line]:
-    """Return the lines of a text that are neither blank nor comments."""
-    result = []
-    for number, line in enumerate(io.StringIO(text), 1):
-        if line.strip(_BLANKS) and not line.lstrip().startswith(_COMMENTS):
-            result.append((number, line))
-    return result
-
-
 def _split_lines(
-    source: str, content: Sequence[_Line], separator: str
+    source: str, content: Sequence[tuple[int, str]], separator: str
 ) -> tuple[list[int], list[list[str]]]:
-    """Return the line at which each row ends, and its stripped cells; the header is the first."""
+    """Return the line at which each row of numbered lines ends, and its stripped cells; the header is the first."""
     reader = csv.reader(
         (line for _, line in content), delimiter=separator, skipinitialspace=True, strict=True
     )
@@ -246,41 +220,39 @@ def _split_lines(
     return lines, cells
 
 
-def _parsed(texts: Sequence[str]) -> Array:
-    """Return numbers of cells, shape (rows,): NaN of an empty one, infinite of what is no number."""
+def _parse_numbers(texts: Sequence[str]) -> Array:
+    """Return the numbers in cells, shape (rows,): NaN for an empty one, infinite for one that holds anything else."""
     try:  # the usual column at once: ten times as fast
         numbers = np.array(list(map(float, texts)), dtype=np.float64)
     except ValueError:
         numbers = np.array([np.nan])
     # float() also reads nan, inf and 1_000, which no cell may hold.
-    is_usual = np.isfinite(numbers).all() and not any("_" in text for text in texts)
-    if is_usual:
+    if np.isfinite(numbers).all() and not any("_" in text for text in texts):
         return numbers
-    return np.array([_number(text) for text in texts], dtype=np.float64)
 
-
-def _number(text: str) -> float:
-    """Return the number in a cell; NaN if it is empty, infinite if it holds no number."""
-    if NUMBER.fullmatch(text):
-        return float(text)
-    return np.inf if text else np.nan
+    numbers = np.full(len(texts), np.inf)
+    for row, text in enumerate(texts):
+        if NUMBER.fullmatch(text):
+            numbers[row] = float(text)
+        elif not text:
+            numbers[row] = np.nan
+    return numbers
 
 
 def read_text(path: str | Path, what: str) -> tuple[str, str, str]:
     r"""Read a text file.
 
     Args:
-        path: A file in UTF-8 with or without its mark, in UTF-16 with one (Excel's "Unicode
-            text"), else in Windows' own encoding; or an Excel file, perhaps with one of its sheets,
-            ``"table.xlsx#Sheet"``.
+        path: A file in UTF-8 with or without its mark, in UTF-16 with one (Excel's "Unicode text"), else in Windows'
+            own encoding; or an Excel file, perhaps with one of its sheets, ``"table.xlsx#Sheet"``.
         what: What the file should be, for messages: ``"The table"``.
 
     Returns:
-        The file's name for messages, the SHA-256 of its bytes (of a sheet: of its text), and the text, with lines that
+        The file's name for messages, the SHA-256 of its bytes (for a sheet: of its text), and the text, with lines that
         end in ``\n``.
 
     Raises:
-        MeasurementError: The file does not exist, or is no text.
+        MeasurementError: The file does not exist, or is not text.
     """
     file, sheet = split_sheet(str(path))
     source = (Path(file).name or str(path)) + (f"#{sheet}" if sheet else "")
@@ -289,11 +261,11 @@ def read_text(path: str | Path, what: str) -> tuple[str, str, str]:
     except FileError as error:
         raise MeasurementError(str(error)) from error
     if sheet is not None:
-        read = read_sheet(data, source, sheet)
-        if not sheet and not read.is_only:
-            source = f"{source}#{read.name}"
+        text, name = read_sheet(data, source, sheet)
+        if name and not sheet:
+            source = f"{source}#{name}"
         # Two sheets of one file are two tables.
-        return source, hashlib.sha256(read.text.encode()).hexdigest(), read.text
+        return source, hashlib.sha256(text.encode()).hexdigest(), text
     sha256 = hashlib.sha256(data).hexdigest()
     is_utf16 = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
     try:

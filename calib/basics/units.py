@@ -1,16 +1,17 @@
-"""Units at the edges: SI inside calib (m, rad, Nm, N), these units in files and commands, beside or above numbers."""
+"""Units at the edges: SI inside calib (m, rad, Nm, N); other units in files and commands, next to or above numbers."""
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Literal, TypeGuard, get_args
 
 import numpy as np
 
+from calib.basics.arrays import Array, read_only
 from calib.errors import CalibError, choices
 
 Quantity = Literal["length", "angle", "torque", "force", "mass", "pixel"]
@@ -77,14 +78,14 @@ class Length(float):
 
 
 def unit_fault(value: float, *, slides: bool) -> str | None:
-    """Return the fault in the unit of a joint's value, as text for a message behind the joint's name.
+    """Return the fault in the unit of a joint's value, as text for a message after the joint's name.
 
     Args:
         value: An `Angle` or a `Length`, which are checked; any other number is taken as it is.
         slides: True for a joint that slides, False for one that turns.
 
     Returns:
-        None if the unit fits the joint, or is not known.
+        The fault; None if the unit fits the joint, or is not known.
     """
     if slides and isinstance(value, Angle):
         return 'is an angle, and the joint slides; give a length, such as "0.3 m"'
@@ -119,26 +120,27 @@ def split_header(text: str) -> tuple[str, str | None]:
     return match["name"].strip(), match["symbol"].strip()
 
 
-# Numbers with their unit beside them, as cell files and command lines give them
+# Numbers followed by their unit, as cell files and command lines give them. Their quantities, as `parse_quantity`
+# returns them and messages name them:
 
-#: Name of a length in messages, and of what a text with a unit of length is [m].
+#: In m.
 LENGTH = "a length"
 
-#: Name of an angle in messages, and of what a text with a unit of angle is [rad].
+#: In rad.
 ANGLE = "an angle"
 
-#: Name of a mass in messages, and of what a text with a unit of mass is [kg].
+#: In kg.
 MASS = "a mass"
 
-#: Name of a joint's compliance in messages, and of what a text in rad/Nm or m/N is.
+#: Of a joint, in rad/Nm or m/N.
 COMPLIANCE = "a compliance"
 
-#: Name of a number without a unit.
+#: Without a unit.
 PLAIN = "a number"
 
 
 def is_number(value: object) -> TypeGuard[float]:
-    """Return True for a finite number that is no truth value."""
+    """Return True for a finite number other than a truth value."""
     if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
         return False
     return math.isfinite(value)
@@ -151,7 +153,7 @@ def parse_quantity(text: object) -> tuple[float, str]:
         text: Such as ``"0.5 mm"`` or ``"1e-5 rad/Nm"``, or a number.
 
     Raises:
-        CalibError: No number, or an unknown unit.
+        CalibError: It is not a number, or has an unknown unit.
 
     Example:
         >>> parse_quantity("0.5 mm")
@@ -161,15 +163,22 @@ def parse_quantity(text: object) -> tuple[float, str]:
         return float(text), PLAIN
     match = re.fullmatch(rf"\s*({NUMBER.pattern})\s*(\S.*?)?\s*", str(text))
     if match is None or not isinstance(text, str) or not math.isfinite(float(match[1])):
-        raise CalibError(f'{text!r} is no number with a unit, such as "0.5 mm"')
+        raise CalibError(f'{text!r} is not a number with a unit, such as "0.5 mm"')
     number = float(match[1])
     symbol = match[2]
     if symbol is None:
         return number, PLAIN
-    if "/" in symbol:
-        return number * _compliance_in_si(symbol), COMPLIANCE
-    unit = find_unit(symbol)
-    return number * unit.to_si, quantity_name(unit.quantity)
+    motion, slash, load = (part.strip() for part in symbol.partition("/"))
+    if not slash:
+        unit = find_unit(symbol)
+        return number * unit.to_si, quantity_name(unit.quantity)
+
+    motions = {"Nm": symbols("angle"), "N": symbols("length")}
+    if motion not in motions.get(load, ()):
+        raise CalibError(
+            f"'{symbol}' is not a unit of compliance; a joint's is in 'rad/Nm', or 'm/N' if it slides"
+        )
+    return number * UNITS[motion].to_si, COMPLIANCE
 
 
 def quantity_name(quantity: Quantity) -> str:
@@ -177,18 +186,7 @@ def quantity_name(quantity: Quantity) -> str:
     return ANGLE if quantity == "angle" else f"a {quantity}"
 
 
-def _compliance_in_si(symbol: str) -> float:
-    """Return one of a unit such as ``"mrad/Nm"`` or ``"um/N"`` in rad/Nm or m/N; CalibError for another quotient."""
-    motion, _, load = (part.strip() for part in symbol.partition("/"))
-    motions = {"Nm": symbols("angle"), "N": symbols("length")}
-    if load not in motions or motion not in motions[load]:
-        raise CalibError(
-            f"'{symbol}' is no unit of compliance; a joint's is in 'rad/Nm', or 'm/N' where it slides"
-        )
-    return UNITS[motion].to_si
-
-
-#: Numbers, and the unit behind them: ``70 -70 22.5 mm``.
+#: Numbers, and the unit after them: ``70 -70 22.5 mm``.
 _GROUP = re.compile(rf"((?:{NUMBER.pattern}[\s,]*)+?)([A-Za-zµμ]+(?:/[A-Za-z]+)?|$)[\s,]*")
 
 
@@ -205,12 +203,12 @@ def parse_quantities(
     Args:
         text: The numbers, as they were written.
         option: Name of the option that they were given to, for messages.
-        counts: The number of numbers of each quantity that may be given once, such as ``{LENGTH: 3}``.
+        counts: How many numbers each quantity that may be given has, such as ``{LENGTH: 3}``.
         example: An example of how to write it, for messages.
         signed: True if numbers may be below 0.
 
     Returns:
-        At least one of the quantities, with its numbers.
+        The numbers of each quantity that was given, at least one.
 
     Raises:
         CalibError: Anything else was written.
@@ -221,8 +219,8 @@ def parse_quantities(
     if not values:
         allowed = []
         for quantity, count in counts.items():
-            article_and_name = quantity.split()
-            many = f"{count} numbers and a unit of {article_and_name[1]}"
+            _, name = quantity.split()
+            many = f"{count} numbers and a unit of {name}"
             allowed.append(quantity if count == 1 else many)
         below = "" if signed else ", not below 0"
         raise CalibError(
@@ -234,13 +232,7 @@ def parse_quantities(
 def _values_by_quantity(
     text: str, counts: Mapping[str, int], *, signed: bool
 ) -> dict[str, list[float]]:
-    """Return the numbers of a text in SI units by their quantity; empty where they are not as `parse_quantities` says.
-
-    Args:
-        text: The numbers with their units.
-        counts: The number of numbers of each quantity that may be given.
-        signed: True if numbers may be below 0.
-    """
+    """Return the numbers of a text in SI units by their quantity; empty if they are not as `parse_quantities` wants."""
     if _GROUP.sub("", text).strip():
         return {}
     by_quantity: dict[str, list[float]] = {}
@@ -283,6 +275,17 @@ def parse_amount(
     return parse_quantities(text, option, {quantity: 1}, example, signed=signed)[quantity][0]
 
 
+def parse_point(text: str, option: str, example: str = "70 -70 22.5 mm") -> Array:
+    """Return a point as typed, such as ``70 -70 22.5 mm``, shape (3,), read-only [m]; CalibError for anything else.
+
+    Args:
+        text: Three numbers and a unit of length.
+        option: Name of the option that it was given to, for messages.
+        example: A text that would be right, for messages.
+    """
+    return read_only(parse_quantities(text, option, {LENGTH: 3}, example)[LENGTH])
+
+
 def parse_noise(text: str, option: str) -> tuple[float, float]:
     """Return the constant [m] and the part per metre of distance [m/m] of an instrument's noise.
 
@@ -309,7 +312,7 @@ def parse_joint_value(value: object, where: str) -> float:
         where: Name of its place in a file or command, for messages.
 
     Raises:
-        CalibError: No number with a unit of angle or length.
+        CalibError: It is not a number with a unit of angle or length.
     """
     hint = 'Write "30 deg" or "0.3 m".'
     try:
@@ -322,6 +325,41 @@ def parse_joint_value(value: object, where: str) -> float:
     return Length(number) if quantity == LENGTH else Angle(number)
 
 
+def parse_joint_values(pairs: Iterable[str], option: str) -> dict[str, float]:
+    """Return joint values as typed, such as ``lift=0.3 m`` each, by name [rad or m]; CalibError for anything else.
+
+    Args:
+        pairs: As typed, one for each joint.
+        option: Name of the option that they were given to, for messages.
+    """
+    wanted = "'joint=value' with a unit, such as 'torso_lift_joint=0.3 m', and each joint once"
+    values = {}
+    for name, text in parse_pairs(pairs, option, wanted).items():
+        values[name] = parse_joint_value(text, f"{option} '{name}={text}'")
+    return values
+
+
+def parse_pairs(pairs: Iterable[str], option: str, wanted: str) -> dict[str, str]:
+    """Return texts ``name=value`` as a dict; a name may contain an equals sign, a value may not.
+
+    Args:
+        pairs: As typed.
+        option: Name of the option that they were given to, for messages.
+        wanted: What is allowed, for messages.
+
+    Raises:
+        CalibError: One is not of that form, or a name is there twice.
+    """
+    values: dict[str, str] = {}
+    for pair in pairs:
+        # rpartition leaves all of a text without an equals sign in the last part.
+        name, _, value = (part.strip() for part in pair.rpartition("="))
+        if not (name and value) or name in values:
+            raise CalibError(f"{option} was given '{pair}'; it must be {wanted}.")
+        values[name] = value
+    return values
+
+
 def parse_joint_range(value: object, where: str) -> tuple[float, float]:
     """Return the least and the largest value of a joint, both an `Angle` [rad] or both a `Length` [m].
 
@@ -330,7 +368,7 @@ def parse_joint_range(value: object, where: str) -> tuple[float, float]:
         where: Name of its place in a file, for messages.
 
     Raises:
-        CalibError: Not two values of a joint in units of one quantity.
+        CalibError: It is not two values of a joint in units of one quantity.
     """
     ends = value if isinstance(value, (list, tuple)) else ()
     if len(ends) != 2:

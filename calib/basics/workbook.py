@@ -9,7 +9,7 @@ import csv
 import io
 import warnings
 from datetime import date, time, timedelta
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING
 from zipfile import BadZipFile
 
 from calib.errors import MeasurementError, choices, did_you_mean
@@ -23,18 +23,15 @@ SUFFIXES = (".xlsx", ".xlsm")
 #: Between the name of a file and that of its sheet.
 _BEFORE_SHEET = "#"
 
-#: What openpyxl raises for a file that is none, or is damaged.
+#: What openpyxl raises for a file that is not of Excel, or is damaged.
 _DAMAGED = (BadZipFile, KeyError, ValueError, TypeError, IndexError, AttributeError, SyntaxError)
 
 
 def split_sheet(path: str) -> tuple[str, str | None]:
-    """Split ``"table.xlsx#Sheet"`` into file and sheet.
-
-    Args:
-        path: Path of any file.
+    """Split a path such as ``"table.xlsx#Sheet"`` into file and sheet.
 
     Returns:
-        The path of the file, and the sheet's name; None for any other path, ``""`` for the first sheet.
+        The path of the file, and the sheet's name: ``""`` for the first sheet, None if it is not an Excel file.
     """
     file, mark, sheet = path.rpartition(_BEFORE_SHEET)
     if mark and file.casefold().endswith(SUFFIXES):
@@ -42,52 +39,48 @@ def split_sheet(path: str) -> tuple[str, str | None]:
     return path, "" if path.casefold().endswith(SUFFIXES) else None
 
 
-class Sheet(NamedTuple):
-    """A sheet of an Excel file."""
-
-    #: Its name.
-    name: str
-    #: Whether the file has no other one.
-    is_only: bool
-    #: Lines that end in ``\n``, one for each row from the first; numbers with all their digits.
-    text: str
-
-
-def read_sheet(data: bytes, source: str, sheet: str) -> Sheet:
-    """Read a sheet as text.
+def read_sheet(data: bytes, source: str, sheet: str) -> tuple[str, str]:
+    r"""Read a sheet as text.
 
     Args:
         data: The file's bytes.
         source: The file's name, for messages.
         sheet: The sheet's name; empty: the first one.
 
+    Returns:
+        The text: lines that end in ``\n``, one for each row from the first, numbers with all their digits. And the
+        sheet's name, empty if the file has no other sheet.
+
     Raises:
         MeasurementError: openpyxl is not installed, the file or the sheet cannot be read, or a formula has no value.
     """
     values = _load(data, source, values=True)
-    chosen = _chosen_sheet(values, source, sheet)
-    formulas = _load(data, source, values=False)[chosen.title]
+    sheets = {worksheet.title: worksheet for worksheet in values.worksheets}
+    if not sheets or (sheet and sheet not in sheets):
+        file = source.rpartition(_BEFORE_SHEET)[0]
+        first = next(iter(sheets), "")
+        raise MeasurementError(
+            f"{file}: there is no sheet '{sheet}'{did_you_mean(sheet, sheets)}; it has {choices(sheets)}. Name one "
+            f'after the file, "{file}{_BEFORE_SHEET}{first}".'
+        )
+    name = sheet or next(iter(sheets))
+    formulas = _load(data, source, values=False)[name]
+
     text = io.StringIO()
     writer = csv.writer(text, delimiter="\t", lineterminator="\n")
-    for row in chosen.iter_rows(min_row=1, min_col=1):
+    for row in sheets[name].iter_rows(min_row=1, min_col=1):
         for cell in row:
             if cell.value is None and formulas[cell.coordinate].data_type == "f":
                 raise MeasurementError(
-                    f"{source}, sheet '{chosen.title}', cell {cell.coordinate}: the formula has no value. Open and "
+                    f"{source}, sheet '{name}', cell {cell.coordinate}: the formula has no value. Open and "
                     "save the file in Excel or LibreOffice, which compute it, or save it as CSV."
                 )
-        writer.writerow([_text(cell.value) for cell in row])
-    return Sheet(chosen.title, len(values.worksheets) == 1, text.getvalue())
+        writer.writerow([_text_of_cell(cell.value) for cell in row])
+    return text.getvalue(), "" if len(sheets) == 1 else name
 
 
 def _load(data: bytes, source: str, *, values: bool) -> Workbook:
-    """Load an Excel file.
-
-    Args:
-        data: Its bytes.
-        source: Its name, for messages.
-        values: Whether cells have the values of their formulas, or the formulas.
-    """
+    """Load an Excel file, its cells with the values of their formulas or with the formulas."""
     try:
         from openpyxl import load_workbook
     except ImportError as error:
@@ -96,31 +89,18 @@ def _load(data: bytes, source: str, *, values: bool) -> Workbook:
             "the sheet as CSV (UTF-8)."
         ) from error
     try:
-        with warnings.catch_warnings():  # of what a table does not need, such as styles
+        with warnings.catch_warnings():  # about what a table does not need, such as styles
             warnings.simplefilter("ignore")
             return load_workbook(io.BytesIO(data), data_only=values)
     except _DAMAGED as error:
         raise MeasurementError(
-            f"{source}: this is no Excel file (.xlsx), or it is damaged ({type(error).__name__}). Save it anew, or as "
-            "CSV (UTF-8)."
+            f"{source}: this is not an Excel file (.xlsx), or it is damaged ({type(error).__name__}). Save it again, "
+            "or as CSV (UTF-8)."
         ) from error
 
 
-def _chosen_sheet(workbook: Workbook, source: str, sheet: str) -> Any:  # noqa: ANN401  openpyxl has several classes
-    """Return a sheet of cells by its name, the first if the name is empty."""
-    sheets = {worksheet.title: worksheet for worksheet in workbook.worksheets}
-    if not sheets or (sheet and sheet not in sheets):
-        file = source.rpartition(_BEFORE_SHEET)[0]
-        first = next(iter(sheets), "")
-        raise MeasurementError(
-            f"{file}: there is no sheet '{sheet}'{did_you_mean(sheet, sheets)}; it has {choices(sheets)}. Name one "
-            f'behind the file, "{file}{_BEFORE_SHEET}{first}".'
-        )
-    return sheets[sheet] if sheet else next(iter(sheets.values()))
-
-
-def _text(value: object) -> str:
-    """Return the text of a cell's value: a number with all its digits, a date as one, nothing of an empty cell."""
+def _text_of_cell(value: object) -> str:
+    """Return a cell's value as text: a number with all its digits, a date marked as one, nothing for an empty cell."""
     if value is None:
         return ""
     if isinstance(value, bool):

@@ -9,65 +9,178 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
 
 from calib.basics.arrays import Array, Integers
-from calib.basics.mappings import ReadOnlyMapping
-from calib.basics.values import Value
+from calib.basics.records import Option, key
+from calib.basics.units import LENGTH, parse_amount
+from calib.basics.value_forms import WHOLE, decimal, one_of, text
 from calib.boards.dictionaries import check_markers
 from calib.errors import CalibError, choices, did_you_mean
 
-#: A chessboard whose white squares hold markers: corners are known even where a part of the board is seen.
+#: A chessboard whose white squares hold markers: its corners are known even if only a part of it is seen.
 CHARUCO = "charuco"
 
 #: A plain chessboard, of which all inner corners must be seen.
 CHESSBOARD = "chessboard"
 
-#: A grid of AprilTags, whose four corners each are measured.
+#: A grid of AprilTags; the four corners of each are measured.
 APRILTAG = "apriltag"
 
-#: The patterns, and what their descriptions need besides columns, rows and square.
-PATTERNS: Mapping[str, tuple[str, ...]] = ReadOnlyMapping(
-    {CHARUCO: ("marker", "dictionary"), CHESSBOARD: (), APRILTAG: ("marker", "dictionary")}
+#: The patterns, and the attributes that only some of them have.
+PATTERNS: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {
+        CHARUCO: ("marker", "dictionary", "first_marker", "legacy"),
+        CHESSBOARD: (),
+        APRILTAG: ("marker", "dictionary", "first_marker"),
+    }
 )
+
+#: Lengths and shares that keep their digits.
+_MM = decimal("mm", -3)
+_PERCENT = decimal("%", -2)
 
 #: Fewest columns and rows of squares, and of tags.
 _FEWEST = {CHARUCO: 2, CHESSBOARD: 3, APRILTAG: 1}
 
 
+def _length(typed: str, flag: str) -> float:
+    """Read a length as it was typed [m]."""
+    return parse_amount(typed, flag, LENGTH, "30 mm")
+
+
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Board(Value):
+class Board:
     """A printed board.
 
     Raises:
-        CalibError: An unknown pattern, too few columns or rows, or lengths that make no board.
+        CalibError: An unknown pattern, too few columns or rows, or lengths that do not make a board.
     """
 
     #: Name, as in the column ``target`` of a table of corners.
-    name: str = "board"
+    name: str = key(
+        "name",
+        text("a text"),
+        "Name, as in the column 'target' of a table of corners.",
+        default="board",
+        option=Option("--name", help="Name of the board. Default: that of its files."),
+    )
     #: `CHARUCO`, `CHESSBOARD` or `APRILTAG`.
-    pattern: str
+    pattern: str = key(
+        "pattern",
+        text(f"one of {choices(PATTERNS)}"),
+        '"charuco", "chessboard" or "apriltag".',
+        option=Option(
+            "--pattern",
+            type=tuple(PATTERNS),
+            help="charuco: a chessboard with markers, found even if partly hidden (default). chessboard: all of it "
+            "must be seen. apriltag: a grid of tags.",
+        ),
+    )
     #: Squares, or tags, along x.
-    columns: int
+    columns: int = key(
+        "columns",
+        WHOLE,
+        "Squares, or tags, along x: across, with the text of the page below the pattern.",
+        option=Option("--columns", type=int, help="Number of squares, or tags, across."),
+    )
     #: Squares, or tags, along y.
-    rows: int
-    #: Side of a square as measured on the print; of a grid of tags the distance of two tags' centres [m].
-    square: float
+    rows: int = key(
+        "rows",
+        WHOLE,
+        "Squares, or tags, along y: down. Of a chessboard all squares count, not its inner corners.",
+        option=Option("--rows", type=int, help="Number of squares, or tags, down."),
+    )
+    #: Side of a square as measured on the print; for a grid of tags the distance between the centres of tags [m].
+    square: float = key(
+        "square_mm",
+        _MM,
+        "Side of a square as measured on the print; of tags the distance of their centres [mm].",
+        json="square_m",
+        option=Option(
+            "--square",
+            help='Side of a square, or distance between tags, such as "30 mm". Default: as large as fits.',
+            metavar="LENGTH",
+            parse=_length,
+        ),
+    )
     #: Side of a marker or tag, black border included [m]; 0 for a chessboard.
-    marker: float = 0.0
+    marker: float = key(
+        "marker_mm",
+        _MM,
+        "Side of a marker or tag with its black border, on the same print [mm].",
+        default=0.0,
+        absent="needed, except for a chessboard",
+        json="marker_m",
+        option=Option(
+            "--marker",
+            help="Side of a marker or tag. Default: as large as can be found reliably.",
+            metavar="LENGTH",
+            parse=_length,
+        ),
+    )
     #: Name of OpenCV's dictionary of markers, ``"DICT_5X5_100"``; "" for a chessboard.
-    dictionary: str = ""
+    dictionary: str = key(
+        "dictionary",
+        text("the name of a dictionary, such as DICT_5X5_100,"),
+        "Dictionary of the markers, named as OpenCV names it.",
+        default="",
+        absent="needed, except for a chessboard",
+        option=Option(
+            "--dictionary",
+            help="Dictionary of the markers. Default: DICT_5X5_100, or DICT_APRILTAG_36h11.",
+        ),
+    )
     #: Id of the first marker or tag.
-    first_marker: int = 0
+    first_marker: int = key(
+        "first_marker",
+        WHOLE,
+        "Id of the first marker, at the upper left.",
+        default=0,
+        option=Option(
+            "--first-marker",
+            type=int,
+            help="Id of the first marker. Default: 0; boards in one picture need different ids.",
+        ),
+    )
     #: Whether an even number of rows is laid out as by OpenCV before 4.6: a marker in the first square.
-    legacy: bool = False
+    legacy: bool = key(
+        "layout",
+        one_of({"new": False, "legacy": True}),
+        '"new", or "legacy": as by OpenCV before 4.6, a marker in the first square. Alike for odd rows.',
+        default=False,
+        option=Option(
+            "--legacy",
+            type=bool,
+            help="Lay out an even number of rows as OpenCV before 4.6 did.",
+            parse=lambda _typed, _flag: True,
+        ),
+    )
     #: Standard deviation of the relative error of ``square``: how well the print was measured.
-    sigma_scale: float = 0.003
+    sigma_scale: float = key(
+        "sigma_scale_percent",
+        _PERCENT,
+        "Standard deviation of square_mm: how well you measured it [%].",
+        default=0.003,
+    )
     #: Standard deviation of each corner's place on the print, along x and along y [m].
-    sigma_corner: float = 5e-5
+    sigma_corner: float = key(
+        "sigma_corner_mm",
+        _MM,
+        "Standard deviation of a corner's place on the print [mm].",
+        default=5e-5,
+        json="sigma_corner_m",
+    )
     #: Standard deviation of the sag of the board's middle, along x and along y [m].
-    sigma_warp: float = 1e-3
+    sigma_warp: float = key(
+        "sigma_warp_mm",
+        _MM,
+        "Standard deviation of the sag of the board's middle [mm].",
+        default=1e-3,
+        json="sigma_warp_m",
+    )
 
     def __post_init__(self) -> None:
         """Check the pattern and its sizes."""
@@ -86,23 +199,26 @@ class Board(Value):
             raise CalibError(
                 f"The board '{self.name}' has squares of {self.square:g} m; they are above 0 and below 10 m."
             )
-        needs_marker = "marker" in PATTERNS[self.pattern]
-        if needs_marker and not 0.0 < self.marker < self.square:
-            raise CalibError(
-                f"The board '{self.name}' has markers of {self.marker:g} m in squares of {self.square:g} m; they are "
-                "above 0 and smaller than the squares."
-            )
-        if needs_marker and not self.dictionary:
-            raise CalibError(
-                f"The board '{self.name}' needs the dictionary of its markers, such as 'DICT_5X5_100'."
-            )
-        if needs_marker:
+        if "marker" in PATTERNS[self.pattern]:
+            if not 0.0 < self.marker < self.square:
+                raise CalibError(
+                    f"The board '{self.name}' has markers of {self.marker:g} m in squares of {self.square:g} m; they "
+                    "are above 0 and smaller than the squares."
+                )
+            if not self.dictionary:
+                raise CalibError(
+                    f"The board '{self.name}' needs the dictionary of its markers, such as 'DICT_5X5_100'."
+                )
             where = f"The board '{self.name}' with {self.columns} columns and {self.rows} rows"
             check_markers(self.dictionary, self.first_marker, self.markers, where)
         if min(self.sigma_scale, self.sigma_corner, self.sigma_warp) < 0.0:
             raise CalibError(
                 f"The board '{self.name}' has a standard deviation below 0; 0 stands for a perfect print."
             )
+
+    def __copy__(self) -> Board:
+        """Return the board itself: it cannot be changed."""
+        return self
 
     @property
     def markers(self) -> int:
@@ -121,7 +237,16 @@ class Board(Value):
     @property
     def corners(self) -> Array:
         """Positions of all corners in the board's frame, in the order of their ids, shape (n, 3) [m]."""
-        grid = _tag_corners(self) if self.pattern == APRILTAG else _inner_corners(self)
+        if self.pattern == APRILTAG:
+            x = np.arange(self.columns) * self.square
+            y = np.arange(self.rows) * self.square
+            square = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+            origins = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 1, 2)
+            grid = (origins + self.marker * square).reshape(-1, 2)
+        else:
+            x = np.arange(1, self.columns) * self.square
+            y = np.arange(1, self.rows) * self.square
+            grid = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
         return np.column_stack([grid, np.zeros(len(grid))])
 
     @property
@@ -133,19 +258,3 @@ class Board(Value):
     def corner_ids(self) -> Integers:
         """Return the ids of the corners: 0 to n - 1, in rows along x; of a tag its corners, clockwise from top left."""
         return np.arange(len(self.corners))
-
-
-def _inner_corners(board: Board) -> Array:
-    """Inner corners of a chessboard, in rows along x, shape (n, 2) [m]."""
-    x = np.arange(1, board.columns) * board.square
-    y = np.arange(1, board.rows) * board.square
-    return np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-
-
-def _tag_corners(board: Board) -> Array:
-    """Corners of all tags of a grid, tag after tag, each clockwise from its top left, shape (4 tags, 2) [m]."""
-    x = np.arange(board.columns) * board.square
-    y = np.arange(board.rows) * board.square
-    origins = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 1, 2)
-    of_tag = board.marker * np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
-    return np.asarray(origins + of_tag).reshape(-1, 2)

@@ -1,14 +1,14 @@
 """Dictionaries of square markers: how many each has and of how many bits, named as OpenCV names them.
 
-The markers themselves are in OpenCV; to check the description of a board their number is enough.
+The markers themselves are in OpenCV; their number is enough to check the description of a board.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 
-from calib.basics.mappings import ReadOnlyMapping
 from calib.errors import CalibError, choices, did_you_mean
 
 
@@ -18,12 +18,12 @@ class Dictionary:
 
     #: Bits along a side, without the black border of one bit.
     bits: int
-    #: Number of markers; their ids are 0 to this less one.
+    #: Number of markers; their ids are 0 to one less than this.
     markers: int
 
 
 #: All dictionaries that OpenCV has, by name, the common ones first.
-DICTIONARIES: Mapping[str, Dictionary] = ReadOnlyMapping(
+DICTIONARIES: Mapping[str, Dictionary] = MappingProxyType(
     {
         "DICT_4X4_50": Dictionary(4, 50),
         "DICT_4X4_100": Dictionary(4, 100),
@@ -50,6 +50,34 @@ DICTIONARIES: Mapping[str, Dictionary] = ReadOnlyMapping(
     }
 )
 
+#: The dictionaries of each kind, the smallest first. A large one begins with the markers of the smaller ones: the first
+#: 50 of DICT_5X5_1000 are those of DICT_5X5_50.
+KINDS: tuple[tuple[str, ...], ...] = (
+    ("DICT_4X4_50", "DICT_4X4_100", "DICT_4X4_250", "DICT_4X4_1000"),
+    ("DICT_5X5_50", "DICT_5X5_100", "DICT_5X5_250", "DICT_5X5_1000"),
+    ("DICT_6X6_50", "DICT_6X6_100", "DICT_6X6_250", "DICT_6X6_1000"),
+    ("DICT_7X7_50", "DICT_7X7_100", "DICT_7X7_250", "DICT_7X7_1000"),
+    ("DICT_ARUCO_ORIGINAL",),
+    ("DICT_APRILTAG_36h11",),
+    ("DICT_APRILTAG_36h10",),
+    ("DICT_APRILTAG_25h9",),
+    ("DICT_APRILTAG_16h5",),
+    ("DICT_ARUCO_MIP_36h12",),
+)
+
+
+def kind_of(dictionary: str) -> tuple[str, ...]:
+    """Return the dictionaries whose first markers are those of a dictionary, itself included, the smallest first."""
+    return next(kind for kind in KINDS if dictionary in kind)
+
+
+def smallest_dictionary(kind: tuple[str, ...], largest_id: int) -> str:
+    """Return the smallest dictionary of a kind that has a marker with this id; the largest if none has."""
+    for name in kind:
+        if largest_id < DICTIONARIES[name].markers:
+            return name
+    return kind[-1]
+
 
 def check_markers(name: str, first: int, count: int, where: str) -> None:
     """Refuse markers that a dictionary does not have.
@@ -75,14 +103,8 @@ def check_markers(name: str, first: int, count: int, where: str) -> None:
         f"{where} needs {count} markers, the first with the id {first}; {name} has {dictionary.markers}, "
         "the first with the id 0."
     )
-    larger = _large_enough(dictionary.bits, first + count)
-    if first >= 0 and larger:
-        message += f" Large enough are {choices(larger)}."
+    enough = [row for row, other in DICTIONARIES.items() if other.markers >= first + count]
+    alike = [row for row in enough if DICTIONARIES[row].bits == dictionary.bits]
+    if first >= 0 and enough:
+        message += f" Large enough are {choices(alike or enough)}."
     raise CalibError(message)
-
-
-def _large_enough(bits: int, count: int) -> list[str]:
-    """Return the dictionaries with enough markers: those of as many bits, or all if there is none."""
-    enough = [name for name, row in DICTIONARIES.items() if row.markers >= count]
-    alike = [name for name in enough if DICTIONARIES[name].bits == bits]
-    return alike or enough

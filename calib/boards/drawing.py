@@ -1,16 +1,23 @@
-"""Drawings of boards: the black parts of a pattern as rectangles, the markers from OpenCV's dictionaries.
+"""Drawings of boards: the black parts of a pattern as rectangles, and as a grey picture.
 
-Lengths are in metres, in the frame of the board: x along the columns, y along the rows and down the page.
+Lengths are in metres, in the frame of the board: x along the columns, y along the rows and down the page. The markers
+are those of OpenCV's dictionaries.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from calib.basics.arrays import Array, Mask
-from calib.boards.board import APRILTAG, CHARUCO, CHESSBOARD, Board
+from calib.basics.arrays import Array
+from calib.boards.board import APRILTAG, Board
 from calib.boards.dictionaries import DICTIONARIES
+from calib.boards.layout import marker_outlines, white_squares
 from calib.boards.opencv import opencv
+
+#: What a length may exceed whole pixels by without needing one more [px].
+_ROUNDING = 1e-6
 
 
 def black_rectangles(board: Board) -> Array:
@@ -25,34 +32,16 @@ def black_rectangles(board: Board) -> Array:
     Raises:
         CalibError: OpenCV, which has the markers, is not installed.
     """
-    if board.pattern == CHESSBOARD:
-        return _black_squares(board)
-    markers = [
-        _placed(marker_rectangles(board.dictionary, board.first_marker + k), corner, board.marker)
-        for k, corner in enumerate(marker_corners(board))
-    ]
-    squares = _black_squares(board) if board.pattern == CHARUCO else np.empty((0, 4))
-    return np.concatenate([squares, *markers])
-
-
-def is_white(board: Board) -> Mask:
-    """Return which squares of a chessboard or ChArUco board are white, shape (rows, columns).
-
-    The first square is black; in the legacy layout with an even number of rows it is white.
-    """
-    row, column = np.indices((board.rows, board.columns))
-    first = 1 if board.pattern == CHARUCO and board.legacy and board.rows % 2 == 0 else 0
-    return np.asarray((row + column + first) % 2 == 1)
-
-
-def marker_corners(board: Board) -> Array:
-    """Return the upper left corners of a board's markers, in the order of their ids, shape (markers, 2) [m]."""
-    if board.pattern == APRILTAG:
-        row, column = np.indices((board.rows, board.columns))
-        return np.column_stack([column.ravel(), row.ravel()]).astype(float) * board.square
-    row, column = np.nonzero(is_white(board))
-    margin = (board.square - board.marker) / 2.0
-    return np.column_stack([column, row]).astype(float) * board.square + margin
+    parts = []
+    if board.pattern != APRILTAG:
+        row, column = np.nonzero(~white_squares(board))
+        corners = np.column_stack([column, row]) * board.square
+        parts.append(np.column_stack([corners, np.full_like(corners, board.square)]))
+    for k, outline in enumerate(marker_outlines(board)):
+        rectangles = marker_rectangles(board.dictionary, board.first_marker + k) * board.marker
+        rectangles[:, :2] += outline[0]
+        parts.append(rectangles)
+    return np.concatenate(parts)
 
 
 def marker_rectangles(dictionary: str, marker: int) -> Array:
@@ -73,15 +62,51 @@ def marker_rectangles(dictionary: str, marker: int) -> Array:
     return np.array(runs) / side
 
 
-def _black_squares(board: Board) -> Array:
-    """Return the black squares of a chessboard or ChArUco board, shape (n, 4) [m]."""
-    row, column = np.nonzero(~is_white(board))
-    corners = np.column_stack([column, row]) * board.square
-    return np.column_stack([corners, np.full_like(corners, board.square)])
+@dataclass(frozen=True, slots=True, eq=False)
+class Texture:
+    """A picture of a pattern with a white margin; edges are true to a fraction of a pixel, which shows its share."""
+
+    #: Share of white of each pixel: 1 for white, 0 for black, shape (h, w).
+    white: Array
+    #: Side of its pixels [m].
+    pixel: float
+    #: Width of the margin around the pattern [m].
+    margin: float
+
+    def place(self, lengths: Array) -> Array:
+        """Return where lengths along x or y of the board [m] lie in the picture [px]; 0 is a pixel's centre."""
+        return np.asarray((lengths + self.margin) / self.pixel - 0.5)
 
 
-def _placed(rectangles: Array, corner: Array, scale: float) -> Array:
-    """Scale rectangles and move their origin to a corner."""
-    placed = rectangles * scale
-    placed[:, :2] += corner
-    return placed
+def texture(board: Board, pixel: float, margin: float) -> Texture:
+    """Draw a board's pattern as a grey picture.
+
+    A rectangle covers of a pixel the product of what it covers along x and along y.
+
+    Args:
+        board: The board.
+        pixel: Side of a pixel [m].
+        margin: Width of the white margin around the pattern [m].
+
+    Raises:
+        CalibError: OpenCV, which has the markers, is not installed.
+    """
+    width, height = (np.asarray(board.size) + 2.0 * margin) / pixel
+    shape = (int(np.ceil(height - _ROUNDING)), int(np.ceil(width - _ROUNDING)))
+    black = np.zeros(shape, dtype=np.float32)
+    for left, top, length_x, length_y in black_rectangles(board):
+        columns, share_x = _covered(left + margin, length_x, pixel, black.shape[1])
+        rows, share_y = _covered(top + margin, length_y, pixel, black.shape[0])
+        black[rows, columns] += np.outer(share_y, share_x)
+    return Texture(1.0 - np.minimum(black, 1.0), pixel, margin)
+
+
+def _covered(start: float, length: float, pixel: float, count: int) -> tuple[slice, Array]:
+    """Return which of ``count`` pixels an interval [m] covers, and the share of each, 0 to 1, shape (pixels,)."""
+    low = start / pixel
+    high = (start + length) / pixel
+    first = int(np.floor(low))
+    last = min(int(np.ceil(high)), count)
+    edges = np.arange(first, last)
+    shares = np.minimum(edges + 1, high) - np.maximum(edges, low)
+    return slice(first, last), np.maximum(shares, 0.0)

@@ -1,4 +1,4 @@
-"""OpenCV, which only what draws boards or reads pictures needs."""
+"""OpenCV, which is imported only where a board is drawn or a picture is read."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def opencv() -> Any:  # noqa: ANN401  a module without types
         cv2 = importlib.import_module("cv2")
     except ImportError as error:
         raise CalibError(
-            "Pictures of boards are read with OpenCV, which is not installed: pip install opencv-python-headless"
+            "Boards are drawn and found with OpenCV, which is not installed: pip install opencv-python-headless"
         ) from error
     if not hasattr(cv2, "aruco") or not hasattr(cv2.aruco, "CharucoDetector"):
         raise CalibError(

@@ -13,28 +13,28 @@ from calib.boards.board import Board
 from calib.boards.drawing import black_rectangles
 from calib.boards.paper import EDGE, SIDE_BAND, Sheet
 
-#: Lengths of the rulers [m]; the longest that has room is taken.
+#: Lengths of the rulers [m]; the longest one that fits is taken.
 _RULERS = (0.1, 0.05, 0.02)
 
 #: Width of the rulers' lines [m].
 _LINE = 0.0002
 
-#: Distance of two ticks [m].
+#: Distance between ticks [m].
 _STEP = 0.005
 
-#: Length of the ticks at every 50 mm, 10 mm and 5 mm, and of those of inches [m].
+#: Length of the ticks at every 50 mm, 10 mm and 5 mm [m]; ticks of inches are like those at 10 mm.
 _TICKS = (0.003, 0.002, 0.0012)
 
 #: Size of the font: from the top of its tallest letters to the bottom of its deepest [m].
 TEXT_SIZE = 0.0023
 
-#: Distance of two lines of text [m].
+#: Distance between lines of text [m].
 _LEADING = 0.0027
 
-#: Distance of the text from the beginning of the label at the end of the ruler [m].
+#: Distance of the text from the start of the label at the end of the ruler [m].
 _GAP = 0.011
 
-#: Width of the ruler below the pattern with its text: beside a small pattern they begin further left [m].
+#: Width of the ruler below the pattern with its text; below a small pattern they begin further left [m].
 _RULER_AND_TEXT = 0.18
 
 #: An inch [m].
@@ -61,7 +61,7 @@ class Page(Value):
     height: float
     #: x and y of the upper left corner, width and height of the pattern's rectangles, shape (n, 4) [m].
     pattern: Array
-    #: The same of the rulers' lines, shape (n, 4) [m].
+    #: The same for the lines of the rulers, shape (n, 4) [m].
     lines: Array
     #: Texts, in a font of `TEXT_SIZE`.
     texts: tuple[Text, ...]
@@ -75,7 +75,7 @@ def page_of(board: Board, sheet: Sheet, lines: Sequence[str]) -> Page:
     Args:
         board: The board.
         sheet: The paper and the place of the pattern on it.
-        lines: Lines of text, at most three, which are printed below the pattern.
+        lines: Lines of text, at most three, to print below the pattern.
 
     Returns:
         The page.
@@ -84,64 +84,42 @@ def page_of(board: Board, sheet: Sheet, lines: Sequence[str]) -> Page:
     pattern[:, :2] += sheet.origin
     x, y = sheet.origin
     below = y + board.size[1] + sheet.quiet
+
+    # The ruler below the pattern, and the texts after its end.
     leftmost = max(EDGE + SIDE_BAND, min(x, sheet.width - EDGE - _RULER_AND_TEXT))
-    across, labels_across = _ruler_across(sheet, leftmost, below)
-    down, labels_down = _ruler_down(sheet, below - y)
-    texts = _paragraph(lines, labels_across[0].at[0] + _GAP, below + TEXT_SIZE)
+    length = _ruler_length(sheet.width - leftmost - EDGE)
+    across = _ruler(length, inches=sheet.inches)
+    across[:, :2] += (leftmost, below)
+    end = leftmost + length + 0.001
+    texts = [Text((end, below + TEXT_SIZE), f"{1e3 * length:.0f} mm")]
+    if sheet.inches:
+        inches = round(length / _INCH)
+        texts.append(Text((leftmost + inches * _INCH + 0.001, below + 0.006), f"{inches} in"))
+
+    # The ruler beside the pattern, its ticks pointing away; its texts stay as narrow as it is.
+    left = x - sheet.quiet - SIDE_BAND
+    length = _ruler_length(below - y)
+    down = _ruler(length, inches=sheet.inches)[:, [1, 0, 3, 2]]
+    down[:, 0] = SIDE_BAND - down[:, 0] - down[:, 2]
+    down[:, :2] += (left, y)
+    bottom = float(np.max(down[:, 1] + down[:, 3]))
+    for k, word in enumerate((f"{1e3 * length:.0f}", "mm"), 1):
+        texts.append(Text((left + 0.0015, bottom + k * _LEADING), word))
+
+    for k, line in enumerate(lines):
+        texts.append(Text((end + _GAP, below + TEXT_SIZE + k * _LEADING), line))
     return Page(
         sheet.width,
         sheet.height,
         pattern,
         np.concatenate([across, down]),
-        (*labels_across, *labels_down, *texts),
+        tuple(texts),
         board.name,
     )
 
 
-def _paragraph(lines: Sequence[str], x: float, y: float) -> list[Text]:
-    """Return lines of text below each other, the first with its baseline at y [m]."""
-    return [Text((x, y + k * _LEADING), line) for k, line in enumerate(lines)]
-
-
-def _ruler_across(sheet: Sheet, x: float, y: float) -> tuple[Array, list[Text]]:
-    """Draw the ruler below the pattern: its lines, shape (n, 4) [m], and the texts at its end.
-
-    Args:
-        sheet: The sheet.
-        x: Left end of the ruler [m].
-        y: Its upper edge [m].
-    """
-    length = _ruler_length(sheet.width - x - EDGE)
-    lines = _ruler(length, inches=sheet.inches)
-    lines[:, :2] += (x, y)
-    labels = [Text((x + length + 0.001, y + TEXT_SIZE), f"{1e3 * length:.0f} mm")]
-    if sheet.inches:
-        inches = _inches_of(length)
-        labels.append(Text((x + inches * _INCH + 0.001, y + 0.006), f"{inches} in"))
-    return lines, labels
-
-
-def _ruler_down(sheet: Sheet, room: float) -> tuple[Array, list[Text]]:
-    """Draw the ruler beside the pattern, its ticks away from it; the texts stay as narrow as it is.
-
-    Args:
-        sheet: The sheet.
-        room: Length that has room above the ruler below the pattern [m].
-    """
-    x = sheet.origin[0] - sheet.quiet - SIDE_BAND
-    y = sheet.origin[1]
-    length = _ruler_length(room)
-    lines = _ruler(length, inches=sheet.inches)[:, [1, 0, 3, 2]]
-    lines[:, 0] = SIDE_BAND - lines[:, 0] - lines[:, 2]
-    lines[:, :2] += (x, y)
-    end = float(np.max(lines[:, 1] + lines[:, 3]))
-    words = (f"{1e3 * length:.0f}", "mm")
-    labels = [Text((x + 0.0015, end + (k + 1) * _LEADING), word) for k, word in enumerate(words)]
-    return lines, labels
-
-
 def _ruler_length(room: float) -> float:
-    """Return the longest ruler that has room [m]."""
+    """Return the longest ruler that fits, or else the shortest [m]."""
     fitting = [length for length in _RULERS if length <= room]
     return fitting[0] if fitting else _RULERS[-1]
 
@@ -149,33 +127,21 @@ def _ruler_length(room: float) -> float:
 def _ruler(length: float, *, inches: bool) -> Array:
     """Return the lines of a ruler along x, its ticks downwards from y = 0, shape (n, 4) [m].
 
-    The middle of the first and of the last tick are the ends of the length. Ticks of inches hang from a second line.
+    The length is that between the middles of the first and the last tick. Ticks of inches hang from a second line.
     """
     half = _LINE / 2.0
+    fifty, ten, five = _TICKS
     lines = [(-half, 0.0, length + _LINE, _LINE)]
-    count = round(length / _STEP) + 1
-    lines += [(k * _STEP - half, _LINE, _LINE, _tick(k) - _LINE) for k in range(count)]
-    if inches:
-        lines += _inches(_inches_of(length))
+    for k in range(round(length / _STEP) + 1):
+        tick = five
+        if k % 10 == 0:
+            tick = fifty
+        elif k % 2 == 0:
+            tick = ten
+        lines.append((k * _STEP - half, _LINE, _LINE, tick - _LINE))
+    if inches:  # 4 below 100 mm, 2 below 50 mm
+        count = round(length / _INCH)
+        level = fifty + 0.001
+        lines.append((-half, level, count * _INCH + _LINE, _LINE))
+        lines += [(k * _INCH - half, level + _LINE, _LINE, ten) for k in range(count + 1)]
     return np.array(lines)
-
-
-def _tick(k: int) -> float:
-    """Return the length of the tick at k times 5 mm [m]."""
-    if k % 10 == 0:
-        return _TICKS[0]
-    return _TICKS[1] if k % 2 == 0 else _TICKS[2]
-
-
-def _inches_of(length: float) -> int:
-    """Return the number of inches beside a ruler in millimetres: 4 beside 100 mm, 2 beside 50 mm."""
-    return round(length / _INCH)
-
-
-def _inches(count: int) -> list[tuple[float, float, float, float]]:
-    """Return a line of inches below that of millimetres."""
-    half = _LINE / 2.0
-    level = _TICKS[0] + 0.001
-    lines = [(-half, level, count * _INCH + _LINE, _LINE)]
-    lines += [(k * _INCH - half, level + _LINE, _LINE, _TICKS[1]) for k in range(count + 1)]
-    return lines

@@ -1,7 +1,7 @@
-"""Pages as SVG and as PDF, true to scale: rectangles and text, no picture.
+"""Pages as SVG and as PDF, true to scale: rectangles and text, no bitmap.
 
-All rectangles of a pattern are one path, so that no hairline appears between neighbours when it is rasterised. The PDF
-asks viewers not to scale it when it is printed (PDF 32000-1, 12.2, PrintScaling).
+All rectangles of a pattern are one path, so that no hairlines appear between neighbours when it is rasterised. The PDF
+asks viewers not to scale it for printing (PDF 32000-1, 12.2, PrintScaling).
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from xml.sax.saxutils import escape
 from calib.basics.arrays import Array
 from calib.boards.page import TEXT_SIZE, Page
 
-#: Points of PDF in a millimetre.
+#: Points, the unit of PDF, in a millimetre.
 _POINTS = 72.0 / 25.4
 
 
@@ -62,7 +62,7 @@ def pdf(page: Page) -> bytes:
     """Write a page as PDF.
 
     Args:
-        page: The page; of its texts, what Western European letters cannot write becomes a question mark.
+        page: The page; in its texts, characters that are not Western European become question marks.
 
     Returns:
         The content of the file.
@@ -79,7 +79,20 @@ def pdf(page: Page) -> bytes:
         font,
         b"<< /Title (%s) /Creator (calib) >>" % _pdf_text(page.title),
     ]
-    return _pdf_file(objects)
+
+    # The objects, the catalog first and the information last; then the table of where each begins.
+    parts = [b"%PDF-1.4\n%\xe2\xe3\xcf\xd3\n"]
+    places = []
+    for number, entry in enumerate(objects, 1):
+        places.append(sum(map(len, parts)))
+        parts.append(b"%d 0 obj\n%s\nendobj\n" % (number, entry))
+    start = sum(map(len, parts))
+    entries = b"".join(b"%010d 00000 n \n" % place for place in places)
+    size = len(objects) + 1
+    parts.append(b"xref\n0 %d\n0000000000 65535 f \n%s" % (size, entries))
+    parts.append(b"trailer\n<< /Size %d /Root 1 0 R /Info %d 0 R >>\n" % (size, len(objects)))
+    parts.append(b"startxref\n%d\n%%%%EOF\n" % start)
+    return b"".join(parts)
 
 
 def _pdf_content(page: Page) -> bytes:
@@ -103,22 +116,6 @@ def _pdf_text(text: str) -> bytes:
     for sign in (b"\\", b"(", b")"):
         encoded = encoded.replace(sign, b"\\" + sign)
     return encoded
-
-
-def _pdf_file(objects: list[bytes]) -> bytes:
-    """Join the objects of a PDF, the catalog first and the information last, with the table of their places."""
-    parts = [b"%PDF-1.4\n%\xe2\xe3\xcf\xd3\n"]
-    places = []
-    for number, content in enumerate(objects, 1):
-        places.append(sum(map(len, parts)))
-        parts.append(b"%d 0 obj\n%s\nendobj\n" % (number, content))
-    start = sum(map(len, parts))
-    entries = b"".join(b"%010d 00000 n \n" % place for place in places)
-    size = len(objects) + 1
-    parts.append(b"xref\n0 %d\n0000000000 65535 f \n%s" % (size, entries))
-    parts.append(b"trailer\n<< /Size %d /Root 1 0 R /Info %d 0 R >>\n" % (size, len(objects)))
-    parts.append(b"startxref\n%d\n%%%%EOF\n" % start)
-    return b"".join(parts)
 
 
 #: Writers of pages by the ending of the file.

@@ -1,6 +1,6 @@
-"""Sheets of paper that boards are printed on: where the pattern lies, and what margins it needs.
+"""Sheets of paper on which boards are printed: the place of the pattern, and the margins that it needs.
 
-        10 mm or the quiet zone
+10 mm or the quiet zone
 +------------------------------------+
 |    |+--------------------------+   |
 |  r ||                          |   |
@@ -16,24 +16,24 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 
-from calib.basics.mappings import ReadOnlyMapping
 from calib.boards.board import CHESSBOARD, Board
 from calib.boards.dictionaries import DICTIONARIES
 from calib.errors import CalibError, choices, did_you_mean
 
-#: No certain paper: the sheet is as large as the pattern with its margins.
+#: No particular paper: the sheet is as large as the pattern with its margins.
 NO_PAPER = "none"
 
-#: Width and height of papers, upright [m].
-PAPERS: Mapping[str, tuple[float, float]] = ReadOnlyMapping(
+#: Width and height of papers in portrait [m].
+PAPERS: Mapping[str, tuple[float, float]] = MappingProxyType(
     {"a4": (0.210, 0.297), "a3": (0.297, 0.420), "letter": (0.2159, 0.2794)}
 )
 
-#: Papers whose rulers have inches too.
+#: Papers on which rulers show inches too.
 _INCHES = ("letter",)
 
-#: Nothing is printed nearer to the edge of the paper: what printers leave white, and fingers [m].
+#: Margin at the edges of the paper that printers leave white [m].
 EDGE = 0.010
 
 #: Width of the ruler to the left of the pattern [m].
@@ -48,16 +48,16 @@ _LEAST_QUIET = 0.003
 #: The same around a chessboard, whose outer squares have no border of their own [m].
 _CHESSBOARD_QUIET = 0.005
 
-#: The smallest sheet of no certain paper: the rulers and the text have room [m].
+#: The smallest sheet without a paper: it has room for the rulers and the text [m].
 _SMALLEST = (0.210, 0.140)
 
-#: Differences of lengths that come from rounding [m].
+#: Difference of lengths that may be due to rounding [m].
 _ROUNDING = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
 class Sheet:
-    """A sheet of paper with the place of the pattern on it; x to the right, y down from the upper left."""
+    """A sheet of paper with the place of the pattern on it; x to the right, y down from the upper left corner."""
 
     #: Width of the sheet [m].
     width: float
@@ -67,7 +67,7 @@ class Sheet:
     origin: tuple[float, float]
     #: White margin around the pattern [m].
     quiet: float
-    #: Whether the rulers have inches besides millimetres.
+    #: Whether the rulers show inches besides millimetres.
     inches: bool = False
 
 
@@ -85,7 +85,7 @@ def quiet_zone(board: Board) -> float:
 
 
 def orientations(paper: str) -> tuple[tuple[float, float], ...]:
-    """Return width and height of a paper, lying and upright [m].
+    """Return width and height of a paper, in landscape and in portrait [m].
 
     Raises:
         CalibError: There is no such paper.
@@ -100,7 +100,7 @@ def orientations(paper: str) -> tuple[tuple[float, float], ...]:
 
 
 def margins(quiet: float) -> tuple[float, float]:
-    """Return what margins and rulers take of the width and of the height of a sheet [m].
+    """Return how much of the width and of the height of a sheet margins and rulers take [m].
 
     Args:
         quiet: White margin around the pattern [m].
@@ -110,7 +110,7 @@ def margins(quiet: float) -> tuple[float, float]:
 
 
 def sheet_for(board: Board, paper: str) -> Sheet | None:
-    """Place a board on a paper, lying or upright, in the middle of what the rulers leave.
+    """Place a board on a paper, in landscape if it fits, otherwise in portrait, centred in what the rulers leave.
 
     Args:
         board: The board.
@@ -125,21 +125,14 @@ def sheet_for(board: Board, paper: str) -> Sheet | None:
     quiet = quiet_zone(board)
     across, down = margins(quiet)
     needed = (board.size[0] + across, board.size[1] + down)
+    sizes: tuple[tuple[float, float], ...]
     if paper == NO_PAPER:
-        size = (max(needed[0], _SMALLEST[0]), max(needed[1], _SMALLEST[1]))
-        return _placed(board, size, quiet, inches=False)
-    for size in orientations(paper):
-        if needed[0] <= size[0] + _ROUNDING and needed[1] <= size[1] + _ROUNDING:
-            return _placed(board, size, quiet, inches=paper in _INCHES)
+        sizes = ((max(needed[0], _SMALLEST[0]), max(needed[1], _SMALLEST[1])),)
+    else:
+        sizes = orientations(paper)
+    for width, height in sizes:
+        if needed[0] <= width + _ROUNDING and needed[1] <= height + _ROUNDING:
+            x = EDGE + SIDE_BAND + quiet + (width - across - board.size[0]) / 2.0
+            y = max(EDGE, quiet) + (height - down - board.size[1]) / 2.0
+            return Sheet(width, height, (x, y), quiet, paper in _INCHES)
     return None
-
-
-def _placed(board: Board, size: tuple[float, float], quiet: float, *, inches: bool) -> Sheet:
-    """Place a board on a sheet that is large enough."""
-    width, height = size
-    left = EDGE + SIDE_BAND + quiet
-    top = max(EDGE, quiet)
-    across, down = margins(quiet)
-    x = left + (width - across - board.size[0]) / 2.0
-    y = top + (height - down - board.size[1]) / 2.0
-    return Sheet(width, height, (x, y), quiet, inches)

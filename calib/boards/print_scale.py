@@ -6,35 +6,32 @@ import re
 from dataclasses import dataclass, replace
 
 from calib.basics.units import LENGTH, parse_amount
+from calib.basics.value_forms import shift_decimal
 from calib.boards.board import Board
-from calib.boards.board_file import board_of_table, board_toml, parsed_toml, shifted
 from calib.errors import CalibError
 
 #: Standard deviation of a length read from a ruler [m].
 READING = 0.0003
 
-#: Nobody measures a print better than this, relative to its length: paper moves with the air's humidity.
+#: Smallest relative standard deviation of a measurement: paper changes its size with humidity.
 _BEST = 5e-4
 
-#: A length within this of that of the pattern, relative to it, is one of the whole pattern.
+#: Largest relative difference of a measured length from that of the whole pattern.
 _NEAR = 0.05
 
 #: Example of a measured length, for messages.
 _EXAMPLE = "249.3 mm / 10"
 
-#: Keys of a description that a measurement changes.
-_CHANGED = ("square_mm", "marker_mm", "sigma_scale_percent")
-
 
 @dataclass(frozen=True, slots=True)
 class PrintScale:
-    """The scale of a print."""
+    """A measurement of the scale of a print."""
 
     #: Length measured [m].
     measured: float
     #: The same length as drawn [m].
     drawn: float
-    #: Number of squares in it, or of distances of tags; None for the whole pattern of a grid of tags.
+    #: Number of squares in it, or of distances between tags; None for the whole pattern of a grid of tags.
     squares: int | None
 
     @property
@@ -59,7 +56,7 @@ def print_scale(board: Board, text: str) -> PrintScale:
         The scale of the print.
 
     Raises:
-        CalibError: No length, or none that is nearly that of the pattern's width, height or square.
+        CalibError: It is not a length, or is not close to the pattern's width, its height or a square.
     """
     amount, slash, squares = text.partition("/")
     length = parse_amount(amount, "--measured", LENGTH, _EXAMPLE)
@@ -76,9 +73,14 @@ def print_scale(board: Board, text: str) -> PrintScale:
                 f"--measured says {count} squares; the board has {board.columns} columns and {board.rows} rows."
             )
         return PrintScale(length, count * board.square, count)
-    near = [scale for scale in _candidates(board, length) if abs(scale.scale - 1.0) < _NEAR]
-    lengths = {scale.drawn for scale in near}
-    if len(lengths) != 1:
+    # The length may be that of the pattern's width, of its height, or of a square.
+    candidates = []
+    for extent, count in zip(board.size, (board.columns, board.rows), strict=True):
+        is_whole = abs(extent - count * board.square) < 1e-9
+        candidates.append(PrintScale(length, extent, count if is_whole else None))
+    candidates.append(PrintScale(length, board.square, 1))
+    near = [scale for scale in candidates if abs(scale.scale - 1.0) < _NEAR]
+    if len({scale.drawn for scale in near}) != 1:
         width, height = board.size
         raise CalibError(
             f"--measured is {1e3 * length:g} mm. The pattern was drawn {1e3 * width:g} mm wide and {1e3 * height:g} mm "
@@ -88,18 +90,8 @@ def print_scale(board: Board, text: str) -> PrintScale:
     return near[0]
 
 
-def _candidates(board: Board, length: float) -> list[PrintScale]:
-    """Return the scales of a print if the length is that of the pattern's width, its height, or a square."""
-    scales = []
-    for extent, count in zip(board.size, (board.columns, board.rows), strict=True):
-        is_whole = abs(extent - count * board.square) < 1e-9
-        scales.append(PrintScale(length, extent, count if is_whole else None))
-    scales.append(PrintScale(length, board.square, 1))
-    return scales
-
-
 def rescaled(board: Board, scale: PrintScale) -> Board:
-    """Return a board with the lengths of its print, rounded to a micrometre.
+    """Return a board with the lengths of its print as measured, rounded to a micrometre.
 
     Args:
         board: The board as drawn.
@@ -110,35 +102,7 @@ def rescaled(board: Board, scale: PrintScale) -> Board:
     """
     return replace(
         board,
-        square=_rounded(board.square * scale.scale),
-        marker=_rounded(board.marker * scale.scale),
-        sigma_scale=shifted(round(1e2 * scale.sigma, 3), -2),
+        square=shift_decimal(round(1e3 * (board.square * scale.scale), 3), -3),
+        marker=shift_decimal(round(1e3 * (board.marker * scale.scale), 3), -3),
+        sigma_scale=shift_decimal(round(1e2 * scale.sigma, 3), -2),
     )
-
-
-def _rounded(length: float) -> float:
-    """Round a length to a micrometre [m]."""
-    return shifted(round(1e3 * length, 3), -3)
-
-
-def corrected_toml(text: str, board: Board) -> str:
-    """Change the lengths in the description of a board, and keep all else in it, comments too.
-
-    Args:
-        text: The content of the file.
-        board: The board with its new lengths.
-
-    Returns:
-        The new content.
-    """
-    wanted = parsed_toml(board_toml(board))
-    for key in _CHANGED:
-        if key in wanted:
-            text = re.sub(
-                rf"(?m)^([ \t]*{key}[ \t]*=[ \t]*)[^\s#]+", rf"\g<1>{wanted[key]!r}", text, count=1
-            )
-    changed = board_of_table(parsed_toml(text), "")
-    if board_toml(changed) != board_toml(board):
-        # A key is missing or written in another way.
-        return board_toml(board)
-    return text

@@ -2,9 +2,9 @@
 
     x = s_x x_0,  y = s_y y_0,  z = w_x (1 - xi^2) + w_y (1 - eta^2)
 
-with x_0 and y_0 as described, xi and eta from -1 to 1 across the pattern. Printers feed paper at another scale than
-they print across it. A sag is positive where the middle lies
-behind the edges, seen from the camera.
+with x_0 and y_0 as described, xi and eta from -1 to 1 across the pattern. The scales differ because a printer feeds
+paper at another scale than it prints across it. A sag is positive if the middle is farther from the camera than the
+edges.
 """
 
 from __future__ import annotations
@@ -18,31 +18,31 @@ from calib.basics.arrays import Array, read_only
 from calib.basics.values import Value
 from calib.boards.board import Board
 
-#: Corners whose coordinates [m] agree to so many digits behind the point are in one row or column.
+#: Decimals to which the coordinates of corners in one row or column agree [m].
 _DIGITS = 9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Print(Value):
-    """A board as it was printed, and what it has that its description does not say."""
+    """A board as it was printed, with the errors that its description does not have."""
 
     #: The description.
     board: Board
-    #: Length on the print by length in the description, along x and along y.
+    #: Length on the print divided by that in the description, along x and along y.
     scale: tuple[float, float] = (1.0, 1.0)
     #: Sag of the middle along x and along y [m].
     warp: tuple[float, float] = (0.0, 0.0)
-    #: Displacement of each corner on the print, shape (n, 3) [m]; None: none.
+    #: Displacement of each corner on the print, shape (n, 3) [m]; None: they are not displaced.
     offsets: Array | None = None
     #: Whether it was printed mirrored: what lies at x is drawn at width - x. Corners stay where they are described.
     mirrored: bool = False
 
     def surface(self, x: Array, y: Array) -> Array:
-        """Return the surface's height where the description has a point of the plane.
+        """Return the height of the surface at points of the description.
 
         Args:
             x: Along the columns in the description, any shape (...) [m].
-            y: Along the rows, likewise.
+            y: Along the rows, of the same shape [m].
 
         Returns:
             z on the print, shape (...) [m].
@@ -67,14 +67,14 @@ class Print(Value):
         return np.column_stack([along_x * x, along_y * y, self.surface(x, y)])
 
     def displacement(self, x: Array, y: Array) -> Array:
-        """Return how far points of the description are displaced within the print, between corners bilinearly.
+        """Return the displacement of points of the description within the print, interpolated bilinearly.
 
         Args:
             x: Along the columns in the description, shape (n,) [m].
             y: Along the rows, shape (n,) [m].
 
         Returns:
-            Along x and y, shape (n, 2) [m]; beyond the outermost corners as there.
+            Along x and y, shape (n, 2) [m]; beyond the outermost corners that of the nearest point between them.
         """
         if self.offsets is None:
             return np.zeros((len(x), 2))
@@ -94,7 +94,7 @@ class Print(Value):
 
     @property
     def corners(self) -> Array:
-        """Return where the corners lie on the print, in the board's frame, in the order of their ids, (n, 3) [m]."""
+        """Places of the corners on the print, in the board's frame, in the order of their ids, shape (n, 3) [m]."""
         x, y, _ = self.board.corners.T
         corners = self.points(x, y)
         if self.offsets is not None:
@@ -107,7 +107,7 @@ def draw_print(board: Board, seed: int | np.random.Generator) -> Print:
 
     Args:
         board: The description, whose ``sigma_scale``, ``sigma_warp`` and ``sigma_corner`` are the standard deviations.
-        seed: Of the random numbers, or where they come from.
+        seed: Seed or generator of the random numbers.
     """
     rng = np.random.default_rng(seed)
     scale = 1.0 + board.sigma_scale * rng.standard_normal(2)

@@ -1,12 +1,13 @@
 """Pixels of a board's corners as OpenCV projects them, and which of them a camera sees.
 
-What simulates pictures and tables of corners: none of the code of the fit, whose lenses are `calib.camera.lenses`.
+Simulated pictures and tables of corners are computed here. Fits to them use lenses of their own, so that an error of
+one does not hide in the other.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
@@ -15,18 +16,18 @@ from calib.basics.values import Value
 from calib.boards.opencv import opencv
 from calib.errors import CalibError
 
-#: Nearer than this to the camera's plane nothing is projected [m].
+#: Smallest depth in the camera at which points are projected [m].
 NEAREST = 1e-3
 
-#: Name of the lens that OpenCV's `cv2.fisheye` has; the other is that of `cv2.projectPoints`.
+#: Name of the lens of `cv2.fisheye`; any other is that of `cv2.projectPoints`.
 _FISHEYE = "fisheye"
 
-#: Iterations of OpenCV's search for the ray of a pixel.
+#: Maximum number of iterations in which OpenCV undistorts a pixel.
 _ITERATIONS = 15
 
 
 class Camera(Protocol):
-    """A camera as OpenCV needs it; z along the line of sight, x right, y down."""
+    """What is needed of a camera; z along the line of sight, x right, y down."""
 
     @property
     def name(self) -> str:
@@ -46,14 +47,14 @@ class Camera(Protocol):
 
     @property
     def values(self) -> Array | None:
-        """fx, fy, cx, cy [px], then the distortion; None: not known."""
+        """fx, fy, cx, cy [px], then the distortion as OpenCV has it; None: not known."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sight(Value):
     """Conditions under which a corner counts as seen."""
 
-    #: Distance that corners keep to the image's edges [px].
+    #: Smallest distance to the image's edges [px].
     margin: float = 10.0
     #: Largest angle between the board's normal and the line of sight [rad].
     tilt: float = np.deg2rad(65.0)
@@ -64,17 +65,18 @@ USUAL_SIGHT = Sight()
 
 
 def camera_matrix(camera: Camera) -> tuple[Array, Array]:
-    """Return a camera's numbers as OpenCV takes them.
+    """Return a camera's intrinsics as OpenCV takes them.
 
     Returns:
         K, shape (3, 3) [px], and the distortion, shape (4,) or (5,).
 
     Raises:
-        CalibError: The camera's numbers are not known.
+        CalibError: The intrinsics are not known.
     """
     if camera.values is None:
         raise CalibError(
-            f"The camera '{camera.name}' has no focal length and principal point; nothing can be projected without."
+            f"The camera '{camera.name}' has no focal length and principal point; nothing can be projected without "
+            "them."
         )
     fx, fy, cx, cy = camera.values[:4]
     K = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
@@ -85,14 +87,14 @@ def project(camera: Camera, points: Array) -> Array:
     """Project points by OpenCV.
 
     Args:
-        camera: The camera, whose numbers are known.
+        camera: The camera, whose intrinsics are known.
         points: In the camera's frame, shape (..., 3) [m].
 
     Returns:
         Pixels, shape (..., 2) [px]; NaN for points that are not in front of the camera.
 
     Raises:
-        CalibError: The camera's numbers are not known.
+        CalibError: The camera's intrinsics are not known.
     """
     cv2 = opencv()
     K, distortion = camera_matrix(camera)
@@ -108,7 +110,7 @@ def project(camera: Camera, points: Array) -> Array:
 
 
 def in_camera(T_camera_board: Array, points: Array) -> Array:
-    """Return points of a board in the camera.
+    """Return points of a board in the camera's frame.
 
     Args:
         T_camera_board: Poses of the board in the camera, shape (N, 4, 4) [m].
@@ -125,35 +127,43 @@ def in_camera(T_camera_board: Array, points: Array) -> Array:
 def corner_pixels(
     camera: Camera, corners: Array, T_camera_board: Array, sight: Sight = USUAL_SIGHT
 ) -> tuple[Array, Mask]:
-    """Project a board's corners, and say which are seen.
+    """Project a board's corners, and determine which are seen.
 
     Args:
-        camera: The camera, whose numbers are known.
+        camera: The camera, whose intrinsics are known.
         corners: In the board's frame, shape (n, 3) [m], see `calib.boards.printed.Print.corners`.
         T_camera_board: Poses of the board in the camera, shape (N, 4, 4) [m].
         sight: What counts as seen.
 
     Returns:
         Pixels, shape (N, n, 2) [px], NaN for points that are not in front of the camera; and whether each is seen,
-        shape (N, n): in front, in the image with the margin, the board's face towards the camera and not too steep.
+        shape (N, n): in front of the camera and inside the image, on the board's face and not at too steep an angle.
 
     Raises:
-        CalibError: The camera's numbers are not known.
+        CalibError: The camera's intrinsics are not known.
     """
     points = in_camera(T_camera_board, corners)
     pixels = project(camera, points)
     distance = np.linalg.norm(points, axis=-1)
     along_normal = np.einsum("Ni,Nni->Nn", T_camera_board[:, :3, 2], points)
-    # z of a board points into the page: positive where the camera is before its face.
+    # z of a board points into the page: positive if the camera is on the side of its face.
     faces = along_normal >= np.cos(sight.tilt) * distance
-    return pixels, in_image(camera, pixels, sight.margin) & faces
+    return pixels, in_image(pixels, (camera.width, camera.height), sight.margin) & faces
 
 
-def in_image(camera: Camera, pixels: Array, margin: float) -> Mask:
-    """Return whether pixels (..., 2) [px] are in the image and keep a margin to its edges [px], shape (...)."""
+def in_image(pixels: Array, image_size: tuple[int, int], margin: float) -> Mask:
+    """Return which pixels are inside an image.
+
+    Args:
+        pixels: shape (..., 2) [px].
+        image_size: Width and height of the image [px].
+        margin: Least distance from its edges, which are half a pixel outside the outermost pixels' centres [px].
+
+    Returns:
+        shape (...); False for NaN.
+    """
     low = margin - 0.5
-    high = np.array([camera.width, camera.height]) - 0.5 - margin
-    # NaN compares as not in the image.
+    high = np.array(image_size) - 0.5 - margin
     return np.asarray(((pixels >= low) & (pixels <= high)).all(axis=-1))
 
 
@@ -161,26 +171,23 @@ def rays(camera: Camera, pixels: Array) -> Array:
     """Return the rays of pixels by OpenCV.
 
     Args:
-        camera: The camera, whose numbers are known.
+        camera: The camera, whose intrinsics are known.
         pixels: shape (n, 2) [px].
 
     Returns:
         In the camera's frame, shape (n, 3), z = 1.
 
     Raises:
-        CalibError: The camera's numbers are not known.
+        CalibError: The camera's intrinsics are not known.
     """
-    K, distortion = camera_matrix(camera)
-    undistorted = _undistort(camera, pixels.reshape(-1, 1, 2), K, distortion)
-    return np.column_stack([undistorted.reshape(-1, 2), np.ones(len(pixels))])
-
-
-def _undistort(camera: Camera, pixels: Array, K: Array, distortion: Array) -> Any:  # noqa: ANN401  OpenCV has no types
-    """Return the pixels (n, 1, 2) [px] of a camera without distortion and with focal length 1, shape (n, 1, 2)."""
     cv2 = opencv()
+    K, distortion = camera_matrix(camera)
+    flat = pixels.reshape(-1, 1, 2)
     end = (cv2.TERM_CRITERIA_MAX_ITER | cv2.TERM_CRITERIA_EPS, _ITERATIONS, 1e-10)
     if camera.lens == _FISHEYE:
-        return cv2.fisheye.undistortPoints(pixels, K, distortion, criteria=end)
-    if hasattr(cv2, "undistortPointsIter"):  # OpenCV 4
-        return cv2.undistortPointsIter(pixels, K, distortion, None, None, end)
-    return cv2.undistortPoints(pixels, K, distortion, criteria=end)
+        undistorted = cv2.fisheye.undistortPoints(flat, K, distortion, criteria=end)
+    elif hasattr(cv2, "undistortPointsIter"):  # OpenCV 4
+        undistorted = cv2.undistortPointsIter(flat, K, distortion, None, None, end)
+    else:
+        undistorted = cv2.undistortPoints(flat, K, distortion, criteria=end)
+    return np.column_stack([undistorted.reshape(-1, 2), np.ones(len(pixels))])

@@ -1,4 +1,4 @@
-"""Cameras: the size of the image, the lens model, its numbers, and how well these are known."""
+"""Cameras: the size of the image, the lens model, the intrinsics, and how accurately these are known."""
 
 from __future__ import annotations
 
@@ -8,17 +8,25 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.basics.arrays import Array
+from calib.basics.records import key
+from calib.basics.value_forms import TEXT, form, one_of
 from calib.basics.values import Value
 from calib.camera.lenses import LENSES
 from calib.errors import CalibError, choices, did_you_mean
 
-#: Standard deviation of a number of which nothing is known.
+#: Standard deviation of an intrinsic that is unknown.
 UNKNOWN = np.inf
 
 #: The longest side of an image [px].
 _LARGEST = 100_000
 
-#: A centre this far from the middle, over the image's size, and as far along both axes, is that of another size.
+_PIXELS = form(
+    "a whole number of pixels, such as 1280",
+    lambda value: value if isinstance(value, int) and not isinstance(value, bool) else None,
+)
+
+#: Intrinsics are those of another resolution if their centre is off the middle by more than this share of the image's
+#: size, and by nearly the same factor along both axes: within this, relatively.
 _OFF_CENTRE = 0.1
 _ALIKE = 0.1
 
@@ -30,26 +38,31 @@ class Camera(Value):
     The centre of the pixel in the image's upper left corner is (0, 0).
 
     Raises:
-        CalibError: An unknown lens, an image without pixels, or numbers that are no lens's.
+        CalibError: An unknown lens, an image without pixels, or intrinsics that no lens has.
     """
 
     #: Name, as in the column ``group`` of a table of corners.
-    name: str = "camera"
+    name: str = key("name", TEXT, "Name of the camera, for messages.", default="camera")
     #: Columns of the image [px].
-    width: int
+    width: int = key("width", _PIXELS, "Width of the images.", json="width_px")
     #: Rows of the image [px].
-    height: int
-    #: A name of `calib.camera.lenses.LENSES`: ``"pinhole"`` or ``"fisheye"``.
-    lens: str = "pinhole"
-    #: The lens's numbers in the order of ``LENSES[lens].names``: fx, fy, cx, cy [px], then distortion, shape (m,).
-    #: None: nothing of them is known, and the images tell.
+    height: int = key("height", _PIXELS, "Height of the images.", json="height_px")
+    #: A name of `calib.camera.lenses.LENSES`.
+    lens: str = key(
+        "lens",
+        one_of(tuple(LENSES)),
+        "Lens model: OpenCV's five coefficients (pinhole; ROS: plumb_bob), or cv2.fisheye (fisheye; ROS: equidistant).",
+        default="pinhole",
+    )
+    #: The intrinsics in the order of ``LENSES[lens].names``: fx, fy, cx, cy [px], then distortion, shape (m,). None:
+    #: they are unknown, and estimated from the images.
     values: Array | None = None
     #: Standard deviation of each, in its unit, shape (m,): 0 for one that is exact, `UNKNOWN` for one that is not
-    #: known. None: the default of a camera whose numbers are given, see `calib.camera.lenses.Lens.default_sigma`.
+    #: known. None: the default for a camera whose intrinsics are given, see `calib.camera.lenses.Lens.default_sigma`.
     sigma: Array | None = None
 
     def __post_init__(self) -> None:
-        """Check the numbers, and keep read-only copies of them."""
+        """Check the intrinsics, and keep read-only copies of them."""
         for side in ("width", "height"):
             object.__setattr__(self, side, self._side(side))
         if not isinstance(self.lens, str) or self.lens not in LENSES:
@@ -58,11 +71,29 @@ class Camera(Value):
                 f"{choices(LENSES)}."
             )
         if self.values is not None:
-            object.__setattr__(self, "values", self._numbers("values", self.values))
-            self._check_values()
+            values = self._numbers("values", self.values)
+            object.__setattr__(self, "values", values)
+            if not np.all(np.isfinite(values)):
+                raise CalibError(
+                    f"{self._title} has a number of its lens that is not finite: {values.tolist()}."
+                )
+            if np.any(values[:2] <= 0.0):
+                fx, fy = values[:2].tolist()
+                raise CalibError(
+                    f"{self._title} has the focal lengths fx = {fx:g} and fy = {fy:g}; both must be above 0 [px]."
+                )
         if self.sigma is not None:
-            object.__setattr__(self, "sigma", self._numbers("sigma", self.sigma))
-            self._check_sigma()
+            sigma = self._numbers("sigma", self.sigma)
+            object.__setattr__(self, "sigma", sigma)
+            if self.values is None:
+                raise CalibError(
+                    f"{self._title} has standard deviations but no numbers of its lens; give both or none."
+                )
+            if not np.all(sigma >= 0.0):
+                raise CalibError(
+                    f"{self._title} has the standard deviations {sigma.tolist()}; each must be 0 (exact), above, or "
+                    "infinite (not known)."
+                )
 
     @property
     def _title(self) -> str:
@@ -84,12 +115,7 @@ class Camera(Value):
         return pixels
 
     def _numbers(self, what: str, given: object) -> Array:
-        """Return an entry for each of the lens's numbers, shape (m,), as a read-only copy.
-
-        Args:
-            what: The attribute, for messages.
-            given: Its value as given.
-        """
+        """Return a read-only copy, shape (m,), of an attribute that has one entry for each intrinsic."""
         names = LENSES[self.lens].names
         try:
             array = np.array(given, dtype=np.float64)
@@ -103,42 +129,16 @@ class Camera(Value):
         array.setflags(write=False)
         return array
 
-    def _check_values(self) -> None:
-        """Refuse numbers that are not finite, and focal lengths that are not above zero."""
-        assert self.values is not None
-        if not np.all(np.isfinite(self.values)):
-            raise CalibError(
-                f"{self._title} has a number of its lens that is not finite: {self.values.tolist()}."
-            )
-        if np.any(self.values[:2] <= 0.0):
-            fx, fy = self.values[:2].tolist()
-            raise CalibError(
-                f"{self._title} has the focal lengths fx = {fx:g} and fy = {fy:g}; both must be above 0 [px]."
-            )
-
-    def _check_sigma(self) -> None:
-        """Refuse standard deviations of nothing, and negative ones."""
-        assert self.sigma is not None
-        if self.values is None:
-            raise CalibError(
-                f"{self._title} has standard deviations but no numbers of its lens; give both or none."
-            )
-        if not np.all(self.sigma >= 0.0):
-            raise CalibError(
-                f"{self._title} has the standard deviations {self.sigma.tolist()}; each must be 0 (exact), above, or "
-                "infinite (not known)."
-            )
-
     def with_name(self, name: str) -> Camera:
         """Return the camera with another name."""
         return replace(self, name=name)
 
     @property
     def likely_size(self) -> tuple[int, int] | None:
-        """Width and height of the images that the numbers are of, where these are hardly those of this size [px].
+        """Width and height [px] of the images that the intrinsics seem to belong to; None if nothing contradicts these.
 
-        The centre of a lens is near the middle of its images. Where it is not, but is off by the same factor along both
-        axes, the numbers are those of another resolution. None where nothing speaks for that.
+        The centre of a lens is near the middle of its images. If it is not, but is off by the same factor along both
+        axes, the intrinsics are those of another resolution.
         """
         if self.values is None:
             return None

@@ -1,13 +1,11 @@
 """Files of cameras: the YAML of ROS and OpenCV, and calib's TOML, which says too how well the numbers are known.
 
-The keys of the TOML are ``width``, ``height``, ``name``, ``lens``, the lens's numbers, and either ``intrinsics`` or
-standard deviations; or ``file``, which names a file of a camera whose entries the other keys replace.
+The keys of the TOML are those of the fields of `Camera`, the lens's numbers, and either ``intrinsics`` or standard
+deviations; or ``file``, which names a file of a camera whose entries the other keys replace.
 """
 
 from __future__ import annotations
 
-import json
-import sys
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -17,17 +15,13 @@ import numpy as np
 
 from calib.basics.arrays import Array
 from calib.basics.files import read_bytes
-from calib.basics.mappings import ReadOnlyMapping
-from calib.basics.units import is_number
+from calib.basics.records import keys_of, parse_toml, read_parts, toml, toml_values
+from calib.basics.value_forms import NUMBER, Place
+from calib.basics.values import ReadOnlyMapping
 from calib.camera.camera import UNKNOWN, Camera
 from calib.camera.camera_yaml import camera_info_yaml, camera_of_yaml, opencv_yaml
 from calib.camera.lenses import LENSES, Lens
 from calib.errors import CalibError, FileError, choices, did_you_mean
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
 
 __all__ = [
     "camera_info_yaml",
@@ -44,10 +38,7 @@ _FILE = "file"
 _INTRINSICS = "intrinsics"
 _KNOWN: Mapping[str, float] = ReadOnlyMapping({"exact": 0.0, "unknown": UNKNOWN})
 
-#: Keys whose values are attributes of a camera.
-_PLAIN = ("name", "width", "height", "lens")
-
-#: Numbers that a lens has in any case; those of distortion are zero where they are not given.
+#: Numbers that a lens has in any case; those of distortion are zero if they are not given.
 _LINEAR = ("fx", "fy", "cx", "cy")
 
 
@@ -63,32 +54,26 @@ def read_camera(path: str | Path) -> Camera:
 
     Raises:
         FileError: The file cannot be read, or is neither YAML nor TOML.
-        CalibError: A key is unknown, missing or has a wrong value, or the lens is none that calib has.
+        CalibError: A key is unknown, missing or has a wrong value, or calib does not have the lens.
     """
     data = read_bytes(path, "File of a camera")
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise FileError(f"{path}: this is no text in UTF-8, so no file of a camera.") from error
-    table = _toml(text, path)
-    if table is None:
+        raise FileError(
+            f"{path}: this is not text in UTF-8, so it is not a file of a camera."
+        ) from error
+    try:
+        table = parse_toml(text)
+    except ValueError as error:
+        if Path(path).suffix.lower() == ".toml":
+            raise FileError(f"{path}: this is not a TOML file: {error}") from error
         return camera_of_yaml(text, str(path))
     if _FILE in table:
         raise CalibError(
             f"{path}: '{_FILE}' names a camera in another file; this is one itself. Give that one."
         )
     return camera_of_table(table, str(path))
-
-
-def _toml(text: str, path: str | Path) -> dict[str, Any] | None:
-    """Return the table of a TOML text; None for a text that is none and whose file is not named so."""
-    try:
-        table: dict[str, Any] = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:  # TOMLDecodeError is a ValueError
-        if Path(path).suffix.lower() != ".toml":
-            return None
-        raise FileError(f"{path}: this is not a TOML file: {error}") from error
-    return table
 
 
 def camera_of_table(table: Mapping[str, Any], where: str, folder: str | Path = ".") -> Camera:
@@ -104,78 +89,55 @@ def camera_of_table(table: Mapping[str, Any], where: str, folder: str | Path = "
 
     Raises:
         FileError: The file named cannot be read, or is neither YAML nor TOML.
-        CalibError: A key is unknown, missing or has a wrong value, or the lens is none that calib has.
+        CalibError: A key is unknown, missing or has a wrong value, or calib does not have the lens.
     """
     try:
-        camera = _sized(table, where, folder)
-        lens = LENSES[camera.lens]
-        _check_keys(table, lens)
-        camera = replace(camera, values=_values(table, lens, camera))
-        return replace(camera, sigma=_sigma(table, lens, camera))
-    except FileError:
-        raise
+        return _camera(table, folder)
     except CalibError as error:
-        raise CalibError(f"{where}: {error}") from error
+        kind = FileError if isinstance(error, FileError) else CalibError
+        raise kind(f"{where}: {error}") from error
 
 
-def _sized(table: Mapping[str, Any], where: str, folder: str | Path) -> Camera:
-    """Return the camera of the file that a table names, or else one of which nothing is known, as the table has it.
-
-    Its name, size and lens are those that the table gives. See `camera_of_table`.
-    """
-    given = {key: table[key] for key in _PLAIN if key in table}
-    for key in ("name", "lens"):
-        if not isinstance(given.get(key, ""), str):
-            raise CalibError(f"'{key}' is {given[key]!r}; it must be a text in quotes.")
+def _camera(table: Mapping[str, Any], folder: str | Path) -> Camera:
+    """Read a camera from a table, see `camera_of_table`."""
+    # The keys of the camera's fields; those of its numbers are the lens's.
+    rows = [replace(row, part=field.name, needed=False) for field, row in keys_of(Camera)]
+    names = [row.name for row in rows]
+    attributes = read_parts(rows, {name: table[name] for name in names if name in table})
     if _FILE in table:
-        named = _named(table[_FILE], where, folder)
-        if named.values is not None and given.get("lens", named.lens) != named.lens:
+        file = table[_FILE]
+        if not isinstance(file, str):
+            raise CalibError(f"'{_FILE}' is {file!r}; it must be the name of a file in quotes.")
+        camera = read_camera(Path(folder) / file)
+        given_lens = attributes.get("lens", camera.lens)
+        if camera.values is not None and given_lens != camera.lens:
             raise CalibError(
-                f"'lens' is '{given['lens']}', and that of the file '{table[_FILE]}' is '{named.lens}'; leave out one."
+                f"'lens' is '{given_lens}', and that of the file '{file}' is '{camera.lens}'; leave out one."
             )
-        return replace(named, **given)
-    missing = [side for side in ("width", "height") if side not in given]
-    if missing:
-        raise CalibError(
-            f"the camera lacks {choices(missing)}, the size of its images [px]; write it, such as width = 1280 and "
-            'height = 720, or name a file of the camera, file = "camera_info.yaml".'
-        )
-    return Camera(**given)
-
-
-def _named(file: object, where: str, folder: str | Path) -> Camera:
-    """Read the camera of a file that a table names."""
-    if not isinstance(file, str):
-        raise CalibError(f"'{_FILE}' is {file!r}; it must be the name of a file in quotes.")
-    path = Path(folder) / file
-    try:
-        return read_camera(path)
-    except FileError as error:
-        raise FileError(f"{where}: {error}") from error
-
-
-def _check_keys(table: Mapping[str, Any], lens: Lens) -> None:
-    """Refuse keys that a camera with a lens does not have."""
-    known = (*_PLAIN, _FILE, *lens.names, _INTRINSICS, *_sigma_keys(lens))
-    for key in table:
-        if key not in known:
+        camera = replace(camera, **attributes)
+    else:
+        missing = [name for name in ("width", "height") if name not in table]
+        if missing:
             raise CalibError(
-                f"a camera with the lens '{lens.name}' has no key '{key}'{did_you_mean(key, known)}; its keys are "
+                f"the camera lacks {choices(missing)}, the size of its images [px]; write it, such as width = 1280 and "
+                'height = 720, or name a file of the camera, file = "camera_info.yaml".'
+            )
+        camera = Camera(**attributes)
+
+    lens = LENSES[camera.lens]
+    known = (*names, _FILE, *lens.names, _INTRINSICS, *_sigma_keys(lens))
+    for name in table:
+        if name not in known:
+            raise CalibError(
+                f"a camera with the lens '{lens.name}' has no key '{name}'{did_you_mean(name, known)}; its keys are "
                 f"{choices(known, len(known))}."
             )
+    camera = replace(camera, values=_values(table, lens, camera))
+    return replace(camera, sigma=_sigma(table, lens, camera))
 
 
 def _values(table: Mapping[str, Any], lens: Lens, camera: Camera) -> Array | None:
-    """Return the numbers of a lens: the camera's, with those of a table in place of them; None without any.
-
-    Args:
-        table: The table.
-        lens: The lens.
-        camera: The camera so far.
-
-    Returns:
-        shape (m,), or None.
-    """
+    """Return the numbers of a lens, shape (m,): the camera's, except for those that a table gives; None without any."""
     given = {name: table[name] for name in lens.names if name in table}
     if not given:
         return camera.values
@@ -184,15 +146,13 @@ def _values(table: Mapping[str, Any], lens: Lens, camera: Camera) -> Array | Non
         if missing:
             raise CalibError(
                 f"the camera has {choices(given)} but lacks {choices(missing)}. Give all of {choices(_LINEAR)} [px], "
-                "or none: then the images tell them."
+                "or none: then they are estimated from the images."
             )
         values = np.zeros(len(lens.names))
     else:
         values = camera.values.copy()
     for name, value in given.items():
-        if not is_number(value):
-            raise CalibError(f"'{name}' is {value!r}; it must be a number.")
-        values[lens.names.index(name)] = value
+        values[lens.names.index(name)] = NUMBER.read(value, Place().key(name))
     return values
 
 
@@ -214,16 +174,9 @@ def _sigma_key(name: str, unit: str) -> str:
 
 
 def _sigma(table: Mapping[str, Any], lens: Lens, camera: Camera) -> Array | None:
-    """Return the standard deviations of a lens's numbers.
+    """Return the standard deviations of a lens's numbers, shape (m,), as a table has them; None: the default of all.
 
-    Args:
-        table: The table.
-        lens: The lens.
-        camera: The camera so far, with its numbers.
-
-    Returns:
-        shape (m,): what the table says, for numbers of which it says nothing those of the camera, or else the default;
-        None for the default of all.
+    Those that the table does not give are the camera's, or else the default.
     """
     keys = _sigma_keys(lens)
     given = [key for key in keys if key in table]
@@ -277,27 +230,16 @@ def camera_toml(camera: Camera) -> str:
         The content of a TOML file, which is read back as the same numbers to the last bit.
     """
     lens = LENSES[camera.lens]
-    lines = [
-        f"name = {json.dumps(camera.name, ensure_ascii=False)}",
-        f"width = {camera.width}",
-        f"height = {camera.height}",
-        f"lens = {json.dumps(camera.lens)}",
-    ]
+    lines = [f"{name} = {toml(value)}" for name, value in toml_values(camera).items()]
     if camera.values is None:
         return "\n".join([*lines, 'intrinsics = "unknown"', ""])
     for name, value in zip(lens.names, camera.values.tolist(), strict=True):
         lines.append(f"{name} = {value!r}")
-    return "\n".join([*lines, *_sigma_lines(camera, lens), ""])
-
-
-def _sigma_lines(camera: Camera, lens: Lens) -> list[str]:
-    """Return the lines that say how well a camera's numbers are known; none for the default."""
-    if camera.sigma is None:
-        return []
     for word, sigma in _KNOWN.items():
-        if np.all(camera.sigma == sigma):
-            return [f"{_INTRINSICS} = {json.dumps(word)}"]
-    lines = ["# Standard deviations; 0: exact, inf: not known."]
-    for name, unit, sigma in zip(lens.names, lens.units, camera.sigma.tolist(), strict=True):
-        lines.append(f"{_sigma_key(name, unit)} = {sigma!r}")
-    return lines
+        if camera.sigma is not None and np.all(camera.sigma == sigma):
+            return "\n".join([*lines, f"{_INTRINSICS} = {toml(word)}", ""])
+    if camera.sigma is not None:
+        lines.append("# Standard deviations; 0: exact, inf: not known.")
+        for name, unit, std in zip(lens.names, lens.units, camera.sigma.tolist(), strict=True):
+            lines.append(f"{_sigma_key(name, unit)} = {std!r}")
+    return "\n".join([*lines, ""])

@@ -1,8 +1,8 @@
 """Cameras as YAML: the camera_info files of ROS, echoed CameraInfo messages, and OpenCV's FileStorage.
 
 All of them hold a camera matrix, K = [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], row by row, and coefficients of distortion
-in OpenCV's order. They differ in their names, and in OpenCV's ``%YAML:1.0`` and ``!!opencv-matrix``, which are no YAML
-that others read.
+in OpenCV's order. They differ in their names, and in OpenCV's ``%YAML:1.0`` and ``!!opencv-matrix``, which other
+readers of YAML refuse.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 import yaml
 
 from calib.basics.arrays import Array
-from calib.basics.mappings import ReadOnlyMapping
+from calib.basics.values import ReadOnlyMapping
 from calib.camera.camera import Camera
 from calib.camera.lenses import LENSES
 from calib.errors import CalibError, FileError, choices, did_you_mean
@@ -86,8 +86,8 @@ def camera_of_yaml(text: str, where: str) -> Camera:
         The camera. One whose camera matrix is zero is not calibrated, as ROS has it: nothing but its size is known.
 
     Raises:
-        FileError: The text is no YAML.
-        CalibError: A key is missing or has a wrong value, or the lens is none that calib has.
+        FileError: The text is not YAML.
+        CalibError: A key is missing or has a wrong value, or calib does not have the lens.
     """
     table = _by_keys(_parsed(text, where), where)
     _check_whole_image(table, where)
@@ -116,7 +116,7 @@ def _parsed(text: str, where: str) -> Mapping[Any, Any]:
         reason = " ".join(str(error).split())
         raise FileError(f"{where}: this is neither YAML nor TOML: {reason}. {_FORMS}.") from error
     if not isinstance(data, Mapping):
-        raise FileError(f"{where}: this is no description of a camera. {_FORMS}.")
+        raise FileError(f"{where}: this is not the description of a camera. {_FORMS}.")
     return data
 
 
@@ -242,7 +242,7 @@ def _coefficients(table: Mapping[str, Any], lens: str, where: str) -> Array:
             f"{where}: 'distortion_coefficients' has {len(given)} numbers, and those after the fifth are "
             f"{higher.tolist()}: a rational or thin-prism model, which calib does not have; its '{lens}' has "
             f"{', '.join(names)}. Calibrate with the plumb_bob model, or give the size of the images alone "
-            "(--camera 1280x720): then the images tell the intrinsics."
+            "(--camera 1280x720): then the intrinsics are estimated from the images."
         )
     return np.pad(given[: len(names)], (0, max(len(names) - len(given), 0)))
 
@@ -321,15 +321,7 @@ def _known(camera: Camera) -> Array:
 def _rows(
     key: str, rows: int, columns: int, numbers: list[float], *, opencv: bool = False
 ) -> list[str]:
-    """Return the lines of a matrix.
-
-    Args:
-        key: Its key.
-        rows: Its rows.
-        columns: Its columns.
-        numbers: Its numbers, row by row.
-        opencv: Whether it is one of OpenCV's FileStorage.
-    """
+    """Return the lines of a matrix, whose numbers are given row by row, for ROS or for OpenCV's FileStorage."""
     lines = [f"{key}: !!opencv-matrix" if opencv else f"{key}:", f"   rows: {rows}"]
     lines.append(f"   cols: {columns}")
     if opencv:

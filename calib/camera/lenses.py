@@ -1,4 +1,4 @@
-"""Lens models: where a point of the camera's frame is in the image, and how that changes.
+"""Lens models: the image of a point in the camera's frame, its derivatives, and the ray of a pixel.
 
 With x = X / Z and y = Y / Z of a point (X, Y, Z), the image is u = fx x' + cx, v = fy y' + cy with the distorted
 
@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.basics.arrays import Array
-from calib.basics.mappings import ReadOnlyMapping
+from calib.basics.values import ReadOnlyMapping
 
 #: Distorted coordinates (2, n) of normalised ones (2, n) by the distortion's coefficients (d, n).
 _Distort = Callable[[Array, Array], Array]
@@ -26,32 +26,32 @@ _Distort = Callable[[Array, Array], Array]
 #: Derivatives of distorted coordinates: by normalised ones, (2, 2, n), and by the coefficients, (2, d, n).
 _Slopes = Callable[[Array, Array], tuple[Array, Array]]
 
-#: Focal lengths and centre.
+#: Focal lengths and centre, the intrinsics of a lens without distortion.
 _LINEAR = ("fx", "fy", "cx", "cy")
 
-#: Depths below this are taken as this [m]: a point beside or behind a camera has an image far out, not none.
+#: Smaller depths are taken as this [m]: a point beside or behind a camera then has an image, far out.
 _NEAREST = 1e-3
 
-#: Relative standard deviation of focal lengths, and that of the centre over the image's width, where they are given
-#: without one. A maker's numbers of one type of camera are that good; a calibration of one's own is better.
+#: Relative standard deviation of focal lengths, and that of the centre over the image's width, if they are given
+#: without one. A maker's intrinsics of a type of camera are about that accurate; a calibration is better.
 _FOCAL = 0.01
 _CENTRE = 0.005
 
-#: Standard deviation of radial and of tangential coefficients of distortion, where they are given without one.
+#: Standard deviation of radial and of tangential coefficients of distortion, if they are given without one.
 _RADIAL = 0.02
 _TANGENTIAL = 0.002
 
-#: Rounds of Newton's method that undo a distortion, and the change at which it ends.
-_ROUNDS = 50
-_SETTLED = 1e-13
+#: Maximum number of Newton iterations when undistorting, and the step below which they stop.
+_ITERATIONS = 50
+_CONVERGED = 1e-13
 
-#: Below this the angle from the line of sight is taken as its tangent.
+#: Lengths and determinants are kept this far from zero, to be divided by.
 _TINY = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
 class Lens:
-    """A lens model with m numbers: fx, fy, cx, cy [px], then coefficients of distortion."""
+    """A lens model with m intrinsics: fx, fy, cx, cy [px], then coefficients of distortion."""
 
     #: Name of the model: ``"pinhole"``.
     name: str
@@ -64,7 +64,7 @@ class Lens:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the m numbers."""
+        """Names of the m intrinsics."""
         return (*_LINEAR, *self.distortion)
 
     @property
@@ -76,8 +76,8 @@ class Lens:
         """Return the images of points.
 
         Args:
-            points: shape (n, 3), in the camera's frame, in front of it [m]. The image of one that is not is far out.
-            values: shape (m,) or (n, m), the lens's numbers.
+            points: shape (n, 3), in the camera's frame [m]. A point that is not in front of it has an image far out.
+            values: shape (m,) or (n, m), the intrinsics.
 
         Returns:
             shape (n, 2) [px].
@@ -87,22 +87,28 @@ class Lens:
         return np.column_stack([fx * x + cx, fy * y + cy])
 
     def derivatives(self, points: Array, values: Array) -> tuple[Array, Array]:
-        """Return the derivatives of images by the points and by the lens's numbers.
+        """Return the derivatives of images by the points and by the intrinsics.
 
         Args:
             points: shape (n, 3), in the camera's frame [m].
-            values: shape (m,) or (n, m), the lens's numbers.
+            values: shape (m,) or (n, m), the intrinsics.
 
         Returns:
-            shape (n, 2, 3) [px/m], and shape (n, 2, m), [px] a unit of each number.
+            shape (n, 2, 3) [px/m], and shape (n, 2, m), [px] per unit of each intrinsic.
         """
         numbers = np.broadcast_to(values, (len(points), len(self.names))).T
         focal = numbers[:2]
         coefficients = numbers[4:]
         normalised = _normalised(points)
+        depth = np.maximum(points[:, 2], _NEAREST)
+        normalised_by_point = np.zeros((2, 3, len(points)))
+        normalised_by_point[0, 0] = normalised_by_point[1, 1] = 1.0 / depth
+        is_in_front = points[:, 2] > _NEAREST
+        normalised_by_point[:, 2] = np.where(is_in_front, -normalised / depth, 0.0)
+
         distorted = self.distort(normalised, coefficients)
         by_normalised, by_coefficients = self.slopes(normalised, coefficients)
-        by_point = np.einsum("abn,bcn->acn", by_normalised, _normalised_slopes(points, normalised))
+        by_point = np.einsum("abn,bcn->acn", by_normalised, normalised_by_point)
         by_values = np.zeros((2, len(self.names), len(points)))
         for axis in range(2):
             by_values[axis, axis] = distorted[axis]
@@ -110,42 +116,48 @@ class Lens:
         by_values[:, 4:] = focal[:, None] * by_coefficients
         return (focal[:, None] * by_point).transpose(2, 0, 1), by_values.transpose(2, 0, 1)
 
-    def rays(self, pixels: Array, values: Array) -> Array:
-        """Return the directions in which a camera sees images, by Newton's method.
+    def undistort(self, pixels: Array, values: Array) -> Array:
+        """Undistort pixels by Newton's method: return the ray (x, y, 1) of each in the camera's frame.
 
         Args:
             pixels: shape (n, 2) [px].
-            values: shape (m,) or (n, m), the lens's numbers.
+            values: shape (m,) or (n, m), the intrinsics.
 
         Returns:
-            shape (n, 3), points at a depth of 1. Where the lens has no such image, that of the nearest round.
+            shape (n, 3), points at a depth of 1. For a pixel that the lens images nothing to, the last iteration's.
         """
         fx, fy, cx, cy, *coefficients = np.broadcast_to(values, (len(pixels), len(self.names))).T
         wanted = np.array([(pixels[:, 0] - cx) / fx, (pixels[:, 1] - cy) / fy])
         normalised = wanted.copy()
         numbers = np.array(coefficients).reshape(len(self.distortion), -1)
-        for _ in range(_ROUNDS):
+        for _ in range(_ITERATIONS):
             missing = wanted - self.distort(normalised, numbers)
             slopes, _ = self.slopes(normalised, numbers)
-            step = _solved(slopes, missing)
-            # Never further than as far as the image is from the centre: where the distortion turns, Newton jumps.
+            # By Cramer's rule.
+            (a, b), (c, d) = slopes
+            determinant = a * d - b * c
+            determinant = np.where(np.abs(determinant) < _TINY, _TINY, determinant)
+            along_x = (d * missing[0] - b * missing[1]) / determinant
+            along_y = (a * missing[1] - c * missing[0]) / determinant
+            step = np.array([along_x, along_y])
+            # Steps are limited, because Newton's method jumps where the distortion folds.
             length = np.maximum(np.linalg.norm(step, axis=0), _TINY)
             longest = 0.5 * (1.0 + np.linalg.norm(normalised, axis=0))
             normalised = normalised + step * np.minimum(1.0, longest / length)
-            if np.abs(step).max(initial=0.0) < _SETTLED:
+            if np.abs(step).max(initial=0.0) < _CONVERGED:
                 break
         return np.column_stack([*normalised, np.ones(len(pixels))])
 
     def default_sigma(self, values: Array, width: int) -> Array:
-        """Return standard deviations of numbers that were given without any.
+        """Return standard deviations of intrinsics that were given without any.
 
         Args:
-            values: shape (m,), the lens's numbers.
+            values: shape (m,), the intrinsics.
             width: Columns of the image [px].
 
         Returns:
-            shape (m,): 1 % of the focal lengths, 0.5 % of the width for the centre, 0.02 for radial coefficients, 0.002
-            for tangential ones.
+            shape (m,), in the unit of each: 1 % of the focal lengths, 0.5 % of the width for the centre, 0.02 for
+            radial coefficients, 0.002 for tangential ones.
         """
         sigma = np.full(len(self.names), _RADIAL)
         sigma[:2] = _FOCAL * np.abs(values[:2])
@@ -159,25 +171,6 @@ def _normalised(points: Array) -> Array:
     """Return X / Z and Y / Z of points (n, 3), shape (2, n)."""
     depth = np.maximum(points[:, 2], _NEAREST)
     return np.array([points[:, 0] / depth, points[:, 1] / depth])
-
-
-def _normalised_slopes(points: Array, normalised: Array) -> Array:
-    """Return the derivative of X / Z and Y / Z by X, Y and Z, shape (2, 3, n) [1/m]."""
-    depth = np.maximum(points[:, 2], _NEAREST)
-    slopes = np.zeros((2, 3, len(points)))
-    slopes[0, 0] = slopes[1, 1] = 1.0 / depth
-    slopes[:, 2] = np.where(points[:, 2] > _NEAREST, -normalised / depth, 0.0)
-    return slopes
-
-
-def _solved(matrices: Array, sides: Array) -> Array:
-    """Solve 2 x 2 systems, shape (2, 2, n) and (2, n), by Cramer's rule; shape (2, n)."""
-    (a, b), (c, d) = matrices
-    determinant = a * d - b * c
-    determinant = np.where(np.abs(determinant) < _TINY, _TINY, determinant)
-    return np.array(
-        [(d * sides[0] - b * sides[1]) / determinant, (a * sides[1] - c * sides[0]) / determinant]
-    )
 
 
 # Pinhole

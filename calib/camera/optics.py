@@ -1,14 +1,14 @@
 """Optics of a row: all numbers of its camera and its board with which the image of one corner is predicted.
 
 A corner is designed to be at P = (X, Y, Z) on its board. The print has another scale and errors of its own, and the
-board is not flat:
+board is not quite flat:
 
     P' = [(1 + s_x) X + e_x, (1 + s_y) Y + e_y, Z + w_x (1 - xi^2) + w_y (1 - eta^2)]
 
-with the relative errors s of the scale along x and y, for printers feed paper at another scale than they print across
-it, the corner's own errors e, the sag w of the board's middle along x and along y, and the corner's place xi and eta
-across the board, from -1 to 1. In the camera it is at R P' + p, and its image is where the lens
-(`calib.camera.lenses`) has it. These numbers are columns of an array (N, `COUNT`), one row a corner.
+with the relative errors s of the scale along x and y (the scale along a printer's feed differs from that across it),
+the corner's own errors e, the sag w of the board's middle along x and along y, and the corner's place xi and eta across
+the board, from -1 to 1. In the camera it is at R P' + p, which the lens (`calib.camera.lenses`) projects. These numbers
+are columns of an array (N, `COUNT`), with one row for each corner.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import numpy as np
 from calib.basics.arrays import Array, Integers
 from calib.camera.lenses import LENSES, Lens
 
-#: The lens's numbers; a lens that has fewer leaves the last ones at zero.
+#: Intrinsics; a lens that has fewer leaves the last ones at zero.
 INTRINSICS = slice(0, 9)
 
 #: Number of the lens, in the order of `LENSES`.
@@ -94,7 +94,7 @@ def image_derivatives(T_camera_board: Array, twists: Array, optics: Array) -> tu
         optics: shape (n, `COUNT`).
 
     Returns:
-        shape (n, 2, p), [px] a unit of each parameter; and (n, 2, `COUNT`), [px] a unit of each of the optics.
+        shape (n, 2, p), [px] per unit of each parameter; and (n, 2, `COUNT`), [px] per unit of each number.
     """
     points = _in_camera(T_camera_board, board_points(optics))
     by_point = np.empty((len(optics), 2, 3))
@@ -115,7 +115,7 @@ def image_derivatives(T_camera_board: Array, twists: Array, optics: Array) -> tu
 
 
 def across(points: Array, centre: Array, size: tuple[float, float]) -> Array:
-    """Return where points are across a board, from -1 to 1 along x and y, shape (n, 2).
+    """Return the places of points across a board, from -1 to 1 along x and y, shape (n, 2).
 
     Args:
         points: shape (n, 3), in the board's frame [m].
@@ -126,7 +126,7 @@ def across(points: Array, centre: Array, size: tuple[float, float]) -> Array:
 
 
 def _bulge(optics: Array) -> Array:
-    """Return height of a board's corners by a unit of its two sags, shape (n, 2)."""
+    """Return the height of a board's corners per unit of its two sags, shape (n, 2)."""
     return np.asarray(1.0 - optics[:, ACROSS] ** 2)
 
 
@@ -146,5 +146,5 @@ def _by_lens(optics: Array) -> Iterator[tuple[Lens, Integers]]:
 
 
 def _intrinsics(lens: Lens, optics: Array) -> Array:
-    """Return the numbers of a lens from optics (n, `COUNT`), shape (n, m)."""
+    """Return the m intrinsics of a lens from optics (n, `COUNT`), shape (n, m)."""
     return optics[:, : len(lens.names)]

@@ -1,20 +1,20 @@
 """Pose of a flat board from one view: in closed form, then by least squares of the images.
 
 A flat board's points and their undistorted images are related by a homography, whose columns are those of the pose:
-H ~ [r1 r2 p]. A board that is small, or far, looks nearly the same turned to the other side of the line of sight; both
-poses are refined, and the one that fits is taken. Sources: Z. Zhang, A flexible new technique for camera calibration,
-2000; T. Collins, A. Bartoli, Infinitesimal plane-based pose estimation, 2014.
+H ~ [r1 r2 p]. A small or distant board looks nearly the same if its tilt is reflected about the line of sight; both
+poses are refined, and the one that fits better is taken. Sources: Z. Zhang, A flexible new technique for camera
+calibration, 2000; T. Collins, A. Bartoli, Infinitesimal plane-based pose estimation, 2014.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from calib.basics.arrays import Array
+from calib.basics.arrays import Array, Integers
 from calib.basics.values import Value
 from calib.camera.lenses import Lens
 
@@ -27,36 +27,36 @@ _FEWEST = 4
 #: Singular value of the board's points, over the largest, below which they lie on a line.
 _LINE = 1e-3
 
-#: Rounds of the refinement, and the relative fall of the sum of squares at which it ends.
-_ROUNDS = 20
+#: Maximum number of steps of the refinement, and the relative fall of the sum of squares below which it ends.
+_ITERATIONS = 20
 _SETTLED = 1e-8
 
-#: Damping at the first round, and its factor after a success and after a failure.
+#: Damping of the first step, and its factor after a success and after a failure.
 _DAMPING = 1e-3
 _LESS = 0.1
 _MORE = 10.0
 
-#: Damping of what images do not tell at all, over the trace of the normal equations.
+#: Damping of motions that images do not determine at all, over the trace of the normal equations.
 _LEAST_DAMPING = 1e-14
 
-#: Damping beyond which no step helps.
+#: Damping above which no step helps.
 _STUCK = 1e10
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlanarPose(Value):
-    """The pose of a board in the camera, as one view tells it."""
+    """The pose of a board in the camera, estimated from one view."""
 
     #: shape (4, 4) [m]
     T_camera_board: Array
     #: Root of the mean square of the distances of the images from the predicted ones [px]
     rms: float
-    #: shape (6, 6), covariance of the pose where images have a standard deviation of 1 px along u and v: motion of the
+    #: shape (6, 6), covariance of the pose for images with a standard deviation of 1 px along u and v: motion of the
     #: board's origin [m], then turn [rad], along the camera's axes
     covariance: Array
-    #: shape (4, 4), the pose on the other side of the line of sight, refined too [m]
+    #: shape (4, 4), the other solution, tilted to the other side of the line of sight, refined too [m]
     T_camera_board_other: Array
-    #: The same as ``rms``, of the other pose [px]
+    #: ``rms`` of the other solution [px]
     rms_other: float
 
 
@@ -67,10 +67,11 @@ def planar_pose(points: Array, pixels: Array, lens: Lens, values: Array) -> Plan
         points: shape (k, 3), in the board's frame, nearly in its x-y plane [m].
         pixels: shape (k, 2), their images [px].
         lens: The lens model.
-        values: shape (m,), its numbers.
+        values: shape (m,), its intrinsics.
 
     Returns:
-        The pose; None where the points do not tell it: fewer than four, or on a line, or none in front of the camera.
+        The pose; None if the points do not determine it: they are fewer than four, on a line, or not in front of the
+        camera.
     """
     return planar_poses([(points, pixels)], lens, values)[0]
 
@@ -81,46 +82,31 @@ def planar_poses(views: Sequence[View], lens: Lens, values: Array) -> tuple[Plan
     Args:
         views: Points and images of each, as `planar_pose` takes them.
         lens: The lens model.
-        values: shape (m,), its numbers.
+        values: shape (m,), its intrinsics.
 
     Returns:
-        The poses; None where the points of a view do not tell it.
+        The poses; None for a view whose points do not determine it.
     """
     starts = closed_form_poses(views, lens, values)
     numbers = [k for k, T in enumerate(starts) if T is not None]
     result: list[PlanarPose | None] = [None] * len(views)
-    if numbers:
-        chosen = [views[k] for k in numbers]
-        found = _refined_on_both_sides(np.array([starts[k] for k in numbers]), chosen, lens, values)
-        for k, pose in zip(numbers, found, strict=True):
-            result[k] = pose
-    return tuple(result)
-
-
-def _refined_on_both_sides(
-    T: Array, views: Sequence[View], lens: Lens, values: Array
-) -> Iterator[PlanarPose]:
-    """Refine the poses of V views, and those on the other side of the line of sight, and yield the better of both.
-
-    Args:
-        T: shape (V, 4, 4), T_camera_board to start from [m].
-        views: Points and images of each.
-        lens: The lens model.
-        values: shape (m,), its numbers.
-    """
-    centres = np.array([points.mean(axis=0) for points, _ in views])
-    near = _refined(T, views, lens, values)
-    other = _refined(_on_other_side(near[0], centres), views, lens, values)
-    for v, (points, _) in enumerate(views):
-        solutions = [(float(cost[v]), poses[v], N[v]) for poses, cost, N in (near, other)]
+    if not numbers:
+        return tuple(result)
+    chosen = [views[k] for k in numbers]
+    centres = np.array([points.mean(axis=0) for points, _ in chosen])
+    first = _refine(np.array([starts[k] for k in numbers]), chosen, lens, values)
+    other = _refine(_reflect_tilts(first[0], centres), chosen, lens, values)
+    for v, (k, (points, _)) in enumerate(zip(numbers, chosen, strict=True)):
+        solutions = [(float(cost[v]), poses[v], N[v]) for poses, cost, N in (first, other)]
         (cost, best, N), (other_cost, second, _) = sorted(solutions, key=lambda s: s[0])
-        yield PlanarPose(
+        result[k] = PlanarPose(
             T_camera_board=best,
             rms=float(np.sqrt(cost / len(points))),
             covariance=np.linalg.pinv(N),
             T_camera_board_other=second,
             rms_other=float(np.sqrt(other_cost / len(points))),
         )
+    return tuple(result)
 
 
 def closed_form_poses(views: Sequence[View], lens: Lens, values: Array) -> tuple[Array | None, ...]:
@@ -129,18 +115,18 @@ def closed_form_poses(views: Sequence[View], lens: Lens, values: Array) -> tuple
     Args:
         views: Points and images of each, as `planar_pose` takes them.
         lens: The lens model.
-        values: shape (m,), its numbers.
+        values: shape (m,), its intrinsics.
 
     Returns:
-        T_camera_board of each, shape (4, 4) [m]; None where points or images are too few, or on a line.
+        T_camera_board of each, shape (4, 4) [m]; None for a view whose points or images are too few, or on a line.
     """
     if not views:
         return ()
-    rays = lens.rays(np.concatenate([pixels for _, pixels in views]), values)[:, :2]
+    rays = lens.undistort(np.concatenate([pixels for _, pixels in views]), values)[:, :2]
     ends = np.cumsum([len(pixels) for _, pixels in views])
     poses: list[Array | None] = []
     for (points, pixels), images in zip(views, np.split(rays, ends[:-1]), strict=True):
-        if tells_pose(points) and tells_pose(pixels) and tells_pose(images):
+        if determines_pose(points) and determines_pose(pixels) and determines_pose(images):
             H = homography(points[:, :2], images)
             poses.append(_pose_of_homography(H, points[:, :2].mean(axis=0)))
         else:
@@ -169,8 +155,8 @@ def homography(points: Array, images: Array) -> Array:
     return np.asarray(np.linalg.inv(to_images) @ V[-1].reshape(3, 3) @ to_points)
 
 
-def tells_pose(points: Array) -> bool:
-    """True if points of a plane (k, 3), or images (k, 2), are enough, finite, and not on a line."""
+def determines_pose(points: Array) -> bool:
+    """Return True if points of a plane (k, 3), or images (k, 2), are enough, finite, and not on a line."""
     if len(points) < _FEWEST or not np.all(np.isfinite(points)):
         return False
     _, s, _ = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)
@@ -192,12 +178,8 @@ def _normalisation(points: Array) -> Array:
 def _pose_of_homography(H: Array, centre: Array) -> Array | None:
     """Return the pose, shape (4, 4) [m], of a plane with the homography H to images at a depth of 1.
 
-    Args:
-        H: shape (3, 3), of any scale.
-        centre: shape (2,), a point of the plane that is in front of the camera, as its origin need not be.
-
-    Returns:
-        The pose; None where H is not finite, or of no plane in front of the camera.
+    The plane's origin may be behind the camera, but its point ``centre``, shape (2,), is in front of it. None if H is
+    not finite, or not that of such a plane.
     """
     sizes = np.linalg.norm(H[:, :2], axis=0)
     depth = H[2] @ [*centre, 1.0]
@@ -213,15 +195,11 @@ def _pose_of_homography(H: Array, centre: Array) -> Array | None:
     return T
 
 
-def _on_other_side(T_camera_board: Array, centres: Array) -> Array:
-    """Return poses with the boards' tilts turned to the other side of the line of sight to their centres.
+def _reflect_tilts(T_camera_board: Array, centres: Array) -> Array:
+    """Return the other solutions of the planar pose ambiguity, shape (V, 4, 4) [m].
 
-    Args:
-        T_camera_board: shape (V, 4, 4) [m].
-        centres: shape (V, 3), of the points, in the boards' frames [m].
-
-    Returns:
-        shape (V, 4, 4) [m].
+    The normal of each board is reflected about the line of sight to its centre, (V, 3) [m] in the boards' frames, which
+    stays in place.
     """
     R = T_camera_board[:, :3, :3]
     in_camera = (R @ centres[:, :, None])[:, :, 0] + T_camera_board[:, :3, 3]
@@ -233,23 +211,16 @@ def _on_other_side(T_camera_board: Array, centres: Array) -> Array:
     return T
 
 
-def _refined(
+def _refine(
     T: Array, views: Sequence[View], lens: Lens, values: Array
 ) -> tuple[Array, Array, Array]:
-    """Refine the poses of V views by Levenberg-Marquardt, each with a damping of its own.
+    """Refine the poses T_camera_board (V, 4, 4) of V views by Levenberg-Marquardt, each with a damping of its own.
 
-    Args:
-        T: shape (V, 4, 4), T_camera_board to start from [m].
-        views: Points and images of each.
-        lens: The lens model.
-        values: shape (m,), its numbers.
-
-    Returns:
-        The poses; the sums of squares, shape (V,) [px^2]; and the normal equations of each, shape (V, 6, 6).
+    Return the poses; the sums of squares, shape (V,) [px^2]; and the normal equations J^T J of each, shape (V, 6, 6).
     """
     damping = np.full(len(views), _DAMPING)
     cost, N, g = _normal_equations(T, views, lens, values)
-    for _ in range(_ROUNDS):
+    for _ in range(_ITERATIONS):
         diagonal = np.diagonal(N, axis1=1, axis2=2)
         least = _LEAST_DAMPING * np.sum(diagonal, axis=1) + np.finfo(float).tiny
         damped = N + (damping[:, None] * diagonal + least[:, None])[:, :, None] * np.eye(6)
@@ -271,19 +242,9 @@ def _refined(
 def _normal_equations(
     T: Array, views: Sequence[View], lens: Lens, values: Array
 ) -> tuple[Array, Array, Array]:
-    """Return sum of squares, J^T J and J^T r of each of V views, by the twist of its pose.
-
-    Args:
-        T: shape (V, 4, 4), T_camera_board [m].
-        views: Points and images of each.
-        lens: The lens model.
-        values: shape (m,), its numbers.
-
-    Returns:
-        Shapes (V,), (V, 6, 6) and (V, 6).
-    """
+    """Return r^T r, (V,), J^T J, (V, 6, 6), and J^T r, (V, 6), of each of V views, by the twist of its pose."""
     residual, J, _ = view_system(T, views, lens, values)
-    first = np.cumsum([0, *(len(points) for points, _ in views[:-1])])
+    first = first_rows(views)
     cost = np.add.reduceat(np.sum(residual**2, axis=1), first)
     N = np.add.reduceat(np.einsum("nab,nac->nbc", J, J), first)
     g = np.add.reduceat(np.einsum("nab,na->nb", J, residual), first)
@@ -299,11 +260,11 @@ def view_system(
         T: shape (V, 4, 4), T_camera_board of each [m].
         views: Points and images of each.
         lens: The lens model.
-        values: shape (m,), its numbers.
+        values: shape (m,), its intrinsics.
 
     Returns:
         Measured minus predicted images, shape (n, 2) [px]; the derivative of the prediction by the motion of the
-        board's origin [m] and its turn [rad] along the camera's axes, shape (n, 2, 6), and by the lens's numbers, shape
+        board's origin [m] and its turn [rad] along the camera's axes, shape (n, 2, 6), and by the intrinsics, shape
         (n, 2, m).
     """
     counts = [len(points) for points, _ in views]
@@ -315,6 +276,11 @@ def view_system(
     by_turn = np.cross(turned[:, None], by_point)
     residual = pixels - lens.project(in_camera, values)
     return residual, np.concatenate([by_point, by_turn], axis=2), by_values
+
+
+def first_rows(views: Sequence[View]) -> Integers:
+    """Return the row of each view's first point among the points of all V views, shape (V,)."""
+    return np.cumsum([0, *(len(points) for points, _ in views[:-1])])
 
 
 def moved(T: Array, twists: Array) -> Array:

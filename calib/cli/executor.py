@@ -30,7 +30,7 @@ def executor_of(
         default: Number of processes without ``--workers``; None: one a core.
 
     Yields:
-        The executor; None where the jobs are to run in this process, one after the other.
+        The executor; None if the jobs are to run in this process, one after the other.
 
     Raises:
         CalibError: Both options, no Dask, or no scheduler at the address.

@@ -21,7 +21,7 @@ def say_accepted(name: str, stated: str) -> None:
 
     Args:
         name: The file that the verdict is on.
-        stated: The verdict, as `calib.show.verdict.against` gives it; nothing is said where it is empty.
+        stated: The verdict, as `calib.show.verdict.against` gives it; nothing is said if it is empty.
     """
     if stated:
         typer.echo(
@@ -74,7 +74,7 @@ def _joints_outside(measurements: Measurements, robot: Robot) -> list[str]:
 
 
 def say_unused_camera(measurements: Measurements, cell: Cell) -> None:
-    """Say that a camera or a board is given and no row is an image; nothing where one is."""
+    """Say that a camera or a board is given although no row is an image."""
     names = [name for name in ("camera", "board") if getattr(cell, f"{name}s")]
     if not names or measurements.where(lambda kind: kind.optical).any():
         return
@@ -84,7 +84,7 @@ def say_unused_camera(measurements: Measurements, cell: Cell) -> None:
 
 
 def say_coupled(robot: Robot) -> None:
-    """Say which joint readings are coupled; nothing where none are."""
+    """Say which joint readings are coupled, if any are."""
     sentence = coupling_sentence(robot)
     if sentence:
         typer.echo(fill(sentence) + "\n")

@@ -1,235 +1,58 @@
 """Options and arguments that several verbs share, and the groups in which verbs take them.
 
-A group is a frozen dataclass; `calib.cli.verb.verb` makes an option of each of its fields. Names in braces in a help
-text, such as ``{families}``, are replaced by what is registered when the help is printed.
+A group is a frozen dataclass; `calib.cli.verb.verb` makes an option of each of its fields. The options of a cell are
+declared at the fields of `calib.data.cell.Cell`; `CellOptions` takes them from there. Names in braces in a help text,
+such as ``{families}``, are replaced by what is registered when the help is printed.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import inspect
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeVar, get_args
 
 import typer
 
+from calib.errors import CalibError, choices
+
 if TYPE_CHECKING:
+    from calib.data.cell import Cell
     from calib.data.forms.column_options import ColumnOptions
+
+Self = TypeVar("Self", bound="CellOptions")
 
 RobotFile = Annotated[
     str,
     typer.Argument(
         metavar="ROBOT",
-        help="URDF or xacro file, a xacro's arguments behind it in the same quotes; DH rows; or a robot "
-        "of example-robot-data, such as 'ur3'.",
+        help="URDF or xacro file (a xacro's arguments follow its name in the same quotes), DH rows, or the name of a "
+        "robot in example-robot-data, such as 'ur3'.",
     ),
 ]
 DataFile = Annotated[
     Path,
     typer.Argument(
         metavar="DATA",
-        help="Table (CSV, .xlsx) with units in its header: joint values and measured points.",
+        help="Table (CSV or .xlsx) of joint values and measured points, with units in its header.",
     ),
 ]
-Base = Annotated[
-    str | None,
-    typer.Option(help="Link in whose frame the chain starts. Default: the URDF's root."),
-]
-Tip = Annotated[
-    str | None,
+Accept = Annotated[
+    bool,
     typer.Option(
-        help="Link that the target is mounted on. Default: the end of the longest chain, of a "
-        "table's joints if any, before a gripper or hand."
+        "--accept",
+        help="Write files for a robot even if the verdict is 'do not use'. Without it they are not written, and the "
+        "exit status is 3.",
     ),
 ]
-Target = Annotated[
-    str | None,
+Force = Annotated[bool, typer.Option("--force", help="Overwrite files that exist.")]
+Quiet = Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")]
+Seed = Annotated[
+    int,
     typer.Option(
-        metavar='"X Y Z UNIT"',
-        help='Stated position of the target in the tip, such as "70 -70 22.5 mm". The nominal robot '
-        "is judged with it, and the estimate is checked against it.",
-    ),
-]
-ResultTarget = Annotated[
-    str | None,
-    typer.Option(
-        "--target",
-        metavar='"X Y Z UNIT"',
-        help='Target in the tip, such as "70 -70 22.5 mm". Default: that of --calibration, or of '
-        "the URDF's link calib_target; else registered to the rows.",
-    ),
-]
-Frame = Annotated[
-    str | None,
-    typer.Option(
-        metavar="known|estimate|LIST",
-        help="'known': the points are in the base frame (default). 'estimate': in any fixed "
-        'frame, such as the tracker\'s. A list such as "x,y,rz": known but for these directions.',
-    ),
-]
-ModelName = Annotated[
-    str | None,
-    typer.Option(
-        "--model",
-        metavar="SET[+FAMILY...]",
-        help="Errors of the robot. auto, the default of a fit: as many as the data support. dh: "
-        "a, alpha, d, theta of each DH row; paper: the same with a known frame; hayati: beta for "
-        "d between near-parallel axes; placement: all six of each joint; zeros; frames: none. "
-        "Sets: {models}. Append families with +: {families} (dh+gain).",
-    ),
-]
-MeasuredKind = Annotated[
-    str | None,
-    typer.Option(
-        "--kind",
-        metavar="KIND",
-        help="What every row measures: {kinds}. Default: as a table's columns say, else point.",
-    ),
-]
-PointsFile = Annotated[
-    Path | None,
-    typer.Option(
-        "--points",
-        metavar="FILE",
-        help="Measured points in a separate list, as laser tracker programs write them, or in a "
-        "sheet, 'data.xlsx#Sheet'; DATA has the joint values.",
-    ),
-]
-PointsUnit = Annotated[
-    str | None,
-    typer.Option("--points-unit", metavar="UNIT", help="The unit of --points, if it names none."),
-]
-Hold = Annotated[
-    list[str] | None,
-    typer.Option(
-        metavar='"JOINT=VALUE UNIT"',
-        help='Value of a joint that does not move, such as "lift=0.3 m"; it needs no column. Can '
-        "be repeated.",
-    ),
-]
-PayloadMass = Annotated[
-    str | None,
-    typer.Option(
-        "--payload",
-        metavar='"MASS UNIT"',
-        help='What the tip carries, such as "5 kg", for compliances; put its centre of mass into '
-        "the cell file.",
-    ),
-]
-Columns = Annotated[
-    list[str] | None,
-    typer.Option(
-        metavar='"NAME IN TABLE=NAME IN URDF [UNIT]"|BRAND',
-        help="Rename a column of the table, and give its unit if it has none. Or the brand whose "
-        "names the columns have: {brands}. Can be repeated.",
-    ),
-]
-Orientation = Annotated[
-    str | None,
-    typer.Option(
-        metavar="CONVENTION",
-        help="Convention of the table's orientations: {conventions}. Default: as the columns' "
-        "names say; rx, ry, rz are a rotation vector.",
-    ),
-]
-JointUnit = Annotated[
-    str | None,
-    typer.Option(
-        metavar="UNIT",
-        help='Unit of joint columns that name none: deg; where some joints slide "deg mm".',
-    ),
-]
-CellFile = Annotated[
-    Path | None,
-    typer.Option(
-        "--cell",
-        help="TOML file with frames, target, noise, priors; options on the command line win.",
-    ),
-]
-CameraFiles = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--camera",
-        metavar="[NAME=]FILE|WIDTHxHEIGHT",
-        help="Intrinsics of the camera: ROS camera_info, OpenCV or calib's own file; or the size of its images alone, "
-        "such as 1280x720, where nothing is known of it. With NAME= that of one station; can be repeated.",
-    ),
-]
-BoardFiles = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--board",
-        metavar="[NAME=]FILE",
-        help="Description of the printed board, as 'calib board' writes it: how well its print is known. With NAME= "
-        "that of one target; can be repeated.",
-    ),
-]
-CameraOn = Annotated[
-    str | None,
-    typer.Option(
-        metavar="LINK",
-        help="Link that carries the camera: the flange, or for one that stands, the URDF's root (default). The same as "
-        "--base.",
-    ),
-]
-BoardOn = Annotated[
-    str | None,
-    typer.Option(
-        metavar="LINK",
-        help="Link that carries the board: the URDF's root where the camera is on the hand. The same as --tip.",
-    ),
-]
-SolverName = Annotated[
-    str,
-    typer.Option(
-        metavar="SOLVER",
-        help="One of {solvers}. lm: the default. scipy: the same problem by SciPy. paper: the "
-        "paper's algorithm.",
-    ),
-]
-PriorSource = Annotated[
-    Literal["data", "given", "off"] | None,
-    typer.Option(
-        help="Prior standard deviations of the robot's errors: estimated from the data (data, "
-        "default), as the cell file or calib's own 3 mm and 15 mrad say (given), or no priors "
-        "(off).",
-    ),
-]
-Repeats = Annotated[
-    Literal["weighted", "average", "independent"] | None,
-    typer.Option(
-        help="Weighting of repeated poses: by the estimated correlation of their errors (weighted, "
-        "default), as one row (average), or each in full (independent).",
-    ),
-]
-Workers = Annotated[
-    int | None,
-    typer.Option(min=1, metavar="N", help="Processes that share the work. Default: one per core."),
-]
-SampleWorkers = Annotated[
-    int | None,
-    typer.Option(
-        "--workers",
-        min=1,
-        metavar="N",
-        help="Processes that share the samples of --bootstrap. Default: one.",
-    ),
-]
-Dask = Annotated[
-    str | None,
-    typer.Option(
-        metavar="ADDRESS",
-        help="Dask scheduler whose workers do the work, such as tcp://192.168.0.10:8786, in place "
-        "of --workers.",
-    ),
-]
-FixTarget = Annotated[
-    bool, typer.Option("--fix-target", help="Keep the target where --target says it is.")
-]
-Freeze = Annotated[
-    list[str] | None,
-    typer.Option(
-        metavar="PARAMETER",
-        help="Keep a parameter at its nominal value. Can be repeated.",
+        min=0, metavar="S", help="Seed of the random numbers; the same seed gives the same result."
     ),
 ]
 TargetLink = Annotated[
@@ -239,78 +62,171 @@ TargetLink = Annotated[
         help="Add a link 'calib_target' at the target to the corrected URDF.",
     ),
 ]
-Robust = Annotated[bool, typer.Option(help="Give outliers no weight.")]
-Validate = Annotated[
-    bool,
-    typer.Option(
-        help="Cross-validate; without it there is no verdict, unless the input is plainly wrong."
-    ),
-]
-Seed = Annotated[int, typer.Option(min=0, metavar="S", help="The same seed gives the same result.")]
-Accept = Annotated[
-    bool,
-    typer.Option(
-        "--accept",
-        help="Write files for a robot even where the verdict is 'do not use'; without it they are "
-        "not written, and the exit status is 3.",
-    ),
-]
-Force = Annotated[bool, typer.Option("--force", help="Overwrite files that exist.")]
-Quiet = Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")]
-Plugins = Annotated[
+Columns = Annotated[
     list[str] | None,
     typer.Option(
-        "--plugin",
-        metavar="FILE|MODULE",
-        help="Python file (.py) or importable module with families, kinds, solvers, parameter sets "
-        "or formats of your own, loaded before anything else. Can be repeated.",
+        metavar='"NAME IN TABLE=NAME IN URDF [UNIT]"|BRAND',
+        help="Rename a column of the table, and give its unit if the table has none; or name the brand whose column "
+        "names the table has: {brands}. Can be repeated.",
     ),
 ]
-Debug = Annotated[bool, typer.Option("--debug", help="Show the trace of an error.")]
+PointsFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--points",
+        metavar="FILE",
+        help="List of the measured points, as laser tracker programs write it, or a sheet, 'data.xlsx#Sheet'. DATA "
+        "then has the joint values.",
+    ),
+]
+PointsUnit = Annotated[
+    str | None,
+    typer.Option("--points-unit", metavar="UNIT", help="Unit of --points, if the list names none."),
+]
+Workers = Annotated[
+    int | None,
+    typer.Option(
+        min=1,
+        metavar="N",
+        help="Number of processes that share the work. Default: one for each core.",
+    ),
+]
+Dask = Annotated[
+    str | None,
+    typer.Option(
+        metavar="ADDRESS",
+        help="Address of a Dask scheduler, such as tcp://192.168.0.10:8786, whose workers do the work in place of "
+        "--workers.",
+    ),
+]
+
+
+def field_parameters(
+    kind: type, groups: tuple[str, ...] = (), helps: Mapping[str, str] = MappingProxyType({})
+) -> list[inspect.Parameter]:
+    """Return the options that the fields of a record declare, as parameters of which typer makes options.
+
+    Args:
+        kind: The record, such as `Cell`.
+        groups: Groups of options besides those of every verb.
+        helps: Other help texts, by the names of the options.
+    """
+    from calib.basics.records import options
+
+    parameters = []
+    for option in options(kind, groups):
+        words: Any = Literal[option.type] if isinstance(option.type, tuple) else option.type
+        is_flag = option.type is bool
+        help_text = helps.get(option.name, option.help)
+        declared = typer.Option(option.flag, metavar=option.metavar, help=help_text)
+        parameter = inspect.Parameter(
+            option.name,
+            inspect.Parameter.KEYWORD_ONLY,
+            default=False if is_flag else None,  # not given
+            annotation=Annotated[words if is_flag else words | None, declared],
+        )
+        parameters.append(parameter)
+    return parameters
+
+
+def is_list(parameter: inspect.Parameter) -> bool:
+    """Return whether an option of `field_parameters` can be repeated."""
+    return list[str] in get_args(get_args(parameter.annotation)[0])
 
 
 @dataclass(frozen=True, slots=True)
 class CellOptions:
-    """Measurement setup, as typed; `calib.cli.setup.read_cell` takes the fields by name."""
+    """The cell file, and options over it: those that the fields of `Cell` declare for every verb."""
 
-    base: Base = None
-    tip: Tip = None
-    target: Target = None
-    frame: Frame = None
-    kind: MeasuredKind = None
-    hold: Hold = None
-    camera: CameraFiles = None
-    camera_on: CameraOn = None
-    board: BoardFiles = None
-    board_on: BoardOn = None
-    cell: CellFile = None
+    #: Groups of further options, see `calib.basics.records.Option`.
+    groups: ClassVar[tuple[str, ...]] = ()
+    #: Names of the options that a verb takes, if it does not take all.
+    names: ClassVar[tuple[str, ...] | None] = None
+    #: Whether a verb takes ``--cell``.
+    has_file: ClassVar[bool] = True
+    #: Help texts, by name, of options that mean something else to a verb.
+    helps: ClassVar[Mapping[str, str]] = MappingProxyType({})
+
+    #: ``--cell``; None: not given.
+    file: Path | None = None
+    #: What was typed, by the names of the options that were given.
+    given: Mapping[str, Any] = field(default_factory=dict)
+
+    @classmethod
+    def parameters(cls) -> list[inspect.Parameter]:
+        """Return the options as parameters of a function, of which typer makes options."""
+        from calib.data.cell import Cell
+
+        parameters = field_parameters(Cell, cls.groups, cls.helps)
+        if cls.names is not None:
+            parameters = [parameter for parameter in parameters if parameter.name in cls.names]
+        if not cls.has_file:
+            return parameters
+        help_text = "Cell file (TOML) with frames, targets, noise and priors. Options on the command line override it."
+        of_file = typer.Option("--cell", help=cls.helps.get("cell", help_text))
+        kind = inspect.Parameter.KEYWORD_ONLY
+        annotation = Annotated[Path | None, of_file]
+        return [inspect.Parameter("cell", kind, default=None, annotation=annotation), *parameters]
+
+    @classmethod
+    def of_typed(cls: type[Self], typed: Mapping[str, Any]) -> Self:
+        """Return the options from the values of `parameters`, by name."""
+        given = {name: value for name, value in typed.items() if value not in (None, False, [])}
+        return cls(given.pop("cell", None), given)
+
+    def cell(self) -> Cell:
+        """Read the cell file and put the options on top of it.
+
+        Raises:
+            CalibError: A text that its option does not take, or a fault of the file.
+        """
+        from calib.basics.records import changes
+        from calib.data.cell import Cell
+
+        of_file = Cell() if self.file is None else Cell.read(self.file)
+        return replace(of_file, **changes(of_file, self.given))
 
 
 @dataclass(frozen=True, slots=True)
 class ModelOptions(CellOptions):
-    """Measurement setup, and the errors of the robot that are estimated."""
+    """Options of the cell, with those of the errors of the robot."""
 
-    model: ModelName = None
-    payload: PayloadMass = None
+    groups: ClassVar[tuple[str, ...]] = ("model",)
 
 
 @dataclass(frozen=True, slots=True)
-class FitOptions(ModelOptions):
-    """Measurement setup, errors, and restrictions of the estimation, for `calibrate` and `fleet`."""
+class FitOptions(CellOptions):
+    """Options of the cell, with those of the errors of the robot and of their estimation."""
 
-    fix_target: FixTarget = False
-    freeze: Freeze = None
-    priors: PriorSource = None
-    repeats: Repeats = None
+    groups: ClassVar[tuple[str, ...]] = ("model", "fit")
+
+
+#: Help of ``--target`` if there may be a result.
+TARGET_OF_RESULT: Mapping[str, str] = {
+    "target": 'Position of the target in the tip, such as "70 -70 22.5 mm". Default: that of --calibration, or of the '
+    "URDF's link calib_target; else it is registered to the rows."
+}
 
 
 @dataclass(frozen=True, slots=True)
 class SolverOptions:
     """Estimation: solver, robust weights, cross-validation."""
 
-    solver: SolverName = "lm"
-    robust: Robust = True
-    validate: Validate = True
+    solver: Annotated[
+        str,
+        typer.Option(
+            metavar="SOLVER",
+            help="Solver, one of {solvers}. lm (the default): calib's own; scipy: the same problem solved by SciPy; "
+            "paper: the paper's algorithm.",
+        ),
+    ] = "lm"
+    robust: Annotated[bool, typer.Option(help="Give outliers no weight.")] = True
+    validate: Annotated[
+        bool,
+        typer.Option(
+            help="Cross-validate. Without it there is no verdict, unless the input is plainly wrong."
+        ),
+    ] = True
 
     def check(self) -> None:
         """Check, once the cell file's plugins are loaded, that the solver exists; raises `ModelError`."""
@@ -324,14 +240,43 @@ class ColumnChoice:
     """Names, orientations and units of a table's columns."""
 
     columns: Columns = None
-    orientation: Orientation = None
-    joint_unit: JointUnit = None
+    orientation: Annotated[
+        str | None,
+        typer.Option(
+            metavar="CONVENTION",
+            help="Convention of the table's orientations: {conventions}. Default: as the columns' names say; rx, ry, "
+            "rz are a rotation vector.",
+        ),
+    ] = None
+    joint_unit: Annotated[
+        str | None,
+        typer.Option(
+            metavar="UNIT",
+            help='Unit of joint columns that name none, such as "deg"; "deg mm" if some joints slide.',
+        ),
+    ] = None
 
     def parsed(self) -> ColumnOptions:
-        """Return what is said of the columns; raises `CalibError`."""
-        from calib.cli.words import parse_columns
+        """Return what is said of the columns, in which ``--columns`` may rename some and name one brand.
 
-        return parse_columns(self.columns, self.orientation, self.joint_unit)
+        Raises:
+            CalibError: A word is not of its form, a column is named twice, or there is no such convention or unit.
+        """
+        from calib.basics.units import parse_pairs
+        from calib.data.forms.brands import BRANDS
+        from calib.data.forms.column_options import ColumnOptions
+
+        given = list(self.columns or [])
+        brands = [word for word in dict.fromkeys(given) if word.strip().casefold() in BRANDS]
+        wanted = (
+            "'name in the table=name in the URDF', with a unit in brackets if the table has none, each name once, or "
+            f"one brand: {choices(BRANDS)}"
+        )
+        if len(brands) > 1:
+            raise CalibError(f"--columns was given {choices(brands)}; it must be {wanted}.")
+        names = parse_pairs((word for word in given if word not in brands), "--columns", wanted)
+        brand = brands[0].strip().casefold() if brands else None
+        return ColumnOptions(names, brand, self.orientation, self.joint_unit)
 
 
 @dataclass(frozen=True, slots=True)

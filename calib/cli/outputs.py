@@ -1,16 +1,12 @@
-"""Files that a call writes: checked before the work, and for ``calib calibrate`` in every form."""
+"""Files that a call writes: checked before the work, and named after it."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from calib.errors import FileError
-
-if TYPE_CHECKING:
-    pass
 
 
 def check_outputs(

@@ -45,7 +45,7 @@ _WORD_COLUMNS = 4
 
 
 def say(text: str) -> None:
-    """Print a text to stdout: verdict and headings stand out on a terminal; elsewhere it is printed as it is."""
+    """Print a text to stdout: verdict and headings stand out on a terminal; a file gets it as it is."""
     if not sys.stdout.isatty():
         typer.echo(text)
         return
@@ -79,7 +79,7 @@ def styled(text: str) -> Iterator[tuple[str, str]]:
 
 
 def say_table(title: str, heads: list[str], rows: list[list[str]]) -> None:
-    """Print a table: on a terminal long names are folded and verdicts coloured; elsewhere it is plain text.
+    """Print a table: on a terminal long names are folded and verdicts coloured; a file gets plain text.
 
     Args:
         title: The line above it.
@@ -119,7 +119,7 @@ def stages_bar(*, quiet: bool, first: str = "") -> Iterator[Callable[[str, int, 
         first: The name of work before the first stage, whose amount is not known: its bar moves to and fro.
 
     Yields:
-        A function of the stage's name, the work done and all of its work; None where nobody is watching.
+        A function of the stage's name, the work done and all of its work; None if stderr is not a terminal.
     """
     if quiet or not sys.stderr.isatty():
         yield None
@@ -154,7 +154,7 @@ def progress_bar(
         first: The name of what comes before it, whose amount is not known.
 
     Yields:
-        A function of the work done and all of the work; None where nobody is watching.
+        A function of the work done and all of the work; None if stderr is not a terminal.
     """
     with stages_bar(quiet=quiet, first=first) as advance:
         yield None if advance is None else partial(advance, label)

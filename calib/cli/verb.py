@@ -5,17 +5,16 @@ from __future__ import annotations
 import inspect
 import sys
 import traceback
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import MISSING, fields, is_dataclass
+from dataclasses import MISSING, dataclass, fields, is_dataclass
 from types import MappingProxyType
-from typing import Any, TypeAlias, get_type_hints
+from typing import Annotated, Any, TypeAlias, get_type_hints
 
 import typer
 from typer.core import TyperCommand
 
 from calib.cli.exit_status import ExitStatus
-from calib.cli.options import Debug, Plugins
 from calib.errors import CalibError, VerdictError
 
 #: Names that are registered, read when the help is printed.
@@ -36,7 +35,7 @@ class Verb(TyperCommand):
 
         Args:
             ctx: The context of the call.
-            args: Its words, behind the verb's name.
+            args: Its words, without the verb.
 
         Returns:
             The words that were not parsed.
@@ -53,7 +52,11 @@ class Verb(TyperCommand):
                 names = "/".join((*option.opts, *option.secondary_opts))
                 ctx.fail(f"Option '{names}' is given {times} times. Give it once.")
         with reporting(debug="debug" in given):
-            _load_plugins(given.get("plugin", ()))
+            import calib.basics.plugins as plugins
+
+            plugins.load_installed()
+            for name in given.get("plugin", ()):
+                plugins.load(name)
         return super().parse_args(ctx, args)
 
     def format_help(self, ctx: Any, formatter: Any) -> None:  # noqa: ANN401  typer's own class
@@ -63,76 +66,35 @@ class Verb(TyperCommand):
             ctx: The context of the call.
             formatter: Writes the help.
         """
-        registered = _REGISTERED | getattr(self.callback, "registered", {})
-        for option in self.get_params(ctx):
-            help_text = getattr(option, "help", None) or ""
-            for placeholder, names in registered.items():
-                if placeholder in help_text:
-                    help_text = help_text.replace(placeholder, ", ".join(names()))
-                    option.help = help_text  # type: ignore[attr-defined]
+        parameters: list[Any] = self.get_params(ctx)
+        listing = [each for each in parameters if "{" in (getattr(each, "help", "") or "")]
+        if listing:
+            registered = _registered()
+            for placeholder, names in getattr(self.callback, "registered", {}).items():
+                registered[placeholder] = names()
+            for option in listing:
+                for placeholder, names in registered.items():
+                    option.help = option.help.replace(placeholder, ", ".join(names))
         super().format_help(ctx, formatter)
 
 
-def _load_plugins(names: Iterable[str]) -> None:
-    """Load the installed plugins and those of ``--plugin``; raises `PluginError`."""
-    import calib.basics.plugins as plugins
-
-    plugins.load_installed()
-    for name in names:
-        plugins.load(name)
-
-
-def _families() -> tuple[str, ...]:
-    """Return the names of the families of joint errors, which no URDF holds."""
-    from calib.model.families import joint_families
-
-    return joint_families()
-
-
-def _kinds() -> tuple[str, ...]:
-    """Return the names of the kinds of measurement."""
-    from calib.data.kinds import names
-
-    return names()
-
-
-def _models() -> tuple[str, ...]:
-    """Return the names of the parameter sets."""
-    from calib.model.error_model import MODELS
-
-    return tuple(MODELS)
-
-
-def _solvers() -> tuple[str, ...]:
-    """Return the names of the solvers."""
-    from calib.numerics.solvers import PAPER, SOLVERS
-
-    return (*SOLVERS, PAPER)
-
-
-def _brands() -> tuple[str, ...]:
-    """Return the names of the brands whose columns are known."""
+def _registered() -> dict[str, tuple[str, ...]]:
+    """Return what the placeholders in the help of any verb stand for; the registries import NumPy."""
     from calib.data.forms.brands import BRANDS
-
-    return tuple(BRANDS)
-
-
-def _conventions() -> tuple[str, ...]:
-    """Return the names of the conventions of orientations."""
     from calib.data.forms.orientations import CONVENTIONS
+    from calib.data.kinds import names
+    from calib.model.error_model import MODELS
+    from calib.model.families import joint_families
+    from calib.numerics.solvers import SOLVERS
 
-    return tuple(CONVENTIONS)
-
-
-#: What a placeholder in a help text stands for. The registries import NumPy, so they are read when help is printed.
-_REGISTERED: dict[str, Names] = {
-    "{brands}": _brands,
-    "{conventions}": _conventions,
-    "{families}": _families,
-    "{kinds}": _kinds,
-    "{models}": _models,
-    "{solvers}": _solvers,
-}
+    return {
+        "{brands}": tuple(BRANDS),
+        "{conventions}": tuple(CONVENTIONS),
+        "{families}": joint_families(),  # those that no URDF holds
+        "{kinds}": names(),
+        "{models}": tuple(MODELS),
+        "{solvers}": tuple(SOLVERS),
+    }
 
 
 def verb(
@@ -140,8 +102,9 @@ def verb(
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Make a verb of the command line of a function.
 
-    A parameter whose type is a dataclass is a group: its fields become options, and the function gets the group. Every
-    verb has ``--plugin`` and ``--debug`` besides, and reports errors as `reporting` does.
+    A parameter whose type is a dataclass is a group: its fields become options, or those of its method ``parameters``
+    (`calib.cli.options.CellOptions`), and the function gets the group. Every verb has ``--plugin`` and ``--debug``
+    besides, and reports errors as `reporting` does.
 
     Args:
         help_text: The text of ``--help``.
@@ -153,50 +116,67 @@ def verb(
 
     def decorate(function: Callable[..., None]) -> Callable[..., None]:
         types = get_type_hints(function, include_extras=True)
-        groups = {name: kind for name, kind in types.items() if is_dataclass(kind)}
+        options: list[inspect.Parameter] = []
+        groups: dict[str, tuple[Any, list[str]]] = {}
+        for parameter in inspect.signature(function).parameters.values():
+            kind = types[parameter.name]
+            members = _members(kind) if is_dataclass(kind) else [parameter.replace(annotation=kind)]
+            if is_dataclass(kind):
+                groups[parameter.name] = (kind, [member.name for member in members])
+            options += [member.replace(kind=inspect.Parameter.KEYWORD_ONLY) for member in members]
 
         def run(**values: Any) -> None:  # noqa: ANN401  options of any type
             values.pop("plugin")  # loaded by `Verb.parse_args`
             with reporting(debug=values.pop("debug")):
-                for name, group in groups.items():
-                    members = {f.name: values.pop(f.name) for f in fields(group)}
-                    values[name] = group(**members)  # type: ignore[operator]
+                for name, (group, members) in groups.items():
+                    typed = {member: values.pop(member) for member in members}
+                    make = getattr(group, "of_typed", None)
+                    values[name] = group(**typed) if make is None else make(typed)
                 function(**values)
 
         run.__name__ = function.__name__
         run.__doc__ = help_text
         run.registered = registered  # type: ignore[attr-defined]
         run.__annotations__ = {}
-        of_every_verb = (_option("plugin", Plugins, None), _option("debug", Debug, False))
-        signature = inspect.Signature([*_options(function, types), *of_every_verb])
+        signature = inspect.Signature([*options, *_members(_OfEveryVerb)])
         run.__signature__ = signature  # type: ignore[attr-defined]
         return run
 
     return decorate
 
 
-def _options(function: Callable[..., None], types: dict[str, Any]) -> Iterator[inspect.Parameter]:
-    """Yield the options of a function in order, with each group replaced by its fields.
+@dataclass(frozen=True, slots=True)
+class _OfEveryVerb:
+    """Options of every verb."""
 
-    Args:
-        function: Takes options and groups.
-        types: The type of each of its parameters.
-    """
-    for parameter in inspect.signature(function).parameters.values():
-        kind = types[parameter.name]
-        if not is_dataclass(kind):
-            yield _option(parameter.name, kind, parameter.default)
-            continue
-        member_types = get_type_hints(kind, include_extras=True)
-        for field in fields(kind):
-            is_required = field.default is MISSING
-            default = inspect.Parameter.empty if is_required else field.default
-            yield _option(field.name, member_types[field.name], default)
+    plugin: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--plugin",
+            metavar="FILE|MODULE",
+            help="Python file (.py) or importable module with your own families of errors, kinds of measurement, "
+            "solvers, parameter sets or formats; it is loaded before anything else. Can be repeated.",
+        ),
+    ] = None
+    debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")] = False
 
 
-def _option(name: str, kind: Any, default: Any) -> inspect.Parameter:  # noqa: ANN401  any type
-    """Return a keyword parameter, of which typer makes an option or an argument."""
-    return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=kind)
+def _members(group: Any) -> list[inspect.Parameter]:  # noqa: ANN401  a dataclass
+    """Return the options of a group as keyword parameters."""
+    if hasattr(group, "parameters"):
+        members: list[inspect.Parameter] = group.parameters()
+        return members
+    types = get_type_hints(group, include_extras=True)
+    result = []
+    for field in fields(group):
+        default = inspect.Parameter.empty if field.default is MISSING else field.default
+        annotation = types[field.name]
+        result.append(
+            inspect.Parameter(
+                field.name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation
+            )
+        )
+    return result
 
 
 @contextmanager
@@ -206,7 +186,7 @@ def reporting(*, debug: bool) -> Iterator[None]:
     The text of a `KeyboardInterrupt` says what is kept of the work.
 
     Args:
-        debug: Whether the trace is printed before the line.
+        debug: Whether the traceback is printed before the line.
 
     Raises:
         typer.Exit: With the exit status of the error.

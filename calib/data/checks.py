@@ -22,7 +22,7 @@ from calib.basics.arguments import (
 )
 from calib.basics.arrays import Array, Integers, Mask, read_only
 from calib.basics.tables import Table
-from calib.data.columns import SETS, reserved
+from calib.data.columns import SETS, WORD_COLUMNS, reserved
 from calib.data.forms.column_options import ColumnOptions
 from calib.errors import MeasurementError, choices
 from calib.numerics.geometry import FARTHEST, not_rotations
@@ -372,17 +372,7 @@ def check_argument_types(given: object) -> None:
         ArgumentError: One of them is.
     """
     value = partial(getattr, given)
-    for name in (
-        "joint_names",
-        "prismatic",
-        "ignored",
-        "sets",
-        "targets",
-        "groups",
-        "kinds",
-        "pairs",
-        "approaches",
-    ):
+    for name in ("joint_names", "prismatic", "ignored", *WORD_COLUMNS):
         check_names(name, value(name))
     for name in ("rows", "unmeasured", "copies"):
         check_type(name, value(name), (Sequence, np.ndarray), "row numbers")

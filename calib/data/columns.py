@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import NoReturn
 
 import numpy as np
 
@@ -15,7 +14,7 @@ from calib.basics.channels import RESIDUAL_UNITS
 from calib.basics.tables import Column, Table
 from calib.basics.units import UNITS, Quantity, split_header, symbols
 from calib.data.forms import orientations
-from calib.data.forms.brands import Brand, brands_like, names_by_brand
+from calib.data.forms.brands import brands_like, names_by_brand
 from calib.data.forms.column_options import ColumnOptions, ColumnsInput, column_options
 from calib.errors import MeasurementError, choices, did_you_mean
 
@@ -28,11 +27,8 @@ BOARD_POINT = ("board_x", "board_y", "board_z")
 #: Columns of the covariance of a pose, row by row, as of ROS's PoseWithCovariance.
 COVARIANCE = tuple(f"covariance_{i}" for i in range(36))
 
-#: Columns of an orientation that are never a joint's where the joints are not known.
+#: Columns of an orientation; they are never a joint's if the joints are not known.
 ORIENTATION = (*orientations.ROTATION_VECTOR.columns, *orientations.QUATERNION.columns)
-
-#: Columns of words.
-WORDS = ("row", "set", "kind", "target", "group", "pair", "point", "approach", "image", "corner")
 
 #: The column of a table of commands that says whether a row has one.
 STATUS = "status"
@@ -42,6 +38,19 @@ SETS = ("estimate", "validate")
 
 #: Name of the target of rows without a column ``target``.
 DEFAULT_TARGET = "target"
+
+#: Columns of words, by the attribute of `Measurements` that holds them: the name of the column, and the word of rows
+#: without one.
+WORD_COLUMNS: Mapping[str, tuple[str, str]] = {
+    "sets": ("set", SETS[0]),
+    "kinds": ("kind", "point"),
+    "targets": ("target", DEFAULT_TARGET),
+    "groups": ("group", ""),
+    "pairs": ("pair", ""),
+    "approaches": ("approach", ""),
+    "images": ("image", ""),
+    "corners": ("corner", ""),
+}
 
 #: What follows a joint's name in the name of the column of its torque.
 TORQUE = ".torque"
@@ -71,7 +80,8 @@ Columns = tuple[Column, ...]
 def reserved() -> tuple[str, ...]:
     """Return the names of columns that no joint can have: words, noise, readings, positions."""
     noise = [*(unit.sigma_name for unit in RESIDUAL_UNITS.values()), *COVARIANCE]
-    return (*WORDS, *noise, *registry.readings(), *POINT, *BOARD_POINT)
+    words = [column for column, _ in WORD_COLUMNS.values()]
+    return ("row", "point", *words, *noise, *registry.readings(), *POINT, *BOARD_POINT)
 
 
 def list_columns(table: Table) -> str:
@@ -88,7 +98,7 @@ def column_names(table: Table, columns: ColumnsInput = None) -> set[str] | None:
         columns: What is said of the columns, as by ``--columns``; None: nothing.
 
     Returns:
-        The names in the header, and those that they are mapped to; None where a brand maps them to the joints of a
+        The names in the header, and those that they are mapped to; None if a brand maps them to the joints of a
         robot, whichever these are.
     """
     options = column_options(columns)
@@ -122,42 +132,47 @@ def name_columns(
     options = column_options(columns)
     renamed = _renamed(table, options.names)
     renamed = _renamed_by_brand(table, joint_names, options, renamed) | renamed
-    known = _names_in_any_case(options)
+    in_any_case = {name: name for name in (*reserved(), STATUS)}
+    in_any_case.update(orientations.IN_ANY_CASE)
+    for convention in options.conventions:
+        in_any_case.update({name.casefold(): name for name in convention.columns})
+
     named: dict[str, Column] = {}
     groups: list[Column] = []
     for index, label in enumerate(table.header):
-        if not label:
+        name, symbol = split_header(renamed.get(index, label))
+        if not label or (index in renamed and name == IGNORE):
             continue
-        column = _column(table, index, renamed)
-        if column is None:
-            continue
-        if column.name not in joint_names:
-            column = replace(column, name=known.get(column.name.casefold(), column.name))
-        is_group = column.name == "group"
+        written_symbol = split_header(label)[1]
+        if symbol is not None and written_symbol is not None and symbol != written_symbol:
+            raise MeasurementError(
+                f"{table.source}, column '{label}': --columns gives it another unit, "
+                f"'{renamed[index]}'. Correct one of them."
+            )
+        if name not in joint_names:
+            name = in_any_case.get(name.casefold(), name)
+        column = Column(index, label, name, symbol or written_symbol)
+        is_group = name == "group"
         if is_group:
             groups.append(column)
         # Only groups that --columns maps are joined: two that happen to be called so were hardly
         # meant to be.
         is_joined = is_group and any(group.index in renamed for group in groups)
-        if column.name in named and not is_joined:
-            _fail_on_two(table, named[column.name], column)
-        named.setdefault(column.name, column)
+        if name in named and not is_joined:
+            first = named[name]
+            raise MeasurementError(
+                f"{table.source}: two columns are called '{name}': number {first.index + 1} "
+                f"('{first.label}') and number {index + 1} ('{label}'). Rename one, or leave "
+                f'one out: --columns "{label}=-".'
+            )
+        named.setdefault(name, column)
     return named, tuple(groups)
 
 
-def _names_in_any_case(options: ColumnOptions) -> dict[str, str]:
-    """Return calib's names of columns by what they are in lower case."""
-    known = {name: name for name in (*reserved(), STATUS)}
-    known.update(orientations.IN_ANY_CASE)
-    for convention in options.conventions:
-        known.update({name.casefold(): name for name in convention.columns})
-    return known
-
-
 def _renamed(table: Table, columns: Mapping[str, str]) -> dict[int, str]:
-    """Return what ``columns`` maps columns to, by their position in the table, from 0.
+    """Return what ``--columns`` maps columns to, by their position in the table, from 0.
 
-    Keys are the names as written in the table, so that two columns can swap theirs.
+    The names in it are those written in the table, so that two columns can swap theirs.
     """
     written = {i: split_header(label)[0] for i, label in enumerate(table.header) if label}
     renamed: dict[int, str] = {}
@@ -178,9 +193,9 @@ def _renamed_by_brand(
     options: ColumnOptions,
     renamed: Mapping[int, str],
 ) -> dict[int, str]:
-    """Return what the brand of ``options`` maps columns to, by their position, from 0, with units where they have none.
+    """Return what a brand maps columns to, by their position, from 0, with the brand's unit if they have none.
 
-    Columns and joints that ``renamed`` has, and columns that are called as their joints, are none of the brand's.
+    Columns and joints that are renamed already, and columns that are called as their joints, are not the brand's.
     """
     brand = options.brand_entry
     if brand is None:
@@ -189,76 +204,19 @@ def _renamed_by_brand(
     free_columns = {
         i: name for i, name in written.items() if i not in renamed and name not in joint_names
     }
-    free_joints = _joints_without_column(joint_names, written.values(), renamed)
+    taken = {split_header(name)[0] for name in renamed.values()} | set(written.values())
+    free_joints = [name for name in joint_names if name not in taken]
     by_brand = names_by_brand(brand, table.source, free_columns, free_joints)
-    turning = () if joint_names else tuple(by_brand.values())
-    return _with_units(table, by_brand, _units_by_brand(brand, turning))
 
-
-def _with_units(table: Table, names: Mapping[int, str], units: Mapping[str, str]) -> dict[int, str]:
-    """Return calib's names of columns, by position, with the unit of each whose header has none.
-
-    Args:
-        table: The table.
-        names: The names, by position, from 0.
-        units: Units by names; none, or an empty one, for a column without unit.
-    """
+    # Without the robot it is not known which axes slide; they are taken as turning.
+    units = dict.fromkeys(() if joint_names else by_brand.values(), COMMON["angle"])
+    units |= dict.fromkeys(POINT, COMMON["length"])
+    units |= dict.fromkeys(brand.orientation, orientations.find_convention(brand.name).unit)
     result = {}
-    for i, name in names.items():
+    for i, name in by_brand.items():
         has_unit = split_header(table.header[i])[1] is not None or not units.get(name)
         result[i] = name if has_unit else f"{name} [{units[name]}]"
     return result
-
-
-def _joints_without_column(
-    joint_names: Sequence[str], written: Iterable[str], renamed: Mapping[int, str]
-) -> list[str]:
-    """Return the joints that no column is called or mapped to.
-
-    Args:
-        joint_names: Names of the joints.
-        written: Names of the columns as written, without units.
-        renamed: Names that columns are mapped to, with or without units, by their positions.
-    """
-    taken = {split_header(name)[0] for name in renamed.values()} | set(written)
-    return [name for name in joint_names if name not in taken]
-
-
-def _units_by_brand(brand: Brand, turning: Sequence[str]) -> dict[str, str]:
-    """Return the units of columns of a brand's table that name none, by calib's names.
-
-    Args:
-        brand: The brand.
-        turning: Columns that are angles unless they are a position's or an orientation's: the axes where the joints
-            of the robot, and with them those that slide, are not known.
-    """
-    units = dict.fromkeys(turning, COMMON["angle"])
-    units |= dict.fromkeys(POINT, COMMON["length"])
-    return units | dict.fromkeys(brand.orientation, orientations.find_convention(brand.name).unit)
-
-
-def _column(table: Table, index: int, renamed: Mapping[int, str]) -> Column | None:
-    """Return a column with the name and unit that it is read by; None if it is not to be read."""
-    label = table.header[index]
-    name, symbol = split_header(renamed.get(index, label))
-    if index in renamed and name == IGNORE:
-        return None
-    written_symbol = split_header(label)[1]
-    if symbol is not None and written_symbol is not None and symbol != written_symbol:
-        raise MeasurementError(
-            f"{table.source}, column '{label}': --columns gives it another unit, "
-            f"'{renamed[index]}'. Correct one of them."
-        )
-    return Column(index, label, name, symbol or written_symbol)
-
-
-def _fail_on_two(table: Table, first: Column, second: Column) -> NoReturn:
-    """Refuse two columns of one name."""
-    raise MeasurementError(
-        f"{table.source}: two columns are called '{second.name}': number {first.index + 1} "
-        f"('{first.label}') and number {second.index + 1} ('{second.label}'). Rename one, or leave "
-        f'one out: --columns "{second.label}=-".'
-    )
 
 
 def with_unit(
@@ -283,7 +241,7 @@ def with_unit(
         The column.
 
     Raises:
-        MeasurementError: It has no unit, one of another quantity, or one where there is none.
+        MeasurementError: It has no unit, one of another quantity, or a unit although it must not have one.
     """
     kind_of_column = f" ({what})" if what else ""
     where = f"{table.source}, column '{column.label}'{kind_of_column}"
@@ -309,7 +267,7 @@ def with_unit(
 def joint_with_unit(
     table: Table, column: Column, joint_type: str | None, options: ColumnOptions
 ) -> Column:
-    """Return a joint's column in a unit that fits the joint, which ``options`` may say where the column has none.
+    """Return a joint's column in a unit that fits the joint, which ``options`` may say if the column has none.
 
     Args:
         table: The column's table, for messages.
@@ -336,7 +294,7 @@ def joint_with_unit(
 
 
 def cells_of(values: Array, unit: str) -> list[object]:
-    """Return the cells of a column of numbers, empty where nothing was measured.
+    """Return the cells of a column of numbers, empty if nothing was measured.
 
     Args:
         values: Numbers in SI units, shape (N,), NaN where nothing was measured.
@@ -344,7 +302,7 @@ def cells_of(values: Array, unit: str) -> list[object]:
     """
     to_si = UNITS[unit].to_si if unit else 1.0
     exact = values / to_si
-    # Fifteen digits, as a table had them, where they give the number back to the last bit.
+    # Fifteen digits, as a table had them, if they give the number back to the last bit.
     short = np.array([float(f"{number:.15g}") for number in exact])
     written = np.where(short * to_si == values, short, exact).tolist()
     return ["" if math.isnan(number) else number for number in written]

@@ -13,7 +13,7 @@ from calib.data.checks import RowLabels, checked_numbers
 from calib.data.columns import COVARIANCE
 from calib.data.kinds import SIGMAS, Kind
 from calib.errors import MeasurementError
-from calib.numerics.pose_noise import POSE, POSE_UNITS
+from calib.numerics.correlated_noise import POSE, POSE_UNITS
 
 #: Least and largest entry [m^2, m rad, rad^2].
 _ENTRIES = (-(SIGMAS[1] ** 2), SIGMAS[1] ** 2)
@@ -65,7 +65,7 @@ def checked_covariances(labels: RowLabels, values: ArrayLike | None, poses: Mask
 def _check(labels: RowLabels, index: int, C: Array) -> None:
     """Check the covariance of a row, from 0, shape (6, 6)."""
     if not np.any(C):
-        labels.fail(index, "the covariance is zero; leave out the columns where it is not known")
+        labels.fail(index, "the covariance is zero; leave out the columns if it is not known")
     std = np.sqrt(np.maximum(np.diagonal(C), 0.0))
     if not np.all((std >= SIGMAS[0]) & (std <= SIGMAS[1])):
         allowed = f"{SIGMAS[0]:g} to {SIGMAS[1]:g}, in SI units"

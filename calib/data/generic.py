@@ -1,4 +1,4 @@
-"""What a plan or an inspection assumes where nothing was measured: a table of poses, generic places."""
+"""Assumptions of plans and inspections without measurements: a table of poses, a generic target and anchor."""
 
 from __future__ import annotations
 

@@ -80,7 +80,11 @@ def robot_of(
     _check_robot(robot, argument)
     cell = cell or Cell()
     if isinstance(robot, Robot):
-        _check_coupling(robot, cell)
+        if cell.coupling and cell.coupling != robot.reading_coupling:
+            raise CalibError(
+                f"The cell couples the readings of {choices(cell.coupling)} otherwise than the robot that was given. "
+                "Give the robot's path in place of the Robot, or load it so: Robot.load(..., coupling=cell.coupling)."
+            )
         return robot
     urdf = read(str(robot))
     return Robot.from_urdf(urdf, cell.base, cell.tip, measured, cell.held, cell.coupling)
@@ -89,15 +93,6 @@ def robot_of(
 def chain_of(robot: Robot) -> Cell:
     """Return the base, the tip, the held joints and the coupled readings of a robot, as a cell."""
     return Cell(base=robot.base, tip=robot.tip, held=robot.held, coupling=robot.reading_coupling)
-
-
-def _check_coupling(robot: Robot, cell: Cell) -> None:
-    """Refuse a cell that couples other readings than a robot that was given, for the robot's would count."""
-    if cell.coupling and cell.coupling != robot.reading_coupling:
-        raise CalibError(
-            f"The cell couples the readings of {choices(cell.coupling)} otherwise than the robot that was given. Give "
-            "the robot's path in place of the Robot, or load it so: Robot.load(..., coupling=cell.coupling)."
-        )
 
 
 def inputs_of(
@@ -119,19 +114,19 @@ def inputs_of(
         ArgumentError: One of them has a wrong type.
         CalibError: A file cannot be read; the class is the reader's.
     """
-    setup = cell_of(cell)
+    cell = cell_of(cell)
     _check_robot(robot, "robot")
     check_type("measurements", table, (Measurements, str, Path), TABLE)
     if isinstance(table, Measurements):
-        return robot_of(robot, setup, measured=table.joint_names, read=read), table, setup
+        return robot_of(robot, cell, measured=table.joint_names, read=read), table, cell
     read_table = Table.read(table)
-    arm = robot_of(robot, setup, measured=column_names(read_table), read=read)
-    measurements = Measurements.read(read_table, arm.joint_names, arm.joint_types, kind=setup.kind)
-    return arm, measurements, setup
+    arm = robot_of(robot, cell, measured=column_names(read_table), read=read)
+    measurements = Measurements.read(read_table, arm.joint_names, arm.joint_types, kind=cell.kind)
+    return arm, measurements, cell
 
 
 def _check_robot(robot: object, argument: str) -> None:
-    """Refuse what is no robot, and the path of a table in its place."""
+    """Refuse what is not a robot, and the path of a table in its place."""
     check_type(argument, robot, (Robot, str, Path), ROBOT)
     if isinstance(robot, (str, Path)) and is_other_table(robot):
         raise CalibError(

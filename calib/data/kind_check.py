@@ -113,12 +113,7 @@ def _at_rows(kind: Checked, values: Array) -> Array:
 
 
 def _moved(poses: Array, twist: Array) -> Array:
-    """Return poses moved by a twist [m and rad] along the axes of their frame.
-
-    Args:
-        poses: shape (n, rows, 4, 4) [m].
-        twist: shape (rows, 6), velocity of the origin, then angular velocity, of each row.
-    """
+    """Return poses (n, rows, 4, 4) moved by a twist (rows, 6) [m and rad] along the axes of their frame."""
     moved: Array = poses.copy()
     moved[..., :3, :3] = Rotation.from_rotvec(twist[:, 3:]).as_matrix() @ poses[..., :3, :3]
     moved[..., :3, 3] += twist[:, :3]
@@ -154,12 +149,7 @@ def _differences(kind: Checked, measured: Array, poses: Array) -> Array:
 
 
 def _check_turns(kind: Checked, expected: Array) -> None:
-    """Check that the residual does not depend on the orientation of the target, if the kind states so.
-
-    Args:
-        kind: The kind.
-        expected: Its derivative by differences, shape (n, s, p).
-    """
+    """Check, by the differences (n, s, p), that the residual does not depend on orientations if the kind states so."""
     if kind.depends_on_orientation:
         return
     without_turns = expected.copy()
@@ -176,14 +166,7 @@ def _check_turns(kind: Checked, expected: Array) -> None:
 
 
 def _check_derivative(kind: Checked, measured: Array, poses: Array, expected: Array) -> None:
-    """Compare the derivative with differences, for each number of rows that the twists may have.
-
-    Args:
-        kind: The kind.
-        measured: Readings at the poses, shape (n, k).
-        poses: shape (n, rows, 4, 4) [m].
-        expected: Its derivative by differences, shape (n, s, p).
-    """
+    """Compare the derivative with the differences (n, s, p), for each number of rows that the twists may have."""
     T = _at_rows(kind, poses)
     twists = np.tile(_twists(poses.shape[1]), (len(poses), 1, 1, 1))
     meaning = "units by parameters"
@@ -213,18 +196,7 @@ def _motion(kind: Checked, parameter: int) -> str:
 def _called(
     kind: Checked, name: str, call: Callable[[], Any], shape: tuple[int, ...], meaning: str
 ) -> Array:
-    """Call a function of a kind and return its result.
-
-    Args:
-        kind: The kind.
-        name: Name of the function.
-        call: The function with its arguments.
-        shape: Shape that the result must have.
-        meaning: What the axes of the result are, for the message.
-
-    Raises:
-        CalibError: It raises an exception, or its result has another shape or is not made of numbers.
-    """
+    """Call a function of a kind; CalibError if it fails, or if its result is not an array of numbers of the shape."""
     where = f"The kind '{kind.name}': '{name}'"
     must = f"it must return an array of shape {shape} for {shape[0]} poses: {meaning}"
     try:

@@ -12,8 +12,9 @@ With the pose (R, p) of the target in its measurement frame, what is measured, w
 
 P is the corner on the board, which is the target, and f the camera's lens; see `calib.camera.optics`.
 
-Ball in a socket, anchored distance and plane are thus points, of which some coordinates are measured in a frame that is
-unknown in some directions: one error model for all. `register` adds a kind from outside; see docs/extending.md.
+A ball in a socket, an anchored distance and a plane are thus points: some of their coordinates are measured, in a frame
+that is unknown in some directions. One error model serves all. `register` adds a kind from outside; see
+docs/extending.md.
 """
 
 from __future__ import annotations
@@ -29,10 +30,10 @@ import calib.basics.plugins as plugins
 from calib.basics.arguments import check_type
 from calib.basics.arrays import Array
 from calib.basics.channels import RESIDUAL_UNITS
+from calib.basics.units import UNITS, Quantity
 from calib.basics.values import Value
 from calib.camera.optics import image_derivatives, images
 from calib.data.kind_check import check_functions
-from calib.data.reading import Reading as Reading
 from calib.errors import CalibError, MeasurementError, choices
 from calib.model.error_model import DIRECTIONS
 from calib.numerics.geometry import inverse_right_jacobian
@@ -51,6 +52,32 @@ _TINY = 1e-12
 _RANK_TOLERANCE = 1e-9
 
 
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """A column of the table with a number that rows of a kind measure.
+
+    Raises:
+        CalibError: The quantity is none of these.
+    """
+
+    #: Name of the column without its unit, ``"distance"``.
+    name: str
+    #: What it measures: ``"length"``, ``"angle"`` or ``"pixel"``.
+    quantity: Quantity = "length"
+    #: Whether it is always greater than zero, as a distance is.
+    positive: bool = False
+
+    def __post_init__(self) -> None:
+        """Check the quantity."""
+        allowed = [unit.quantity for unit in RESIDUAL_UNITS.values()]
+        if self.quantity not in allowed:
+            unit = UNITS.get(str(self.quantity))
+            hint = f"; '{unit.symbol}' is a unit of '{unit.quantity}'" if unit else ""
+            raise CalibError(
+                f"The reading '{self.name}' has the quantity '{self.quantity}'; allowed are {choices(allowed)}{hint}."
+            )
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Kind(Value):
     """A kind of measurement: what its rows measure, and the prediction with its derivative.
@@ -63,7 +90,7 @@ class Kind(Value):
     * ``T_frame_target``, shape (n, 4, 4) [m]: pose of the target in the measurement frame.
     * ``twists``, shape (n, 6, p): derivative of these poses by p parameters, along the axes of the
       measurement frame: velocity of the target's origin [m per parameter unit], then angular
-      velocity [rad per parameter unit]. Only the first three rows, (n, 3, p), where no row of the
+      velocity [rad per parameter unit]. Only the first three rows, (n, 3, p), if no row of the
       table depends on the orientation of its target.
 
     Of a ``paired`` kind poses and twists are those of both rows: (n, 2, 4, 4), (n, 2, 6, p).
@@ -95,7 +122,7 @@ class Kind(Value):
     position: bool = False
     #: Whether an orientation is measured, with the position. The next three units are its angles, a rotation vector.
     orientation: bool = False
-    #: Whether the residual depends on the target's orientation, not on its position alone. None: it does where an
+    #: Whether the residual depends on the target's orientation, not on its position alone. None: it does if an
     #: orientation or another angle is measured.
     turns: bool | None = None
     #: The other columns that are measured.
@@ -283,7 +310,7 @@ def register(kind: Kind) -> None:
             those of a kind that is registered.
 
     Raises:
-        ArgumentError: It is no kind.
+        ArgumentError: It is not a kind.
         CalibError: A kind or a column of this name is registered, or one of its functions is wrong at generic poses;
             see `calib.data.kind_check.check_functions`.
     """
@@ -459,16 +486,9 @@ def _settled_plane(T_frame_base: Array) -> Array:
 
 
 def _plane_frame(normal: Array, distance: float) -> Array:
-    """Return the frame of a plane, with its origin and axes as near to the base's as can be.
+    """Return T_frame_base of a frame whose x-y plane is n . p = d, its origin and axes as near to the base's as can be.
 
-    Its z axis points to the side on which the largest component of the normal is positive.
-
-    Args:
-        normal: Unit normal of the plane in the base, shape (3,); its sign does not matter.
-        distance: Distance from the base to the plane along ``normal``, signed [m].
-
-    Returns:
-        T_frame_base of a frame whose x-y plane is the plane, shape (4, 4) [m].
+    The z axis points to the side on which the largest component of the unit normal n is positive.
     """
     sign = float(np.sign(normal[np.argmax(np.abs(normal))]))
     axis = np.cross(sign * normal, [0.0, 0.0, 1.0])

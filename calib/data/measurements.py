@@ -17,11 +17,9 @@ from calib.basics.arguments import check_names, mask_of_rows, numbers
 from calib.basics.arrays import Array, Mask, read_only
 from calib.basics.channels import RESIDUAL_UNITS, residual_unit
 from calib.basics.files import csv_bytes, write_atomically
-from calib.basics.mappings import ReadOnlyMapping
-from calib.basics.short import one_line
 from calib.basics.tables import Table
 from calib.basics.units import Quantity
-from calib.basics.values import Value
+from calib.basics.values import ReadOnlyMapping, Value, one_line
 from calib.data.checks import (
     RowLabels,
     by_word,
@@ -40,13 +38,11 @@ from calib.data.checks import (
 from calib.data.columns import (
     BOARD_POINT,
     COMMON,
-    DEFAULT_TARGET,
     POINT,
-    SETS,
     TORQUE,
+    WORD_COLUMNS,
     cells_of,
 )
-from calib.data.copies import repeats_of_earlier
 from calib.data.covariances import (
     checked_covariances,
     covariance_columns,
@@ -61,14 +57,6 @@ from calib.data.points_file import read_points
 from calib.data.values import read_values
 from calib.errors import MeasurementError, choices
 from calib.numerics.geometry import FARTHEST, to_quaternions
-
-#: Attributes with a word a row, and the word where they are not given.
-_WORDS = {
-    **dict.fromkeys(("groups", "pairs", "approaches", "images", "corners"), ""),
-    "sets": SETS[0],
-    "targets": DEFAULT_TARGET,
-    "kinds": "point",
-}
 
 #: Attributes that are arrays with an entry a row.
 _ARRAYS = ("joints", "points", "rotations", "distances", "torques", "board_points", "covariances")
@@ -138,7 +126,7 @@ class Measurements(Value):
     #: Row numbers left out by `without_copies`, as the table has them.
     copies: tuple[int, ...] = ()
     #: Convention in which the table gave the orientations, one of `calib.data.forms.orientations.CONVENTIONS`; empty
-    #: where it gave none.
+    #: if it gave none.
     orientation: str = ""
     #: Names of the directions that the poses were approached from; ``""`` when not given.
     approaches: tuple[str, ...] = ()
@@ -161,75 +149,51 @@ class Measurements(Value):
         for name in ("joint_names", "prismatic", "ignored", "unmeasured", "copies"):
             fill(name, tuple(getattr(self, name)))
         fill("rows", tuple(self.rows) or tuple(range(1, count + 1)))
-        for name, word in _WORDS.items():
+        for name, (_, word) in WORD_COLUMNS.items():
             fill(name, tuple(getattr(self, name)) or (word,) * count)
         labels = self._labels()
-        check_words(labels, {name: getattr(self, name) for name in _WORDS}, count)
+        check_words(labels, {name: getattr(self, name) for name in WORD_COLUMNS}, count)
         check_joint_names(labels)
         if any(self.pairs):
             words = zip(self.paired.tolist(), self.pairs, strict=True)
             fill("pairs", tuple(word if is_paired else "" for is_paired, word in words))
         given = {"distance": self.distances, **self.readings}
         readings = checked_readings(labels, given, self.pair_rows)
-        for name, array in self._checked_arrays(labels).items():
+        fill("distances", readings.pop("distance", None))
+        fill("readings", ReadOnlyMapping(readings))
+
+        is_oriented = self.where(lambda kind: kind.orientation)
+        is_image = self.where(lambda kind: kind.optical)
+        for name, tail, rows in (
+            ("joints", (len(self.joint_names),), np.ones(count, dtype=np.bool_)),
+            ("points", (3,), self.positions),
+            ("rotations", (3, 3), is_oriented),
+            ("board_points", (3,), is_image),
+        ):
+            array = checked_numbers(labels, name, getattr(self, name), tail, rows, _REACH)
+            if array is None and name in ("joints", "points"):
+                array = read_only(np.full((count, *tail), np.nan))
             fill(name, array)
         if self.rotations is not None:
-            has_rotation = self.where(lambda kind: kind.orientation)
-            check_rotations(labels, self.rotations, has_rotation)
+            check_rotations(labels, self.rotations, is_oriented)
         if self.torques is not None:
             fill("torques", read_only(numbers("torques", self.torques, "of shape (N, n)")))
             check_torques(labels, self.torques)
-        fill("distances", readings.pop("distance", None))
-        fill("readings", ReadOnlyMapping(readings))
         poses = self.where(may_have_covariance)
         fill("covariances", checked_covariances(labels, self.covariances, poses))
-        fill("sigma", ReadOnlyMapping(self._checked_sigma(labels)))
+
+        sigma = {}
+        for symbol, values in self.sigma.items():
+            unit = residual_unit(symbol)
+            has_unit = self.where(lambda kind, symbol=symbol: symbol in kind.units)  # type: ignore[misc]
+            std = checked_numbers(labels, unit.sigma_name, values, (), has_unit, SIGMAS)
+            if std is not None:
+                sigma[symbol] = std
+        fill("sigma", ReadOnlyMapping(sigma))
 
     def _labels(self) -> RowLabels:
         """Return what messages call the rows."""
         return RowLabels(self.source, self.rows, self.kinds, self.joint_names)
-
-    def _checked_arrays(self, labels: RowLabels) -> dict[str, Array | None]:
-        """Return the checked arrays by attribute, NaN in rows that do not measure them."""
-        count = len(labels.rows)
-        every_row = np.ones(count, dtype=np.bool_)
-        has_rotation = self.where(lambda kind: kind.orientation)
-        specifications = (
-            ("joints", (len(self.joint_names),), every_row, _REACH),
-            ("points", (3,), self.positions, _REACH),
-            ("rotations", (3, 3), has_rotation, _REACH),
-            ("board_points", (3,), self.where(lambda kind: kind.optical), _REACH),
-        )
-        arrays: dict[str, Array | None] = {}
-        for name, tail, rows, limits in specifications:
-            array = checked_numbers(labels, name, getattr(self, name), tail, rows, limits)
-            if array is None and name in ("joints", "points"):
-                array = read_only(np.full((count, *tail), np.nan))
-            arrays[name] = array
-        return arrays
-
-    def _checked_sigma(self, labels: RowLabels) -> dict[str, Array]:
-        """Return the checked standard deviations by unit, NaN in rows that measure nothing in it."""
-        result = {}
-        for symbol, values in self.sigma.items():
-            unit = residual_unit(symbol)
-            has_unit = self.where(lambda kind, symbol=symbol: symbol in kind.units)  # type: ignore[misc]
-            array = checked_numbers(labels, unit.sigma_name, values, (), has_unit, SIGMAS)
-            if array is not None:
-                result[symbol] = array
-        return result
-
-    def _check_complete(self) -> None:
-        """Refuse a table without rows to estimate from, incomplete pairs, groups of too few rows."""
-        if not self.estimation.any():
-            raise MeasurementError(
-                f"{self.source}, column 'set': no measured row is 'estimate', all {len(self)} are "
-                "'validate'. Mark those to estimate from, or remove the column."
-            )
-        labels = self._labels()
-        check_pairs(labels, by_word(self.pairs, self.paired), self.sets)
-        for kind in set(self.kinds):
-            check_groups(labels, kind, by_word(self.groups, self.of_kind(kind)))
 
     # Reading
 
@@ -286,7 +250,16 @@ class Measurements(Value):
             points_elsewhere=elsewhere is not None,
         )
         measurements = cls(**read_values(table, layout, elsewhere))
-        measurements._check_complete()
+        if not measurements.estimation.any():
+            raise MeasurementError(
+                f"{measurements.source}, column 'set': no measured row is 'estimate', all "
+                f"{len(measurements)} are 'validate'. Mark those to estimate from, or remove the column."
+            )
+        labels = measurements._labels()
+        pairs = by_word(measurements.pairs, measurements.paired)
+        check_pairs(labels, pairs, measurements.sets)
+        for name in set(measurements.kinds):
+            check_groups(labels, name, by_word(measurements.groups, measurements.of_kind(name)))
         return measurements
 
     @staticmethod
@@ -336,7 +309,7 @@ class Measurements(Value):
 
     @property
     def paired(self) -> Mask:
-        """True for the rows of paired kinds, of which two give one measurement, shape (N,), read-only."""
+        """True for the rows of paired kinds, two of which give one measurement, shape (N,), read-only."""
         return self.where(lambda kind: kind.paired)
 
     @property
@@ -348,7 +321,7 @@ class Measurements(Value):
     def pair_rows(self) -> NDArray[np.intp]:
         """Indices, from 0, of the two rows of each pair, shape (P, 2), read-only.
 
-        A pair of which one row was deselected is left out.
+        A pair that lost one of its rows to a selection is left out.
         """
         by_pair = by_word(self.pairs, self.paired).values()
         complete = [indices for indices in by_pair if len(indices) == 2]
@@ -431,7 +404,7 @@ class Measurements(Value):
         chosen = mask_of_rows("mask", mask, len(self))
         is_chosen = chosen.tolist()
         kept: dict[str, Any] = {}
-        for name in (*_WORDS, "rows"):
+        for name in (*WORD_COLUMNS, "rows"):
             kept[name] = tuple(compress(getattr(self, name), is_chosen))
         for name in _ARRAYS:
             values = getattr(self, name)
@@ -452,9 +425,12 @@ class Measurements(Value):
         given = [getattr(self, name) for name in _ARRAYS if name != "torques"]
         arrays = [*given, *self.readings.values()]
         numbers = np.hstack([a.reshape(len(self), -1) for a in arrays if a is not None])
-        is_repeated = repeats_of_earlier(
-            zip(self.kinds, self.groups, self.targets, strict=True), numbers
-        )
+        seen = set()
+        is_repeated = np.zeros(len(self), dtype=np.bool_)
+        for i, words in enumerate(zip(self.kinds, self.groups, self.targets, strict=True)):
+            row = (*words, numbers[i].tobytes())  # NaN is a number as any other
+            is_repeated[i] = row in seen
+            seen.add(row)
         measures_number = self.where(lambda kind: kind.size > 0)
         is_copy = is_repeated & ~self.paired & measures_number
         copies = tuple(compress(self.rows, is_copy.tolist()))
@@ -465,8 +441,8 @@ class Measurements(Value):
     def write(self, path: str | Path, *, overwrite: bool = False) -> None:
         """Write a CSV table in degrees and millimetres that `read` gives back.
 
-        Numbers come back to the last bit where they came from a table in these units, to 1e-15 of them where not, as
-        for hardly any number of radians are there degrees that are it exactly. Orientations come back to 1e-15.
+        Numbers that came from a table in these units come back to the last bit, others to a relative 1e-15, because
+        hardly any number of radians is exactly a number of degrees. Orientations come back to 1e-15.
 
         Args:
             path: The file.
@@ -475,7 +451,11 @@ class Measurements(Value):
         Raises:
             FileError: The file exists and ``overwrite`` is False, or it cannot be written.
         """
-        columns = self._word_columns()
+        columns: dict[str, Sequence[object]] = {"row": self.rows, "set": self.sets}
+        for attribute, (name, default) in WORD_COLUMNS.items():
+            words = getattr(self, attribute)
+            if set(words) - {default}:
+                columns[name] = words
         for name, quantity, values in self._number_columns():
             if values is None or (len(values) and np.isnan(values).all()):
                 continue
@@ -485,24 +465,8 @@ class Measurements(Value):
         rows = [columns, *zip(*columns.values(), strict=True)]
         write_atomically(path, csv_bytes(rows), overwrite=overwrite)
 
-    def _word_columns(self) -> dict[str, Sequence[object]]:
-        """Return the columns of words to write by name; those that would say nothing are left out."""
-        columns: dict[str, Sequence[object]] = {"row": self.rows, "set": self.sets}
-        if set(self.kinds) - {"point"}:
-            columns["kind"] = self.kinds
-        if set(self.targets) - {DEFAULT_TARGET}:
-            columns["target"] = self.targets
-        further = {
-            "group": self.groups,
-            "pair": self.pairs,
-            "approach": self.approaches,
-            "image": self.images,
-            "corner": self.corners,
-        }
-        return columns | {name: words for name, words in further.items() if any(words)}
-
     def _number_columns(self) -> Iterator[_NumberColumn]:
-        """Return the columns of numbers to write, in SI units; None or NaN where there are none."""
+        """Yield the columns of numbers to write, in SI units; None or NaN for those without numbers."""
         for i, name in enumerate(self.joint_names):
             slides = name in self.prismatic
             yield name, "length" if slides else "angle", self.joints[:, i]

@@ -103,7 +103,7 @@ def check_units(table: Table, layout: Layout, numbers: Mapping[str, Array]) -> N
 
     Raises:
         MeasurementError: A length, an angle or a quaternion is implausible; the message names the
-            column, the row where one is to blame, and the unit that is likely meant.
+            column, the row if a single one is to blame, and the unit that is likely meant.
     """
     for name, block in numbers.items():
         columns = layout.blocks[name]
@@ -159,7 +159,7 @@ def _quaternion_fault(values: Array) -> Fault | None:
 
 
 def _matrix_fault(values: Array) -> Fault | None:
-    """Return the first matrix, of (N, 9), that is no rotation: R^T R = 1, and the determinant is 1."""
+    """Return the first matrix, of (N, 9), that is not a rotation: R^T R = 1, and the determinant is 1."""
     R = values.reshape(-1, 3, 3)
     squares = R.transpose(0, 2, 1) @ R - np.eye(3)
     is_wrong = np.abs(squares).max(axis=(1, 2)) > _MATRIX_TOLERANCE
@@ -167,14 +167,14 @@ def _matrix_fault(values: Array) -> Fault | None:
     if not wrong.size:
         return None
     what = (
-        "the matrix is no rotation: its columns r11 r21 r31 and so on are perpendicular unit vectors, and its "
+        "the matrix is not a rotation: its columns r11 r21 r31 and so on are perpendicular unit vectors, and its "
         f"determinant is 1, here {np.linalg.det(R[wrong[0]]):.6g}."
     )
     return Fault(int(wrong[0]), 0, what)
 
 
 def _check_covariances(table: Table, values: Array) -> None:
-    """Refuse covariances, of (N, 36), by half of which positions are measured worse than by any camera."""
+    """Refuse covariances, of (N, 36), half of which imply positions that are measured worse than by any camera."""
     complete = values[np.isfinite(values).all(axis=1)]
     if not len(complete):
         return
@@ -182,16 +182,17 @@ def _check_covariances(table: Table, values: Array) -> None:
     std = np.sqrt(np.maximum(np.median(np.mean(variances, axis=1)), 0.0))
     if std > RESIDUAL_UNITS["m"].absurd:
         raise MeasurementError(
-            f"{table.source}: by half of the covariances a coordinate has a standard deviation of {std:.2g} m or more. "
+            f"{table.source}: half of the covariances imply a standard deviation of {std:.2g} m or more for a "
+            "coordinate. "
             "They are variances, in m^2, m rad and rad^2. Where lengths are in mm, divide the first three rows by 1000 "
-            "and then the first three columns; where these are standard deviations, square them."
+            "and then the first three columns; if these are standard deviations, square them."
         )
 
 
 def _degrees_fault(layout: Layout, values: Array) -> Fault | None:
     """Return the first rotation vector beyond half a turn, of (N, 3) [rad], that may be three angles just as well.
 
-    Only where the columns may be of another convention, and none was named.
+    Only if the columns may be of another convention, and none was named.
     """
     orientation = layout.orientation
     if orientation is None or not orientation.alternatives:

@@ -5,10 +5,9 @@ from __future__ import annotations
 import csv
 import re
 from collections.abc import Sequence
-from dataclasses import replace
 from itertools import pairwise, takewhile
 from pathlib import Path
-from typing import NamedTuple, NoReturn
+from typing import NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +29,7 @@ _COMMENT = ("#", "//", "!", "%", ";")
 #: A ruled line.
 _RULE = re.compile(r"[-=_*+\s]+")
 
-#: A coordinate behind its label, and what separates it from the next.
+#: A coordinate after its label, and what separates it from the next.
 _LABELLED = r"[=:,;\s]+([+-]?[.,]?\d[\d.,']*(?:[eE][+-]?\d+)?)(?=[\s,;)}]|$)"
 
 #: A line with labels between the numbers: ``P1 X 1 Y 2 Z 3``, ``P1: X=1, Y=2, Z=3``; what follows is not used.
@@ -51,8 +50,8 @@ _NAMES = (
     *("point", "name", "pointname", "point name", "point id", "pointid", "id", "label", "target"),
 )
 
-#: Symbols of units by the words for them. "in" is also a word, so it only counts where no other
-#: unit stands.
+#: Symbols of units by the words for them. "in" is also a preposition, so it only counts if no other
+#: unit is named.
 _UNIT_WORDS = {
     **dict.fromkeys(("mm", "millimeter", "millimeters", "millimetre", "millimetres"), "mm"),
     **dict.fromkeys(("m", "meter", "meters", "metre", "metres"), "m"),
@@ -68,8 +67,8 @@ def read_points(path: str | Path, unit: str | None = None) -> Points:
 
     The cells are separated by blanks, tabs, commas or semicolons; there may be labels between the numbers, ``X 1 Y 2 Z
     3``. Lines before the first point, and those that begin with #, //, !, % or ;, are remarks. A header with the cells
-    x, y, z tells the order; without one the three numbers behind the name count. All coordinates together, or a remark
-    (``Decimal: comma``), tell whether a comma is decimal or stands between thousands. The unit comes from a remark
+    x, y, z gives the order; without one the three numbers after the name count. All coordinates together, or a remark
+    (``Decimal: comma``), decide whether a comma is decimal or stands between thousands. The unit comes from a remark
     (``Units: mm``), from the header (``x [mm]``) or from ``unit``.
 
     Args:
@@ -83,61 +82,53 @@ def read_points(path: str | Path, unit: str | None = None) -> Points:
         MeasurementError: No such file, no points in it, no unit or two; the text names the file and the line.
     """
     source, sha256, text = read_text(path, "The list of points")
-    content = _content_of(text)
-    if not content.lines:
+    written = text.split("\n")
+    plain_lines = [_without_labels(line) for line in written]
+    first = _first_point(plain_lines)
+    if first is None:
         raise MeasurementError(
             f"{source}: no line of it holds three numbers. A list of points has lines such as "
             "'P1 100.0 200.0 300.0', separated by blanks, tabs, commas or semicolons."
         )
-    cells = _padded(content.cells)
-    table = Table(source, sha256, content.separator, (), tuple(content.lines), cells)
-    name_columns, point_columns = _columns(table, content.headings)
-    length_unit = _find_unit(content.remarks, unit, source)
-    table = _with_plain_numbers(table, point_columns, decimal_sign_in(content.remarks))
-    metres = _positions(table, point_columns, length_unit)
-    names = _whole_names(table, name_columns)
-    return Points(names, metres, table.lines, source, sha256)
-
-
-class _Content(NamedTuple):
-    """The lines of a list of points, sorted into remarks and points."""
-
-    #: One of `_SEPARATORS`, as in the first point; empty without a point
-    separator: str
-    #: Line of each point, from 1
-    lines: list[int]
-    #: Cells of each point's line
-    cells: list[list[str]]
-    #: All remarks
-    remarks: list[str]
-    #: The remarks above the first point
-    headings: list[str]
-
-
-def _content_of(text: str) -> _Content:
-    """Sort the lines of a text into remarks and points."""
-    remarks: list[str] = []
-    headings: list[str] = []
-    separator = ""
-    lines: list[int] = []
-    cells: list[list[str]] = []
-    for number, written in enumerate(text.split("\n"), 1):
-        line = _without_labels(written)
+    headings = []
+    for line in plain_lines[:first]:
         remark = _remark(line)
-        if remark is None and not lines:
-            separator = _separator_of(line)
-            if line != written:  # the labels are its header
-                is_named = line.count("\t") == 3
-                headings.append("name\tx\ty\tz" if is_named else "x\ty\tz")
-            remark = None if separator else line.strip()
+        headings.append(line.strip() if remark is None else remark)
+    remarks = list(headings)
+    if plain_lines[first] != written[first]:  # the labels are its header
+        is_named = plain_lines[first].count("\t") == 3
+        headings.append("name\tx\ty\tz" if is_named else "x\ty\tz")
+
+    separator = _separator_of(plain_lines[first])
+    lines: list[int] = []
+    rows: list[list[str]] = []
+    for number, line in enumerate(plain_lines[first:], first + 1):
+        remark = _remark(line)
         if remark is None:
             lines.append(number)
-            cells.append(_split(line, separator))
-        elif remark:
+            rows.append(_split(line, separator))
+        else:
             remarks.append(remark)
-            if not lines:
-                headings.append(remark)
-    return _Content(separator, lines, cells, remarks, headings)
+    width = max(map(len, rows))
+    cells = tuple([*row, *[""] * (width - len(row))] for row in rows)
+    table = Table(source, sha256, separator, (), tuple(lines), cells)
+    name_columns, point_columns = _columns(table, headings)
+    length_unit = _find_unit(remarks, unit, source)
+
+    numerals = [
+        (line, row[i]) for line, row in zip(lines, cells, strict=True) for i in point_columns
+    ]
+    decimal_sign = decimal_sign_of(numerals, source, decimal_sign_in(remarks))
+    for row in cells:
+        for i in point_columns:
+            row[i] = plain(row[i], decimal_sign)
+    metres = _positions(table, point_columns, length_unit)
+
+    names: tuple[str, ...] = ()
+    if name_columns:
+        between = " " if separator == " " else PARTS
+        names = tuple(between.join(row[i] for i in name_columns).rstrip(":") for row in cells)
+    return Points(names, metres, table.lines, source, sha256)
 
 
 def _without_labels(line: str) -> str:
@@ -150,6 +141,14 @@ def _without_labels(line: str) -> str:
     return "\t".join([name, *numbers] if name else numbers)
 
 
+def _first_point(lines: Sequence[str]) -> int | None:
+    """Return the index of the first line that holds a point; None without one."""
+    for i, line in enumerate(lines):
+        if _remark(line) is None and _separator_of(line):
+            return i
+    return None
+
+
 def _separator_of(line: str) -> str:
     """Return the separator by which a line holds a point; empty if it holds none."""
     for separator in _SEPARATORS:
@@ -159,49 +158,8 @@ def _separator_of(line: str) -> str:
     return ""
 
 
-def _padded(cells: Sequence[Sequence[str]]) -> tuple[list[str], ...]:
-    """Return the rows with empty cells at their ends, all of one length."""
-    width = max(map(len, cells))
-    return tuple([*row, *[""] * (width - len(row))] for row in cells)
-
-
-def _whole_names(table: Table, columns: Sequence[int]) -> tuple[str, ...]:
-    """Return the names of the points from the columns of their parts, from 0; none without."""
-    if not columns:
-        return ()
-    between = " " if table.separator == " " else PARTS
-    return tuple(between.join(row[i] for i in columns).rstrip(":") for row in table.cells)
-
-
-def _with_plain_numbers(table: Table, columns: Sequence[int], stated: str | None) -> Table:
-    """Return the points' lines with coordinates that have a decimal point and nothing between thousands.
-
-    Args:
-        table: The points' lines.
-        columns: Positions of the columns x, y, z, from 0.
-        stated: The decimal sign that a remark states; None: none does.
-
-    Raises:
-        MeasurementError: It cannot be told which sign is decimal.
-    """
-    lines = zip(table.lines, table.cells, strict=True)
-    numerals = [(line, row[i]) for line, row in lines for i in columns]
-    decimal_sign = decimal_sign_of(numerals, table.source, stated)
-    cells = tuple(row.copy() for row in table.cells)
-    for row in cells:
-        for i in columns:
-            row[i] = plain(row[i], decimal_sign)
-    return replace(table, cells=cells)
-
-
 def _positions(table: Table, columns: Sequence[int], unit: Unit) -> NDArray[np.float64]:
-    """Return the positions of the points, shape (N, 3) [m], read-only.
-
-    Args:
-        table: The points' lines.
-        columns: Positions of the columns x, y, z in the table, from 0.
-        unit: Unit of the coordinates.
-    """
+    """Return the positions of the points, shape (N, 3) [m], read-only, from the columns x, y, z of their lines."""
     named = [Column(i, axis, axis, unit.symbol) for i, axis in zip(columns, POINT, strict=True)]
     values = table.numbers(named)
     incomplete = np.flatnonzero(~np.isfinite(values).all(axis=1))
@@ -260,16 +218,7 @@ def _has_point(cells: Sequence[str], start: int) -> bool:
 
 
 def _columns(table: Table, headings: Sequence[str]) -> tuple[list[int], list[int]]:
-    """Find the columns of the names and of the coordinates.
-
-    Args:
-        table: The points' lines.
-        headings: The remarks above them, one of which may be a header.
-
-    Returns:
-        Positions of the columns of the names, from 0, none if there are no names; and those of
-        x, y, z.
-    """
+    """Find the columns, from 0, of the names (none without names) and of x, y, z; a heading may be their header."""
     for remark in reversed(headings):
         columns = _columns_of_header(table, remark)
         if columns is not None:
@@ -283,13 +232,9 @@ def _columns(table: Table, headings: Sequence[str]) -> tuple[list[int], list[int
 
 
 def _check_no_thousands(table: Table, x: int) -> None:
-    """Refuse numbers between commas that a comma between their thousands seems to have parted, 1,992.4945.
+    """Refuse numbers that a comma between their thousands, 1,992.4945, seems to have parted into two cells.
 
-    They are so where some lines have more numbers than others, or where each line has such a number.
-
-    Args:
-        table: The points' lines.
-        x: Position of the first coordinate, from 0.
+    That is so if some lines have more numbers than others, counted from the column of x, or if each has such a number.
     """
     counts, parted, parted_decimals = [], [], []
     for row in table.cells:
@@ -337,12 +282,10 @@ def _first_coordinate(table: Table) -> int:
 
 
 def _is_numbered(table: Table, start: int) -> bool:
-    """Return True if whole numbers in a column name the points, and the coordinates follow.
+    """Return True if whole numbers in a column name the points, and the coordinates follow; refuse what is ambiguous.
 
-    That is so if three more numbers follow, unless the cells before already name each point.
-
-    Raises:
-        MeasurementError: The coordinates are whole numbers too: they are ambiguous.
+    That is so if three more numbers follow, unless the cells before already name each point. Coordinates that are whole
+    numbers too are ambiguous.
     """
     cells = table.cells
     names = set()
@@ -383,7 +326,7 @@ def _find_unit(remarks: Sequence[str], given: str | None, source: str) -> Unit:
 def _unit_of(remark: str) -> str:
     """Return the symbol of the unit of length that a remark names, empty if it names none.
 
-    It is looked for in brackets behind x, behind the word unit, or alone; ``"ft"`` stands for feet
+    It is looked for in brackets after x, after the word unit, or alone; ``"ft"`` stands for feet
     and yards, which are refused.
     """
     plain = remark.casefold()

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
+from calib.basics.records import Key, Option
+from calib.basics.value_forms import number, one_of, to_si
 from calib.errors import CalibError, choices
-from calib.model.families import family_of
+from calib.model.families import FAMILIES, family_of
 
 #: What `Priors.source` may be.
 PRIOR_SOURCES = ("data", "given", "off")
@@ -25,7 +29,7 @@ class Priors:
     """
 
     #: ``"data"``: the prior standard deviations are estimated from the measurements, starting at
-    #: those given; ``"given"``: they are those given; ``"off"``: plain least squares, but for a
+    #: those given; ``"given"``: they are those given; ``"off"``: plain least squares, except for a
     #: weak prior on what no measurement determines.
     source: str
     #: (family, prior standard deviation in the family's SI unit) of the families whose value is
@@ -72,3 +76,53 @@ class Priors:
             The value given, else the default of the registry.
         """
         return dict(self.given).get(family, family_of(family).prior)
+
+
+#: What an error of calib's own families is of, for the documentation.
+_MEANINGS = {
+    "length": "an error in length",
+    "angle": "an error in angle",
+    "zero": "the error of a joint's zero",
+    "gain": "the relative error of a gear ratio",
+    "eccentricity": "an encoder's once-per-turn error",
+    "compliance": "a joint's compliance",
+    "gravity": "the rotation of a joint per lever arm of an unknown mass",
+}
+
+
+def prior_keys() -> Sequence[Key]:
+    """Return the keys of a cell file for priors, one for each registered family; their parts are those of `Priors`."""
+    source = Option(
+        "--priors",
+        group="fit",
+        type=PRIOR_SOURCES,
+        help="Prior standard deviations of the robot's errors: estimated from the data ('data', the default), as the "
+        "cell file or calib's own 3 mm and 15 mrad say ('given'), or no priors ('off').",
+        merge=Priors.with_source,
+    )
+    rows = [
+        Key(
+            "priors",
+            one_of(PRIOR_SOURCES),
+            "Prior standard deviations of the robot's errors: estimated, starting from those below; as given below; or "
+            "none.",
+            '"data"',
+            (source,),
+            part="source",
+        )
+    ]
+    for name, family in FAMILIES.items():
+        suffix, unit_in_si = family.unit.cell
+        meaning = _MEANINGS.get(name, f"an error of the family `{name}`")
+        rows.append(
+            Key(
+                f"prior_{name}{suffix}",
+                number(
+                    suffix.strip("_").replace("_per_", "/"), partial(to_si, unit_in_si=unit_in_si)
+                ),
+                f"Prior standard deviation of {meaning}.",
+                f"{family.prior / unit_in_si:g}".replace("e-0", "e-"),
+                part=name,
+            )
+        )
+    return rows

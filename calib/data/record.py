@@ -6,8 +6,12 @@ Nothing is computed from it. What is not given stays blank, to be filled in by h
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, fields
+from datetime import date
+from typing import Any
 
+from calib.basics.records import keep_checked, key
 from calib.basics.units import is_number
+from calib.basics.value_forms import Check, form
 from calib.errors import CalibError
 
 #: Letters of an entry at most: a report's first page has to hold all of them.
@@ -23,6 +27,49 @@ TEMPERATURES_C = (-50.0, 80.0)
 _ENDS = 2
 
 
+def _text(value: Any) -> str | None:  # noqa: ANN401
+    """Return an entry of a file: a text, a whole number such as a serial number, or a date; None for others."""
+    if isinstance(value, date):
+        return value.isoformat()
+    is_count = isinstance(value, int) and not isinstance(value, bool)
+    return str(value) if is_count or isinstance(value, str) else None
+
+
+_TEXT = form("a text in quotes, a whole number or a date", _text)
+
+
+def _entry(name: str, meaning: str, room: int = LONGEST) -> Any:  # noqa: ANN401  a field
+    """Return the field of an entry that is a text, kept in one line; there is room for so many characters."""
+
+    def one_line(value: object) -> str | None:
+        if not isinstance(value, str):
+            return None
+        line = " ".join(value.split())
+        if len(line) > room:
+            raise CalibError(
+                f"A record's {name} has {len(line)} characters; there is room for {room}."
+            )
+        return line
+
+    check = Check("a text", one_line)
+    return key(name, _TEXT, meaning, default="", absent="blank", check=check)
+
+
+def _temperatures(value: Any) -> tuple[Any, ...] | None:  # noqa: ANN401
+    """Return one temperature of a file, or a list of two, as a tuple; None for others."""
+    values = value if isinstance(value, list) else [value]
+    return tuple(values) if all(map(is_number, values)) else None
+
+
+def _plausible(values: object) -> tuple[float, ...] | None:
+    """Return no, one or two temperatures [°C] as a tuple; None for anything else."""
+    low, high = TEMPERATURES_C
+    given = tuple(values) if isinstance(values, (tuple, list)) else (values,)
+    if len(given) <= _ENDS and all(is_number(value) and low <= value <= high for value in given):
+        return tuple(float(value) for value in given)
+    return None
+
+
 @dataclass(frozen=True, slots=True)
 class Record:
     """The record of a measurement, ``[record]`` of a cell file; an entry that is not given is empty.
@@ -32,53 +79,40 @@ class Record:
             number or out of range.
     """
 
-    #: Who the report is for
-    customer: str = ""
-    #: Number of the order
-    order: str = ""
-    #: Serial number of the arm
-    robot_serial: str = ""
-    #: Serial number of its controller
-    controller_serial: str = ""
-    #: What the robot carried: ``"5 kg, 60 mm from the flange"``
-    load: str = ""
-    #: Speed between the poses
-    speed: str = ""
-    #: How the robot was warmed up
-    warm_up: str = ""
-    #: The measuring instrument
-    instrument: str = ""
-    #: Its serial number
-    instrument_serial: str = ""
-    #: Until when its calibration is valid
-    calibration_due: str = ""
-    #: Where the measuring uncertainty is from: a certificate, a budget
-    uncertainty_from: str = ""
-    #: Where the robot was measured
-    place: str = ""
-    #: When
-    date: str = ""
-    #: Air temperature [°C]: one, or those at the start and at the end; empty: not given
-    temperature_C: tuple[float, ...] = ()
-    #: Who measured
-    operator: str = ""
-    #: Anything else
-    note: str = ""
+    customer: str = _entry("customer", "Who the report is for.")
+    order: str = _entry("order", "Number of the order.")
+    robot_serial: str = _entry("robot_serial", "Serial number of the arm.")
+    controller_serial: str = _entry("controller_serial", "Serial number of its controller.")
+    load: str = _entry("load", 'What the robot carried, such as "5 kg, 60 mm from the flange".')
+    speed: str = _entry("speed", "Speed between the poses.")
+    warm_up: str = _entry("warm_up", "How the robot was warmed up.")
+    instrument: str = _entry("instrument", "The measuring instrument.")
+    instrument_serial: str = _entry("instrument_serial", "Its serial number.")
+    calibration_due: str = _entry("calibration_due", "Date until which its calibration is valid.")
+    uncertainty_from: str = _entry(
+        "uncertainty_from", "Source of the measuring uncertainty: a certificate, a budget."
+    )
+    place: str = _entry("place", "Where the robot was measured.")
+    date: str = _entry("date", "When it was measured.")
+    #: [°C], one, or those at the start and at the end; empty: not given
+    temperature_C: tuple[float, ...] = key(
+        "temperature_C",
+        form("a number, or a list of two: [21.5, 23.0]", _temperatures),
+        "Air temperature [°C]: one, or those at the start and at the end.",
+        absent="blank",
+        check=Check(
+            "one number or two, at the start and at the end, from "
+            f"{TEMPERATURES_C[0]:g} to {TEMPERATURES_C[1]:g} °C",
+            _plausible,
+        ),
+        default=(),
+    )
+    operator: str = _entry("operator", "Who measured.")
+    note: str = _entry("note", "Anything else.", LONGEST_NOTE)
 
     def __post_init__(self) -> None:
         """Join the lines of each text, and check lengths and temperatures."""
-        for name in TEXTS:
-            text = getattr(self, name)
-            if not isinstance(text, str):
-                raise CalibError(f"A record's {name} is {text!r}; it must be a text.")
-            text = " ".join(text.split())
-            room = LONGEST_NOTE if name == "note" else LONGEST
-            if len(text) > room:
-                raise CalibError(
-                    f"A record's {name} has {len(text)} characters; there is room for {room}."
-                )
-            object.__setattr__(self, name, text)
-        object.__setattr__(self, "temperature_C", _temperatures(self.temperature_C))
+        keep_checked(self, "record")
 
     @property
     def given(self) -> dict[str, str | tuple[float, ...]]:
@@ -88,18 +122,6 @@ class Record:
 
 #: Names of the entries that are texts.
 TEXTS = tuple(entry.name for entry in fields(Record) if entry.name != "temperature_C")
-
-
-def _temperatures(values: object) -> tuple[float, ...]:
-    """Return no, one or two temperatures [°C] as a tuple; `CalibError` for anything else."""
-    low, high = TEMPERATURES_C
-    given = tuple(values) if isinstance(values, (tuple, list)) else (values,)
-    if len(given) <= _ENDS and all(is_number(value) and low <= value <= high for value in given):
-        return tuple(float(value) for value in given)
-    raise CalibError(
-        f"A record's temperature_C is {values!r}; it must be one number or two, at the start and at the end, from "
-        f"{low:g} to {high:g} °C."
-    )
 
 
 #: A record without any entry.

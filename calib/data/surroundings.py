@@ -1,27 +1,46 @@
-"""Surroundings of the robot while it is measured: instrument with its noise, reflector, obstacles."""
+"""Surroundings of the robot while it is measured: instrument with its noise, reflector, obstacles, known distances."""
 
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable
-from dataclasses import dataclass, field
-from typing import TypeVar
+from dataclasses import dataclass
+from typing import Any, TypeVar
 
 import numpy as np
 
 from calib.basics.arrays import Array, read_only
+from calib.basics.records import embedded, key, keys
+from calib.basics.units import parse_noise
+from calib.basics.value_forms import (
+    DEGREES,
+    MM,
+    POINT_MM,
+    Form,
+    Place,
+    checked,
+    text,
+    three_numbers,
+)
 from calib.basics.values import Value
-from calib.data.cell_file import checked
+from calib.data.cell_keys import IS_POSE, pose_keys
 from calib.errors import CalibError, choices
-from calib.numerics.geometry import pose_or_none, vector
+from calib.numerics.geometry import pose_of, vector
 
 Distance = TypeVar("Distance", float, Array)
 
-#: What a pose must be, for messages.
-POSE = "a 4 x 4 pose with a right-handed rotation [m]"
-
 #: A given direction that is shorter has none: its squares leave the range of doubles.
 _SHORTEST_NORMAL = 1e-100
+
+
+def _noise_form(part: int) -> Form:
+    """Return the form of an instrument's noise, of which a field keeps the constant (0) or the part per metre (1)."""
+
+    def read(value: Any, place: Place) -> float:  # noqa: ANN401
+        return parse_noise(str(value), str(place))[part]
+
+    return Form('a noise with its unit, "15 um + 6 um/m"', read)
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,11 +53,22 @@ class TrackerNoise:
     """
 
     #: Standard deviation at no distance [m].
-    constant: float = 15e-6
+    constant: float = key(
+        "noise",
+        _noise_form(0),
+        "Standard deviation of one coordinate: a constant, plus a part for each metre of distance.",
+        default=15e-6,
+        absent="15 um + 6 um/m",
+    )
     #: Increase with the distance [m/m].
-    per_length: float = 6e-6
+    per_length: float = key("noise", _noise_form(1), "", default=6e-6)
     #: Standard deviation of the robot's position, one coordinate [m].
-    repeatability: float = 20e-6
+    repeatability: float = key(
+        "repeatability_mm",
+        MM,
+        "Repeatability of the robot, as a standard deviation of one coordinate; added in square.",
+        default=20e-6,
+    )
 
     def __post_init__(self) -> None:
         """Check that no part is negative, and that not all are zero."""
@@ -64,11 +94,13 @@ class Box(Value):
     """A box that the robot must not touch and the tracker's beam must not cross."""
 
     #: For messages; each box of a cell has its own.
-    name: str
+    name: str = key("name", text("a name"), "Name of the box, its own.")
     #: Shape (3,), lengths of the edges along x, y, z of the box [m].
-    size: Array
+    size: Array = key("size_mm", POINT_MM, "Lengths of the edges along x, y, z of the box.")
     #: Shape (4, 4), pose of the box's centre in the robot's base [m].
-    T_base_box: Array
+    T_base_box: Array = keys(
+        lambda: pose_keys("", "the box's centre in the robot's base", needed=True), pose_of
+    )
 
     def __post_init__(self) -> None:
         """Check size and pose, and keep read-only copies."""
@@ -79,7 +111,7 @@ class Box(Value):
                 "than 0."
             )
         what = f"The pose of the box '{self.name}'"
-        T_base_box = checked(self.T_base_box, what, POSE, pose_or_none)
+        T_base_box = checked(self.T_base_box, what, IS_POSE.must, IS_POSE.convert)
         object.__setattr__(self, "size", size)
         object.__setattr__(self, "T_base_box", T_base_box)
 
@@ -101,13 +133,15 @@ class Tracker(Value):
     """A laser tracker: its position, its range and its noise."""
 
     #: Shape (3,), point that its beam turns about, in the robot's base [m].
-    position: Array
+    position: Array = key(
+        "xyz_mm", POINT_MM, "Centre of rotation of the beam, in the robot's base."
+    )
     #: Least distance that it measures [m].
-    nearest: float = 0.0
+    nearest: float = key("nearest_mm", MM, "Smallest distance that it measures.", default=0.0)
     #: Largest distance that it measures [m].
-    farthest: float = 80.0
+    farthest: float = key("farthest_mm", MM, "Largest distance that it measures.", default=80.0)
     #: Standard deviation of a coordinate, as a function of the distance.
-    noise: TrackerNoise = field(default_factory=TrackerNoise)
+    noise: TrackerNoise = embedded(TrackerNoise, default_factory=TrackerNoise)
 
     def __post_init__(self) -> None:
         """Check position and range, and keep a read-only copy."""
@@ -124,10 +158,16 @@ class Reflector(Value):
     """A reflector that is fixed to the tip and is seen from within a cone only."""
 
     #: shape (3,), direction in the tip that the reflector's opening faces; kept as a unit vector.
-    normal: Array
-    #: Half angle of the cone: largest angle between ``normal`` and the direction to the tracker
-    #: [rad]. The default is that of a corner cube.
-    acceptance: float = math.radians(30.0)
+    normal: Array = key(
+        "normal", three_numbers(), "Viewing direction of the reflector, in the tip."
+    )
+    #: Half angle of the cone [rad]. The default is that of a corner cube.
+    acceptance: float = key(
+        "acceptance_deg",
+        DEGREES,
+        "Largest angle between the normal and the direction to the tracker.",
+        default=math.radians(30.0),
+    )
 
     def __post_init__(self) -> None:
         """Check direction and angle, and keep a read-only unit vector."""
@@ -141,3 +181,55 @@ class Reflector(Value):
                 "half angle above 0 and at most 180 deg."
             )
         object.__setattr__(self, "normal", read_only(normal / length))
+
+
+@dataclass(frozen=True, slots=True)
+class GroupDistance:
+    """A known distance between the fixed points of two groups, such as two sockets on one plate.
+
+    Example:
+        >>> plate = GroupDistance("*/left", "*/right", length=0.2, sigma=1e-5)
+        >>> plate.pairs(["1/left", "1/right", "2/left", "2/right"])
+        (('1/left', '1/right'), ('2/left', '2/right'))
+    """
+
+    #: Name of a group. It may hold one ``*``, which then stands for any text.
+    first: str = key("first", text("a name"), "Name of a group; `*` stands for any text.")
+    #: Name of another one; its ``*`` stands for the same text.
+    second: str = key("second", text("a name"), "Name of another group; `*` stands for the same.")
+    #: Known distance [m].
+    length: float = key("length_mm", MM, "Known distance.")
+    #: Standard deviation of the length [m].
+    sigma: float = key("sigma_mm", MM, "Standard deviation of the distance.")
+
+    def __post_init__(self) -> None:
+        """Check the names, the length and its standard deviation."""
+        stars = (self.first.count("*"), self.second.count("*"))
+        are_names = stars in ((0, 0), (1, 1)) and self.first != self.second
+        if not are_names or min(self.length, self.sigma) <= 0.0:
+            raise CalibError(
+                f"A distance is {self.length:g} m, its sigma {self.sigma:g} m, between the groups "
+                f"'{self.first}' and '{self.second}'; it must be between two groups, with '*' once "
+                "in both names or in neither, and length and sigma above 0."
+            )
+
+    def pairs(self, groups: Iterable[str]) -> tuple[tuple[str, str], ...]:
+        """Return the pairs of groups that the distance is between.
+
+        Args:
+            groups: Names of groups, such as one for each row of a table.
+
+        Returns:
+            Names that match ``first`` and ``second``, each pair once, in the order of ``groups``.
+        """
+        present = dict.fromkeys(groups)
+        pattern = re.escape(self.first).replace(r"\*", "(.*)")
+        result = []
+        for group in present:
+            match = re.fullmatch(pattern, group, re.DOTALL)
+            if match is None:
+                continue
+            partner = self.second.replace("*", "".join(match.groups()))
+            if partner in present and partner != group:
+                result.append((group, partner))
+        return tuple(result)

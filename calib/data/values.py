@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from itertools import compress
 from typing import Any, NoReturn
 
@@ -14,7 +14,7 @@ import calib.data.kinds as registry
 from calib.basics.arrays import Array, Mask
 from calib.basics.channels import RESIDUAL_UNITS
 from calib.basics.tables import Column, Table
-from calib.data.columns import SETS, STATUS, TORQUE
+from calib.data.columns import SETS, STATUS, TORQUE, WORD_COLUMNS
 from calib.data.covariances import may_have_covariance
 from calib.data.forms.points import Points
 from calib.data.kinds import Kind
@@ -59,59 +59,54 @@ def read_values(table: Table, layout: Layout, elsewhere: Points | None = None) -
         MeasurementError: A cell or a column's values cannot be used, a point is not there or is
             that of another row, or nothing is measured.
     """
-    kinds = _kinds_of_rows(table, layout)
-    blocks = _without_unused(layout, _numbers(table, layout), kinds)
+    kinds = np.full(len(table.cells), layout.kinds[0])
+    if "kind" in layout.words:
+        kinds = np.array(table.column(layout.words["kind"]), dtype=np.str_)
+    blocks = _used_numbers(table, layout, kinds)
     measured = _measured_rows(table, layout, blocks, kinds)
     if not measured.any():
         _fail_without_measurement(table, layout)
-    words = _words(table, layout)
+
+    words = {name: table.column(column) for name, column in layout.words.items()}
+    if layout.groups:
+        words["group"] = ["/".join(row[c.index] for c in layout.groups) for row in table.cells]
     _check_words(table, layout, words, kinds, measured)
-    row_numbers = _row_numbers(table, words)
+    row_numbers = list(range(1, len(table.cells) + 1))
+    if "row" in words:
+        row_numbers = [int(text) for text in words["row"]]
+
     points: Array | None = None
     if elsewhere is not None:
         needs_point = measured & _of_kinds(layout, kinds, "position")
         points = _points_of_rows(table, elsewhere, needs_point, row_numbers, words.get("point"))
         measured = measured & (~needs_point | np.isfinite(points[:, 0]))
     _check_sets(table, layout, words.get("set", ()), measured)
-    _check_measured_units(table, layout, blocks, measured)
-    si = _in_si(layout, blocks, measured)
+    as_measured = {}
+    for name, block in blocks.items():
+        as_measured[name] = np.where(measured[:, None], block, np.nan)
+    check_units(table, layout, as_measured)
+
+    # Numbers of the measured rows, in SI units.
+    si = {}
+    for name, block in blocks.items():
+        to_si = [column.to_si for column in layout.blocks[name]]
+        si[name] = block[measured] * to_si
     if points is not None:
         si["points"] = points[measured]
-    chosen = {name: list(compress(column, measured)) for name, column in words.items()}
-    return {
-        **_of_files(table, elsewhere),
-        **_arrays(layout, si, int(measured.sum())),
-        "ignored": layout.ignored,
-        "sets": chosen.get("set", ()),
-        "targets": chosen.get("target", ()),
-        "groups": chosen.get("group", ()),
-        "pairs": chosen.get("pair", ()),
-        "approaches": chosen.get("approach", ()),
-        "images": chosen.get("image", ()),
-        "corners": chosen.get("corner", ()),
-        "kinds": kinds[measured].tolist(),
-        "rows": list(compress(row_numbers, measured)),
-        "unmeasured": list(compress(row_numbers, ~measured)),
-    }
-
-
-def _of_files(table: Table, elsewhere: Points | None) -> dict[str, str]:
-    """Return names and hashes of the files read, joined by a plus."""
+    words_of_rows = {}
+    for attribute, (column_name, _) in WORD_COLUMNS.items():
+        words_of_rows[attribute] = list(compress(words.get(column_name, ()), measured))
     files = (table,) if elsewhere is None else (table, elsewhere)
     return {
         "source": " + ".join(file.source for file in files),
         "sha256": " + ".join(file.sha256 for file in files),
+        **_arrays(layout, si, int(measured.sum())),
+        **words_of_rows,
+        "ignored": layout.ignored,
+        "kinds": kinds[measured].tolist(),
+        "rows": list(compress(row_numbers, measured)),
+        "unmeasured": list(compress(row_numbers, ~measured)),
     }
-
-
-# Kinds of the rows
-
-
-def _kinds_of_rows(table: Table, layout: Layout) -> Words:
-    """Return the name of each row's kind, shape (rows,)."""
-    if "kind" in layout.words:
-        return np.array(table.column(layout.words["kind"]), dtype=np.str_)
-    return np.full(len(table.cells), layout.kinds[0])
 
 
 def _of_kinds(layout: Layout, kinds: Words, attribute: str) -> Mask:
@@ -120,17 +115,17 @@ def _of_kinds(layout: Layout, kinds: Words, attribute: str) -> Mask:
     return np.isin(kinds, chosen)
 
 
-def _measured_blocks(kind: Kind, blocks: Blocks) -> list[str]:
-    """Return the names of the blocks that rows of a kind measure.
+# Numbers
 
-    None of a kind whose target is held, or whose points are in a list.
-    """
+
+def _measured_blocks(kind: Kind, blocks: Collection[str]) -> list[str]:
+    """Return which blocks rows of a kind measure; none if their target is held, or their points are in a list."""
     names = ["points"] * kind.position + ["orientation"] * kind.orientation
     names += [reading.name for reading in kind.readings]
     return [name for name in names if name in blocks]
 
 
-def _used_blocks(kind: Kind, blocks: Blocks) -> set[str]:
+def _used_blocks(kind: Kind, blocks: Collection[str]) -> set[str]:
     """Return the names of the blocks that rows of a kind use: measured ones, joints and noise."""
     noise = {RESIDUAL_UNITS[symbol].sigma_name for symbol in kind.units}
     if may_have_covariance(kind) and "covariances" in blocks:
@@ -139,69 +134,44 @@ def _used_blocks(kind: Kind, blocks: Blocks) -> set[str]:
     return {"joints", "torques", *designed, *noise, *_measured_blocks(kind, blocks)}
 
 
-# Numbers
-
-
-def _numbers(table: Table, layout: Layout) -> dict[str, Array]:
-    """Return the numbers of each block that is not empty, in the units as written."""
-    columns = [column for block in layout.blocks.values() for column in block]
-    numbers = table.numbers(columns)
+def _used_numbers(table: Table, layout: Layout, kinds: Words) -> dict[str, Array]:
+    """Return the numbers of each block that has columns, as written; NaN in rows whose kind does not use it."""
+    present = {name: columns for name, columns in layout.blocks.items() if columns}
+    numbers = table.numbers([column for columns in present.values() for column in columns])
+    used = {name: _used_blocks(registry.get(name), present) for name in layout.kinds}
     blocks = {}
     start = 0
-    for name, block in layout.blocks.items():
-        if block:
-            blocks[name] = numbers[:, start : start + len(block)]
-            start += len(block)
+    for name, columns in present.items():
+        block = numbers[:, start : start + len(columns)]
+        start += len(columns)
+        is_used = np.isin(kinds, [kind for kind, names in used.items() if name in names])
+        blocks[name] = np.where(is_used[:, None], block, np.nan)
     return blocks
 
 
-def _without_unused(layout: Layout, blocks: Blocks, kinds: Words) -> dict[str, Array]:
-    """Return the blocks with NaN in rows whose kind does not use them."""
-    result = {}
-    used = {name: _used_blocks(registry.get(name), blocks) for name in layout.kinds}
-    for block_name, block in blocks.items():
-        using = [kind for kind, names in used.items() if block_name in names]
-        is_used = np.isin(kinds, using)
-        result[block_name] = np.where(is_used[:, None], block, np.nan)
-    return result
-
-
 def _measured_rows(table: Table, layout: Layout, blocks: Blocks, kinds: Words) -> Mask:
-    """Mark the rows that hold a measurement, shape (rows,).
-
-    Raises:
-        MeasurementError: A number that such a row needs is missing or none.
-    """
+    """Mark the rows that hold a measurement, shape (rows,); MeasurementError if one of them lacks a number."""
     measured = np.ones(len(table.cells), dtype=np.bool_)
     if STATUS in layout.words:
         status = table.column(layout.words[STATUS])
         measured &= [not word.startswith(_NO_COMMAND) for word in status]
     for kind in map(registry.get, layout.kinds):
         of_kind = kinds == kind.name
-        names = _measured_blocks(kind, blocks)
-        if names and not kind.paired:  # one row of a pair has the measurement of both
-            cells = np.hstack([blocks[name] for name in names])
+        of_measurement = _measured_blocks(kind, blocks)
+        if of_measurement and not kind.paired:  # one row of a pair has the measurement of both
+            cells = np.hstack([blocks[name] for name in of_measurement])
             measured &= ~(of_kind & np.isnan(cells).all(axis=1))
-        _check_numbers(table, layout, blocks, kind, of_kind & measured)
+        used = _used_blocks(kind, blocks)
+        for name, block in blocks.items():
+            if name not in used:
+                continue
+            bad = ~np.isfinite(block) & (of_kind & measured)[:, None]
+            if kind.paired and name in of_measurement:
+                bad &= ~np.isnan(block)
+            if bad.any():
+                row, k = np.argwhere(bad)[0].tolist()
+                _fail_on_number(table, layout, row, layout.blocks[name][k])
     return measured
-
-
-def _check_numbers(table: Table, layout: Layout, blocks: Blocks, kind: Kind, rows: Mask) -> None:
-    """Refuse a cell without a finite number in measured rows of a kind, a mask of shape (rows,).
-
-    The measurement of a pair may be empty in one of its rows.
-    """
-    used = _used_blocks(kind, blocks)
-    measured_blocks = _measured_blocks(kind, blocks)
-    for name, block in blocks.items():
-        if name not in used:
-            continue
-        bad = ~np.isfinite(block) & rows[:, None]
-        if kind.paired and name in measured_blocks:
-            bad &= ~np.isnan(block)
-        if bad.any():
-            row, k = np.argwhere(bad)[0].tolist()
-            _fail_on_number(table, layout, row, layout.blocks[name][k])
 
 
 def _fail_on_number(table: Table, layout: Layout, row: int, column: Column) -> NoReturn:
@@ -237,14 +207,6 @@ def _fail_without_measurement(table: Table, layout: Layout) -> NoReturn:
 # Words
 
 
-def _words(table: Table, layout: Layout) -> dict[str, list[str]]:
-    """Return the words of all rows by the names of their columns; ``group`` joins its columns."""
-    words = {name: table.column(column) for name, column in layout.words.items()}
-    if layout.groups:
-        words["group"] = ["/".join(row[c.index] for c in layout.groups) for row in table.cells]
-    return words
-
-
 def _check_words(
     table: Table,
     layout: Layout,
@@ -276,19 +238,12 @@ def _check_sets(table: Table, layout: Layout, sets: Sequence[str], measured: Mas
     for word in set(sets) - set(SETS):
         column = layout.words["set"]
         what = (
-            f"'{word}' is no set; allowed are {choices(SETS)}. Correct it; if the column means "
+            f"'{word}' is not a set; allowed are {choices(SETS)}. Correct it; if the column means "
             f'something else, --columns "{column.label}=-" leaves it out.'
         )
         for i in np.flatnonzero(measured).tolist():
             if sets[i] == word:
                 table.fail(i, column, what, layout.words.get("row"))
-
-
-def _row_numbers(table: Table, words: Mapping[str, Sequence[str]]) -> list[int]:
-    """Return the numbers of the rows as the table has them, else from 1."""
-    if "row" in words:
-        return [int(text) for text in words["row"]]
-    return list(range(1, len(table.cells) + 1))
 
 
 def _points_of_rows(
@@ -298,17 +253,9 @@ def _points_of_rows(
     row_numbers: Sequence[int],
     names: Sequence[str] | None,
 ) -> Array:
-    """Return the points of rows from a list of points.
+    """Return the positions (rows, 3) [m] of the rows that need a point; NaN in others, and if the list lacks the point.
 
-    Args:
-        table: The table, for messages.
-        elsewhere: The list of points.
-        rows: Which rows need a point, shape (rows,).
-        row_numbers: The table's number of each row.
-        names: Name of each row's point; None: the points are in the order of the rows.
-
-    Returns:
-        Positions, shape (rows, 3) [m]; NaN in other rows, and where the list lacks the point.
+    Without names the points of the list are in the order of the rows.
     """
     at = np.flatnonzero(rows)
     chosen_numbers = list(compress(row_numbers, rows))
@@ -320,29 +267,17 @@ def _points_of_rows(
     return points
 
 
-# In SI units
-
-
-def _check_measured_units(table: Table, layout: Layout, blocks: Blocks, measured: Mask) -> None:
-    """Refuse numbers of measured rows that cannot be in their units, see `check_units`."""
-    blanked = {}
-    for name, block in blocks.items():
-        blanked[name] = np.where(measured[:, None], block, np.nan)
-    check_units(table, layout, blanked)
-
-
-def _in_si(layout: Layout, blocks: Blocks, measured: Mask) -> dict[str, Array]:
-    """Return the numbers of blocks in measured rows, in SI units."""
-    result = {}
-    for name, block in blocks.items():
-        to_si = [column.to_si for column in layout.blocks[name]]
-        result[name] = block[measured] * to_si
-    return result
-
-
 def _arrays(layout: Layout, si: Blocks, count: int) -> dict[str, Any]:
     """Return joints and arrays of `Measurements`, from blocks of ``count`` rows in SI units."""
-    joints = layout.blocks["joints"]
+    joint_names = [column.name for column in layout.blocks["joints"]]
+    torques: Array | None = None
+    if "torques" in si:  # NaN of joints without a column
+        driven = [column.name.removesuffix(TORQUE) for column in layout.blocks["torques"]]
+        torques = np.full((count, len(joint_names)), np.nan)
+        torques[:, [joint_names.index(name) for name in driven]] = si["torques"]
+    rotations: Array | None = None
+    if layout.orientation is not None and "orientation" in si:
+        rotations = layout.orientation.convention.matrices(si["orientation"])
     single = {name: block[:, 0] for name, block in si.items() if name not in _WIDE}
     readings = {name: single[name] for name in registry.readings() if name in single}
     sigma = {}
@@ -350,32 +285,16 @@ def _arrays(layout: Layout, si: Blocks, count: int) -> dict[str, Any]:
         if unit.sigma_name in single:
             sigma[symbol] = single[unit.sigma_name]
     return {
-        "joint_names": [column.name for column in joints],
-        "prismatic": [column.name for column in joints if slides(column)],
+        "joint_names": joint_names,
+        "prismatic": [column.name for column in layout.blocks["joints"] if slides(column)],
         "joints": si.get("joints", np.empty((count, 0))),
         "points": si.get("points", np.full((count, 3), np.nan)),
         "board_points": si.get("board_points"),
         "covariances": si["covariances"].reshape(-1, 6, 6) if "covariances" in si else None,
-        "rotations": _rotations(layout, si),
+        "rotations": rotations,
         "orientation": "" if layout.orientation is None else layout.orientation.convention.name,
-        "torques": _torques(layout, si["torques"]) if "torques" in si else None,
+        "torques": torques,
         "distances": readings.pop("distance", None),
         "readings": readings,
         "sigma": sigma,
     }
-
-
-def _rotations(layout: Layout, si: Blocks) -> Array | None:
-    """Return the rotation matrices of the rows, shape (rows, 3, 3); None without orientations."""
-    if layout.orientation is None or "orientation" not in si:
-        return None
-    return layout.orientation.convention.matrices(si["orientation"])
-
-
-def _torques(layout: Layout, block: Array) -> Array:
-    """Return torques of all joints, shape (rows, n) [Nm or N]; NaN of joints without a column."""
-    joint_names = [column.name for column in layout.blocks["joints"]]
-    driven = [column.name.removesuffix(TORQUE) for column in layout.blocks["torques"]]
-    torques = np.full((len(block), len(joint_names)), np.nan)
-    torques[:, [joint_names.index(name) for name in driven]] = block
-    return torques

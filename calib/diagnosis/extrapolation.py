@@ -79,8 +79,8 @@ def _fits_to_others(
     problem = fitted.estimate.problem
     noise = np.tile(fitted.estimate.noise, (len(masks), 1))
     weights = np.where(np.array(masks), 0.0, problem.weights)
-    priors = GaussianPriors(problem.precision, problem.centre)
-    x, covariance, _ = linear.fit(weights, problem.rho, noise, priors)
+    priors = GaussianPriors(problem.prior_precision, problem.prior_mean)
+    x, covariance, _ = linear.fit(weights, problem.stop_shares, noise, priors)
     residual = linear.residual(x) / linear.noise_by_scalar(noise)
     return [_FitToOthers(r, C) for r, C in zip(residual, covariance, strict=True)]
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from calib.diagnosis.reasons import Reason, Why
-from calib.fit.registration.frame_search import is_plausible, sought_frames
+from calib.fit.registration.frame_search import frames_to_search, is_plausible
 from calib.fit.registration.registration import nominal_setup
 from calib.fit.registration.rows import Rows
 from calib.fit.registration.setup import Setup
@@ -27,7 +27,7 @@ def frame_not_found(robot: Robot, setup: Setup, rows: Rows) -> Reason | None:
     Raises:
         MeasurementError: Fewer numbers than unknowns.
     """
-    sought = sought_frames(setup, rows)
+    sought = frames_to_search(setup, rows)
     if not sought:
         return None
     T_base_tip = robot.poses(rows.joints)

@@ -22,7 +22,6 @@ from calib.fit.estimate.fitting import Fitted
 from calib.fit.estimate.linear import LinearProblem
 from calib.fit.estimate.prior_terms import PriorTerms
 from calib.fit.estimate.stages import Stage
-from calib.fit.estimate.task import PAPER
 from calib.fit.registration.rows import Rows
 from calib.model.dh_table import zero_poses
 from calib.model.families import ANGLE, LENGTH, ZERO
@@ -125,10 +124,10 @@ def _stage_at(fitted: Fitted, prior: PriorTerms) -> Stage:
         prior=prior,
         kept=weights > 0.0,
         weights=weights,
-        share=np.ones(weights.shape),
+        repeat_factor=np.ones(weights.shape),
         noise=np.array([estimate.noise]),
         prior_std=np.array([prior_std]),
-        rho=estimate.problem.rho[None],
+        stop_shares=estimate.problem.stop_shares[None],
     )
 
 
@@ -146,7 +145,7 @@ def _with_unknowns(fitted: Fitted, columns: Array, of_distances: Array | None) -
     if of_distances is not None:
         sigma = np.array([known.sigma for known in problem.distances])
         further[: len(sigma)] = of_distances / sigma[:, None]
-    return _with_columns(linear, problem.rows.standardised(columns), further)
+    return _with_columns(linear, problem.rows.standardise(columns), further)
 
 
 def _prior_with_unknowns(fitted: Fitted, count: int, held: Mask | None) -> PriorTerms:
@@ -167,7 +166,7 @@ def _prior_with_unknowns(fitted: Fitted, count: int, held: Mask | None) -> Prior
         prior,
         families=np.pad(prior.families, ((0, 0), (0, count))),
         precision=np.pad(prior.precision, (0, count)),
-        centre=np.pad(prior.centre, (0, count)),
+        mean=np.pad(prior.mean, (0, count)),
     )
 
 
@@ -256,11 +255,11 @@ def _residuals_without_blocks(
     """
     problem = fitted.estimate.problem
     further = len(linear.x) - problem.size
-    precision = np.pad(problem.precision, (0, further))
-    centre = np.pad(problem.centre, (0, further))
+    precision = np.pad(problem.prior_precision, (0, further))
+    centre = np.pad(problem.prior_mean, (0, further))
     noise = np.tile(fitted.estimate.noise, (len(masks), 1))
     without_block = np.where(masks, 0.0, weights)
-    fits = linear.fit(without_block, problem.rho, noise, GaussianPriors(precision, centre))
+    fits = linear.fit(without_block, problem.stop_shares, noise, GaussianPriors(precision, centre))
     return np.asarray(linear.residual(fits[0]) / linear.noise_by_scalar(noise))
 
 
@@ -289,7 +288,8 @@ def priors_from_data(fitted: Fitted) -> bool:
     Args:
         fitted: A fit; the solver of its task and the priors of its cell decide.
     """
-    return fitted.task.solver != PAPER and fitted.task.cell.priors.source == "data"
+    task = fitted.task
+    return task.has_weights_and_priors and task.cell.priors.source == "data"
 
 
 @dataclass(frozen=True, slots=True)
@@ -331,7 +331,7 @@ def instrument_scale(fitted: Fitted) -> Scale | None:
     if not np.any(lengths) or _has_unknown_board(fitted):
         return None
     T_frame_target = fitted.kinematics.poses(fitted.estimate.x, rows.samples)
-    T_frame_base = fitted.placed().T_frame_base[rows.samples.frame]
+    T_frame_base = fitted.estimated_setup().T_frame_base[rows.samples.frame]
     from_base = T_frame_target[:, :3, 3] - T_frame_base[:, :3, 3]
     growth = np.zeros((len(rows), 6, 1))
     growth[:, :3, 0] = from_base
@@ -555,7 +555,7 @@ def _twists_of_base(fitted: Fitted, T_frame_target: Array) -> Array:
     Returns:
         Twists of the target by each of the six motions, linear part first, along the frame's axes, shape (N, 6, 6).
     """
-    T_frame_base = fitted.placed().T_frame_base[fitted.estimate.problem.rows.samples.frame]
+    T_frame_base = fitted.estimated_setup().T_frame_base[fitted.estimate.problem.rows.samples.frame]
     T_base_first = zero_poses(fitted.task.robot)[0][0]
     origin = (T_frame_base @ T_base_first)[:, :3, 3]
     R = T_frame_base[:, :3, :3]

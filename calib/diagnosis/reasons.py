@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Any
 
-from calib.basics.mappings import keep_read_only
+from calib.basics.values import keep_read_only
 from calib.numerics.errors import Errors
 
 #: Verdict that the corrected robot is better, which held-out rows prove.

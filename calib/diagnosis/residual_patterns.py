@@ -202,7 +202,7 @@ def _whiten(fitted: Fitted, values: Array, weights: Array) -> Array:
     counts = problem.rows.used & (weights > 0.0)[:, None]
     of_each_row = np.broadcast_to(values, (len(weights), *values.shape[1:]))
     factors = np.sqrt(weights)[:, None] / problem.noise_by_scalar
-    whitened = problem.rows.standardised(of_each_row) * factors[:, :, None]
+    whitened = problem.rows.standardise(of_each_row) * factors[:, :, None]
     return problem.independent(whitened, weights)[counts]
 
 
@@ -219,7 +219,7 @@ def _fitted_directions(fitted: Fitted, A: Array) -> Array:
     Returns:
         The basis, shape (M, rank).
     """
-    precision = np.maximum(fitted.estimate.problem.precision, np.finfo(float).tiny)
+    precision = np.maximum(fitted.estimate.problem.prior_precision, np.finfo(float).tiny)
     basis, effects, _ = np.linalg.svd(A / np.sqrt(precision), full_matrices=False)
     return np.asarray(basis[:, effects > _FITTED])
 
@@ -232,7 +232,7 @@ def _displacements(fitted: Fitted) -> tuple[ErrorModel, Array]:
         (N, D, p), for the nominal robot with frames and targets at the solution.
     """
     robot, rows = fitted.task.robot, fitted.estimate.problem.rows
-    names, placed = fitted.setup.target_names, fitted.placed()
+    names, placed = fitted.setup.target_names, fitted.estimated_setup()
     frames = dict.fromkeys(fitted.setup.frame_unknowns, ())
     model = error_model(robot, "zeros", frame=frames, target=names, targets=names)
     nominal = Kinematics(robot, model, placed.T_frame_base, placed.T_tip_target)

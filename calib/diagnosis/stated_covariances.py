@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from calib.diagnosis.reasons import Reason, Why
 from calib.fit.estimate.fitting import Fitted
-from calib.fit.estimate.pose_noise import covariance_support
+from calib.fit.estimate.special_cases.pose_covariances import covariance_support
 
 #: Log-likelihood over that of equal covariances up to which stated ones tell nothing.
 _NOTHING = 2.0

@@ -132,8 +132,8 @@ class _Comparison:
         estimate = self.fitted.estimate
         problem = estimate.problem
         weights = np.where(inside, 0.0, problem.weights)
-        priors = GaussianPriors(problem.precision, problem.centre)
-        fits = self.linear.fit(weights[None], problem.rho, self.noise, priors)
+        priors = GaussianPriors(problem.prior_precision, problem.prior_mean)
+        fits = self.linear.fit(weights[None], problem.stop_shares, self.noise, priors)
         x, covariance, freedom = (values[0] for values in fits)
         station_only = seen_only_by(self.fitted, inside)
         x = np.where(station_only, estimate.x, x)

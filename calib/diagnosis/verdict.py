@@ -9,7 +9,7 @@ import numpy as np
 
 from calib.basics.arrays import Mask
 from calib.basics.channels import RESIDUAL_UNITS
-from calib.basics.mappings import ReadOnlyMapping
+from calib.basics.values import ReadOnlyMapping
 from calib.diagnosis.evidence import ALIKE, CHANCE, ROUNDING, Evidence
 from calib.diagnosis.further_unknowns import PREDICTS
 from calib.diagnosis.reasons import (

@@ -303,7 +303,7 @@ class CameraInstrument(Instrument):
         """
         camera, (nearest, farthest) = self.camera, self._distances
         pixels = unit[:, :2] * [camera.width, camera.height] - 0.5
-        rays = LENSES[camera.lens].rays(pixels, intrinsics(camera))
+        rays = LENSES[camera.lens].undistort(pixels, intrinsics(camera))
         rays = np.where(np.isfinite(rays), rays, [0.0, 0.0, 1.0])
         rays = np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))
         nearness = 1.0 / farthest + unit[:, 2] * (1.0 / nearest - 1.0 / farthest)
@@ -527,6 +527,6 @@ def widest_ray(camera: Camera) -> float:
     edges = np.array(
         [[u, v] for u in (-0.5, 0.5 * right, right) for v in (-0.5, 0.5 * bottom, bottom)]
     )
-    rays = LENSES[camera.lens].rays(edges, intrinsics(camera))
+    rays = LENSES[camera.lens].undistort(edges, intrinsics(camera))
     angles = np.arctan2(np.hypot(rays[:, 0], rays[:, 1]), rays[:, 2])
     return float(np.nanmax(angles)) if np.isfinite(angles).any() else _WIDEST

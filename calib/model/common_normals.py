@@ -15,17 +15,14 @@ import numpy as np
 from calib.basics.arrays import Array, rigid_inverse
 from calib.robot.dh.rows import HAYATI, MODIFIED, NEARLY_PARALLEL_RAD, DHRow
 
-#: An offset between parallel axes below this is rounding [m].
+#: Parallel axes whose offset is shorter than this coincide except for rounding [m].
 _COINCIDENT = 1e-13
 
-
-#: A tip whose z axis lies beside the last axis by less is on it [m].
+#: A tip whose origin is closer to the last axis than this is on it [m].
 _ON_AXIS = 1e-3
-
 
 #: Poses by rows agree with the robot's within this [m; rotation matrices: 1]; products within this are zero.
 TOLERANCE = 1e-9
-
 
 #: A direction whose part across an axis is shorter than this is along it.
 _ALONG = 1e-6
@@ -33,13 +30,13 @@ _ALONG = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class Rule:
-    """The convention of rows, and the angle below which it takes axes as parallel."""
+    """The convention of rows, and the angle below which they take axes as parallel."""
 
     #: One of `calib.robot.dh.rows.CONVENTIONS`
     convention: str
     #: Axes at a smaller angle are parallel, in the standard and modified conventions [rad]
     limit: float
-    #: True if the references are rows as a controller has them, of which every number is kept that can be: d between
+    #: True if the references are rows as a controller has them, and every number that can be is kept: d between
     #: parallel axes, the place of a sliding axis, and a, alpha and beta of the last row.
     keeps: bool = False
 
@@ -51,7 +48,7 @@ class Rule:
     def parallel(self, sine: float, reference: Reference | None) -> bool:
         """Return True if two axes count as parallel.
 
-        Axes that are nearly parallel are so in both robots, although the one may lie on this side of the limit.
+        If the reference's axes are nearly parallel, these are too, on whichever side of the limit they are.
 
         Args:
             sine: Sine of the angle between them.
@@ -66,7 +63,7 @@ class Rule:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reference:
-    """A row of the robot whose open choices are kept."""
+    """A row of another robot whose open choices are kept."""
 
     #: The row
     row: DHRow
@@ -107,19 +104,37 @@ def row_to(
         reference: The row whose open choices are kept; None for none.
         rule: The convention, and the angle below which axes count as parallel.
     """
+    x = T[:3, 0]
     z = T[:3, 2]
     normal = cross(z, axis)
     sine = float(np.linalg.norm(normal))
     between = point - T[:3, 3]
     if rule.parallel(sine, reference):
-        return _row_to_parallel(T, axis, between, reference, rule)
+        near = x
+        kept_d = 0.0
+        if reference is not None:
+            near = reference.x
+            if rule.keeps:
+                kept_d = reference.row.d
+        beyond_d = between - kept_d * z
+        # Along the axis into the plane across z: there d = 0.
+        offset = beyond_d - axis * (beyond_d @ z) / (axis @ z)
+        return _parallel_row(T, axis, offset, near, tilted=rule.hayati)._replace(d=kept_d)
+
     normal /= sine
-    if _points_backwards(normal, T[:3, 0], between, reference):
+    if reference is not None:
+        is_backwards = normal @ reference.x < 0
+    else:
+        # x_i points as near as possible to x of the frame, or, where it is square to that, towards the next axis.
+        along = normal @ x
+        is_square = -TOLERANCE <= along < TOLERANCE
+        is_backwards = along < -TOLERANCE or (is_square and between @ normal < -TOLERANCE)
+    if is_backwards:
         normal = -normal
     # Feet of the common normal: origin + d z + a normal = point + s axis.
     d, a, _ = np.linalg.solve(np.stack([z, normal, -axis], axis=1), between)
     return RowNumbers(
-        theta=_turn(T[:3, 0], normal, about=z),
+        theta=_turn(x, normal, about=z),
         d=float(d),
         a=float(a),
         alpha=_turn(z, axis, about=normal),
@@ -127,78 +142,15 @@ def row_to(
     )
 
 
-def _row_to_parallel(
-    T: Array, axis: Array, between: Array, reference: Reference | None, rule: Rule
-) -> RowNumbers:
-    """Return the row from a frame to an axis that counts as parallel; d is 0, or the reference's where it is kept.
-
-    Args:
-        T: Shape (4, 4), [m], the frame before the row, in the base at q = 0.
-        axis: Shape (3,), unit vector along the next axis.
-        between: Shape (3,), [m], from the frame's origin to a point of that axis.
-        reference: The row whose open choices are kept; None for none.
-        rule: The convention, and whether d is kept.
-    """
-    near = T[:3, 0]
-    d = 0.0
-    if reference is not None:
-        near = reference.x
-    if reference is not None and rule.keeps:
-        d = reference.row.d
-    z = T[:3, 2]
-    offset = _offset(between - d * z, z, axis)
-    row = _parallel_row(T, axis, offset, near, tilted=rule.hayati)
-    return row._replace(d=d)
-
-
 def _turn(start: Array, end: Array, *, about: Array) -> float:
-    """Return the angle in (-pi, pi] by which a turn about an axis takes one vector to another [rad].
-
-    Args:
-        start: Shape (3,), unit vector across the axis.
-        end: Shape (3,), likewise.
-        about: Shape (3,), unit vector along the axis; the turn is positive by the right-hand rule.
-    """
+    """Return the angle in (-pi, pi] by which a turn about an axis takes one unit vector across it to another [rad]."""
     return float(np.arctan2(cross(start, end) @ about, start @ end))
 
 
-def _offset(between: Array, z: Array, axis: Array) -> Array:
-    """Return the offset (3,) [m] from a frame's origin to a nearly parallel axis in the plane across z: there d = 0.
-
-    Args:
-        between: Shape (3,), [m], from the frame's origin to a point of the axis.
-        z: Shape (3,), z axis of the frame.
-        axis: Shape (3,), unit vector along the axis.
-    """
-    return between - axis * (between @ z) / (axis @ z)
-
-
-def _points_backwards(normal: Array, x: Array, between: Array, reference: Reference | None) -> bool:
-    """Return True if a common normal is to be turned round, so that x_i points as it should.
-
-    Args:
-        normal: Shape (3,), unit vector along the common normal.
-        x: Shape (3,), x axis of the frame before the row: x_i points as near to it as possible.
-        between: Shape (3,), [m], from that frame's origin to the next axis: decides where x and the normal are square.
-        reference: The row whose x axis decides instead; None for none.
-    """
-    if reference is not None:
-        return bool(normal @ reference.x < 0)
-    along = normal @ x
-    if along < -TOLERANCE:
-        return True
-    return bool(along < TOLERANCE and between @ normal < -TOLERANCE)
-
-
 def _parallel_row(T: Array, axis: Array, offset: Array, near: Array, *, tilted: bool) -> RowNumbers:
-    """Return the row, with d = 0, to an axis that is parallel or nearly so.
+    """Return the row, with d = 0, from a frame to a parallel axis at an offset (3,) [m] from its origin.
 
-    Args:
-        T: Shape (4, 4), [m], the frame before the row, in the base at q = 0.
-        axis: Shape (3,), unit vector along the next axis.
-        offset: Shape (3,), [m], from the frame's origin to that axis.
-        near: Shape (3,), the direction that x_i points nearest to.
-        tilted: True for a row with beta, whose axes need not be parallel.
+    x_i points nearest to the direction ``near``. A tilted row has a beta, for an axis that is nearly parallel.
     """
     x = T[:3, 0]
     z = T[:3, 2]
@@ -221,7 +173,7 @@ def _parallel_row(T: Array, axis: Array, offset: Array, near: Array, *, tilted: 
 
 
 def last_row(T: Array, T_base_tip: Array, reference: Reference | None, rule: Rule) -> RowNumbers:
-    """Return the row from the last axis to the tip, whose frame is the tip's where it can be.
+    """Return the row from the last axis to the tip, whose frame is the tip's if it can be.
 
     Args:
         T: Shape (4, 4), [m], the frame before the row, in the base at q = 0.
@@ -232,12 +184,18 @@ def last_row(T: Array, T_base_tip: Array, reference: Reference | None, rule: Rul
     z = T[:3, 2]
     axis = T_base_tip[:3, 2]
     sine = np.linalg.norm(cross(z, axis))
-    if reference is not None and rule.keeps:
-        return _last_row_like(T, T_base_tip, reference)
-    if sine >= np.sin(NEARLY_PARALLEL_RAD):
+    is_tilted = sine >= np.sin(NEARLY_PARALLEL_RAD)
+    if reference is not None and (rule.keeps or not is_tilted):
+        # With the reference's a, alpha and beta T_n_tip takes up how the tip moved.
+        row = reference.row
+        fixed = replace(row, theta=0.0, d=0.0).matrix()
+        T_tip_row = rigid_inverse(fixed @ reference.T_n_tip)
+        turn = rigid_inverse(T) @ T_base_tip @ T_tip_row
+        theta = np.arctan2(turn[1, 0] - turn[0, 1], turn[0, 0] + turn[1, 1])
+        return RowNumbers(float(theta), float(turn[2, 3]), row.a, row.alpha, row.beta)
+    if is_tilted:
         return row_to(T, T_base_tip[:3, 3], axis, reference, rule)
-    if reference is not None:
-        return _last_row_like(T, T_base_tip, reference)
+
     between = T_base_tip[:3, 3] - T[:3, 3]
     along = float(between @ z)
     across = between - along * z
@@ -251,22 +209,6 @@ def last_row(T: Array, T_base_tip: Array, reference: Reference | None, rule: Rul
     return numbers._replace(d=along)
 
 
-def _last_row_like(T: Array, T_base_tip: Array, reference: Reference) -> RowNumbers:
-    """Return the last row with a, alpha and beta of another robot's, so that T_n_tip takes up how the tip moved.
-
-    Args:
-        T: Shape (4, 4), [m], the frame before the row, in the base at q = 0.
-        T_base_tip: Shape (4, 4), [m], the tip at q = 0.
-        reference: The other robot's last row.
-    """
-    row = reference.row
-    fixed = replace(row, theta=0.0, d=0.0).matrix()
-    T_tip_row = rigid_inverse(fixed @ reference.T_n_tip)
-    turn = rigid_inverse(T) @ T_base_tip @ T_tip_row
-    theta = np.arctan2(turn[1, 0] - turn[0, 1], turn[0, 0] + turn[1, 1])
-    return RowNumbers(float(theta), float(turn[2, 3]), row.a, row.alpha, row.beta)
-
-
 def sliding_axis(
     T: Array,
     axis: Array,
@@ -277,17 +219,16 @@ def sliding_axis(
     """Return a point that the axis of a sliding joint is taken through.
 
     Only the direction in which a joint slides matters: its axis may be moved sideways, here so that rows keep their
-    numbers. The row to the axis keeps d and a. Where the axis behind it is parallel, the row from it keeps d, a and
-    theta instead: if the two were one line, no number of that row could hold a correction that moves one beside the
-    other.
+    numbers. The row to the axis keeps d and a. If the axis after it is parallel, the row from it keeps d, a and theta
+    instead: if the two were one line, no number of that row could hold a correction that moves one beside the other.
 
     Args:
         T: Shape (4, 4), [m], the frame before the row to the sliding axis, in the base at q = 0.
         axis: Shape (3,), unit vector along the sliding axis.
         reference: The row to it.
         rule: The convention, and the angle below which axes count as parallel.
-        beyond: A point (3,) [m] of the axis behind it, that axis (3,), and the row to it; None if the sliding joint is
-            the last, or the joint behind it slides, too.
+        beyond: A point (3,) [m] of the axis after it, that axis (3,), and the row to it; None if the sliding joint is
+            the last, or the joint after it slides, too.
 
     Returns:
         Shape (3,), [m], in the base.
@@ -296,37 +237,21 @@ def sliding_axis(
     if beyond is not None:
         point, next_axis, row_beyond = beyond
         if rule.parallel(float(np.linalg.norm(cross(axis, next_axis))), row_beyond):
-            start, across = _plane_of_foot(T, axis, along.theta, reference, rule)
+            # The axis meets the plane in which the frame after the row to it can be: across z where that row keeps d,
+            # between parallel axes, else along z and x, with its theta and any d.
+            start = T[:3, 3]
+            z = T[:3, 2]
+            if rule.parallel(float(np.linalg.norm(cross(z, axis))), reference):
+                start = start + z * reference.row.d
+                across = z
+            else:
+                theta = along.theta
+                across = cross(z, T[:3, :3] @ np.array([np.cos(theta), np.sin(theta), 0.0]))
             back = axis * row_beyond.row.d + _across(axis, row_beyond.x) * row_beyond.row.a
             end = point - back
             return np.asarray(end + next_axis * (((start - end) @ across) / (next_axis @ across)))
     kept = replace(reference.row, theta=along.theta, alpha=0.0, beta=0.0)
     return np.asarray((T @ kept.matrix())[:3, 3])
-
-
-def _plane_of_foot(
-    T: Array, axis: Array, theta: float, reference: Reference, rule: Rule
-) -> tuple[Array, Array]:
-    """Return the plane that the frame behind a row can lie in, whose theta is given and whose a is free.
-
-    Of a parallel axis d is kept, so that the plane lies across z; of another one d is free, so that it lies along z
-    and x.
-
-    Args:
-        T: Shape (4, 4), [m], the frame before the row, in the base at q = 0.
-        axis: Shape (3,), unit vector along the next axis.
-        theta: Angle about z of the frame, from its x to that of the frame behind the row [rad].
-        reference: The row whose numbers are kept.
-        rule: The convention, and the angle below which axes count as parallel.
-
-    Returns:
-        A point of the plane, shape (3,), [m], and its normal, shape (3,).
-    """
-    z = T[:3, 2]
-    if rule.parallel(float(np.linalg.norm(cross(z, axis))), reference):
-        return T[:3, 3] + z * reference.row.d, z
-    x = T[:3, :3] @ np.array([np.cos(theta), np.sin(theta), 0.0])
-    return T[:3, 3], cross(z, x)
 
 
 def first_frame(point: Array, axis: Array, near: Array) -> Array:
@@ -353,7 +278,7 @@ def _across(z: Array, near: Array) -> Array:
         across = direction - z * (z @ direction)
         length = np.linalg.norm(across)
         if length >= _ALONG:
-            # Twice is enough: the part along z after the first pass is rounding of a short vector.
+            # Once more: rounding of a short vector leaves a part along z after the first pass.
             across = across / length
             across = across - z * (z @ across)
             break
@@ -361,12 +286,7 @@ def _across(z: Array, near: Array) -> Array:
 
 
 def cross(a: Array, b: Array) -> Array:
-    """Return the product a x b of two vectors; `numpy.cross` is made for stacks and takes ten times as long.
-
-    Args:
-        a: Shape (3,).
-        b: Shape (3,).
-    """
+    """Return the product a x b of two vectors, shape (3,); `numpy.cross`, for stacks, takes ten times as long."""
     a0, a1, a2 = a
     b0, b1, b2 = b
     return np.array([a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0])

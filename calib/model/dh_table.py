@@ -31,18 +31,16 @@ from calib.robot.dh.rows import (
 )
 from calib.robot.robot import Robot
 
-#: Axes closer to parallel than the first of these [rad] are rounding of a URDF's text: the common normal would be of
-#: noise. Behind a common normal that lies far away even such an angle is metres: there the first that holds is taken.
+#: Axes closer to parallel than the first of these [rad] differ by the rounding of a URDF's text: their common normal
+#: would be noise. After a common normal that is far away even such an angle makes metres: then the first angle whose
+#: rows hold the robot is taken.
 _PARALLEL = (5e-7, 1e-8, 1e-10, 1e-12)
-
 
 #: A number that differs from that of a sheet by less differs by rounding [m or rad].
 _ROUNDING = 1e-13
 
-
 #: Number of joint values at which rows are compared with the robot.
 _POSES = 8
-
 
 #: Seed of these joint values, so that the same robot always gets the same rows.
 _SEED = 20170401
@@ -62,7 +60,7 @@ def dh_table(
         like: A robot of the same chain, such as the nominal one, whose open choices are kept so that columns compare;
             None to choose as a data sheet does.
         sheet: Rows of the same chain in the same convention, as a controller has them: the robot's differ from them by
-            corrections alone. Directions and offsets are theirs. None for none; ``like`` is not used beside it.
+            corrections alone, and have their directions and offsets. None for none; with it, ``like`` is not used.
 
     Example:
         >>> table = dh_table(Robot.load("ur3", base="base", tip="tool0"))
@@ -71,11 +69,11 @@ def dh_table(
     """
     if sheet is not None:
         rule = replace(_rule_for(robot, convention), keeps=True)
-        return _in_form_of(sheet, _product(robot, rule, _standard_form(sheet)))
+        return _in_form_of(sheet, _standard_rows(robot, rule, _standard_form(sheet)))
     reference = None
     if like is not None:
-        reference = _product(like, _rule_for(like, convention))
-    table = _product(robot, _rule_for(robot, convention), reference)
+        reference = _standard_rows(like, _rule_for(like, convention))
+    table = _standard_rows(robot, _rule_for(robot, convention), reference)
     return _rebracketed(table) if convention == MODIFIED else table
 
 
@@ -117,10 +115,7 @@ def _rule_for(robot: Robot, convention: str) -> Rule:
 
 
 def _parallel_limit(robot: Robot) -> float:
-    """Return the angle [rad] below which axes count as parallel: the largest of `_PARALLEL` whose rows hold the robot.
-
-    If none holds, that with the smallest error.
-    """
+    """Return the angle [rad] below which axes count as parallel: the first whose rows hold the robot, else the best."""
     sines = _sines(robot)
     random = np.random.default_rng(_SEED)
     q = random.uniform(-np.pi, np.pi, (_POSES, len(robot.joint_names)))
@@ -129,7 +124,7 @@ def _parallel_limit(robot: Robot) -> float:
     reach = 1.0 + float(np.linalg.norm(robot.placements[:, :3, 3], axis=1).sum())
     errors: dict[float, float] = {}
     for limit in _PARALLEL:
-        table = _product(robot, Rule(STANDARD, limit))
+        table = _standard_rows(robot, Rule(STANDARD, limit))
         errors[limit] = float(np.abs(table.poses(values) - poses).max())
         neglected = max((sine for sine in sines if sine < limit), default=0.0)
         if errors[limit] <= TOLERANCE + 2.0 * reach * neglected:
@@ -149,51 +144,55 @@ def _sines(robot: Robot) -> list[float]:
     return [float(np.linalg.norm(cross(*pair))) for pair in pairwise(axes)]
 
 
-def _references(like: DHTable | None, count: int) -> list[Reference | None]:
-    """Return the rows of another robot as references, or so many None."""
-    if like is None:
-        return [None] * count
-    return [
-        Reference(row, frame[:3, 0], like.T_n_tip)
-        for row, frame in zip(like.rows, dh_frames(like), strict=True)
-    ]
+def _standard_rows(robot: Robot, rule: Rule, like: DHTable | None = None) -> DHTable:
+    """Return the rows, bracketed as standard ones are also for the modified convention.
 
-
-def _product(robot: Robot, rule: Rule, like: DHTable | None = None) -> DHTable:
-    """Return the rows in the standard bracketing, also for the modified convention.
-
-    Args:
-        robot: The robot.
-        rule: The convention, and the angle below which axes count as parallel.
-        like: Rows of a robot of the same chain, in the same bracketing, whose open choices are kept; None for none.
+    The open choices are those of ``like``, rows of a robot of the same chain that are bracketed in the same way.
     """
-    T_base_tip = zero_poses(robot)[1]
-    references = _references(like, len(robot.joints))
-    points, axes = _lines(robot, references)
-    near = np.eye(4) if like is None else like.T_base_0
-    if rule.keeps and robot.joints[0].type == "prismatic":
+    T_base_joint, T_base_tip = zero_poses(robot)
+    slides = [joint.type == "prismatic" for joint in robot.joints]
+    near = np.eye(4)
+    references: list[Reference | None] = [None] * len(robot.joints)
+    if like is not None:
+        near = like.T_base_0
+        for i, (row, frame) in enumerate(zip(like.rows, dh_frames(like), strict=True)):
+            references[i] = Reference(row, frame[:3, 0], like.T_n_tip)
+    directions = [1 if of_row is None else of_row.row.direction for of_row in references]
+
+    # A point of each joint's axis, and the axes as rows have them: turned round if the direction is -1.
+    points = [T[:3, 3] for T in T_base_joint]
+    axes = _axes(robot, T_base_joint)
+    axes = [direction * axis for direction, axis in zip(directions, axes, strict=True)]
+    if rule.keeps and slides[0]:
         points[0] = near[:3, 3]
     T_base_0 = first_frame(points[0], axes[0], near)
+
     # Each row begins where those before it end: digits that one cannot hold, as the last of a d of kilometres, go into
     # the next.
     T = T_base_0
     rows: list[DHRow] = []
-    for i, joint in enumerate(robot.joints):
-        if i + 1 < len(axes):
-            if rule.keeps and robot.joints[i + 1].type == "prismatic":
-                points[i + 1] = _free_point(robot, T, (points, axes), references, i, rule)
-            numbers = row_to(T, points[i + 1], axes[i + 1], references[i], rule)
+    for i, (joint, reference) in enumerate(zip(robot.joints, references, strict=True)):
+        following = i + 1
+        if following == len(axes):
+            numbers = last_row(T, T_base_tip, reference, rule)
         else:
-            numbers = last_row(T, T_base_tip, references[i], rule)
+            if rule.keeps and slides[following]:
+                beyond = None
+                row_beyond = references[following]
+                if i + 2 < len(axes) and not slides[i + 2] and row_beyond is not None:
+                    beyond = (points[i + 2], axes[i + 2], row_beyond)
+                assert reference is not None, "only numbers of references are kept"
+                points[following] = sliding_axis(T, axes[following], reference, rule, beyond)
+            numbers = row_to(T, points[following], axes[following], reference, rule)
         row = DHRow(
             joint.name,
-            joint.type == "prismatic",
+            slides[i],
             *numbers,
-            direction=_direction(references[i]),
+            direction=directions[i],
             lower=joint.lower,
             upper=joint.upper,
         )
-        rows.append(_tidy(row, references[i]))
+        rows.append(_tidy(row, reference))
         T = T @ rows[-1].matrix()
     return DHTable(
         rows=tuple(rows),
@@ -203,71 +202,25 @@ def _product(robot: Robot, rule: Rule, like: DHTable | None = None) -> DHTable:
     )
 
 
-def _lines(robot: Robot, references: Sequence[Reference | None]) -> tuple[list[Array], list[Array]]:
-    """Return a point of each joint's axis, (3,) [m] in the base at q = 0, and the axes as rows have them.
-
-    An axis is a unit vector (3,), turned round where a reference adds the joint's value with the direction -1.
-    """
-    T_base_joint, _ = zero_poses(robot)
-    points = [T[:3, 3] for T in T_base_joint]
-    axes = []
-    for axis, reference in zip(_axes(robot, T_base_joint), references, strict=True):
-        axes.append(_direction(reference) * axis)
-    return points, axes
-
-
-def _direction(reference: Reference | None) -> int:
-    """Return the factor of a joint's value, 1 or -1, as a reference has it; 1 without one."""
-    return 1 if reference is None else reference.row.direction
-
-
-def _free_point(
-    robot: Robot,
-    T: Array,
-    lines: tuple[list[Array], list[Array]],
-    references: Sequence[Reference | None],
-    i: int,
-    rule: Rule,
-) -> Array:
-    """Return the point (3,) [m] that the sliding axis of joint i + 1, from 0, is taken through; see `sliding_axis`.
-
-    Args:
-        robot: The robot.
-        T: Shape (4, 4), [m], the frame before row i, in the base.
-        lines: A point of each joint's axis, and the axes.
-        references: The rows whose numbers are kept.
-        i: Number of the row, from 0.
-        rule: The convention, and that numbers are kept.
-    """
-    points, axes = lines
-    beyond = None
-    row_beyond = references[i + 1]
-    if i + 2 < len(axes) and robot.joints[i + 2].type != "prismatic" and row_beyond is not None:
-        beyond = (points[i + 2], axes[i + 2], row_beyond)
-    reference = references[i]
-    assert reference is not None, "numbers are kept of rows alone"
-    return sliding_axis(T, axes[i + 1], reference, rule, beyond)
-
-
 def _standard_form(sheet: DHTable) -> DHTable:
-    """Return rows of any convention in the standard bracketing, with their offsets in theta, or d where they slide."""
+    """Return rows of any convention, bracketed as standard ones, with their offsets in theta, or in d if they slide."""
     rows = [_with_offset(row) for row in sheet.rows]
     if sheet.convention != MODIFIED:
         return replace(sheet, rows=tuple(rows))
     moved = []
-    for row, behind in zip(rows, [*rows[1:], None], strict=True):
-        a, alpha = (0.0, 0.0) if behind is None else (behind.a, behind.alpha)
+    for row, following in zip(rows, [*rows[1:], None], strict=True):
+        a, alpha = (0.0, 0.0) if following is None else (following.a, following.alpha)
         moved.append(replace(row, a=a, alpha=alpha))
     first = screw(0, rows[0].alpha, rows[0].a)
     return DHTable(tuple(moved), sheet.T_base_0 @ first, sheet.T_n_tip, STANDARD)
 
 
 def _in_form_of(sheet: DHTable, table: DHTable) -> DHTable:
-    """Return rows of the standard bracketing in the convention of a sheet, with its offsets."""
+    """Return rows that are bracketed as standard ones in the convention of a sheet, with its offsets."""
     if sheet.convention == MODIFIED:
         first = sheet.rows[0]
         table = _rebracketed(table)
-        # The sheet's first row may have a and alpha, which frame 0 of `_rebracketed` has taken up.
+        # The sheet's first row may have a and alpha, which frame 0 took up in `_rebracketed`.
         moved_rows = (replace(table.rows[0], a=first.a, alpha=first.alpha), *table.rows[1:])
         before = rigid_inverse(screw(0, first.alpha, first.a))
         table = DHTable(moved_rows, read_only(table.T_base_0 @ before), table.T_n_tip, MODIFIED)
@@ -292,17 +245,17 @@ def _in_form_of(sheet: DHTable, table: DHTable) -> DHTable:
 
 
 def _settled(value: float, of_sheet: float) -> float:
-    """Return the number of a sheet where a row's own differs from it by rounding, else the row's [m or rad]."""
+    """Return the number of a sheet if a row's own differs from it by rounding, else the row's [m or rad]."""
     return of_sheet if abs(value - of_sheet) < _ROUNDING else value
 
 
 def _settled_pose(T: Array, of_sheet: Array) -> Array:
-    """Return the pose of a sheet, (4, 4) [m], where another differs from it by rounding, else the other."""
+    """Return the pose of a sheet, (4, 4) [m], if another differs from it by rounding, else the other."""
     return of_sheet if np.abs(T - of_sheet).max() < _ROUNDING else T
 
 
 def _with_offset(row: DHRow, offset: float = 0.0) -> DHRow:
-    """Return the same row with another offset: theta, or d where the joint slides, takes up the difference."""
+    """Return the same row with another offset: theta, or d if the joint slides, takes up the difference."""
     moved = row.offset - offset
     if row.prismatic:
         return replace(row, d=row.d + moved, offset=offset)

@@ -33,10 +33,9 @@ from calib.model.parameters import (
     Parameter as Parameter,
     twist_of,
 )
-from calib.robot.dh.rows import DHRow, dh_frames, screw
+from calib.robot.dh.rows import dh_frames, screw
 from calib.robot.gravity import GRAVITY
 from calib.robot.robot import Robot
-from calib.robot.urdf import UrdfJoint
 
 #: The six directions of a frame or a placement: along, then about its axes.
 DIRECTIONS = ("x", "y", "z", "rx", "ry", "rz")
@@ -50,10 +49,10 @@ _TWISTS = {direction: read_only(row) for direction, row in zip(DIRECTIONS, np.ey
 #: The name of a set of parameters that was given as parameters, not by its name.
 OWN = "own"
 
-#: Names that mean something else than a set: the choice by the data, and `OWN`.
+#: Names that no set may have: ``auto``, the choice by the data, and `OWN`.
 _RESERVED = ("auto", OWN)
 
-#: An axis within this of a coordinate axis is one [rad].
+#: An axis within this angle of a coordinate axis counts as that [rad].
 _ALIGNED = 1e-6
 
 
@@ -72,9 +71,9 @@ def error_model(
 
     Args:
         robot: The nominal robot.
-        name: ``paper`` or ``dh`` (a, alpha, d, theta of each DH row), ``hayati`` (beta in place of d where axes are
-            nearly parallel), ``placement`` (all six of each joint), ``zeros`` (the joint zeros only) or ``frames``
-            (no error of the robot at all); behind it, each with a "+", any of the families of the joints' state:
+        name: ``paper`` or ``dh`` (a, alpha, d, theta of each DH row), ``hayati`` (beta in place of d between nearly
+            parallel axes), ``placement`` (all six of each joint), ``zeros`` (the joint zeros only) or ``frames`` (no
+            error of the robot at all); after it, each with a "+", any of the families of the joints' state:
             ``"dh+compliance"``. Or the robot's own parameters themselves: a set called `OWN`.
         frame: True to estimate all six parameters of the one measurement frame; or for each station which of
             `DIRECTIONS` are estimated (none for a frame that is known).
@@ -102,7 +101,10 @@ def error_model(
         robot_parameters = _robot_parameters(robot, name, acceleration)
     else:
         set_name = OWN
-        _check_parameters(name)
+        allowed = "the name of a model, or a sequence of Parameters"
+        check_type("model", name, Sequence, allowed)
+        for parameter in name:
+            check_type("model", parameter, Parameter, allowed)
         robot_parameters = tuple(name)
     if set_name == "paper" and any(frame.values()):
         raise ModelError(
@@ -121,23 +123,9 @@ def error_model(
     return model
 
 
-def _check_parameters(given: Sequence[Parameter]) -> None:
-    """Refuse what is no sequence of parameters."""
-    allowed = "the name of a model, or a sequence of Parameters"
-    check_type("model", given, Sequence, allowed)
-    for parameter in given:
-        check_type("model", parameter, Parameter, allowed)
-
-
 @lru_cache(maxsize=64)
 def _robot_parameters(robot: Robot, name: str, gravity: tuple[float, ...]) -> tuple[Parameter, ...]:
-    """Return the parameters of the robot itself, which folds, candidates and trials ask for again and again.
-
-    Args:
-        robot: The nominal robot.
-        name: The model's name, such as ``"dh+gain"``.
-        gravity: Three numbers, acceleration in the URDF's root [m/s^2].
-    """
+    """Return the parameters of the robot itself by the model's name; folds, candidates and trials ask repeatedly."""
     set_name, families = split_name(name)
     parameters = list(MODELS[set_name](robot))
     for family in families:
@@ -155,7 +143,7 @@ def frame_and_target_model(
     """Return the parameters of frames and targets alone, for given poses of the tip.
 
     Args:
-        frames: Which of `DIRECTIONS` are estimated, by the name of each measurement frame; none of a known one.
+        frames: Which of `DIRECTIONS` are estimated, by the name of each measurement frame; () for a known one.
         estimated: Names of the targets that are estimated.
         targets: Names of all targets.
         rotation: True if targets are frames, of which six parameters are estimated; False for points.
@@ -178,14 +166,7 @@ def _placed_parameters(
     name: str,
     directions: Iterable[str],
 ) -> list[Parameter]:
-    """Return the parameters of one frame or target in some of `DIRECTIONS`.
-
-    Args:
-        prefix: ``"frame"`` or ``"target"``, with which their names begin.
-        family: `FRAME` or `TARGET`.
-        name: The frame's or the target's name; "" for the only one.
-        directions: Some of `DIRECTIONS`, in any order.
-    """
+    """Return the parameters of a frame or target in some of `DIRECTIONS`; their names begin with the prefix."""
     return [
         Parameter(
             name=placed_name(prefix, direction, name),
@@ -202,8 +183,8 @@ def _placed_parameters(
 def _follower_ties(robot: Robot) -> dict[str, tuple[str, float]]:
     """Return ties of the zeros of joints that follow the same column of q, for `ErrorModel.tied`.
 
-    The leader is the column's own joint, or the first follower where that one turns and they slide, or the other way
-    round. The factor is that of the mimic multipliers.
+    The leader is the column's own joint, or the first follower if one slides and the other turns. The factor is the
+    ratio of the mimic multipliers.
     """
     ties = {}
     for column, driver in enumerate(robot.joint_names):
@@ -233,14 +214,14 @@ def split_name(name: str) -> tuple[str, tuple[str, ...]]:
         if base not in MODELS:
             fault = f"There is no parameter set '{base}'{did_you_mean(base, MODELS)}"
         raise ModelError(
-            f"{fault}. Choose 'auto', or one of {choices(MODELS)} and behind it, each once and with a '+', any of "
+            f"{fault}. Choose 'auto', or one of {choices(MODELS)} and after it, each once and with a '+', any of "
             f"{choices(joint_families())}. {plugins.HINT}"
         )
     return base, tuple(families)
 
 
 def placed_name(prefix: str, direction: str, name: str) -> str:
-    """Return the name of a parameter of a frame or target: ``"target_x"``, or ``"target_x[left]"`` of one by name.
+    """Return the name of a parameter of a frame or target: ``"target_x"``, or ``"target_x[left]"`` of one with a name.
 
     Args:
         prefix: ``"frame"`` or ``"target"``.
@@ -253,74 +234,49 @@ def placed_name(prefix: str, direction: str, name: str) -> str:
 def _dh_parameters(robot: Robot, *, hayati: bool = False) -> list[Parameter]:
     """Return a_i, alpha_i, d_i, theta_i of each DH row, row by row; with ``hayati`` beta_i in place of some d_i.
 
-    a_i and alpha_i act on the placement after joint i, and are left out where no <origin> carries it, as the tip's: the
-    target takes their place. d_i and theta_i act on that of joint i. With ``hayati``, a row between nearly parallel
+    a_i and alpha_i act on the placement after joint i, and are left out if no <origin> carries it, such as the tip's:
+    the target takes their place. d_i and theta_i act on that of joint i. With ``hayati``, a row between nearly parallel
     axes has beta_i in place of d_i.
     """
     table = dh_table(robot)
     T_base_joint, T_base_tip = zero_poses(robot)
     T_base_next = [*T_base_joint[1:], T_base_tip]
-    parameters = []
-    for i, (row, frame) in enumerate(zip(table.rows, dh_frames(table), strict=True)):
-        parallel = hayati and row.near_parallel and i + 1 < len(table.rows)
-        behind = []
-        if robot.carriers[i + 1] is not None:
-            T_next_row = rigid_inverse(T_base_next[i]) @ frame
-            behind = _after_joint(robot, i, row, T_next_row, with_beta=parallel)
-        before = _along_joint(robot, i, row, with_d=not parallel)
-        # Where d and theta act at the same place as a and alpha, they come first, as in the row's product.
-        if robot.carriers[i] is not None:
-            parameters += behind + before
-        else:
-            parameters += before + behind
-    return parameters
-
-
-def _after_joint(
-    robot: Robot,
-    i: int,
-    row: DHRow,
-    T_next_row: Array,
-    *,
-    with_beta: bool,
-) -> list[Parameter]:
-    """Return a, alpha and, if wanted, beta of a DH row, which act on the placement after its joint.
-
-    Args:
-        robot: The robot.
-        i: Number of the row and of its joint, from 0.
-        row: The row.
-        T_next_row: Shape (4, 4), [m], frame of the row before its rotation about beta in the next joint, or the tip.
-        with_beta: True for beta too.
-    """
-    number = i + 1
-    place = robot.joints[number].name if number < len(robot.joints) else TIP
-    x = T_next_row[:3, 0]
-    origin = T_next_row[:3, 3]
-    along_x = twist_of(x, np.zeros(3))
-    about_x = twist_of(np.cross(origin, x), x)
-    parameters = [
-        Parameter(f"a{number}", "m", place, along_x, LENGTH, row.a),
-        Parameter(f"alpha{number}", "rad", place, about_x, ANGLE, row.alpha),
-    ]
-    if with_beta:
-        y = (T_next_row @ screw(1, row.beta, 0.0))[:3, 1]
-        about_y = twist_of(np.cross(origin, y), y)
-        parameters.append(Parameter(f"beta{number}", "rad", place, about_y, ANGLE, row.beta))
-    return parameters
-
-
-def _along_joint(robot: Robot, i: int, row: DHRow, *, with_d: bool) -> list[Parameter]:
-    """Return d, if wanted, and theta of the DH row of joint i, from 0, which act along and about the joint's axis."""
-    axis = np.asarray(robot.joints[i].axis)
     zeros = np.zeros(3)
     parameters = []
-    if with_d:
-        along = twist_of(axis, zeros)
-        parameters.append(_before_joint(robot, i, f"d{i + 1}", along, LENGTH, row.d))
-    family = ANGLE if row.prismatic else ZERO
-    about = twist_of(zeros, axis)
-    parameters.append(_before_joint(robot, i, f"theta{i + 1}", about, family, row.theta))
+    for i, (row, frame) in enumerate(zip(table.rows, dh_frames(table), strict=True)):
+        number = i + 1
+        is_last = number == len(table.rows)
+        with_beta = hayati and row.near_parallel and not is_last
+
+        after = []
+        if robot.carriers[number] is not None:
+            place = TIP if is_last else robot.joints[number].name
+            T_next_row = rigid_inverse(T_base_next[i]) @ frame
+            x = T_next_row[:3, 0]
+            origin = T_next_row[:3, 3]
+            along_x = twist_of(x, zeros)
+            about_x = twist_of(np.cross(origin, x), x)
+            after.append(Parameter(f"a{number}", "m", place, along_x, LENGTH, row.a))
+            after.append(Parameter(f"alpha{number}", "rad", place, about_x, ANGLE, row.alpha))
+            if with_beta:
+                y = (T_next_row @ screw(1, row.beta, 0.0))[:3, 1]
+                about_y = twist_of(np.cross(origin, y), y)
+                after.append(Parameter(f"beta{number}", "rad", place, about_y, ANGLE, row.beta))
+
+        before = []
+        axis = np.asarray(robot.joints[i].axis)
+        if not with_beta:
+            along = twist_of(axis, zeros)
+            before.append(_before_joint(robot, i, f"d{number}", along, LENGTH, row.d))
+        family = ANGLE if row.prismatic else ZERO
+        about = twist_of(zeros, axis)
+        before.append(_before_joint(robot, i, f"theta{number}", about, family, row.theta))
+
+        # If d and theta act at the same place as a and alpha, they come first, as in the row's product.
+        if robot.carriers[i] is not None:
+            parameters += after + before
+        else:
+            parameters += before + after
     return parameters
 
 
@@ -332,15 +288,9 @@ def _before_joint(
     family: str,
     nominal: float = 0.0,
 ) -> Parameter:
-    """Return a parameter at a joint's placement, or at the next where no <origin> carries that.
+    """Return a parameter at the placement of joint i, or at the next one if no <origin> carries that.
 
-    Args:
-        robot: The robot.
-        i: Number of the joint, from 0.
-        name: The parameter's name.
-        twist: Shape (6,), along or about the joint's axis, in its frame.
-        family: The parameter's family.
-        nominal: The value that it adds to [m or rad].
+    Its twist, shape (6,), is along or about the joint's axis, in the joint's frame; it adds to the nominal value.
     """
     unit = "m" if twist[:3].any() else "rad"
     place = robot.joints[i].name
@@ -352,9 +302,9 @@ def _before_joint(
 
 
 def _placement_parameters(robot: Robot) -> list[Parameter]:
-    """Return ``<joint>.x`` to ``<joint>.rz`` of each joint, and ``<joint>.zero`` where its axis is none of the frame's.
+    """Return ``<joint>.x`` to ``<joint>.rz`` of each joint, and ``<joint>.zero`` if it turns about another axis.
 
-    A joint that moves the base directly, without an <origin>, has none: what can be known of it is in the next one.
+    A joint that moves the base directly, without an <origin>, has none: what can be known about it is in the next one.
     """
     parameters = []
     for joint, carrier, twist in zip(
@@ -362,32 +312,20 @@ def _placement_parameters(robot: Robot) -> list[Parameter]:
     ):
         if carrier is None:
             continue
-        zero = _zero_direction(joint)
-        parameters += [
-            _placement_parameter(joint, direction, is_zero=direction == zero)
-            for direction in DIRECTIONS
-        ]
-        if joint.type != "prismatic" and zero is None:
+        turns = joint.type != "prismatic"
+        nearest = int(np.argmax(np.abs(joint.axis)))
+        is_aligned = abs(abs(joint.axis[nearest]) - 1.0) < 0.5 * _ALIGNED**2
+        zero = DIRECTIONS[3 + nearest] if turns and is_aligned else None
+        for direction in DIRECTIONS:
+            unit = _UNITS[direction]
+            family = LENGTH if unit == "m" else ANGLE
+            if direction == zero:
+                family = ZERO
+            name = f"{joint.name}.{direction}"
+            parameters.append(Parameter(name, unit, joint.name, _TWISTS[direction], family))
+        if turns and zero is None:
             parameters.append(Parameter(f"{joint.name}.zero", "rad", joint.name, twist, ZERO))
     return parameters
-
-
-def _zero_direction(joint: UrdfJoint) -> str | None:
-    """Return the one of `DIRECTIONS` that a joint turns about; None if it slides or its axis is none of the frame's."""
-    nearest = int(np.argmax(np.abs(joint.axis)))
-    aligned = abs(abs(joint.axis[nearest]) - 1.0) < 0.5 * _ALIGNED**2
-    if joint.type == "prismatic" or not aligned:
-        return None
-    return DIRECTIONS[3 + nearest]
-
-
-def _placement_parameter(joint: UrdfJoint, direction: str, *, is_zero: bool) -> Parameter:
-    """Return the parameter of one of `DIRECTIONS` at a joint; ``is_zero`` where the joint itself turns about it."""
-    family = LENGTH if _UNITS[direction] == "m" else ANGLE
-    if is_zero:
-        family = ZERO
-    name = f"{joint.name}.{direction}"
-    return Parameter(name, _UNITS[direction], joint.name, _TWISTS[direction], family)
 
 
 def _zero_parameters(robot: Robot) -> list[Parameter]:

@@ -1,4 +1,4 @@
-"""Families of errors: the registry. A family is one row, and everything else that names families reads it.
+"""Families of errors: the registry. A family is one row, which everything else that names families reads.
 
 A family of the *geometry* (length, angle, zero) is what a URDF can hold; its parameters are directions at placements.
 A family of the *joints' state* moves a joint about, or along, its own axis by a parameter times a known factor:
@@ -8,10 +8,10 @@ A family of the *joints' state* moves a joint about, or along, its own axis by a
     compliance    dq = c tau                   tau: the load on the joint, by gravity and payload, or measured
     gravity       dq = sum_l c_l z . ((p_l - p) x g / |g|)     p_l: the origins of later joints and the tip
 
-Gravity is compliance without masses: those of the links are unknown, and put where the chain has points. The joint's
-axis is z through p, of the nominal robot, and c_l what a mass at p_l bends it by, per metre of its lever arm.
+Gravity is compliance without known masses: the links' masses are assumed at the points of the chain. The joint's axis
+is z through p, of the nominal robot, and c_l is what a mass at p_l bends it by, per metre of its lever arm.
 
-No URDF can hold those. Source: J. Hollerbach, W. Khalil, M. Gautier, Handbook of Robotics, ch. 6. `register` adds a
+No URDF can hold these. Source: J. Hollerbach, W. Khalil, M. Gautier, Handbook of Robotics, ch. 6. `register` adds a
 family from outside.
 """
 
@@ -51,7 +51,7 @@ class Unit:
     cell: tuple[str, float]
     #: A value that could be typed: ``"0.5 mm"``.
     example: str
-    #: A value beyond this, in SI, is no error but another robot.
+    #: A larger value, in SI, is not an error but another robot.
     largest: float = 1.0
 
 
@@ -134,7 +134,7 @@ PX = Unit(
 #: calib's own units of parameters.
 _UNITS = (M, RAD, PX, ONE, M_PER_M, RAD_PER_NM, RAD_PER_M, M_PER_N)
 
-#: Names of the points that the chain ends at, besides those of its joints.
+#: Names of the points at the ends of the chain; the others have the names of its joints.
 ENDS = ("tip", "base")
 
 #: Names of families and factors: a model joins them with "+", a parameter with ".", and points stand in brackets.
@@ -154,15 +154,15 @@ class JointState:
 
     #: Name of the joint that errs.
     joint: str
-    #: The m measured joints.
+    #: Names of the m measured joints.
     joint_names: tuple[str, ...]
-    #: Shape (N, m), of all measured joints, [rad] or [m].
+    #: Shape (N, m), values of all measured joints, [rad] or [m].
     values: Array
     #: Names of the n joints of the chain.
     chain: tuple[str, ...] = ()
     #: shape (N, n, n + 3), see `calib.robot.gravity.gravity_loads`; None if not known.
     loads: Array | None = None
-    #: Name of the point of the chain that carries a mass: the joint that lies there, or of `ENDS`.
+    #: Name of the point of the chain that carries a mass: a joint, for its origin, or one of `ENDS`.
     point: str = ""
 
     @property
@@ -172,12 +172,12 @@ class JointState:
 
     @property
     def load(self) -> Array:
-        """The load on the joint, shape (N,), [Nm] or [N]; ModelError where it is not known."""
+        """The load on the joint, shape (N,), [Nm] or [N]; ModelError if it is not known."""
         return self._loads[:, 0]
 
     @property
     def lever(self) -> Array:
-        """The lever arm about the joint of a mass at the point, shape (N,), [m]; ModelError as for the load."""
+        """The lever arm about the joint of a mass at the point, shape (N,), [m]; ModelError if loads are not known."""
         points = (*self.chain, *ENDS)
         return self._loads[:, 1 + points.index(self.point)]
 
@@ -197,13 +197,13 @@ class Factor(Value):
     name: str
     #: The number, of shape (N,), from a `JointState`.
     value: Callable[[JointState], Array]
-    #: Its derivative by the joint's own value, shape (N,); None: next to 0, and taken as that.
+    #: Its derivative by the joint's own value, shape (N,); None: nearly 0, and neglected.
     slope: Callable[[JointState], Array] | None
     #: True if it needs the load on the joints.
     loaded: bool = False
     #: True if there is one for each later point of the chain, ``<joint>.<name>[<point>]``.
     later: bool = False
-    #: The name of that point; "" where ``later`` is False or the point is not chosen yet.
+    #: The name of that point; "" if ``later`` is False or the point is not chosen yet.
     point: str = ""
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -217,21 +217,21 @@ class Factor(Value):
 class Family(Value):
     """A family of errors, whose parameters share the standard deviation of a prior."""
 
-    #: As a model names it behind a "+": ``"gain"``.
+    #: As a model names it after a "+": ``"gain"``.
     name: str
-    #: Of a parameter, at a joint that turns.
+    #: Unit of a parameter at a joint that turns.
     unit: Unit
     #: Prior standard deviation that is assumed, or where the search for it begins, in that unit.
     prior: float
     #: Standard deviation of a virtual robot's errors, in that unit.
     typical: float
-    #: Of each joint's parameters; empty for the geometry.
+    #: The factors of a joint's parameters; empty for the geometry.
     factors: tuple[Factor, ...] = ()
-    #: Of a parameter at a joint that slides; None: such a joint has none of the family.
+    #: Unit of a parameter at a joint that slides; None: such a joint has no parameters of the family.
     sliding: Unit | None = None
     #: True if all joints of the chain err; False: the measured ones, and followers with them.
     every_joint: bool = False
-    #: Prior standard deviations to believe, in ``unit``.
+    #: Lowest and highest plausible prior standard deviation, in ``unit``.
     bounds: tuple[float, float] = (1e-7, 0.1)
     #: True if its parameters cannot be negative, as a compliance cannot.
     positive: bool = False
@@ -310,10 +310,10 @@ def register(family: Family) -> None:
     """Add a family of the joints' state, which models can then name: ``"dh+harmonic"``.
 
     Raises:
-        ArgumentError: It is no family, or a unit of it is no `Unit`.
+        ArgumentError: It is not a family, or one of its units is not a `Unit`.
         ModelError: It has no factors; its name, or that of a factor, is taken or has other characters than letters,
-            digits, "_" and "-"; its unit is not as that of the same symbol; or a function of a factor returns a wrong
-            shape, hardly a finite value, or a wrong slope.
+            digits, "_" and "-"; its unit differs from the one with the same symbol; or a function of a factor returns
+            a wrong shape, hardly a finite value, or a wrong slope.
     """
     check_type("family", family, Family, "a Family of calib.model.families")
     _check_names(family)
@@ -326,11 +326,7 @@ def register(family: Family) -> None:
 
 
 def _check_names(family: Family) -> None:
-    """Check the names of a family and its factors.
-
-    Raises:
-        ModelError: There are no factors, or a name is taken, occurs twice, or has a character that names cannot have.
-    """
+    """Refuse a family without factors, and names that are taken, occur twice, or have characters that names cannot."""
     where = f"The family '{family.name}'"
     if not family.factors:
         raise ModelError(f"{where} has no factors; give one Factor for each parameter of a joint.")
@@ -342,7 +338,7 @@ def _check_names(family: Family) -> None:
     for name in (family.name, *factor_names):
         if not isinstance(name, str) or not _NAME.fullmatch(name):
             raise ModelError(
-                f"{where}: {name!r} is no name for a family or a factor; use letters, digits, '_' and '-'."
+                f"{where}: {name!r} is not a name for a family or a factor; use letters, digits, '_' and '-'."
             )
     taken = _factors()
     for name in factor_names:
@@ -354,17 +350,7 @@ def _check_names(family: Family) -> None:
 
 
 def _check_unit(family: Family, field: str, unit: Unit) -> None:
-    """Check a unit of a family.
-
-    Args:
-        family: The family.
-        field: Name of its field.
-        unit: The field's value.
-
-    Raises:
-        ArgumentError: It is no `Unit`.
-        ModelError: It differs from the unit of the same symbol.
-    """
+    """Refuse a unit in a field of a family that is not a `Unit`, or differs from the one with the same symbol."""
     known = _units()
     if not isinstance(unit, Unit):
         raise ArgumentError(
@@ -379,16 +365,9 @@ def _check_unit(family: Family, field: str, unit: Unit) -> None:
 
 
 def _check_functions(factor: Factor) -> None:
-    """Check the value and the slope of a factor at generic states of a chain of six joints.
+    """Refuse a factor whose functions fail, have hardly a finite value, or a wrong slope at states of six joints.
 
-    Where a function does not find a joint by its name or number, it is for one robot, and is not checked.
-
-    Args:
-        factor: The factor.
-
-    Raises:
-        ModelError: A function fails otherwise or returns another shape; there is hardly a finite value; or the slope
-            does not agree with finite differences of the value.
+    A function that does not find a joint by its name or number is for one robot, and is not checked.
     """
     step = _STEP * np.eye(len(_TRIAL_JOINTS))[0]
     q = np.random.default_rng(0).uniform(-3.0, 3.0, (_TRIAL_COUNT, len(_TRIAL_JOINTS)))
@@ -414,19 +393,9 @@ def _check_functions(factor: Factor) -> None:
 
 
 def _called(factor: Factor, name: str, function: Callable[[JointState], Array], q: Array) -> Array:
-    """Call a function of a factor for the first of six joints.
+    """Return what a function of a factor gives for the first of six joints at values q, (N, 6); ModelError if it fails.
 
-    Args:
-        factor: The factor.
-        name: Name of the function.
-        function: The function.
-        q: Joint values, shape (N, 6) [rad or m].
-
-    Returns:
-        Its values, shape (N,).
-
-    Raises:
-        ModelError: It fails, but for a joint that it does not find, or returns another shape.
+    LookupError or ValueError, if it does not find a joint, are passed on.
     """
     count, joints = q.shape
     loads = np.random.default_rng(1).uniform(0.5, 1.5, (count, joints, joints + 3))
@@ -460,7 +429,7 @@ def factor_of(name: str) -> Factor:
     """Return a factor of any family by its name; ModelError if no registered family has it.
 
     Args:
-        name: Such as ``"gain"``; or with a point of the chain, as in ``"gravity[elbow_joint]"``.
+        name: Such as ``"gain"``, or, with a point of the chain, ``"gravity[elbow_joint]"``.
     """
     factor_name, point = _split(name)
     factors = _factors()

@@ -1,7 +1,8 @@
 """Errors of the joints' state: the parameters of their families, and how far they move the joints.
 
-A unit of such a parameter moves its joint by the factor of its family, a number of the joints' values and loads; joints
-that mimic it follow (`calib.model.families`). Where readings are coupled the joint's value counts, not its reading.
+A unit of such a parameter moves its joint by the factor of its family, a function of the joints' values and loads;
+joints that mimic it follow (`calib.model.families`). If readings are coupled, the joint's value counts, not its
+reading.
 """
 
 from __future__ import annotations
@@ -13,14 +14,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from calib.basics.arrays import Array, read_only
-from calib.model.families import ENDS, Factor, Family, JointState, Unit, factor_of, family_of
+from calib.model.families import ENDS, JointState, factor_of, family_of
 from calib.model.parameters import Parameter, twist_of
 from calib.robot.gravity import GRAVITY, gravity_loads
 from calib.robot.ranges import spread_poses
 from calib.robot.robot import Robot
-from calib.robot.urdf import UrdfJoint
+from calib.robot.urdf_tree import UrdfJoint
 
-#: Lever arms that differ by no more than this in all poses are one [m].
+#: Lever arms that differ by no more than this in all poses count as the same [m].
 _SAME_LEVER = 1e-6
 
 #: Number of poses at which lever arms are compared.
@@ -33,8 +34,8 @@ def joint_parameters(robot: Robot, family: str, gravity: ArrayLike = GRAVITY) ->
     Args:
         robot: The nominal robot.
         family: Name of the family, such as ``"gain"``.
-        gravity: Shape (3,), acceleration in the URDF's root [m/s^2]; of a family with one parameter for each point of
-            the chain (``gravity``), points whose masses it cannot tell apart share one.
+        gravity: Shape (3,), acceleration in the URDF's root [m/s^2]. If a family has one parameter for each point of
+            the chain (``gravity``), points whose masses load the joint alike under it share one.
 
     Raises:
         ModelError: There is no such family.
@@ -47,43 +48,28 @@ def joint_parameters(robot: Robot, family: str, gravity: ArrayLike = GRAVITY) ->
         points = _distinct_points(robot, tuple(acceleration.tolist()))
     parameters = []
     for joint in joints:
-        unit = _unit_at(row, joint)
+        unit = row.sliding if joint.type == "prismatic" else row.unit
         if unit is None:
             continue
-        at_points = points[joint.name] if points else None
-        for factor in _factors_at(row, at_points):
+        factors = list(row.factors)
+        if points:
+            at_points = points[joint.name]
+            names = [f"{factor.name}[{point}]" for factor in factors for point in at_points]
+            factors = [factor_of(name) for name in names]
+        twist = _joint_twist(joint)
+        for factor in factors:
             name = f"{joint.name}.{factor.name}"
-            twist = _joint_twist(joint)
             parameter = Parameter(name, unit.symbol, joint.name, twist, family, factor=factor)
             parameters.append(parameter)
     return parameters
 
 
-def _unit_at(family: Family, joint: UrdfJoint) -> Unit | None:
-    """Return the unit of a family's parameters at a joint; None where a sliding joint has none of them."""
-    return family.sliding if joint.type == "prismatic" else family.unit
-
-
-def _factors_at(family: Family, points: list[str] | None) -> list[Factor]:
-    """Return a family's factors at one joint: as they are if ``points`` is None, else one for each of the points."""
-    if points is None:
-        return list(family.factors)
-    names = [f"{factor.name}[{point}]" for factor in family.factors for point in points]
-    return [factor_of(name) for name in names]
-
-
 @lru_cache(maxsize=16)
 def _distinct_points(robot: Robot, gravity: tuple[float, ...]) -> dict[str, list[str]]:
-    """Return points of the chain where a mass loads each joint: one representative per set of equal lever arms.
+    """Return, by the joint's name, the points of the chain where masses load each joint with different lever arms.
 
-    A lever arm is compared over `_LEVER_POSES` poses; points at which a mass never loads the joint are left out.
-
-    Args:
-        robot: The nominal robot.
-        gravity: Three numbers, acceleration in the URDF's root [m/s^2].
-
-    Returns:
-        By the joint's name, names of joints (for their origins) or of `ENDS`, in the order of the chain.
+    Points are names of joints (for their origins) or of `ENDS`, in the order of the chain; of those with equal lever
+    arms in several poses the first.
     """
     q = spread_poses(robot, _LEVER_POSES)
     levers = gravity_loads(robot, q, None, gravity)[:, :, 1:]

@@ -22,7 +22,7 @@ from calib.model.parameters import ErrorModel, Parameter
 from calib.robot import kernel
 from calib.robot.robot import Robot
 
-#: Index of the parameter of a number that is not estimated.
+#: In place of the index of a parameter, for a number that is not estimated.
 FIXED = -1
 
 
@@ -39,7 +39,7 @@ class Samples(Value):
     #: shape (N, n, n + 3), see `calib.robot.gravity.gravity_loads`; None if not known.
     load: Array | None = None
     #: shape (N, `calib.camera.optics.COUNT`), numbers of camera and board by which images are predicted, before the
-    #: fit; None without cameras.
+    #: fit; None if there are no cameras.
     optics: Array | None = None
 
     @classmethod
@@ -59,7 +59,7 @@ class Samples(Value):
         return len(self.q)
 
     def select(self, chosen: Mask | Integers | slice) -> Samples:
-        """Return some of the samples, by a mask, by their indices, or a slice of them."""
+        """Return some of the samples: a mask, their indices, or a slice."""
         load = None if self.load is None else self.load[chosen]
         optics = None if self.optics is None else self.optics[chosen]
         return Samples(self.q[chosen], self.frame[chosen], self.target[chosen], load, optics)
@@ -67,18 +67,18 @@ class Samples(Value):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Optics(Value):
-    """Numbers of camera and board in N samples, and the parameters that change them."""
+    """Numbers of camera and board in N samples, and the parameters that add to them."""
 
     #: shape (N, c), `calib.camera.optics.COUNT` numbers of each sample.
     values: Array
-    #: shape (N, c), index of the parameter that each number grows with, from 0; -1 for one that is not estimated.
+    #: shape (N, c), index of the parameter that adds to each number, from 0; `FIXED` for one that is not estimated.
     parameter: Integers
 
 
 def changed_optics(
     samples: Samples, parameters: Sequence[Parameter], x: Array, numbers: Sequence[int]
 ) -> Optics | None:
-    """Return the numbers of camera and board in samples, changed by parameters; None without cameras.
+    """Add the values of parameters to the numbers of camera and board in samples; return None if there are no cameras.
 
     Args:
         samples: N samples, with these numbers before the fit.
@@ -99,7 +99,7 @@ def changed_optics(
     return Optics(values, parameter_of)
 
 
-#: Samples, or joint values (N, m) alone, then of the first target seen from the first frame.
+#: Samples, or joint values (N, m) alone: then of the first target, seen from the first frame.
 SamplesOrValues: TypeAlias = Samples | Array
 
 
@@ -170,7 +170,7 @@ class Kinematics(Value):
         return kernel.twists(geometry, directions, chain_samples, rotation=rotation)
 
     def optics(self, x: Array, samples: Samples) -> Optics | None:
-        """Return the numbers of camera and board by which images are predicted; None without cameras.
+        """Return the numbers of camera and board by which images are predicted; None if there are no cameras.
 
         Args:
             x: Shape (p,), the parameters in their units.

@@ -13,26 +13,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.basics.arrays import Array, read_only
-from calib.basics.mappings import keep_read_only
-from calib.basics.values import Value
+from calib.basics.values import Value, keep_read_only
 from calib.model.families import unit_of
 
 #: Directions with less than this share of the strongest one's effect cannot be identified: 1 mm moves points by < 1 um.
 _NEGLIGIBLE = 1e-3
 
-#: A ratio of neighbouring singular values that is a gap.
+#: A larger ratio of neighbouring singular values is a gap.
 _GAP = 30.0
 
-#: A relative singular value of this size is zero.
+#: Relative singular values up to this size are rounding.
 _ROUNDING = 1e-13
 
-#: A parameter's least share of a combination's strongest effect, to be named.
+#: The least effect of a parameter that a combination names, over the strongest effect in it.
 _NAMED_EFFECT = 0.02
 
-#: A parameter with less than this share in the unobservable directions counts as identifiable.
+#: A parameter with a smaller share than this in the unobservable directions counts as identifiable.
 _UNSEEN_SHARE = 0.05
 
-#: A smaller entry than this leads no row of the echelon form: it would be badly conditioned.
+#: The least entry that leads a row of the echelon form: a smaller one would make it ill-conditioned.
 _LEAST_PIVOT = 0.05
 
 
@@ -42,7 +41,7 @@ class Combination:
 
     #: The parameters, in the model's order
     names: tuple[str, ...]
-    #: Change of each, in its own unit, for the leading one, as a rule the first, changing by its declared step
+    #: Change of each, in its own unit, if the leading one (as a rule the first) changes by its declared step
     steps: tuple[float, ...]
     #: Symbol of the unit of each, see `calib.model.families.unit_of`
     units: tuple[str, ...]
@@ -95,103 +94,62 @@ def analyse(jacobian: Array, names: Sequence[str], units: Sequence[str]) -> Obse
     if not len(names):
         return Observability(0, 0, 1.0, read_only([]), {}, (), np.zeros(0, dtype=bool))
     step = steps(units)
-    scaled = _with_all_singular_values(jacobian * step)
-    _, values, V = np.linalg.svd(scaled, full_matrices=False)
+    scaled = jacobian * step
+    effect = np.linalg.norm(scaled, axis=0)  # of a step of each parameter
+    # With rows of zeros there are p singular values, and their right vectors span the whole null space.
+    rows, p = scaled.shape
+    square = np.concatenate([scaled, np.zeros((max(p - rows, 0), p))])
+    _, values, V = np.linalg.svd(square, full_matrices=False)
     rank = rank_by_gap(values)
+
     null = V[rank:]
-    effect = np.linalg.norm(scaled, axis=0)
     identifiable = np.linalg.norm(null, axis=0) < _UNSEEN_SHARE
     combinations = []
     for direction in _echelon(null):
-        members = _members(direction, effect)
+        # Named are the parameters whose effect, not whose step, matters, and the one with the largest step.
+        size = np.abs(direction)
+        share = size * effect
+        least = max(_NAMED_EFFECT * share.max(), _NEGLIGIBLE * size.max() * effect.max())
+        members: list[int] = np.flatnonzero((share > least) | (size == size.max())).tolist()
         identifiable[members] = False
-        combinations.append(_combination(members, direction * step, names, units))
+        combination = Combination(
+            names=tuple(names[k] for k in members),
+            steps=tuple((direction * step)[members].tolist()),
+            units=tuple(units[k] for k in members),
+        )
+        combinations.append(combination)
     identifiable.setflags(write=False)
+
+    condition = np.inf
+    indices = {}
+    if rank:
+        determined = values[:rank]
+        largest = float(determined[0])
+        smallest = float(determined[-1])
+        condition = float(determined[0] / determined[-1])
+        indices = {
+            "O1": float(np.exp(np.mean(np.log(determined))) / np.sqrt(rows)),
+            "O2": smallest / largest,
+            "O3": smallest,
+            "O4": smallest**2 / largest,
+            "O5": float(1.0 / np.sum(1.0 / determined)),
+        }
     return Observability(
         columns=len(names),
         rank=rank,
-        condition=_condition(values[:rank]),
+        condition=condition,
         singular_values=read_only(values),
-        indices=_indices(values[:rank], len(jacobian)),
+        indices=indices,
         unidentifiable=tuple(combinations),
         identifiable=identifiable,
     )
 
 
-def _with_all_singular_values(jacobian: Array) -> Array:
-    """Append rows of zeros to a Jacobian (rows, p) of fewer than p rows, so that it has p singular values.
-
-    Its right singular vectors then span the whole null space; nothing else changes.
-    """
-    rows, p = jacobian.shape
-    zeros = np.zeros((max(p - rows, 0), p))
-    return np.concatenate([jacobian, zeros])
-
-
-def _condition(values: Array) -> float:
-    """Return the largest over the smallest of singular values, shape (r,), descending; infinite without any."""
-    if not len(values):
-        return np.inf
-    return float(values[0] / values[-1])
-
-
-def _combination(
-    members: list[int],
-    changes: Array,
-    names: Sequence[str],
-    units: Sequence[str],
-) -> Combination:
-    """Return the combination of some of p parameters.
-
-    Args:
-        members: Indices of the parameters that take part, from 0.
-        changes: Shape (p,), change of each parameter in its unit [m] or [rad].
-        names: Names of the p parameters.
-        units: Symbols of their units.
-    """
-    return Combination(
-        names=tuple(names[k] for k in members),
-        steps=tuple(changes[members].tolist()),
-        units=tuple(units[k] for k in members),
-    )
-
-
-def _members(direction: Array, effect: Array) -> list[int]:
-    """Return the indices of the parameters that an unobservable direction is named by.
-
-    Those whose effect on the measurements, not whose step, matters; and the largest step.
-
-    Args:
-        direction: Shape (p,), in declared steps.
-        effect: Shape (p,), norm of the change of the measurements by a step of each parameter [m].
-    """
-    size = np.abs(direction)
-    share = size * effect
-    least = max(_NAMED_EFFECT * share.max(), _NEGLIGIBLE * size.max() * effect.max())
-    named: list[int] = np.flatnonzero((share > least) | (size == size.max())).tolist()
-    return named
-
-
-def _indices(values: Array, rows: int) -> dict[str, float]:
-    """Return the indices O1 to O5 of singular values, shape (r,), descending, of a Jacobian of so many rows."""
-    if not len(values):
-        return {}
-    largest = float(values[0])
-    smallest = float(values[-1])
-    return {
-        "O1": float(np.exp(np.mean(np.log(values))) / np.sqrt(rows)),
-        "O2": smallest / largest,
-        "O3": smallest,
-        "O4": smallest**2 / largest,
-        "O5": float(1.0 / np.sum(1.0 / values)),
-    }
-
-
 def rank_by_gap(values: Array) -> int:
-    """Return the number of singular values before the first wide gap that ends below the negligible.
+    """Return the number of singular values before the first wide gap whose lower end is negligible.
 
-    The first, not the widest gap counts: axes that are parallel but for a few mrad leave values far below the noise and
-    yet far above rounding, and they are as good as zero.
+    The first, not the widest gap counts: axes that are parallel within a few mrad leave values that are far below the
+    noise, though far above rounding, and practically zero.
 
     Args:
         values: Shape (p,), descending.
@@ -207,18 +165,11 @@ def rank_by_gap(values: Array) -> int:
 
 
 def _echelon(null: Array) -> Array:
-    """Return the reduced row echelon form of a null space: sparse, each row led by a 1, the earliest parameters first.
-
-    Args:
-        null: Shape (p - rank, p), orthonormal rows.
-
-    Returns:
-        The same shape and row space.
-    """
+    """Return the reduced row echelon form of a null space, shape (p - rank, p): sparse, with rows led by a 1."""
     rows: Array = null.copy()
     r, p = rows.shape
     count = 0  # rows that have their leader
-    # Twice, for a row whose only large entry grew in a column that had been passed over.
+    # Twice, because a row's only large entry may have grown in a column that was skipped.
     for column in (*range(p), *range(p)):
         if count == r:
             break

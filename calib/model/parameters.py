@@ -1,12 +1,12 @@
-"""Parameters of an error model: each an error, the place that it acts at, and its direction.
+"""Parameters of an error model: each is an error, with the place that it acts at and its direction.
 
 See `calib.model.error_model` for the equation. A parameter may be *tied* to another one, x_a = factor x_b; then it
-keeps its term of the equation but is no unknown of its own.
+keeps its term of the equation but is not an unknown of its own.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -18,16 +18,16 @@ from calib.errors import ModelError, choices
 from calib.model.families import FAMILIES, Factor
 from calib.robot.robot import Robot
 
-#: Place of a measurement frame, with the frame's name behind it: ``"(frame)left"``. No URDF calls a joint so.
+#: Place of a measurement frame, followed by the frame's name: ``"(frame)left"``. No URDF has a joint of such a name.
 FRAME = "(frame)"
 
 #: Place of the tip: its placement in the last joint.
 TIP = "(tip)"
 
-#: Place of a target, with the target's name behind it.
+#: Place of a target, followed by the target's name.
 TARGET = "(target)"
 
-#: Family of the numbers of a camera, which are estimated with its frame: focal lengths, centre, distortion.
+#: Family of the intrinsics of a camera, which are estimated with its frame.
 CAMERA = "camera"
 
 #: Family of the errors of a board's print: scale, sag, corners.
@@ -56,9 +56,9 @@ class Parameter(Value):
     family: str
     #: The value that it adds to, in its unit: the DH table's, or 0.
     nominal: float = 0.0
-    #: The number of the joint's state that multiplies it; None for 1.
+    #: The function of the joint's state that multiplies it; None for 1.
     factor: Factor | None = None
-    #: Column of `calib.camera.optics` that it adds to; None for one that moves something, as its direction says.
+    #: Column of `calib.camera.optics` that it adds to; None for one that moves its place in its direction.
     optic: int | None = None
     #: Columns of `calib.camera.optics` and their values in the samples that it changes: the number of the camera or the
     #: board, and that of a corner.
@@ -75,13 +75,13 @@ class ErrorModel(Value):
     places: tuple[str, ...]
     #: The p unknowns, in the order of the parameter vector x.
     parameters: tuple[Parameter, ...]
-    #: The parameters and those tied to them, in the order in which they act; the parameters where none is.
+    #: The parameters and those tied to them, in the order in which they act; the parameters if none is tied.
     terms: tuple[Parameter, ...] = ()
-    #: shape (terms, p): the value of each term is mixing @ x; the identity where none is tied.
+    #: shape (terms, p): the value of each term is mixing @ x; the identity if none is tied.
     mixing: Array = field(default_factory=lambda: np.zeros((0, 0)))
-    #: Of each term of a placement, the last first: its index, its place's index, and its twist.
+    #: Index, place's index, and twist of each term of a placement, the last first.
     _backwards: tuple[tuple[int, int, pin.Motion], ...] = field(init=False, repr=False)
-    #: shape (6 places, terms), twist of each term at each place where all values are zero.
+    #: shape (6 places, terms), twist of each term at each place if all values are zero.
     _undisplaced: Array = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -94,7 +94,14 @@ class ErrorModel(Value):
             for t, term in enumerate(self.terms)
             if term.factor is None and term.optic is None
         ]
-        self._check([term.place for _, term in of_placements])
+        names = [term.name for term in self.terms]
+        doubled = sorted({name for name in names if names.count(name) > 1})
+        unknown = sorted({term.place for _, term in of_placements} - set(self.places))
+        if doubled or unknown:
+            raise ModelError(
+                f"The model '{self.name}' has parameters {choices(doubled)} twice, or at unknown places "
+                f"{choices(unknown)}; places are {choices(self.places)}."
+            )
         place_index = {place: k for k, place in enumerate(self.places)}
         undisplaced = np.zeros((6 * len(self.places), len(self.terms)))
         backwards = []
@@ -104,17 +111,6 @@ class ErrorModel(Value):
             backwards.append((t, k, pin.Motion(term.direction)))
         object.__setattr__(self, "_backwards", tuple(backwards))
         object.__setattr__(self, "_undisplaced", read_only(undisplaced))
-
-    def _check(self, places: Sequence[str]) -> None:
-        """Refuse terms that share a name, and places of terms that the chain does not have."""
-        names = [term.name for term in self.terms]
-        doubled = sorted({name for name in names if names.count(name) > 1})
-        unknown = sorted(set(places) - set(self.places))
-        if doubled or unknown:
-            raise ModelError(
-                f"The model '{self.name}' has parameters {choices(doubled)} twice, or at unknown places "
-                f"{choices(unknown)}; places are {choices(self.places)}."
-            )
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -159,7 +155,7 @@ class ErrorModel(Value):
         return self.names.index(name)
 
     def without(self, names: Iterable[str]) -> ErrorModel:
-        """Return the model with these parameters frozen at their nominal values, and those tied to them with them.
+        """Return the model with these parameters, and those tied to them, frozen at their nominal values.
 
         Raises:
             ModelError: The model has no parameter of such a name.
@@ -177,7 +173,7 @@ class ErrorModel(Value):
             ties: Leader's name and factor by the follower's name. A leader stays free.
 
         Raises:
-            ModelError: A name is not that of a parameter, a leader follows too, or its unit is another.
+            ModelError: A name is not that of a parameter, a leader is a follower too, or their units differ.
         """
         if not ties:
             return self
@@ -197,12 +193,7 @@ class ErrorModel(Value):
         return self._mixed(free, mixing[:, free])
 
     def _mixed(self, kept: list[int], mixing: Array) -> ErrorModel:
-        """Return the model of the parameters with these indices, and the terms that they move by ``mixing``.
-
-        Args:
-            kept: Indices of p' of the parameters.
-            mixing: Shape (terms, p').
-        """
+        """Return the model of the parameters with these p' indices, and the terms that ``mixing`` (terms, p') moves."""
         used = np.flatnonzero(mixing.any(axis=1))
         return replace(
             self,
@@ -236,25 +227,21 @@ class ErrorModel(Value):
         twists = self._undisplaced.copy()
         displacements = np.tile(np.eye(4), (len(self.places), 1, 1))
         if values.any():
-            products = self._carry(twists, values.tolist())
+            # Backwards, so that the product of the factors after each term is at hand, past which its twist is carried.
+            products: dict[int, pin.SE3] = {}
+            numbers = values.tolist()
+            for t, k, twist in self._backwards:
+                later = products.get(k)
+                factor = pin.exp6(twist * numbers[t])
+                if later is not None:
+                    twists[6 * k : 6 * k + 6, t] = later.actInv(twist).vector
+                    factor = factor * later
+                products[k] = factor
             for k, product in products.items():
                 displacements[k] = product.homogeneous
         if self.terms is not self.parameters:
             twists = twists @ self.mixing
         return displacements, twists
-
-    def _carry(self, twists: Array, values: list[float]) -> dict[int, pin.SE3]:
-        """Carry each term's twist (6 places, terms), in place, past the terms behind it; return D by place index."""
-        products: dict[int, pin.SE3] = {}
-        # Backwards, so that the product of the factors after each term is at hand.
-        for t, k, twist in self._backwards:
-            later = products.get(k)
-            factor = pin.exp6(twist * values[t])
-            if later is not None:
-                twists[6 * k : 6 * k + 6, t] = later.actInv(twist).vector
-                factor = factor * later
-            products[k] = factor
-        return products
 
     def apply(self, robot: Robot, x: Array) -> Robot:
         """Return the robot with its placements displaced: the geometric model, as a URDF holds it.
@@ -278,10 +265,5 @@ class ErrorModel(Value):
 
 
 def twist_of(linear: Array, angular: Array) -> Array:
-    """Return a twist, shape (6,), read-only: its linear, then its angular part.
-
-    Args:
-        linear: Shape (3,).
-        angular: Shape (3,).
-    """
+    """Return a twist, shape (6,), read-only: its linear, then its angular part, both of shape (3,)."""
     return read_only(np.concatenate([linear, angular]))

@@ -1,4 +1,4 @@
-"""Derivatives that a user gives, against central differences of the function: do they agree at generic samples?"""
+"""Comparison of derivatives that a user gives with central differences of the function, at generic samples."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ import numpy as np
 
 from calib.basics.arrays import Array
 
-#: Relative difference that is allowed: approximate derivatives are right to this, wrong ones are off by a term.
+#: Relative difference that is allowed: approximate derivatives are this accurate, and wrong ones are off by a term.
 _RELATIVE = 1e-3
 
-#: Difference that is allowed where the derivative is zero, in units of the function.
+#: Difference that is allowed if the derivative is zero, in units of the function.
 _ABSOLUTE = 1e-6
 
-#: The least share of the samples that agree: kinks, limits and places without a value are no faults. A derivative with
-#: a wrong sign or without a term is wrong nearly everywhere.
+#: The least share of samples that must agree: kinks, limits and places without a value are not faults, whereas a
+#: derivative with a wrong sign or without a term is wrong nearly everywhere.
 _SHARE = 0.25
 
 
@@ -40,7 +40,7 @@ def disagreement(given: Array, expected: Array) -> Disagreement | None:
         expected: The same by central differences; NaN where the function has no value.
 
     Returns:
-        None if they agree at a quarter of the samples or more, or if there is nothing to compare.
+        Where they disagree; None if they agree at a quarter of the samples or more, or if there is nothing to compare.
     """
     has_value = np.isfinite(expected).all(axis=(1, 2))
     given, expected = given[has_value], expected[has_value]

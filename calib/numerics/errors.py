@@ -1,4 +1,7 @@
-"""Error figures of a set of rows by unit, as in the paper's Tables 4 and 5, and those of cross-validation."""
+"""Error figures of a set of rows by unit, as in the paper's Tables 4 and 5, and those of cross-validation.
+
+`interval_factor` has the confidence interval of a quantity whose standard deviation is itself estimated.
+"""
 
 from __future__ import annotations
 
@@ -6,15 +9,29 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import stdtrit
 
 from calib.basics.arrays import Array, Integers, read_only
 from calib.basics.channels import RESIDUAL_UNITS, Channels, residual_unit
-from calib.basics.mappings import ReadOnlyMapping
+from calib.basics.values import ReadOnlyMapping
 
 
 def rms(values: Array) -> float:
-    """Root mean square over all entries, in their unit."""
+    """Return the root mean square over all entries, in their unit."""
     return float(np.sqrt(np.mean(values**2)))
+
+
+def interval_factor(freedom: float, level: float = 0.95) -> float:
+    """Return half the width of a two-sided confidence interval, by Student's t distribution.
+
+    Args:
+        freedom: Degrees of freedom of the standard deviation; below 1 it counts as 1.
+        level: Probability that the interval contains the true value, between 0 and 1.
+
+    Returns:
+        Half the width, in standard deviations.
+    """
+    return float(stdtrit(max(freedom, 1.0), 0.5 + level / 2.0))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -25,17 +42,17 @@ class UnitErrors:
     unit: str
     #: Number of rows with a scalar of this unit
     n: int
-    #: Largest error, in the unit; NaN where n = 0, as all that follow
+    #: Largest error, in the unit; NaN if n = 0, as all that follow
     max: float
     #: Mean of the errors
     mean: float
     #: Root mean square of the errors
     rms: float
-    #: (3,), mean residual along, or about, x, y, z; NaN unless the residuals of all rows are such vectors
+    #: (3,), mean residual along, or about, x, y, z; NaN, as the next two, unless the residuals of all rows are vectors
     mean_axis: Array
-    #: (3,), root mean square of the residual along each; NaN likewise
+    #: (3,), root mean square of the residual along, or about, each axis
     rms_axis: Array
-    #: (3,), largest minus smallest residual along each; NaN likewise
+    #: (3,), largest minus smallest residual along, or about, each axis
     span_axis: Array
 
     @classmethod
@@ -56,7 +73,10 @@ class UnitErrors:
         columns, are_vectors = channels.vector_columns(unit)
         by_axis = np.full((3, 3), np.nan)
         if len(norms) and np.array_equal(are_vectors, measured):
-            by_axis = _figures_by_axis(residual[measured][:, columns])
+            vectors = residual[measured][:, columns]
+            by_axis[0] = vectors.mean(axis=0)
+            by_axis[1] = np.sqrt(np.mean(vectors**2, axis=0))
+            by_axis[2] = np.ptp(vectors, axis=0)
         return cls(
             unit=unit,
             n=len(norms),
@@ -67,13 +87,6 @@ class UnitErrors:
             rms_axis=read_only(by_axis[1]),
             span_axis=read_only(by_axis[2]),
         )
-
-
-def _figures_by_axis(vectors: Array) -> Array:
-    """Mean, root mean square and span of vectors (n, 3) along each axis, shape (3, 3)."""
-    mean = vectors.mean(axis=0)
-    root_mean_square = np.sqrt(np.mean(vectors**2, axis=0))
-    return np.array([mean, root_mean_square, np.ptp(vectors, axis=0)])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,7 +106,7 @@ class Errors:
 
         Args:
             residual: Measured minus predicted, shape (N, D); 0 where nothing was measured.
-            channels: The channel of each entry; None: lengths [m]; three columns are a vector along x, y, z.
+            channels: The channel of each entry; None: lengths [m], of which three columns are vectors along x, y, z.
 
         Returns:
             Figures in each unit that some row has.
@@ -108,10 +121,10 @@ class Errors:
         return cls({unit: UnitErrors.of(residual, channels, unit) for unit in channels.present})
 
     def __getitem__(self, unit: str) -> UnitErrors:
-        """Return the figures in a unit, by its symbol; with n = 0 and NaN where none was measured.
+        """Return the figures in a unit, by its symbol; with n = 0 and NaN if nothing was measured in it.
 
         Raises:
-            CalibError: It is no unit of residuals.
+            CalibError: It is not a unit of residuals.
         """
         symbol = residual_unit(unit).symbol
         if symbol in self.by_unit:
@@ -126,10 +139,7 @@ class Errors:
 
     @property
     def leading(self) -> UnitErrors:
-        """The figures in the first unit that was measured: of lengths, else of angles, else of pixels.
-
-        Of no rows at all: those of lengths, with n = 0.
-        """
+        """The figures in the first unit that was measured, of lengths, angles and pixels; without rows, of lengths."""
         return self[next(iter(self.by_unit), next(iter(RESIDUAL_UNITS)))]
 
 
@@ -141,13 +151,13 @@ class CrossValidation:
     method: str
     #: Number of fits
     folds: int
-    #: (N,), from 0: rows of one number are of one pose or one pair, and held out together
+    #: (N,), from 0: rows of the same number are of one pose or one pair, and held out together
     poses: Integers
     #: (N, D), measured minus predicted by the fit without the row, in the units of the rows' channels
     residual: Array
     #: Of all rows
     errors: Errors
-    #: Of the rows that the fit to all rows did not flag
+    #: Of the rows that the fit to all rows did not flag as outliers
     errors_without_outliers: Errors
 
     def without_rows(self) -> CrossValidation:

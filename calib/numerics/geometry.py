@@ -10,18 +10,18 @@ from calib.basics.arguments import numbers
 from calib.basics.arrays import Array, Mask, read_only
 from calib.errors import CalibError
 
-#: Largest coordinate [m] or joint value [m or rad] accepted: no robot gets there, and beyond it
-#: doubles are further apart than the accuracy that calib computes to.
+#: Largest coordinate [m] or joint value [m or rad] accepted: no robot gets there, and beyond it doubles are further
+#: apart than the accuracy that calib computes to.
 FARTHEST = 1e6
 
-#: Largest coordinate of a target or a tool in the tip [m]: beyond it the number is one of another unit.
+#: Largest coordinate of a target or a tool in the tip [m]: a larger number is in another unit.
 FARTHEST_IN_TIP = 20.0
 
 #: A rotation matrix written with seven digits is orthonormal to this.
 _ORTHONORMAL_TOLERANCE = 1e-6
 
-#: Below this angle [rad] the coefficient of the inverse right Jacobian is taken at its limit:
-#: the closed form cancels, and the limit is exact to 1e-11.
+#: Below this angle [rad] the coefficient of the inverse right Jacobian is taken at its limit: the closed form cancels,
+#: and the limit is exact to 1e-11.
 _SMALL_ANGLE = 1e-4
 
 #: Last row of a homogeneous transform.
@@ -180,16 +180,13 @@ def to_rotation_vectors(rotations: Array) -> Array:
 
 
 def inverse_right_jacobian(rotations: Rotation) -> Array:
-    """Return the inverse right Jacobian of SO(3): log(E exp(w)) = log(E) + J w for small w.
+    """Return the inverse right Jacobians of SO(3) at N rotations E: log(E exp(w)) = log(E) + J w for small w.
 
     With r = log(E) and t = |r|
 
         J = I + [r]x / 2 + (1 / t^2 - 1 / (2 t tan(t / 2))) [r]x^2,
 
     finite up to t = pi (J. Sola et al., "A micro Lie theory for state estimation in robotics", 2018).
-
-    Args:
-        rotations: N rotations E.
 
     Returns:
         The matrices J, shape (N, 3, 3).

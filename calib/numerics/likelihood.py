@@ -1,35 +1,36 @@
 """Normal equations of a linear model with normal priors: posterior, and restricted likelihood of noise and priors.
 
-Measurements y = A x + n of C instruments, n of variance sigma_c^2 / w for a row of weight w, and priors
+Measurements y = A x + n of C channels, n of variance sigma_c^2 / w for a row of weight w, and priors
 x_k ~ N(m_k, 1 / precision_k) have the posterior precision, covariance and mean
 
     M = sum_c A_c^T W A_c / sigma_c^2 + diag(precision),    C = M^-1,
     x = C (sum_c A_c^T W y_c / sigma_c^2 + precision m)
 
-Parameters of the measurement setup are flat: their prior is too wide to count. The likelihood is restricted, that is
+Parameters of the measurement setup are flat: their prior is too wide to count. The likelihood is restricted: it is
 integrated over all parameters (H. D. Patterson, R. Thompson, 1971).
 
 B fits that differ in the weights of their rows are computed together: they are the first axis of all arrays. Letters of
-shapes: B fits, C instruments, D scalars of a row, N rows, p parameters, K families of parameters.
+shapes: B fits, C channels, D scalars of a row, N rows, p parameters, K families of parameters. The noise of a channel
+is a standard deviation in units of the given sigma.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import eigh
 from scipy.linalg.lapack import dpotrf, dtrtri
 
-from calib.basics.arrays import Array
+from calib.basics.arrays import Array, Integers
 
 #: Divisor and logarithm in place of zero.
 _TINY = 1e-300
 
-#: Smallest diagonal entry of a Cholesky factor, of a matrix of unit diagonal, with which it is inverted.
+#: A matrix of unit diagonal is inverted by its Cholesky factor if no diagonal entry of that is smaller.
 _SINGULAR = 1e-6
 
-#: Eigenvalues below this share of the largest are zero.
+#: Eigenvalues below this share of the largest count as zero.
 _ZERO_EIGENVALUE = 1e-13
 
 
@@ -47,7 +48,7 @@ class GaussianPriors:
 class NormalEquations:
     """Sums over the rows that B linear fits need, and over constraints C x = z that are known, whitened."""
 
-    #: (B, C, p, p), A_c^T W A_c of each instrument, A in units of the given sigma
+    #: (B, C, p, p), A_c^T W A_c of each channel, A in units of the given sigma
     H: Array
     #: (B, C, p), A_c^T W y_c
     g: Array
@@ -57,7 +58,7 @@ class NormalEquations:
     count: Array
     #: C^T C, C^T z and z^T z, of shapes (p, p), (p,) and ()
     known: tuple[Array, Array, float]
-    #: (p,), row of C of a combination held at zero by choice, not by measurement; else zeros
+    #: (p,), row of C of a combination that is held at zero by choice, not by measurement; zeros if there is none
     held: Array
     #: (B,), log determinant of the weighted scalars' covariance over the noise; 0 where scalars are independent of each
     #: other
@@ -67,7 +68,7 @@ class NormalEquations:
         """Compute the posterior of the parameters.
 
         Args:
-            noise: shape (B, C), standard deviation of each instrument, in units of the given sigma.
+            noise: shape (B, C), of each channel.
             priors: Normal priors of all p parameters.
 
         Returns:
@@ -84,15 +85,7 @@ class NormalEquations:
         return mean[:, :, 0], covariance
 
     def _scaled_precision(self, noise: Array, priors: GaussianPriors) -> tuple[Array, Array]:
-        """The posterior's precision M of all p parameters, scaled to a unit diagonal, and the scale S.
-
-        Args:
-            noise: shape (B, C), standard deviation of each instrument, in units of the given sigma.
-            priors: Normal priors of all p parameters.
-
-        Returns:
-            S M S, shape (B, p, p), and the diagonal of S, shape (B, p), which is 1 / sqrt(diag M).
-        """
+        """Return S M S, shape (B, p, p), of the posterior precision M, and the scale 1 / sqrt(diag M), shape (B, p)."""
         B, C, p, _ = self.H.shape
         CC, _, _ = self.known
         weight = 1.0 / np.square(noise)[:, None]
@@ -103,7 +96,7 @@ class NormalEquations:
         return M * _outer(scale), scale
 
     def residual_square(self, x: Array) -> Array:
-        """Weighted sum of squared residuals of each instrument, |y - A x|^2 = y^T W y + (H x - 2 g)^T x.
+        """Return the weighted sum of squared residuals of each channel, |y - A x|^2 = y^T W y + (H x - 2 g)^T x.
 
         Args:
             x: shape (B, p), parameters of each fit.
@@ -122,22 +115,31 @@ class NormalEquations:
         priors: GaussianPriors,
         family_precision: Array,
     ) -> Array:
-        """Compute the restricted log-likelihood of noise and priors, but for a constant of the flat parameters.
+        """Compute the restricted log-likelihood of noise and priors, up to a constant of the flat parameters.
 
         With the covariance V of the scalars in units of the noise and the posterior precision M it is
 
             -1/2 [sum_c N_c log sigma_c^2 + log det V - sum_k log family_precision_k + log det M + y^T P y]
 
-        A combination that is held is a condition, not an observation: the prior density that it is zero is divided out.
+        where y^T P y are the weighted squares of measurements, constraints and priors at the posterior mean. A
+        combination that is held is a condition, not an observation: the prior density that it is zero is divided out.
 
         Args:
-            noise: shape (B, C), standard deviation of each instrument, in units of the given sigma.
+            noise: shape (B, C), of each channel.
             priors: Normal priors of all p parameters.
             family_precision: shape (B, p), prior precision of the parameters that are not flat; 0 for flat ones.
 
         Returns:
             shape (B,).
         """
+        x, _ = self.posterior(noise, priors)
+        CC, Cz, zz = self.known
+        # The priors' squares term by term: a parameter held at its bound would drown the others in its rounding.
+        square = np.sum(priors.precision * (x - priors.centre) ** 2, axis=-1)
+        constraints = zz - 2.0 * (x @ Cz) + np.sum((x @ CC) * x, axis=-1)
+        square += np.maximum(constraints, 0.0)
+        square += np.sum(self.residual_square(x) / np.square(noise), axis=1)
+
         M, scale = self._scaled_precision(noise, priors)
         eigenvalues = np.maximum(np.linalg.eigvalsh(M), _TINY)
         log_det_M = np.sum(np.log(eigenvalues) - 2.0 * np.log(scale), axis=1)
@@ -146,32 +148,12 @@ class NormalEquations:
         log_det_priors = np.sum(log_precision, axis=1)
         log_det_noise = 2.0 * np.sum(self.count * np.log(noise), axis=1)
         held_variance = np.sum(self.held_variance(family_precision), axis=1)
-        square = self._posterior_square(noise, priors)
         twice = log_det_noise + self.log_det - log_det_priors + log_det_M + square
         twice -= np.log1p(held_variance)
         return np.asarray(-0.5 * twice)
 
-    def _posterior_square(self, noise: Array, priors: GaussianPriors) -> Array:
-        """y^T P y: the weighted squares of measurements, constraints and priors at the posterior mean.
-
-        Args:
-            noise: shape (B, C), standard deviation of each instrument, in units of the given sigma.
-            priors: Normal priors of all p parameters.
-
-        Returns:
-            shape (B,).
-        """
-        x, _ = self.posterior(noise, priors)
-        CC, Cz, zz = self.known
-        # Of the priors term by term: a parameter held at its bound would drown the others in its rounding.
-        square = np.sum(priors.precision * (x - priors.centre) ** 2, axis=-1)
-        constraints = zz - 2.0 * (x @ Cz) + np.sum((x @ CC) * x, axis=-1)
-        square += np.maximum(constraints, 0.0)
-        square += np.sum(self.residual_square(x) / np.square(noise), axis=1)
-        return np.asarray(square)
-
     def held_variance(self, family_precision: Array) -> Array:
-        """Prior variance of each term of the held combination, over the square of its tolerance.
+        """Return the prior variance of each term of the held combination, over the square of its tolerance.
 
         Args:
             family_precision: shape (B, p), prior precision of the parameters that are not flat; 0 for flat ones.
@@ -182,6 +164,17 @@ class NormalEquations:
         proper = family_precision > 0.0
         divisor = np.where(proper, family_precision, 1.0)
         return np.where(proper, self.held**2 / divisor, 0.0)
+
+    def of_fits(self, which: Integers) -> NormalEquations:
+        """Return the equations of some of the B fits, by their numbers from 0."""
+        return replace(
+            self,
+            H=self.H[which],
+            g=self.g[which],
+            yy=self.yy[which],
+            count=self.count[which],
+            log_det=np.broadcast_to(self.log_det, len(self.g))[which],
+        )
 
 
 def pseudo_inverse(M: Array) -> Array:
@@ -199,7 +192,7 @@ def pseudo_inverse(M: Array) -> Array:
     if not failed and root.diagonal().min(initial=1.0) > _SINGULAR:
         inverse, _ = dtrtri(root, lower=1)
         return np.asarray(inverse.T @ inverse)
-    # Not by divide and conquer, which does not converge for some of them.
+    # Divide and conquer does not converge for some matrices.
     values, vectors = eigh(M, driver="ev")
     size = np.abs(values)
     kept = size > _ZERO_EIGENVALUE * np.max(size, initial=0.0)
@@ -208,10 +201,10 @@ def pseudo_inverse(M: Array) -> Array:
 
 
 def _outer(scale: Array) -> Array:
-    """Products s_i s_j of vectors s, shape (B, p), as matrices of shape (B, p, p)."""
+    """Return the products s_i s_j of vectors s, shape (B, p), as matrices of shape (B, p, p)."""
     return scale[:, :, None] * scale[:, None]
 
 
 def diagonals(M: Array) -> Array:
-    """View of the diagonals of matrices (B, p, p), shape (B, p): writing to it changes M."""
+    """Return a view of the diagonals of matrices (B, p, p), shape (B, p): writing to it changes M."""
     return np.asarray(np.einsum("bii->bi", M))

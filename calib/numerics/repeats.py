@@ -5,8 +5,8 @@ A scalar of repeat i of pose k has the error
     e_ki = b_k + w_ki,        var b = s_b^2,        var w = s_w^2,        rho = s_b^2 / (s_b^2 + s_w^2)
 
 where b is shared by all repeats of the pose and w is each one's own; rho is their intraclass correlation. Both
-variances follow from the mean squares within and between poses (one-way analysis of
-variance with unequal groups, by moments).
+variances follow from the mean squares within and between poses (one-way analysis of variance with unequal groups, by
+moments).
 """
 
 from __future__ import annotations
@@ -19,13 +19,12 @@ import numpy as np
 
 from calib.basics.arrays import Array, Integers
 from calib.basics.channels import Channels
-from calib.basics.mappings import ReadOnlyMapping
-from calib.basics.values import Value
+from calib.basics.values import Value, keep_read_only
 
 #: Degrees of freedom below this are rounding: no pose was repeated.
 _NO_FREEDOM = 1e-9
 
-#: Where the fit leaves a smaller share of the scatter between poses, its parameters reproduce the means of all poses.
+#: A fit that leaves a smaller share of the scatter between poses reproduces the means of all poses.
 _MEANS_FITTED = 1e-6
 
 
@@ -42,8 +41,7 @@ class Repeats(Value):
 
     def __post_init__(self) -> None:
         """Keep copies that cannot be changed."""
-        object.__setattr__(self, "within", ReadOnlyMapping(self.within))
-        object.__setattr__(self, "freedoms", ReadOnlyMapping(self.freedoms))
+        keep_read_only(self, "within", "freedoms")
 
     @property
     def freedom(self) -> float:
@@ -52,11 +50,11 @@ class Repeats(Value):
 
 
 class _Moments(NamedTuple):
-    """Sums over the poses from which s_w^2 and s_b^2 are estimated, of one component or added up over several."""
+    """Sums over the poses, added up over components, from which s_w^2 and s_b^2 are estimated."""
 
     #: Weighted squares about the mean of each pose
     within: float
-    #: Expectation of `within` where s_w^2 is 1
+    #: Expectation of `within` if s_w^2 is 1
     within_noise: float
     #: Degrees of freedom of `within`
     within_freedom: float
@@ -71,19 +69,44 @@ class _Moments(NamedTuple):
     #: Number of these poses less one
     between_freedom: float
 
+    @classmethod
+    def of(cls, e: Array, w: Array, pose: Integers) -> _Moments:
+        """Add up residuals e, 0 where their weight w is, both of shape (N, D), of rows of these poses, from 0."""
+        sum_w = _sum_by_pose(pose, w)
+        sum_w2 = _sum_by_pose(pose, w**2)
+        measured = sum_w > 0.0
+        divisor = np.where(measured, sum_w, 1.0)
+        mean = _sum_by_pose(pose, w * e) / divisor
+        total = np.maximum(sum_w.sum(axis=0), np.finfo(float).tiny)
+        grand_mean = np.sum(sum_w * mean, axis=0) / total
+        count = np.sum(measured, axis=0)
+        freedom = sum_w**2 / np.where(measured, sum_w2, 1.0) - 1.0
+        # With all weights 1: sum_w = sum_w2 = n, and the textbook's n - 1, k - 1 and (k - 1) n0 appear.
+        by_component = np.array(
+            [
+                np.sum(w * (e - mean[pose]) ** 2, axis=0),
+                np.sum(sum_w - sum_w2 / divisor, axis=0),
+                np.sum(np.where(measured, freedom, 0.0), axis=0),
+                np.sum(sum_w * (mean - grand_mean) ** 2, axis=0),
+                np.sum(sum_w2 / divisor, axis=0) - sum_w2.sum(axis=0) / total,
+                sum_w.sum(axis=0) - np.sum(sum_w**2, axis=0) / total,
+                count,
+                np.maximum(count - 1.0, 0.0),
+            ]
+        )
+        return cls(*by_component.sum(axis=1).tolist())
+
     def scatter(self) -> tuple[float, float]:
-        """Standard deviation s_w, NaN without repeats, and its degrees of freedom, 0 without repeats."""
+        """Return the standard deviation s_w and its degrees of freedom; NaN and 0 without repeats."""
         if self.within_freedom >= _NO_FREEDOM and self.within_noise > 0.0:
             variance = self.within / self.within_noise
             return float(np.sqrt(variance)), float(self.within_freedom)
         return np.nan, 0.0
 
     def correlation(self, fitted: float) -> float:
-        """Intraclass correlation rho, where a fit took its parameters from the means of poses.
+        """Return the intraclass correlation rho after a fit took so many parameters from the means of poses.
 
-        Args:
-            fitted: Number of parameters of the fit. Beyond a mean for each component they make the means of poses
-                smaller than the errors that these share.
+        Beyond a mean for each component they make these means smaller than the errors that repeats share.
         """
         noise = self.scatter()[0] ** 2
         kept = 0.0
@@ -109,7 +132,7 @@ def scatter_of_repeats(
     Args:
         residual: shape (N, D), measured minus predicted of each row.
         channels: Unit of each entry of the residual, and which were measured.
-        poses: shape (N,), rows of one number are repeats.
+        poses: shape (N,), rows with the same number are repeats.
         weights: shape (N,), robust weights, 0 for outliers.
         fitted: Number of parameters that the fit took from all scalars.
 
@@ -120,29 +143,18 @@ def scatter_of_repeats(
     w = np.where(channels.used, weights[:, None], 0.0)
     e = np.where(w > 0.0, residual, 0.0)
     within, freedoms = {}, {}
-    # rho is one number for all units: each counts in units of its own rms.
+    # rho is one number for all units: residuals are divided by the weighted rms of their unit.
     relative = np.zeros_like(e)
     for unit in channels.present:
         of_unit = channels.where(unit)
+        e_unit = np.where(of_unit, e, 0.0)
         w_unit = np.where(of_unit, w, 0.0)
-        moments = _Moments(*_moments(np.where(of_unit, e, 0.0), w_unit, pose).sum(axis=1).tolist())
-        within[unit], freedoms[unit] = moments.scatter()
-        relative += np.where(of_unit, e, 0.0) / _weighted_rms(e, w_unit)
-    together = _Moments(*_moments(relative, w, pose).sum(axis=1).tolist())
+        within[unit], freedoms[unit] = _Moments.of(e_unit, w_unit, pose).scatter()
+        square = float(np.sum(w_unit * e**2))
+        weighted_rms = np.sqrt(square / float(np.sum(w_unit))) if square > 0.0 else 1.0
+        relative += e_unit / weighted_rms
+    together = _Moments.of(relative, w, pose)
     return Repeats(within, freedoms, together.correlation(fitted))
-
-
-def _weighted_rms(e: Array, w: Array) -> float:
-    """Weighted rms of residuals; 1 where all are zero.
-
-    Args:
-        e: shape (N, D), residuals.
-        w: shape (N, D), weights; 0 where an entry does not count.
-    """
-    square = float(np.sum(w * e**2))
-    if square <= 0.0:
-        return 1.0
-    return float(np.sqrt(square / float(np.sum(w))))
 
 
 def pose_means(values: Array, weights: Array, poses: Integers) -> tuple[Array, Integers]:
@@ -150,8 +162,8 @@ def pose_means(values: Array, weights: Array, poses: Integers) -> tuple[Array, I
 
     Args:
         values: shape (N, ...), whitened.
-        weights: shape (N,), > 0, those that `calib.fit.estimate.stages.Stage.sharing` gives to repeats.
-        poses: shape (N,), rows of one number are repeats.
+        weights: shape (N,), > 0, those that `calib.fit.estimate.stages.Stage.by_repeats` gives to repeats.
+        poses: shape (N,), rows with the same number are repeats.
 
     Returns:
         The means of K poses, shape (K, ...), independent of each other, and the first row of each pose, (K,).
@@ -163,38 +175,6 @@ def pose_means(values: Array, weights: Array, poses: Integers) -> tuple[Array, I
     return sums.reshape(len(first), *values.shape[1:]), first
 
 
-def _moments(e: Array, w: Array, pose: Integers) -> Array:
-    """The fields of `_Moments` for each component, shape (8, D).
-
-    Args:
-        e: shape (N, D), residuals, 0 where w is.
-        w: shape (N, D), weights; 0 where nothing was measured.
-        pose: shape (N,), the pose of each row, from 0.
-    """
-    sum_w = _sum_by_pose(pose, w)
-    sum_w2 = _sum_by_pose(pose, w**2)
-    measured = sum_w > 0.0
-    divisor = np.where(measured, sum_w, 1.0)
-    mean = _sum_by_pose(pose, w * e) / divisor
-    total = np.maximum(sum_w.sum(axis=0), np.finfo(float).tiny)
-    grand_mean = np.sum(sum_w * mean, axis=0) / total
-    count = np.sum(measured, axis=0)
-    freedom = sum_w**2 / np.where(measured, sum_w2, 1.0) - 1.0
-    # With all weights 1: sum_w = sum_w2 = n, and the textbook's n - 1, k - 1 and (k - 1) n0 appear.
-    return np.array(
-        [
-            np.sum(w * (e - mean[pose]) ** 2, axis=0),
-            np.sum(sum_w - sum_w2 / divisor, axis=0),
-            np.sum(np.where(measured, freedom, 0.0), axis=0),
-            np.sum(sum_w * (mean - grand_mean) ** 2, axis=0),
-            np.sum(sum_w2 / divisor, axis=0) - sum_w2.sum(axis=0) / total,
-            sum_w.sum(axis=0) - np.sum(sum_w**2, axis=0) / total,
-            count,
-            np.maximum(count - 1.0, 0.0),
-        ]
-    )
-
-
 def _sum_by_pose(pose: Integers, values: Array) -> Array:
-    """Sums of rows (N, D) over each of K poses, shape (K, D)."""
+    """Return the sums of rows (N, D) over each of K poses, shape (K, D)."""
     return np.stack([np.bincount(pose, column) for column in values.T], axis=1)

@@ -10,8 +10,8 @@ import numpy as np
 
 from calib.basics.arrays import Array
 
-#: Points whose rms distance from a line is below this do not determine a turn about it [m]. It is the least ratio of
-#: singular values, of a turn's and a shift's.
+#: Points whose rms distance from a line is below this do not determine a turn about it [m]: the least ratio of a turn's
+#: singular value to a shift's.
 _SHORT_LEVER = 1e-2
 
 
@@ -22,33 +22,19 @@ def best_motion(points: Array, displacements: Array) -> Array:
 
     Args:
         points: shape (N, 3), [m].
-        displacements: shape (N, 3, k), k displacements of each point, in a unit of any kind.
+        displacements: shape (N, 3, k), k displacements of each point, in any unit.
 
     Returns:
         Motions, shape (6, k), that make these displacements: rows 0 to 2 are the velocity of the origin, in that unit;
         rows 3 to 5 the turn, in that unit per metre.
     """
     middle = points.mean(axis=0)
-    columns = _displacements_of_unit_motions(points - middle).reshape(-1, 6)
+    columns = displacements_by(np.eye(6), points - middle).reshape(-1, 6)
     flat = displacements.reshape(-1, displacements.shape[2])
     motion, *_ = np.linalg.lstsq(columns, flat, rcond=_SHORT_LEVER)
     # From the middle of the points to the origin.
     motion[:3] -= np.cross(motion[3:], middle, axisa=0).T
     return np.asarray(motion)
-
-
-def _displacements_of_unit_motions(points: Array) -> Array:
-    """Displacements of points by unit velocities along x, y, z, then by unit turns about them, shape (N, 3, 6).
-
-    Args:
-        points: shape (N, 3), [m].
-    """
-    axes = np.eye(3)
-    result = np.zeros((len(points), 3, 6))
-    result[:, :, :3] = axes
-    by_turns = np.cross(axes, points[:, None, :])  # one row for each axis
-    result[:, :, 3:] = by_turns.transpose(0, 2, 1)
-    return result
 
 
 def displacements_by(motion: Array, points: Array) -> Array:

@@ -31,13 +31,13 @@ _FALSE_ALARM = 0.01
 #: The false alarm is shared by this many rows, if the table has fewer.
 _FEWEST_ROWS = 10
 
-#: A row that leaves less than this share of a direction to the others carries it nearly alone.
+#: A row that leaves less than this share of a direction to the other rows determines it nearly alone.
 _CARRIED = 1e-4
 
-#: Smallest 1 - w K along a direction: K cannot exceed 1 / w but by rounding.
+#: Smallest 1 - w K along a direction: only by rounding does K exceed 1 / w.
 _LEAST_LEFT = 1e-9
 
-#: The scalars of a point, to which all scores are converted.
+#: Number of scalars of a point, to which all scores are converted.
 _POINT = 3
 
 #: Probability beyond which the tail of chi-squared is too thin to be inverted.
@@ -59,7 +59,7 @@ class Limits:
 
         Args:
             rows: Number of rows, one number or shape (B, 1): the more rows, the rarer must be a false alarm of each.
-            freedom: Degrees of freedom of the noise, likewise; below 1 it counts as 1.
+            freedom: Degrees of freedom of the noise, one number or shape (B, 1); below 1 it counts as 1.
         """
         freedom = np.maximum(freedom, 1.0)
         good = 1.0 - _FALSE_ALARM / np.maximum(rows, _FEWEST_ROWS)
@@ -114,16 +114,12 @@ def deleted_norms(
 
 
 def _norms_by_leverage(r: Array, K: Array, w: Array) -> Array:
-    """Norms of deleted residuals, shape (B, N).
+    """Return the norms (B, N) of the deleted residuals of whitened residuals r (B, N, D), leverages K and weights w.
 
-    Where a row carries a direction nearly alone, I - w K is nearly singular: there by the eigenvalues of K, none of
-    which counts for more than 1 / w.
-
-    Args:
-        r: shape (B, N, D), whitened residuals.
-        K: shape (B, N, D, D), leverages of the rows with weight 1.
-        w: shape (B, N), weights.
+    K, shape (B, N, D, D), is that of rows with weight 1; w has the shape (B, N).
     """
+    # If a row determines a direction nearly alone, I - w K is nearly singular: then by the eigenvalues of K, none of
+    # which counts for more than 1 / w.
     w = w[..., None]
     trace = np.trace(K, axis1=-2, axis2=-1)
     almost_alone = ~(w[..., 0] * trace < 1.0 - _CARRIED)
@@ -171,8 +167,8 @@ def median_noise(norms: Array, used: Mask, kept: Mask) -> Array:
 
     Args:
         norms: shape (B, N), norms of deleted residuals in units of the given sigma.
-        used: shape (N, D), which scalars the noise is estimated from.
-        kept: shape (B, N), which rows each fit has.
+        used: shape (N, D), True for the scalars that the noise is estimated from.
+        kept: shape (B, N), True for the rows of each fit.
 
     Returns:
         shape (B,), standard deviation in units of the given sigma: 1 where the median is that of normal noise.

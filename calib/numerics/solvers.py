@@ -1,7 +1,7 @@
 """Least-squares solvers, which see callables and start values, never a robot.
 
-Each minimises E(x) = 1/2 r(x)^T r(x), keeps a history of its steps, and raises `SolverError` where the start is not
-finite.
+Each minimises E(x) = 1/2 r(x)^T r(x), keeps a history of its steps, and raises `SolverError` if the residual is not
+finite at the start.
 """
 
 from __future__ import annotations
@@ -17,9 +17,6 @@ from calib.basics.arrays import Array
 from calib.basics.values import Value
 from calib.errors import ModelError, SolverError, choices
 
-#: Name of the paper's algorithm, which is no weighted least-squares solver: it has neither weights nor priors.
-PAPER = "paper"
-
 #: Message of a solver that converged.
 _CONVERGED = "Relative change of cost and parameters below tolerance."
 
@@ -29,7 +26,10 @@ _LIMIT = "The limit of {} iterations was reached before the steps became negligi
 #: Message of a solver whose damping rose beyond its limit: it converged, by rounding.
 _NO_STEP_HELPS = "No step, however short, lowers the cost any further."
 
-#: Gain ratio from which on the damping falls ten times.
+#: Damping of the first step.
+_FIRST_DAMPING = 1e-8
+
+#: After a gain ratio of at least this the damping falls to a tenth.
 _GOOD_GAIN = 0.9
 
 #: The least damping.
@@ -50,7 +50,7 @@ class Iteration:
     cost: float
     #: Its damping; 0 for SciPy, which has a trust region instead
     mu: float
-    #: Actual over predicted decrease of E; None where the solver does not state it
+    #: Actual over predicted decrease of E; None if the solver does not state it
     gain: float | None
     #: Length of the step, in the solver's units
     step: float
@@ -81,128 +81,6 @@ class Solution(Value):
         return len(self.history)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Evaluation:
-    """The system evaluated at one x."""
-
-    #: (p,)
-    x: Array
-    #: (m,), residual at x
-    r: Array
-    #: (m, p), its Jacobian dr/dx
-    J: Array
-
-    @classmethod
-    def of(cls, system: System, x: Array) -> _Evaluation:
-        """Evaluate a system.
-
-        Args:
-            system: Maps x to the residual r, shape (m,), and its Jacobian dr/dx, shape (m, p).
-            x: shape (p,).
-        """
-        return cls(x, *system(x))
-
-    @property
-    def cost(self) -> float:
-        """E(x) = 1/2 r^T r."""
-        return 0.5 * float(self.r @ self.r)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Step:
-    """A step of Levenberg-Marquardt that is to be tried."""
-
-    #: (p,), change of x
-    dx: Array
-    #: Decrease of E by the linear model of r
-    predicted: float
-    #: Norm of dx in units of each parameter's step size
-    length: float
-
-    def gain(self, cost_before: float, cost_after: float) -> float:
-        """Return the actual over the predicted decrease of E by the step.
-
-        Args:
-            cost_before: E before the step.
-            cost_after: E after it.
-
-        Returns:
-            > 0 where E falls; minus infinity where E is not finite after the step.
-        """
-        if not np.isfinite(cost_after):
-            return -np.inf
-        return (cost_before - cost_after) / self.predicted
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Reduced:
-    """The system at one x, reduced to a triangle: |r + J dx|^2 = |R dx - rhs|^2 + constant."""
-
-    #: (p,)
-    x: Array
-    #: E(x)
-    cost: float
-    #: (p, p), upper triangle
-    R: Array
-    #: (p,)
-    rhs: Array
-    #: (p,), the largest norm of each column of J so far, by which the damping of each parameter is scaled
-    scale: Array
-
-    @classmethod
-    def of(cls, system: _Evaluation, smallest_scale: Array | float = 0.0) -> _Reduced:
-        """Reduce a system to its triangle, which carries all that r and J say: each damping costs p^3, not m p^2.
-
-        Args:
-            system: Residual and Jacobian at one x.
-            smallest_scale: shape (p,), largest norms of the columns of J before; 0 at the start.
-        """
-        R, rhs = _triangle(system.J, system.r)
-        scale = np.maximum(smallest_scale, _column_norms(system.J))
-        return cls(system.x, system.cost, R, rhs, scale)
-
-    def damped_step(self, mu: float, step_size: Array) -> _Step:
-        """Return the step that minimises |r + J dx|^2 + mu |D dx|^2, where D is the scale.
-
-        Args:
-            mu: Damping.
-            step_size: shape (p,), change of each parameter that is one unit of a step's length.
-        """
-        dx = _damped_step(self.R, self.rhs, np.sqrt(mu) * self.scale)
-        length = float(np.linalg.norm(dx / step_size))
-        return _Step(dx, self._predicted_decrease(dx), length)
-
-    def _predicted_decrease(self, dx: Array) -> float:
-        """By how much the linear model of r lowers E after a step dx, (p,)."""
-        after = float(np.sum((self.rhs - self.R @ dx) ** 2))
-        return 0.5 * (float(self.rhs @ self.rhs) - after)
-
-
-@dataclass(frozen=True, slots=True)
-class _Damping:
-    """Damping by the gain ratio, actual over predicted decrease of E (H. B. Nielsen, 1999)."""
-
-    #: Damping of the next step
-    mu: float = 1e-8
-    #: Factor at the next step that fails
-    raise_by: float = 2.0
-
-    def after_success(self, gain: float) -> _Damping:
-        """Lower the damping by up to ten times: the closer the gain is to 1, the more.
-
-        Args:
-            gain: Actual over predicted decrease of E, > 0.
-        """
-        factor = 0.1
-        if gain < _GOOD_GAIN:
-            factor = max(1.0 / 3.0, 1.0 - (2.0 * gain - 1.0) ** 3)
-        return _Damping(max(self.mu * factor, _LOWEST_DAMPING))
-
-    def after_failure(self) -> _Damping:
-        """Raise the damping, by twice the factor each time."""
-        return _Damping(self.mu * self.raise_by, self.raise_by * 2.0)
-
-
 def levenberg_marquardt(
     system: System,
     x0: Array,
@@ -228,48 +106,57 @@ def levenberg_marquardt(
     Raises:
         SolverError: The system is not finite at the start.
     """
-    at = _Reduced.of(_checked_start(system, x0))
-    damping = _Damping()
+    x, r, J = _start(system, x0)
+    cost = _cost(r)
+    scale = _column_norms(J)
+    # |r + J dx|^2 = |R dx - rhs|^2 + constant: each damping then costs p^3, not m p^2.
+    R, rhs = _triangle(J, r)
+    mu = _FIRST_DAMPING
+    raise_by = 2.0  # factor of the damping at the next step that fails
     history: list[Iteration] = []
+    status = "converged"
     while True:
-        step = at.damped_step(damping.mu, step_size)
-        if step.predicted <= tolerance * at.cost or step.length <= step_tolerance:
-            return _solution(at, history, _CONVERGED)
-        trial = _Evaluation.of(system, at.x + step.dx)
-        gain = step.gain(at.cost, trial.cost)
-        history.append(Iteration(at.cost, damping.mu, gain, step.length, gain > 0))
+        dx = _damped_step(R, rhs, np.sqrt(mu) * scale)
+        length = float(np.linalg.norm(dx / step_size))
+        cost_of_model = float(np.sum((rhs - R @ dx) ** 2))
+        predicted = 0.5 * (float(rhs @ rhs) - cost_of_model)
+        if predicted <= tolerance * cost or length <= step_tolerance:
+            message = _CONVERGED
+            break
+
+        trial_x = x + dx
+        trial_r, trial_J = system(trial_x)
+        trial_cost = _cost(trial_r)
+        gain = (cost - trial_cost) / predicted if np.isfinite(trial_cost) else -np.inf
+        history.append(Iteration(cost, mu, gain, length, gain > 0))
         if gain > 0:
-            at = _Reduced.of(trial, at.scale)
-            damping = damping.after_success(gain)
+            x, cost = trial_x, trial_cost
+            R, rhs = _triangle(trial_J, trial_r)
+            scale = np.maximum(scale, _column_norms(trial_J))
+            # The closer the gain is to 1, the more the damping falls.
+            factor = 0.1
+            if gain < _GOOD_GAIN:
+                factor = max(1.0 / 3.0, 1.0 - (2.0 * gain - 1.0) ** 3)
+            mu = max(mu * factor, _LOWEST_DAMPING)
+            raise_by = 2.0
         else:
-            damping = damping.after_failure()
-            if damping.mu > _HIGHEST_DAMPING:
-                return _solution(at, history, _NO_STEP_HELPS)
+            mu = mu * raise_by
+            raise_by = raise_by * 2.0
+            if mu > _HIGHEST_DAMPING:
+                message = _NO_STEP_HELPS
+                break
         if len(history) == iterations:
+            status = "stopped"
             message = _LIMIT.format(iterations)
-            return _solution(at, history, message, status="stopped")
-
-
-def _solution(
-    at: _Reduced,
-    history: list[Iteration],
-    message: str,
-    status: str = "converged",
-) -> Solution:
-    """The result of `levenberg_marquardt`, which calls the system at the start and once for each trial step.
-
-    Args:
-        at: The system at the solution.
-        history: One entry a trial step.
-        message: Why the steps ended.
-        status: ``"converged"`` or ``"stopped"``.
-    """
-    return Solution(at.x, at.cost, status, message, len(history) + 1, tuple(history))
+            break
+    return Solution(x, cost, status, message, len(history) + 1, tuple(history))
 
 
 def paper_levenberg_marquardt(
     system: System,
     x0: Array,
+    step_size: Array | None = None,  # noqa: ARG001  the length of its steps is relative to that of X
+    step_tolerance: float = 0.0,  # noqa: ARG001
     *,
     mu: float = 0.01,
     nu: float = 2.5,
@@ -279,14 +166,16 @@ def paper_levenberg_marquardt(
     """Minimise E(X) by the paper's Levenberg-Marquardt, section 3.3, at *absolute* parameters X in mm and rad.
 
     dX = -(J^T J + mu I)^-1 J^T e;  stop when |dX| <= epsilon (|X| + epsilon);
-    gain = 2 (E_(k+1) - E_k) / (dX^T (J^T e - mu dX));  mu / nu where gain > 0, mu nu otherwise.
+    gain = 2 (E_(k+1) - E_k) / (dX^T (J^T e - mu dX));  mu / nu if gain > 0, mu nu otherwise.
 
-    Read in two places so that it works: step 6 goes to the end when the test holds (the branches are printed the other
-    way round), and a step with gain <= 0 is not taken.
+    Two places are read so that they work: step 6 goes to the end when the test holds (the branches are printed the
+    other way round), and a step with gain <= 0 is not taken.
 
     Args:
         system: Maps X, shape (p,), to the error e, (m,), and its Jacobian de/dX, (m, p).
         x0: shape (p,), start.
+        step_size: Not used.
+        step_tolerance: Not used.
         mu: Damping of the first step.
         nu: Factor by which the damping changes.
         epsilon: Relative length of a step that has converged.
@@ -295,39 +184,41 @@ def paper_levenberg_marquardt(
     Raises:
         SolverError: The system is not finite at the start.
     """
-    at = _checked_start(system, x0)
+    x, r, J = _start(system, x0)
+    cost = _cost(r)
     history: list[Iteration] = []
     while len(history) < iterations:
-        damping = np.full(len(at.x), np.sqrt(mu))
-        dx = _damped_step(*_triangle(at.J, at.r), damping)
+        dx = _damped_step(*_triangle(J, r), np.full(len(x), np.sqrt(mu)))
         length = float(np.linalg.norm(dx))
-        trial = _Evaluation.of(system, at.x + dx)
-        if length <= epsilon * (float(np.linalg.norm(at.x)) + epsilon):
+        trial_x = x + dx
+        trial_r, trial_J = system(trial_x)
+        trial_cost = _cost(trial_r)
+        if length <= epsilon * (float(np.linalg.norm(x)) + epsilon):
             return Solution(
-                x=trial.x,
-                cost=trial.cost,
+                x=trial_x,
+                cost=trial_cost,
                 status="converged",
                 message="The step is shorter than epsilon (|X| + epsilon).",
                 evaluations=len(history) + 2,
                 history=tuple(history),
             )
-        predicted = float(dx @ (at.J.T @ at.r - mu * dx))
-        gain = 2.0 * (trial.cost - at.cost) / predicted
-        history.append(Iteration(at.cost, mu, gain, length, gain > 0))
+        predicted = float(dx @ (J.T @ r - mu * dx))
+        gain = 2.0 * (trial_cost - cost) / predicted
+        history.append(Iteration(cost, mu, gain, length, gain > 0))
         if gain > 0:
-            at = trial
+            x, r, J, cost = trial_x, trial_r, trial_J, trial_cost
             mu = mu / nu
         else:
             mu = mu * nu
     message = _LIMIT.format(iterations)
-    return Solution(at.x, at.cost, "stopped", message, len(history) + 1, tuple(history))
+    return Solution(x, cost, "stopped", message, len(history) + 1, tuple(history))
 
 
 def scipy_least_squares(
     system: System,
     x0: Array,
     step_size: Array,
-    step_tolerance: float = 1e-9,  # noqa: ARG001  it goes to the end each time
+    step_tolerance: float = 1e-9,  # noqa: ARG001  SciPy has tolerances of its own
 ) -> Solution:
     """Minimise E(x) by SciPy's ``least_squares`` (trust-region reflective, exact SVD steps).
 
@@ -342,17 +233,16 @@ def scipy_least_squares(
     """
     from scipy.optimize import least_squares
 
-    start = _checked_start(system, x0)
-    best_cost = start.cost
-    best_x = start.x
+    best_x, start_r, _ = _start(system, x0)
+    best_cost = _cost(start_r)
     history: list[Iteration] = []
 
     def residual(x: Array) -> Array:
-        """The residual, with an entry in the history for each x that is new."""
+        """Return the residual, and add each new x to the history."""
         nonlocal best_cost, best_x
         r, _ = system(x)
         if not np.array_equal(x, best_x):
-            cost = 0.5 * float(r @ r)
+            cost = _cost(r)
             step = float(np.linalg.norm((x - best_x) / step_size))
             history.append(Iteration(best_cost, 0.0, None, step, cost < best_cost))
             if cost < best_cost:
@@ -379,12 +269,20 @@ def scipy_least_squares(
     )
 
 
-#: Maps a system, a start, a step of one unit for each parameter, and the length of a step that has converged (in these
-#: units) to a solution.
+#: Maps a system, a start, the change of each parameter that is one unit of a step's length, and the length of a step
+#: that has converged to a solution.
 Solver = Callable[[System, Array, Array, float], Solution]
 
 #: The least-squares solvers by the name that `calib.calibrate` and ``--solver`` take; yours is one more.
-SOLVERS: dict[str, Solver] = {"lm": levenberg_marquardt, "scipy": scipy_least_squares}
+SOLVERS: dict[str, Solver] = {
+    "lm": levenberg_marquardt,
+    "scipy": scipy_least_squares,
+    "paper": paper_levenberg_marquardt,
+}
+
+#: Those that know neither weights nor priors: a fit has a whole estimate of its own for them, in place of
+#: weighted least squares.
+_WITHOUT_WEIGHTS_AND_PRIORS = frozenset({"paper"})
 
 plugins.watch("solvers", SOLVERS)
 
@@ -399,39 +297,48 @@ def register(name: str, solver: Solver) -> None:
     Raises:
         SolverError: The name is taken.
     """
-    if name in (*SOLVERS, PAPER):
-        raise SolverError(
-            f"The solver '{name}' needs a name other than {choices((*SOLVERS, PAPER), 60)}."
-        )
+    if name in SOLVERS:
+        raise SolverError(f"The solver '{name}' needs a name other than {choices(SOLVERS, 60)}.")
     SOLVERS[name] = solver
 
 
+def has_weights_and_priors(solver: str | Solver) -> bool:
+    """Return whether fits by a solver, a name or the function itself, weigh rows and have priors of parameters."""
+    return callable(solver) or solver not in _WITHOUT_WEIGHTS_AND_PRIORS
+
+
 def check_name(name: str) -> None:
-    """Check that there is a solver of this name, or that it is `PAPER`.
+    """Check that there is a solver of this name.
 
     Raises:
         ModelError: There is none.
     """
-    if name not in (*SOLVERS, PAPER):
-        raise ModelError(plugins.unknown("solvers", name, (*SOLVERS, PAPER)))
+    if name not in SOLVERS:
+        raise ModelError(plugins.unknown("solvers", name, SOLVERS))
 
 
-def _checked_start(system: System, x0: Array) -> _Evaluation:
-    """Evaluate a system at the start x0, shape (p,), of which a copy is taken; `SolverError` where it is not finite."""
-    start = _Evaluation.of(system, np.array(x0, dtype=np.float64))
-    if not (np.all(np.isfinite(start.r)) and np.all(np.isfinite(start.J))):
+def _start(system: System, x0: Array) -> tuple[Array, Array, Array]:
+    """Return a copy of the start x0, (p,), with residual and Jacobian there; SolverError if these are not finite."""
+    x = np.array(x0, dtype=np.float64)
+    r, J = system(x)
+    if not (np.all(np.isfinite(r)) and np.all(np.isfinite(J))):
         raise SolverError("The residual is not finite at the start: a number is far out.")
-    return start
+    return x, r, J
+
+
+def _cost(r: Array) -> float:
+    """Return E = 1/2 r^T r."""
+    return 0.5 * float(r @ r)
 
 
 def _column_norms(J: Array) -> Array:
-    """Norm of each column of J, (m, p), shape (p,); 1 where a column is zero, so that it can be divided by."""
+    """Return the norm of each column of J, (m, p), shape (p,); 1 for a column of zeros, to be divided by."""
     norms: Array = np.sqrt(np.einsum("ij,ij->j", J, J))
     return np.where(norms > 0.0, norms, 1.0)
 
 
 def _triangle(J: Array, r: Array) -> tuple[Array, Array]:
-    """R, (p, p), and rhs, (p,), of the triangle of [J, -r]: |J dx + r|^2 = |R dx - rhs|^2 + constant."""
+    """Return R, (p, p), and rhs, (p,), of the triangle of [J, -r]: |J dx + r|^2 = |R dx - rhs|^2 + constant."""
     p = J.shape[1]
     # By columns, as LAPACK wants it; rows of zeros change nothing.
     both = np.zeros((max(len(r), p), p + 1), order="F")
@@ -458,13 +365,7 @@ def triangle(A: Array) -> Array:
 
 
 def _damped_step(R: Array, rhs: Array, damping: Array) -> Array:
-    """The dx, shape (p,), that minimises |R dx - rhs|^2 + |diag(damping) dx|^2, by QR.
-
-    Args:
-        R: shape (p, p), upper triangle.
-        rhs: shape (p,).
-        damping: shape (p,), factor of each component of dx, >= 0.
-    """
+    """Return the dx, shape (p,), that minimises |R dx - rhs|^2 + |diag(damping) dx|^2, by QR."""
     p = len(rhs)
     stacked = np.zeros((2 * p, p + 1), order="F")
     stacked[:p, :p] = R

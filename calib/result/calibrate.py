@@ -14,9 +14,8 @@ import numpy as np
 
 from calib.basics.arguments import check_callable, check_flags
 from calib.basics.arrays import Array, Mask, read_only
-from calib.basics.blas import one_blas_thread
-from calib.basics.channels import RESIDUAL_UNITS
-from calib.basics.jobs import Progress
+from calib.basics.channels import RESIDUAL_UNITS, Channels
+from calib.basics.jobs import Progress, one_blas_thread
 from calib.data.cell import Cell
 from calib.data.inputs import CellInput, RobotInput, TableInput, inputs_of
 from calib.data.measurements import Measurements
@@ -25,7 +24,6 @@ from calib.diagnosis.extrapolation import extrapolation
 from calib.diagnosis.reasons import NO, Verdict, Why
 from calib.diagnosis.verdict import verdict
 from calib.fit.estimate.fitting import Fitted, fit
-from calib.fit.estimate.task import PAPER
 from calib.fit.registration.registration import nominal_setup, register_held_out
 from calib.fit.registration.rows import Rows
 from calib.fit.registration.setup import Setup
@@ -39,15 +37,17 @@ from calib.numerics.errors import CrossValidation, rms
 from calib.numerics.repeats import Repeats, scatter_of_repeats
 from calib.numerics.scores import Limits
 from calib.numerics.solvers import Solver
-from calib.result.calibration import Calibration, FitInMemory, RowNames, Source
-from calib.result.cameras import image_values
+from calib.result.calibration import Calibration
+from calib.result.cameras import result_optics
 from calib.result.doubts import doubts_of
 from calib.result.evidence import evidence_of
 from calib.result.fits import TableFits, fit_table
+from calib.result.image_errors import metres_per_pixel
 from calib.result.joint_zeros import joint_zeros
+from calib.result.parts import FitInMemory, Method, Noise, Outlier, ResultRows, Source, Trust
 from calib.result.prediction import (
+    FittedModel,
     NonGeometric,
-    Outlier,
     compensating_base_motion,
     expected_error,
     parameter_estimates,
@@ -282,34 +282,18 @@ def _judged(result: Calibration, rows: Rows) -> Calibration:
         rows: The rows that were fitted, as arrays; ``sole`` marks those of sole postures, which no other row can check.
 
     Returns:
-        The same result, its field ``verdict`` set, and that of its non-geometric model if it has one.
+        The same result with its verdict, and that of its non-geometric model if it has one.
     """
     doubts = doubts_of(result, rows)
     if result.non_geometric is not None:
         evidence = evidence_of(result, result.non_geometric, rows, doubts)
         non_geometric = replace(result.non_geometric, verdict=verdict(evidence))
         result = replace(result, non_geometric=non_geometric)
-    evidence = evidence_of(result, result, rows, doubts)
-    return replace(result, verdict=verdict(evidence))
+    evidence = evidence_of(result, result.geometry, rows, doubts)
+    return replace(result, trust=replace(result.trust, verdict=verdict(evidence)))
 
 
 # The result
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Scored:
-    """Figures of each of N rows, fitted or not, by the fit of the geometry."""
-
-    #: (N, D), measured minus predicted
-    residual: Array
-    #: (N,), distance of each row from what the others predict, in standard deviations
-    scores: Array
-    #: (N,), robust weights; 0 for validation rows
-    weights: Array
-    #: Score above which a fitted row is flagged
-    flag_limit: float
-    #: Score above which a validation row is
-    suspect_limit: float
 
 
 def _assembled(
@@ -329,53 +313,49 @@ def _assembled(
             is not.
 
     Returns:
-        The result, with residuals, scores and weights of all N rows, fitted or not, and the fits themselves in its part
-        ``fit``.
+        The result, with residuals, scores and weights of all N rows, fitted or not, and the fits themselves.
     """
     validations = _Validations() if validations is None else validations
-    m, geometry, all_rows = measurements, fits.geometry, fits.all_rows
-    robot, cell, estimate = geometry.task.robot, geometry.task.cell, geometry.estimate
+    m, fitted = measurements, fits.geometry
+    robot, cell, estimate = fitted.task.robot, fitted.task.cell, fitted.estimate
     observability = estimate.problem.observability(estimate.x)
-    scored, nominal_places = _scored(m, fits), _nominal_places(m, fits)
+    nominal_places = _nominal_places(m, fits)
+    geometry = FittedModel(**_model_values(fitted, observability, validations.geometry))
     return Calibration(
-        **_model_values(geometry, observability, validations.geometry),
         nominal=robot,
-        robot=geometry.kinematics.model.apply(robot, estimate.x),
-        source=Source(m.source, m.sha256, m.orientation),
-        rows=RowNames.of(m),
-        frame_estimated=cell.estimate_frame,
-        frozen=cell.frozen,
-        ties=cell.ties,
-        prior_std_from=cell.priors.source,
+        robot=geometry.model.apply(robot, estimate.x),
         nominal_setup=nominal_places,
-        solver=_solver_name(geometry.task.solver),
-        solution=estimate.solution,
-        seconds=fits.seconds,
-        freedom=estimate.freedom,
-        sigma=geometry.estimate.sigma,
-        sigma_given=_stated_sigma(m, cell),
-        residual_nominal=read_only(_nominal_residual(fits, nominal_places)),
-        residual_calibrated=read_only(scored.residual),
-        channels=all_rows.channels,
-        **image_values(geometry, all_rows),
-        scores=read_only(scored.scores),
-        weights=read_only(scored.weights),
-        ranges=_fitted_ranges(all_rows.joints[scored.weights > 0.0]),
-        flag_limit=scored.flag_limit,
-        outliers=_flagged(m, fits, scored, m.estimation, scored.flag_limit),
-        suspects=_flagged(m, fits, scored, m.validation, scored.suspect_limit),
-        robustness=_robustness(geometry),
-        repeats=_repeats(geometry),
-        pose_noise=geometry.estimate.pose_noise,
-        outside=_outside(m, fits),
-        nominal_cross_validation=validations.nominal,
-        observability=observability,
-        candidates=_without_rows(fits.candidates),
+        geometry=geometry,
         non_geometric=_non_geometric(fits, validations.non_geometric),
-        verdict=verdict,
+        rows=_result_rows(m, fits, _nominal_residual(fits, nominal_places)),
+        noise=Noise(
+            sigma=estimate.sigma,
+            sigma_given=_stated_sigma(m, cell),
+            freedom=estimate.freedom,
+            repeats=_repeats(fitted),
+            pose_noise=estimate.pose_noise,
+        ),
+        trust=Trust(
+            verdict=verdict,
+            nominal_cross_validation=validations.nominal,
+            observability=observability,
+            robustness=_robustness(fitted),
+        ),
+        method=Method(
+            frame_estimated=cell.estimate_frame,
+            frozen=cell.frozen,
+            ties=cell.ties,
+            prior_std_from=cell.priors.source,
+            candidates=_without_rows(fits.candidates),
+            solver=_solver_name(fitted.task.solver),
+            solution=estimate.solution,
+            seconds=fits.seconds,
+        ),
+        optics=result_optics(fitted, fits.all_rows, geometry),
         zeros=joint_zeros(fits, m.validation, cross_validated=validations.geometry is not None),
+        source=Source(m.source, m.sha256, m.orientation),
         record=cell.record,
-        fit=FitInMemory(m, cell, geometry, fits.non_geometric),
+        fit_in_memory=FitInMemory(m, cell, fitted, fits.non_geometric),
     )
 
 
@@ -390,7 +370,7 @@ def _robustness(geometry: Fitted) -> Robustness | None:
         None where no row is an outlier, and for the paper's solver, which has no robust weights.
     """
     has_outliers = np.any(geometry.estimate.outliers)
-    if not has_outliers or geometry.task.solver == PAPER:
+    if not has_outliers or not geometry.task.has_weights_and_priors:
         return None
     return compare_weights(geometry)
 
@@ -447,7 +427,7 @@ def _model_values(
         "covariance": covariance,
         "prior_std": fitted.estimate.prior_std,
         "parameters": parameter_estimates(fitted, observability),
-        "setup": fitted.placed(),
+        "setup": fitted.estimated_setup(),
         "base_motion": base_motion,
         "cross_validation": validation,
         "expected_measured": expected_error(kinematics, x, covariance, rows.samples, base_motion),
@@ -539,63 +519,61 @@ def _nominal_residual(fits: TableFits, places: Setup) -> Array:
     return rows.residual(places.target_poses(T_base_tip, rows.samples))
 
 
-def _scored(measurements: Measurements, fits: TableFits) -> _Scored:
-    """Return residuals, scores and weights of all rows by the fit of the geometry.
+def _result_rows(
+    measurements: Measurements, fits: TableFits, residual_nominal: Array
+) -> ResultRows:
+    """Return the names, residuals, scores and weights of all rows by the fit of the geometry.
 
     Args:
         measurements: All N rows of the table: which are for estimation, which for validation.
         fits: The fits of the table: that of the geometry, with scores and weights of the estimation rows, and the N
             rows as arrays.
-
-    Returns:
-        Residuals of the N rows, measured minus predicted, shape (N, D), [m] and [rad]; their scores, the distance of
-        each from what the other rows predict in standard deviations, shape (N,); their robust weights, 0 for validation
-        rows, shape (N,); and the scores above which estimation and validation rows are flagged.
+        residual_nominal: Measured minus predicted by the nominal robot, shape (N, D), in the units of the rows'
+            channels.
     """
-    geometry, estimate = fits.geometry, fits.geometry.estimate
-    estimation, validation = measurements.estimation, measurements.validation
-    scores, weights = np.empty(len(estimation)), np.zeros(len(estimation))
-    weights[estimation] = estimate.weights
-    scores[estimation] = estimate.scores
-    scores[validation] = geometry.held_out_scores(fits.all_rows.select(validation))
+    m, geometry, all_rows = measurements, fits.geometry, fits.all_rows
+    estimate = geometry.estimate
+    residual = geometry.residual(all_rows)
+    scores, weights = np.empty(len(all_rows)), np.zeros(len(all_rows))
+    weights[m.estimation] = estimate.weights
+    scores[m.estimation] = estimate.scores
+    scores[m.validation] = geometry.held_out_scores(all_rows.select(m.validation))
+
     # Each set has a limit of its own, because each has its own number of chances for a false alarm.
-    suspect_limit = Limits.of(np.sum(validation), estimate.freedom).flagged
-    return _Scored(
-        residual=geometry.residual(fits.all_rows),
-        scores=scores,
-        weights=weights,
+    suspect_limit = float(Limits.of(np.sum(m.validation), estimate.freedom).flagged)
+    is_outlier = m.estimation & (scores > estimate.flag_limit)
+    is_suspect = m.validation & (scores > suspect_limit)
+
+    return ResultRows(
+        numbers=m.rows,
+        sets=m.sets,
+        kinds=m.kinds,
+        groups=m.groups,
+        targets=m.targets,
+        images=m.images if any(m.images) else (),
+        residual_nominal=read_only(residual_nominal),
+        residual_calibrated=read_only(residual),
+        channels=all_rows.channels,
+        scores=read_only(scores),
+        weights=read_only(weights),
         flag_limit=estimate.flag_limit,
-        suspect_limit=float(suspect_limit),
+        outliers=_flagged(m, all_rows.channels, residual, scores, is_outlier),
+        suspects=_flagged(m, all_rows.channels, residual, scores, is_suspect),
+        ranges=_fitted_ranges(all_rows.joints[weights > 0.0]),
+        outside=_outside(m, fits),
+        metres_per_pixel=metres_per_pixel(geometry, all_rows),
     )
 
 
 def _flagged(
-    measurements: Measurements,
-    fits: TableFits,
-    scored: _Scored,
-    chosen: Mask,
-    limit: float,
+    measurements: Measurements, channels: Channels, residual: Array, scores: Array, flagged: Mask
 ) -> tuple[Outlier, ...]:
-    """List the rows of a set whose score is beyond its limit.
-
-    Args:
-        measurements: All N rows of the table, with their numbers.
-        fits: The fits of the table, with the N rows as arrays: which scalars each measures.
-        scored: Of the N rows by the fit of the geometry: ``residual``, measured minus predicted, shape (N, D), and
-            ``scores``, in standard deviations, shape (N,).
-        chosen: True for the rows of the set, estimation or validation, shape (N,).
-        limit: The score above which a row is flagged.
-
-    Returns:
-        Of each flagged row, in the table's order, its number in the table, the norm of its residual in each unit that
-        it measures, and its score.
-    """
-    channels = fits.all_rows.channels
-    norms = {unit: channels.norms(scored.residual, unit) for unit in channels.present}
+    """List flagged rows in the table's order, each with the norm of its residual in each unit that it measures."""
+    norms = {unit: channels.norms(residual, unit) for unit in channels.present}
     result = []
-    for i in np.flatnonzero(chosen & (scored.scores > limit)).tolist():
-        residual = {unit: float(norm[i]) for unit, norm in norms.items() if np.isfinite(norm[i])}
-        result.append(Outlier(measurements.rows[i], residual, float(scored.scores[i])))
+    for i in np.flatnonzero(flagged).tolist():
+        by_unit = {unit: float(norm[i]) for unit, norm in norms.items() if np.isfinite(norm[i])}
+        result.append(Outlier(measurements.rows[i], by_unit, float(scores[i])))
     return tuple(result)
 
 

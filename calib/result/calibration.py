@@ -1,11 +1,11 @@
 """Calibration: the result of `calib.calibrate` as immutable values, the same in memory and read from its file.
 
-Measurements and solved problem, which no file holds, are its part ``fit``.
+Its parts are in `calib.result.parts`, the fitted models in `calib.result.prediction`. Measurements and solved problem,
+which no file holds, are its part ``fit``.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -14,41 +14,25 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from calib.basics.arguments import check_path, check_type
-from calib.basics.arrays import Array, Mask, rigid_inverse
-from calib.basics.channels import Channels
-from calib.basics.mappings import ReadOnlyMapping
-from calib.basics.shown import shown_by
-from calib.basics.values import Value
-from calib.boards.board import Board
-from calib.camera.camera import Camera
-from calib.data.cell import Cell
-from calib.data.columns import SETS
-from calib.data.measurements import Measurements
+from calib.basics.arrays import Array, rigid_inverse
+from calib.basics.values import Value, shown_by
 from calib.data.record import BLANK, Record
 from calib.diagnosis.coverage import OutsideRow, outside
 from calib.diagnosis.reasons import Verdict
 from calib.errors import ArgumentError, ModelError, choices, did_you_mean
-from calib.fit.estimate.fitting import Fitted
 from calib.fit.registration.setup import Setup
-from calib.fit.selection.candidates import Candidate
-from calib.fit.selection.robustness import Robustness
 from calib.model.kinematics import Samples
-from calib.model.observability import Observability
+from calib.model.parameters import ErrorModel
 from calib.numerics.errors import CrossValidation, Errors
-from calib.numerics.pose_noise import PoseNoise
-from calib.numerics.repeats import Repeats
-from calib.numerics.solvers import Solution
-from calib.result.cameras import calibrated_boards, calibrated_cameras
-from calib.result.image_errors import errors_at_board
+from calib.result.cameras import ResultOptics
 from calib.result.joint_zeros import JointZeros
+from calib.result.parts import FitInMemory, Method, Noise, ResultRows, Source, Trust
 from calib.result.prediction import (
     FittedModel,
     NonGeometric,
-    Outlier,
     ParameterEstimate,
-    tells_place,
 )
-from calib.robot.payload import Payload
+from calib.robot.gravity import Payload
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
 
@@ -59,245 +43,57 @@ _BETWEEN = 73
 _WHERE = ("target", "group", "non_geometric")
 
 
-@dataclass(frozen=True, slots=True)
-class RowNames:
-    """Number, set, kind, station, target and image of each of the N rows of a table."""
-
-    #: Number in the table, from 1
-    numbers: tuple[int, ...]
-    #: ``"estimate"`` or ``"validate"``
-    sets: tuple[str, ...]
-    #: Name of the kind of measurement
-    kinds: tuple[str, ...]
-    #: Name of the station
-    groups: tuple[str, ...]
-    #: Name of the target
-    targets: tuple[str, ...]
-    #: Name of the image that a row is a corner in, ``""`` for other rows; empty without images
-    images: tuple[str, ...] = ()
-
-    @classmethod
-    def of(cls, m: Measurements) -> RowNames:
-        """Return what the rows of a table are called."""
-        images = m.images if any(m.images) else ()
-        return cls(m.rows, m.sets, m.kinds, m.groups, m.targets, images)
-
-    def __len__(self) -> int:
-        """The number N of rows of the table, estimation and validation rows."""
-        return len(self.numbers)
-
-    @property
-    def estimation(self) -> Mask:
-        """True for the rows that were fitted, those whose entry of ``sets`` is ``"estimate"``, shape (N,)."""
-        return np.array([name == SETS[0] for name in self.sets], dtype=bool)
-
-    @property
-    def validation(self) -> Mask:
-        """True for the rows that were only predicted, whose entry of ``sets`` is not ``"estimate"``, shape (N,)."""
-        return ~self.estimation
-
-    def images_of(self, chosen: Mask) -> int:
-        """Count the images of which rows are chosen.
-
-        Args:
-            chosen: shape (N,), the rows.
-
-        Returns:
-            Their number; 0 where some of the rows are no corners in images.
-        """
-        if not self.images:
-            return 0
-        names = set(np.array(self.images)[chosen].tolist())
-        return 0 if "" in names else len(names)
-
-
-@dataclass(frozen=True, slots=True)
-class Source:
-    """The file of the measurements; both empty where there was none."""
-
-    #: Its name
-    name: str
-    #: SHA-256 of its bytes, in hexadecimal digits
-    sha256: str
-    #: Convention of its orientations, one of `calib.data.forms.orientations.CONVENTIONS`; empty where it had none
-    orientation: str = ""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class FitInMemory(Value):
-    """Measurements and solved problem of a calibration that was made in this process."""
-
-    #: All rows
-    measurements: Measurements
-    #: The cell as given
-    cell: Cell
-    #: Fit of the geometry, which the URDF holds
-    geometry: Fitted
-    #: Fit of the non-geometric model
-    non_geometric: Fitted | None = None
-
-
 @dataclass(frozen=True, slots=True, eq=False, repr=False, kw_only=True)
-class Calibration(FittedModel):
-    """The result of `calib.calibrate`; attributes of `FittedModel` are those of the geometry, which the URDF holds.
+class Calibration(Value):
+    """The result of `calib.calibrate`, in parts.
 
     There are two ways to get one: `calib.calibrate`, and `Calibration.read_json` of a file that `write_json` wrote. It
-    can be pickled and copied, with measurements and fit if it has them. Arrays are read-only. N rows of the table, p
-    parameters of the geometry, m measured joints, D columns of a residual, each in the unit of ``channels``.
+    can be pickled and copied, with measurements and fit if it has them. Arrays are read-only.
 
-    The robot:
+        robot            the calibrated robot; nominal, nominal_setup: robot, frames and targets before
+        geometry         the fitted model of the URDF: parameters, covariance, frames and targets, predictions
+        non_geometric    the fitted model with errors of the joints' state, or None
+        rows             of each row its names, residuals, score, weight; outliers, joint ranges
+        noise            standard deviation of a scalar, scatter of repeats, noise of poses
+        trust            verdict, cross-validation of the nominal robot, observability, robustness
+        method           what the fit was told, candidates, solver
+        optics           cameras and boards of images
+        zeros            the best joint zeros alone, or None
+        source, record   the table, and who measured it for whom, where and with what
+        fit              measurements and solved problem; fit_in_memory: the same, None if read from a file
 
-        nominal              Robot, as given
-        robot                Robot, its URDF corrected: the geometry
-        non_geometric        NonGeometric, the model with errors of the joints' state; None if there is none
-        setup                Setup, frames (T_frame_base) and targets (T_tip_target) as estimated or given [m]
-        nominal_setup        Setup, those of the nominal robot
-        T_frame_base         (4, 4) [m], pose of the base in the first measurement frame
-        target               (3,) [m], position of the first target in the tip
-        frame_estimated      whether the measurement frames were estimated
-
-    Trust:
-
-        verdict              Verdict, its use and its reasons; None without cross-validation
-        errors               errors["nominal" | "calibrated" | "non_geometric"]["estimation" | "validation"]["m"].rms
-        cross_validation     CrossValidation, errors on held-out rows; None without
-        nominal_cross_validation  the same of the nominal robot
-        new_point            (near the measured poses, over the joint limits), expected error, rms [m]
-        zeros                JointZeros, the best joint zeros alone, with their errors; None where they cannot be fitted
-        expected_measured    rms standard deviation of predictions at the measured poses [m]
-        expected_everywhere  the same over the joint limits [m]
-        expected_elsewhere   the same with what the model lacks [m]
-        extrapolation        squared error of extrapolated predictions over that by the covariance, 1 or more
-        robustness           Robustness, the fit with and without lowered weights; None without outliers
-        outliers, suspects   Outliers among the fitted rows, and among the validation rows
-        outside              OutsideRows, validation rows outside of the fitted joint values
-
-    The rows:
-
-        rows                 RowNames: numbers, sets, kinds, stations and targets of the N rows
-        source               Source, name and hash of the table
-        residual_nominal     (N, D), measured minus predicted by the nominal robot; NaN if it is not judged
-        nominal_is_judged    False if a measurement frame was sought and not found
-        residual_calibrated  (N, D), by the calibrated robot
-        channels             unit of each entry of the residuals: "m", "rad" or "px"
-        used                 (N, D), True for the scalars that were measured
-        scores, weights      (N,), deleted residual and weight in the fit of each row
-        metres_per_pixel     (N,) [m/px], length at the board that a pixel is; None without images
-        errors_at_board      errors of images as lengths at the board [m], by set and robot
-        cameras, boards      Cameras and Boards of images, as estimated; nominal_cameras, nominal_boards as given
-        flag_limit           score above which a row is flagged
-        ranges               (m, 2) [rad] or [m], least and greatest joint values of fitted rows
-        sigma                noise of one scalar by its unit, such as sigma["m"] [m]; sigma_given as the cell or the
-                             table states it
-        pose_noise           PoseNoise, scale of stated covariances of poses, what the robot adds; None without any
-        repeats              Repeats, scatter of rows that repeat a pose; None where none does
-        freedom              degrees of freedom left for the noise
-
-    The parameters of the geometry:
-
-        model                ErrorModel: names, units and places of the p parameters
-        parameters           p ParameterEstimates: nominal and calibrated value, standard deviation, interval
-        x                    (p,), their offsets from the nominal robot [m], [rad]
-        covariance           (p, p), of x
-        kinematics           Kinematics, the nominal robot under the model
-        base_motion          (6, p), motion of the base that compensates each; None where rows tell where it stands
-        prior_std            prior standard deviation of each family, in its unit; prior_std_from, its source
-        frozen, ties         parameters that were kept, and those that follow another one
-        observability        Observability, rank and unobservable combinations
-        candidates           Candidates that "auto" chose from
-        solver, solution     name of the solver, and its Solution; seconds, its time [s]
-
-    The record:
-
-        record               Record, who measured what for whom, where, when and with what, as the cell says
-
-    In memory only (ModelError where the result was read from a file, which does not hold them):
-
-        measurements, cell   as given
-        fitted               Fitted, the fit of the geometry; fit, FitInMemory with all of these, None from a file
+    At hand without their part: ``verdict``, ``errors``, ``cross_validation``, ``new_point``, ``parameters``,
+    ``covariance``, ``model``, ``setup``, ``T_frame_base``, ``target``.
     """
 
     #: The robot as given
     nominal: Robot
-    #: The calibrated robot, its URDF corrected
+    #: The calibrated robot: its URDF corrected by the geometry
     robot: Robot
-    #: The measurements' file
-    source: Source
-    #: All N rows of the table
-    rows: RowNames
-    #: Whether the cell left the measurement frames to be estimated
-    frame_estimated: bool
-    #: Parameters that were kept at their nominal values
-    frozen: tuple[str, ...]
-    #: Parameters that follow another one, by a factor
-    ties: Mapping[str, tuple[str, float]]
-    #: Source of the prior standard deviations: ``"data"``, ``"given"``; ``"off"`` without priors
-    prior_std_from: str
     #: Frames and targets of the nominal robot: as given, or registered
     nominal_setup: Setup
-    #: Name of the solver
-    solver: str
-    #: Its solution, with its history
-    solution: Solution
-    #: Time that choosing a model, registration and estimation took [s]; NaN where unknown
-    seconds: float
-    #: Degrees of freedom left for the noise
-    freedom: float
-    #: Estimated standard deviation of one scalar (median over rows), by the units that were measured: ``"m"`` ...
-    sigma: Mapping[str, float]
-    #: Standard deviation of one scalar as the cell or the table states it (rms over fitted rows), by the units of which
-    #: it is stated
-    sigma_given: Mapping[str, float]
-    #: shape (N, D), measured minus predicted by the nominal robot, all rows; ``channels`` has the unit of each entry.
-    #: NaN where a measurement frame was sought and not found, see ``nominal_is_judged``
-    residual_nominal: Array
-    #: Shape (N, D), by the calibrated robot
-    residual_calibrated: Array
-    #: Unit of each entry of the residuals, (N, D), and which were measured
-    channels: Channels
-    #: Shape (N,), of all rows; see `calib.numerics.scores`
-    scores: Array
-    #: Shape (N,), of all rows in the fit, between 0 and 1; 0 for validation rows
-    weights: Array
-    #: Shape (m, 2), smallest and largest joint values of fitted rows [rad], [m]
-    ranges: Array
-    #: The score above which a row is flagged
-    flag_limit: float
-    #: Fitted rows flagged; without weight if robust
-    outliers: tuple[Outlier, ...]
-    #: Validation rows flagged; they never have weight
-    suspects: tuple[Outlier, ...]
-    #: The fit with weights lowered beside the one with every row in full; None without outliers, or by ``"paper"``
-    robustness: Robustness | None
-    #: Scatter of rows that repeat a pose; None where none does
-    repeats: Repeats | None
-    #: Validation rows outside of the fitted joint values
-    outside: tuple[OutsideRow, ...]
-    #: Of the nominal robot, its target (and frame, if estimated) fitted to the other rows
-    nominal_cross_validation: CrossValidation | None
-    #: Rank and unobservable directions at the measured poses
-    observability: Observability
-    #: The ladder that ``auto`` chose from, or empty
-    candidates: tuple[Candidate, ...]
-    #: The non-geometric model, if one was chosen or named
+    #: The fitted model of the geometry, which the URDF holds
+    geometry: FittedModel
+    #: The fitted model with errors of the joints' state, if one was chosen or named
     non_geometric: NonGeometric | None
-    #: None without cross-validation, unless a usual mistake explains the rows far better, or a frame was not found
-    verdict: Verdict | None
-    #: shape (N,), length at the board that a pixel is, of all rows [m/px]; NaN in rows that are no images, None without
-    #: images. See `calib.result.image_errors`
-    metres_per_pixel: Array | None = None
-    #: Cameras of the images by station, as in a cell, with the numbers that the fit began with
-    nominal_cameras: Mapping[str, Camera] = field(default_factory=ReadOnlyMapping)
-    #: Printed boards of the images by target, as in a cell, as given; those that were not given are missing
-    nominal_boards: Mapping[str, Board] = field(default_factory=ReadOnlyMapping)
-    #: The best joint zeros alone; None where they cannot be fitted, or where an earlier version wrote the file
+    #: The rows of the table: names, residuals, scores and weights
+    rows: ResultRows
+    #: The noise of the measurements
+    noise: Noise
+    #: How far to trust the result
+    trust: Trust
+    #: How the fit was made
+    method: Method
+    #: Cameras and boards of images
+    optics: ResultOptics
+    #: The best joint zeros alone; None if they cannot be fitted, or if an earlier version wrote the file
     zeros: JointZeros | None = None
-    #: Scale of the stated covariances of poses, and what the robot adds to them; None where none was stated
-    pose_noise: PoseNoise | None = None
+    #: The measurements' file
+    source: Source
     #: Who measured what for whom, where, when and with what, as the cell says
     record: Record = BLANK
-    #: Measurements and solved problem; None where the result was read from a file
-    fit: FitInMemory | None = field(default=None, repr=False)
+    #: Measurements and solved problem; None if the result was read from a file
+    fit_in_memory: FitInMemory | None = field(default=None, repr=False)
 
     @staticmethod
     def read_json(path: str | Path) -> Calibration:
@@ -417,40 +213,52 @@ class Calibration(FittedModel):
         return Path(report.write_report(self, path, overwrite=overwrite))
 
     @property
-    def measurements(self) -> Measurements:
-        """All rows of the table that was calibrated from; `ModelError` where the result was read from a file."""
-        return self.fit_in_memory.measurements
-
-    @property
-    def cell(self) -> Cell:
-        """Targets, frames, noise and priors as given; `ModelError` where the result was read from a file."""
-        return self.fit_in_memory.cell
-
-    @property
-    def fitted(self) -> Fitted:
-        """The fit of the geometry: task, registered frames and targets, kinematics, and estimate.
-
-        `ModelError` where the result was read from a file, which holds no fit.
-        """
-        return self.fit_in_memory.geometry
-
-    @property
-    def fit_in_memory(self) -> FitInMemory:
+    def fit(self) -> FitInMemory:
         """Measurements, cell, and the fits of the geometry and of the non-geometric model, if there is one.
 
-        They are held by ``fit``. Raises `ModelError` where it is None, because the result was read from a file.
+        Raises `ModelError` if the result was read from a file, which does not hold them (``fit_in_memory`` is None).
         """
-        if self.fit is None:
+        if self.fit_in_memory is None:
             raise ModelError(
                 "This result was read from a file, which holds neither the measurements nor the solved problem. "
                 "Calibrate again for what needs them."
             )
-        return self.fit
+        return self.fit_in_memory
 
     @property
-    def used(self) -> Mask:
-        """True for the entries of the residuals that were measured, of ``channels``, shape (N, D)."""
-        return self.channels.used
+    def verdict(self) -> Verdict | None:
+        """The verdict on the geometry, of ``trust``."""
+        return self.trust.verdict
+
+    @property
+    def cross_validation(self) -> CrossValidation | None:
+        """Errors of the geometry on held-out rows; None without cross-validation."""
+        return self.geometry.cross_validation
+
+    @property
+    def new_point(self) -> tuple[float, float]:
+        """Expected error at a new point by the geometry, rms [m]: at poses like those measured, and over the limits."""
+        return self.geometry.new_point
+
+    @property
+    def model(self) -> ErrorModel:
+        """The error model of the geometry: names, units and places of the p parameters."""
+        return self.geometry.model
+
+    @property
+    def parameters(self) -> tuple[ParameterEstimate, ...]:
+        """Nominal and calibrated value, standard deviation and interval of the p parameters of the geometry."""
+        return self.geometry.parameters
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance of the p parameters of the geometry, shape (p, p)."""
+        return self.geometry.covariance
+
+    @property
+    def setup(self) -> Setup:
+        """Frames (T_frame_base) and targets (T_tip_target) as estimated or given, by the geometry [m]."""
+        return self.geometry.setup
 
     @property
     def T_frame_base(self) -> Array:
@@ -463,85 +271,23 @@ class Calibration(FittedModel):
         return np.asarray(self.setup.T_tip_target[0, :3, 3])
 
     @property
-    def cameras(self) -> Mapping[str, Camera]:
-        """Cameras with their numbers as estimated, and the standard deviations of these; by station, as in a cell.
-
-        Their names are those of ``nominal_cameras``; `calib.camera.camera_file` writes them for ROS and OpenCV.
-        """
-        return calibrated_cameras(self.nominal_cameras, self)
-
-    def with_optics(self, cell: Cell) -> Cell:
-        """Return a cell with the cameras and boards that this result began with, where it gives none of its own.
-
-        Args:
-            cell: The cell.
-        """
-        return replace(
-            cell,
-            cameras=cell.cameras or self.nominal_cameras,
-            boards=cell.boards or self.nominal_boards,
-        )
-
-    @property
-    def boards(self) -> Mapping[str, Board]:
-        """Printed boards with their squares as estimated: as given, times 1 plus the mean error of scale; by target."""
-        return calibrated_boards(self.nominal_boards, self)
-
-    @property
-    def nominal_is_judged(self) -> bool:
-        """True unless a measurement frame was sought and not found: then the nominal robot has no known errors."""
-        return not np.isnan(self.residual_nominal).any()
-
-    @property
-    def errors_at_board(self) -> dict[str, Errors]:
-        """Errors of images as lengths at the board [m], by what the error tables call the rows; empty without images.
-
-        Such as ``["estimation rows, calibrated"]["m"].rms``; those of held-out rows are ``["held-out rows*,
-        calibrated"]``.
-        """
-        if self.metres_per_pixel is None:
-            return {}
-        of_estimation = self.rows.estimation
-        scale = self.metres_per_pixel
-        every = np.ones(int(np.sum(of_estimation)), dtype=bool)
-        held_out_channels = self.channels.select(of_estimation)
-        result = {}
-        residuals = (("nominal", self.residual_nominal), ("calibrated", self.residual_calibrated))
-        sets = (("estimation", of_estimation), ("validation", self.rows.validation))
-        for set_name, rows in sets:
-            for who, residual in residuals:
-                if np.any(rows):
-                    errors = errors_at_board(residual, self.channels, scale, rows)
-                    result[f"{set_name} rows, {who}"] = errors
-        validations = (
-            ("nominal", self.nominal_cross_validation),
-            ("calibrated", self.cross_validation),
-        )
-        for who, validation in validations:
-            if validation is not None and len(validation.residual) == len(every):
-                errors = errors_at_board(
-                    validation.residual, held_out_channels, scale[of_estimation], every
-                )
-                result[f"held-out rows*, {who}"] = errors
-        return result
-
-    @property
     def errors(self) -> dict[str, dict[str, Errors]]:
         """``errors["nominal" | "calibrated" | "non_geometric"]["estimation" | "validation"]``.
 
-        Largest, mean and rms error in each unit that was measured, such as ``["m"]``, of the nominal robot
-        (``residual_nominal``), of the calibrated one (``residual_calibrated``), and of the non-geometric model if there
-        is one, over the rows that were fitted and over those that were only predicted. Residuals are measured minus
-        predicted, shape (N, D), of N rows; ``channels`` has their units.
+        Largest, mean and rms error in each unit that was measured, such as ``["m"].rms``, of the nominal robot, of the
+        calibrated one, and of the non-geometric model if there is one, over the rows that were fitted and over those
+        that were only predicted.
         """
-        residuals = {"nominal": self.residual_nominal, "calibrated": self.residual_calibrated}
+        rows = self.rows
+        residuals = {"nominal": rows.residual_nominal, "calibrated": rows.residual_calibrated}
         if self.non_geometric is not None:
             residuals["non_geometric"] = self.non_geometric.residual
-        sets = (("estimation", self.rows.estimation), ("validation", self.rows.validation))
+        sets = (("estimation", rows.estimation), ("validation", rows.validation))
         errors = {}
         for robot, residual in residuals.items():
             errors[robot] = {
-                name: Errors.of(residual[rows], self.channels.select(rows)) for name, rows in sets
+                name: Errors.of(residual[chosen], rows.channels.select(chosen))
+                for name, chosen in sets
             }
         return errors
 
@@ -565,14 +311,6 @@ class Calibration(FittedModel):
             return other.parameters[other.model.index(name)]
         return self.parameters[self.model.index(name)]
 
-    @property
-    def tells_place(self) -> bool:
-        """True if some row, by its kind in ``rows.kinds``, determines where the base stands, such as a measured point.
-
-        If none does, as where only sockets, planes, anchors or pairs were measured, predictions are in the base.
-        """
-        return tells_place(self.rows.kinds)
-
     def verdict_on(self, *, non_geometric: bool) -> Verdict | None:
         """Return the verdict on the model with which one predicts.
 
@@ -595,11 +333,11 @@ class Calibration(FittedModel):
                 state, if there is one; False: the geometry.
 
         Returns:
-            The non-geometric model, or this result itself, which is the model of the geometry that the URDF holds.
+            The non-geometric model, or the geometry, which the URDF holds.
         """
         if non_geometric and self.non_geometric is not None:
             return self.non_geometric
-        return self
+        return self.geometry
 
     def samples(
         self,
@@ -668,7 +406,7 @@ class Calibration(FittedModel):
         """
         part = self.part(non_geometric=non_geometric)
         poses = part.kinematics.poses(part.x, self.samples(q, target=target, group=group))
-        if group is None and not self.tells_place:
+        if group is None and not self.rows.tells_place:
             poses = rigid_inverse(part.setup.T_frame_base[0]) @ poses
         return poses
 
@@ -748,8 +486,8 @@ class Calibration(FittedModel):
     def outside_of_measured(self, q: ArrayLike) -> tuple[OutsideRow, ...]:
         """List the joint values that lie outside of the ranges that were fitted.
 
-        With ``ranges``, shape (m, 2), the smallest and largest joint values of fitted rows, [rad] or [m]. A margin of 5
-        % of the range is allowed; a continuous joint's range may pass the full turn.
+        These are ``rows.ranges``. A margin of 5 % of the range is allowed; a continuous joint's range may pass the full
+        turn.
 
         Args:
             q: shape (N, m) or (m,), joint values in the robot's order, [rad] or [m].
@@ -759,9 +497,10 @@ class Calibration(FittedModel):
             the range, [rad] or [m]; empty where the fitted ranges are not known.
         """
         values = self.nominal.columns(q)
-        if not np.isfinite(self.ranges).all():
+        ranges = self.rows.ranges
+        if not np.isfinite(ranges).all():
             return ()
-        seen = np.linspace(self.ranges[:, 0], self.ranges[:, 1], _BETWEEN)
+        seen = np.linspace(ranges[:, 0], ranges[:, 1], _BETWEEN)
         types = [joint.type for joint in self.nominal.inputs]
         return outside(seen, values, self.nominal.joint_names, types)
 

@@ -8,51 +8,72 @@ description of a board does not have, are parameters of the result only.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
-from typing import Any
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from calib.basics.arrays import Array
-from calib.basics.mappings import ReadOnlyMapping
+from calib.basics.values import ReadOnlyMapping, Value
 from calib.boards.board import Board
 from calib.camera import optics
 from calib.camera.camera import UNKNOWN, Camera
 from calib.camera.lenses import LENSES
+from calib.data.cell import Cell
 from calib.fit.estimate.fitting import Fitted
 from calib.fit.registration.rows import Rows
 from calib.fit.registration.setup import Setup
 from calib.model.parameters import BOARD, CAMERA, Parameter
-from calib.result.image_errors import metres_per_pixel
 from calib.result.prediction import FittedModel
 
 
-def image_values(fitted: Fitted, rows: Rows) -> dict[str, Any]:
-    """Return what a result has of images besides its parameters, as attributes of a calibration.
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class ResultOptics(Value):
+    """Cameras and printed boards of the images, before and after; all empty without images.
+
+    Cameras by station and boards by target, with the same names as in the cell.
+    """
+
+    #: Cameras with the numbers that the fit began with
+    nominal_cameras: Mapping[str, Camera] = field(default_factory=ReadOnlyMapping)
+    #: Boards as given; those that were not given are missing
+    nominal_boards: Mapping[str, Board] = field(default_factory=ReadOnlyMapping)
+    #: Cameras with their numbers as estimated, and the standard deviations of these;
+    #: `calib.camera.camera_file` writes them for ROS and OpenCV
+    cameras: Mapping[str, Camera] = field(default_factory=ReadOnlyMapping)
+    #: Boards with their squares as estimated: as given, times 1 plus the mean error of scale
+    boards: Mapping[str, Board] = field(default_factory=ReadOnlyMapping)
+
+    def given_to(self, cell: Cell) -> Cell:
+        """Return a cell with the cameras and boards that the fit began with, if it gives none of its own."""
+        return replace(
+            cell,
+            cameras=cell.cameras or self.nominal_cameras,
+            boards=cell.boards or self.nominal_boards,
+        )
+
+
+def result_optics(fitted: Fitted, rows: Rows, geometry: FittedModel) -> ResultOptics:
+    """Return cameras and boards as a fit began with them and as it estimated them.
 
     Args:
-        fitted: The fit.
-        rows: All N rows of the table.
-
-    Returns:
-        ``metres_per_pixel``, ``nominal_cameras`` and ``nominal_boards``; see `calib.result.calibration`.
+        fitted: The fit of the geometry.
+        rows: All rows of the table.
+        geometry: The fitted model.
     """
-    return {
-        "metres_per_pixel": metres_per_pixel(fitted, rows),
-        "nominal_cameras": ReadOnlyMapping(_nominal_cameras(fitted, rows)),
-        "nominal_boards": ReadOnlyMapping(_nominal_boards(fitted, rows)),
-    }
+    cameras = ReadOnlyMapping(_nominal_cameras(fitted, rows))
+    boards = ReadOnlyMapping(_nominal_boards(fitted, rows))
+    return ResultOptics(
+        nominal_cameras=cameras,
+        nominal_boards=boards,
+        cameras=_estimated_cameras(cameras, geometry),
+        boards=_estimated_boards(boards, geometry),
+    )
 
 
 def _nominal_cameras(fitted: Fitted, rows: Rows) -> dict[str, Camera]:
     """Return the cameras of images with the numbers that a fit begins with: as given, or as the images tell them.
 
-    Args:
-        fitted: The fit, with the cameras of its cell.
-        rows: The rows.
-
-    Returns:
-        The cameras by their names in the cell. Numbers that were not given have a standard deviation of `UNKNOWN`.
+    They have their names in the cell. Numbers that were not given have a standard deviation of `UNKNOWN`.
     """
     given = fitted.task.cell.cameras
     values = rows.samples.optics
@@ -101,16 +122,11 @@ def _key(name: str, described: Mapping[str, object]) -> str | None:
     return "" if "" in described else None
 
 
-def calibrated_cameras(nominal: Mapping[str, Camera], model: FittedModel) -> Mapping[str, Camera]:
-    """Return cameras with their numbers as estimated, and the standard deviations of these.
+def _estimated_cameras(nominal: Mapping[str, Camera], model: FittedModel) -> Mapping[str, Camera]:
+    """Return cameras with their numbers, and the standard deviations of these, as a fit estimated them.
 
-    Args:
-        nominal: The cameras with the numbers that the fit began with.
-        model: The fitted model.
-
-    Returns:
-        The cameras by the same names. A number that was not estimated stays as it is, with its standard deviation; so
-        does the standard deviation of one that a bound stopped.
+    A number that was not estimated stays as it is, with its standard deviation; so does the standard deviation of one
+    that a bound stopped.
     """
     stations = dict(zip(model.setup.places[0], model.setup.groups, strict=True))
     values = {key: np.array(camera.values) for key, camera in nominal.items()}
@@ -128,16 +144,8 @@ def calibrated_cameras(nominal: Mapping[str, Camera], model: FittedModel) -> Map
     return ReadOnlyMapping(cameras)
 
 
-def calibrated_boards(nominal: Mapping[str, Board], model: FittedModel) -> Mapping[str, Board]:
-    """Return boards with squares and markers as large as estimated, and how well the scale is known now.
-
-    Args:
-        nominal: The boards as given.
-        model: The fitted model.
-
-    Returns:
-        The boards by the same names.
-    """
+def _estimated_boards(nominal: Mapping[str, Board], model: FittedModel) -> Mapping[str, Board]:
+    """Return boards with squares and markers as large as estimated, and how well the scale is known now."""
     targets = dict(zip(model.setup.places[1], model.setup.targets, strict=True))
     scales: dict[str, list[int]] = {key: [] for key in nominal}
     for k, parameter in _of_family(model, BOARD):
@@ -152,13 +160,7 @@ def calibrated_boards(nominal: Mapping[str, Board], model: FittedModel) -> Mappi
 
 
 def _scaled(board: Board, numbers: Sequence[int], model: FittedModel) -> Board:
-    """Return a board with its scale as estimated.
-
-    Args:
-        board: As given.
-        numbers: Indices of the parameters of its scale: along x and along y; one that is missing is zero.
-        model: The fitted model.
-    """
+    """Return a board with its scale as estimated by the parameters of these indices, along x and along y, if any."""
     if not numbers:
         return board
     axes = optics.SCALE.stop - optics.SCALE.start

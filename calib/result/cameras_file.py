@@ -3,32 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
 
 from calib.basics.arrays import Array
-from calib.basics.json_files import Json
-from calib.basics.mappings import ReadOnlyMapping
+from calib.basics.json_files import Json, JsonLayout, Key
+from calib.basics.records import json_key
+from calib.basics.values import ReadOnlyMapping
 from calib.boards.board import Board
 from calib.camera.camera import UNKNOWN, Camera
 from calib.camera.lenses import LENSES
 
-#: Attributes of a board, and their keys in the file.
-_BOARD_KEYS = {
-    "name": "name",
-    "pattern": "pattern",
-    "columns": "columns",
-    "rows": "rows",
-    "square": "square_m",
-    "marker": "marker_m",
-    "dictionary": "dictionary",
-    "first_marker": "first_marker",
-    "legacy": "legacy",
-    "sigma_scale": "sigma_scale",
-    "sigma_corner": "sigma_corner_m",
-    "sigma_warp": "sigma_warp_m",
-}
+
+def _numbers(entries: Any) -> Array | None:  # noqa: ANN401  any JSON
+    """Return numbers from a list of the file, `UNKNOWN` where it has null; None for null."""
+    if entries is None:
+        return None
+    return np.array([UNKNOWN if entry is None else float(entry) for entry in entries])
+
+
+#: The fields of a camera; a null among its numbers is infinite.
+_CAMERA = JsonLayout(
+    {Camera: {"values": Key("values", read=_numbers), "sigma": Key("sigma", read=_numbers)}}, {}
+)
 
 
 def cameras_table(cameras: Mapping[str, Camera]) -> list[dict[str, Any]]:
@@ -43,40 +42,15 @@ def cameras_table(cameras: Mapping[str, Camera]) -> list[dict[str, Any]]:
     """
     table = []
     for station, camera in cameras.items():
-        row = {
-            "station": station,
-            "name": camera.name,
-            "width_px": camera.width,
-            "height_px": camera.height,
-            "lens": camera.lens,
-            "lens_names": LENSES[camera.lens].names,
-            "values": camera.values,
-            "sigma": camera.sigma,
-        }
-        table.append(row)
+        lens_names = LENSES[camera.lens].names
+        table.append({"station": station, **_CAMERA.table(camera), "lens_names": lens_names})
     return table
 
 
 def read_cameras(table: Iterable[Json]) -> Mapping[str, Camera]:
     """Return cameras from their tables in the file, by the names of their stations."""
-    cameras = {}
-    for row in table:
-        cameras[row["station"]] = Camera(
-            name=row["name"],
-            width=row["width_px"],
-            height=row["height_px"],
-            lens=row["lens"],
-            values=_numbers(row["values"]),
-            sigma=_numbers(row["sigma"]),
-        )
+    cameras = {row["station"]: Camera(**_CAMERA.values(Camera, row)) for row in table}
     return ReadOnlyMapping(cameras)
-
-
-def _numbers(entries: Any) -> Array | None:  # noqa: ANN401  any JSON
-    """Return numbers from a list of the file, `UNKNOWN` where it has null; None for null."""
-    if entries is None:
-        return None
-    return np.array([UNKNOWN if entry is None else float(entry) for entry in entries])
 
 
 def boards_table(boards: Mapping[str, Board]) -> list[dict[str, Any]]:
@@ -87,7 +61,7 @@ def boards_table(boards: Mapping[str, Board]) -> list[dict[str, Any]]:
     """
     table = []
     for target, board in boards.items():
-        entries = {key: getattr(board, attribute) for attribute, key in _BOARD_KEYS.items()}
+        entries = {json_key(field): getattr(board, field.name) for field in fields(board)}
         table.append({"target": target, **entries})
     return table
 
@@ -96,6 +70,6 @@ def read_boards(table: Iterable[Json]) -> Mapping[str, Board]:
     """Return printed boards from their tables in the file, by the names of their targets."""
     boards = {}
     for row in table:
-        arguments = {attribute: row[key] for attribute, key in _BOARD_KEYS.items()}
+        arguments = {field.name: row[json_key(field)] for field in fields(Board)}
         boards[row["target"]] = Board(**arguments)
     return ReadOnlyMapping(boards)

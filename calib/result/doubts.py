@@ -30,12 +30,12 @@ from calib.diagnosis.residual_patterns import (
 from calib.diagnosis.stated_covariances import idle_covariances
 from calib.diagnosis.stations import disagreeing_stations, flagged_station
 from calib.fit.estimate.fitting import Fitted, fit
-from calib.fit.estimate.gauge import measures_length
 from calib.fit.estimate.problem import Problem
-from calib.fit.estimate.task import PAPER
+from calib.fit.estimate.special_cases.arm_size import measures_length
 from calib.fit.registration.registration import ENOUGH
 from calib.fit.registration.rows import Rows
 from calib.model.families import FAMILIES, joint_families
+from calib.numerics.solvers import has_weights_and_priors
 from calib.result.calibration import Calibration
 from calib.robot.ranges import column_ranges, spread_poses
 from calib.robot.robot import Robot
@@ -85,7 +85,7 @@ def doubts_of(result: Calibration, rows: Rows) -> tuple[Reason, ...]:
         Reasons, each a code with the numbers of its sentence in SI units, in the order of the report; empty where there
         is no doubt.
     """
-    best = result.fit_in_memory.non_geometric or result.fitted
+    best = result.fit.non_geometric or result.fit.geometry
     return tuple(_doubts(result, best, rows))
 
 
@@ -107,12 +107,12 @@ def _doubts(result: Calibration, fitted: Fitted, rows: Rows) -> Iterator[Reason]
     yield from _given_targets(result)
     if priors_from_data(few):
         yield from _given_frame(few)
-        yield from _scale(few, certified=result.cell.scale_certified)
+        yield from _scale(few, certified=result.fit.cell.scale_certified)
         yield from contradicted_statements(few)
     yield from idle_covariances(few)
     yield from doubtful_views(few)
-    m = result.measurements
-    yield from doubtful_senses(result.nominal, result.cell, m.select(m.estimation))
+    m = result.fit.measurements
+    yield from doubtful_senses(result.nominal, result.fit.cell, m.select(m.estimation))
     yield from _still(fitted.task.robot, rows)
     yield from _sole_postures(result, rows)
     if _named_model(result):
@@ -134,7 +134,7 @@ def _named_model(result: Calibration) -> bool:
         result: The result. True if its ``candidates``, the models of a choice, are empty, and its ``solver`` is not the
             paper's.
     """
-    return not result.candidates and result.solver != PAPER
+    return not result.method.candidates and has_weights_and_priors(result.method.solver)
 
 
 def _given_targets(result: Calibration) -> Iterator[Reason]:
@@ -254,7 +254,7 @@ def _sole_postures(result: Calibration, rows: Rows) -> Iterator[Reason]:
     Yields:
         One reason with the rows' numbers in the table and the joints' names; none without sole postures.
     """
-    robot, m = result.nominal, result.measurements
+    robot, m = result.nominal, result.fit.measurements
     numbers = np.array(m.rows)[m.estimation]
     values = robot.input_values(rows.joints)
     low, high = column_ranges(robot).T
@@ -307,7 +307,7 @@ def _agreeing_repeats(result: Calibration, fitted: Fitted) -> Iterator[Reason]:
         One reason with the scatter, such as ``within_m``, and the noise, such as ``noise_m`` [m]; none where they are
         alike, or the repeats are too few.
     """
-    repeats = result.repeats
+    repeats = result.noise.repeats
     rows = fitted.estimate.problem.rows
     unit = rows.channels.units[0]
     sigma = float(np.median(rows.sigma[unit]))
@@ -341,9 +341,9 @@ def thin(fitted: Fitted) -> tuple[Fitted, Mask]:
         Problem.initial(problem.kinematics, rows, problem.distances),
         weights=problem.weights[chosen],
         noise=problem.noise,
-        precision=problem.precision,
-        centre=problem.centre,
-        rho=problem.rho,
+        prior_precision=problem.prior_precision,
+        prior_mean=problem.prior_mean,
+        stop_shares=problem.stop_shares,
         gauge=problem.gauge,
     )
     thinned = replace(
@@ -367,7 +367,7 @@ def _order(result: Calibration, chosen: Mask) -> Order:
         ``numbers`` of the chosen rows in the table, shape (n,), and ``moves``, each joint's value less that in the
         table's row before, shape (n, m), [rad] or [m]; 0 in the table's first row.
     """
-    m = result.measurements
+    m = result.fit.measurements
     q = m.joints_for(result.nominal.joint_names)
     moves = np.diff(q, axis=0, prepend=q[:1])
     rows = np.flatnonzero(m.estimation)[chosen]
@@ -474,10 +474,10 @@ def _channel_noise(
     """
     symbol = rows.channels.units[c]
     unit = RESIDUAL_UNITS[symbol]
-    m, sigma = result.measurements, float(np.median(rows.sigma[symbol][of_channel]))
+    m, sigma = result.fit.measurements, float(np.median(rows.sigma[symbol][of_channel]))
     noise = ratio * sigma
     by_row = _all_stated(m.stated_sigma.get(symbol), m.estimation, of_channel)
-    if symbol not in result.cell.sigma and not by_row:
+    if symbol not in result.fit.cell.sigma and not by_row:
         if noise > unit.large_noise:
             yield Reason.of(Why.NOISE_LARGE, **{f"noise_{symbol}": noise})
     elif noise > _ABOVE * np.hypot(sigma, unit.repeatability):

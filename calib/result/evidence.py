@@ -36,7 +36,7 @@ def evidence_of(
 
     Args:
         result: A cross-validated result, with its measurements and fits in memory.
-        part: The result itself, for the verdict on its geometry, or its non-geometric model.
+        part: Its geometry, or its non-geometric model: the one that the verdict is on.
         rows: The N rows that were fitted, as arrays; ``sole`` marks those of sole postures, which no other row can
             check and which count in no error.
         doubts: Reasons for doubt besides the errors, as of `doubts_of`.
@@ -46,7 +46,7 @@ def evidence_of(
         scalar and its floor, errors on validation rows, size of the changes, expected errors over the joint limits [m],
         doubts and notes.
     """
-    assert result.nominal_cross_validation is not None
+    assert result.trust.nominal_cross_validation is not None
     assert part.cross_validation is not None
     of_non_geometric = isinstance(part, NonGeometric)
     fitted = _fit_of(result, part)
@@ -55,14 +55,14 @@ def evidence_of(
     changes = np.abs(part.x[lengths_and_angles])
     expected, expected_of_nominal = _over_joint_limits(result, part)
     return Evidence(
-        nominal=result.nominal_cross_validation,
+        nominal=result.trust.nominal_cross_validation,
         calibrated=part.cross_validation,
         scales=fitted.estimate.problem.scales,
         used=rows.used & rows.checked[:, None],
         floor=_noise_floor(result, fitted, doubts),
         repeats=_measurements_of(rows),
         pairs=rows.partner >= 0,
-        outliers=result.fitted.estimate.outliers,
+        outliers=result.fit.geometry.estimate.outliers,
         validation=_validation_errors(result, part),
         validation_with_suspects=_errors_of(result, part)["validation"],
         doubts=(*noise_doubts(result, fitted, doubts), *doubts),
@@ -72,7 +72,7 @@ def evidence_of(
         full_model_parameters=_full_model_parameters(result, fitted),
         changes=bool(np.any(part.x[of_robot])),
         largest=float(np.max(changes, initial=0.0)),
-        noise=result.sigma,
+        noise=result.noise.sigma,
         expected=expected,
         expected_of_nominal=expected_of_nominal,
         non_geometric=None if of_non_geometric else _usable_non_geometric(result),
@@ -91,9 +91,9 @@ def _fit_of(result: Calibration, part: FittedModel) -> Fitted:
 
     Args:
         result: A result with its fits in memory: of the geometry, and of the non-geometric model if there is one.
-        part: The result itself, for the fit of its geometry, or its non-geometric model, for the fit of that.
+        part: Its geometry, or its non-geometric model.
     """
-    fits = result.fit_in_memory
+    fits = result.fit
     if isinstance(part, NonGeometric) and fits.non_geometric is not None:
         return fits.non_geometric
     return fits.geometry
@@ -110,7 +110,7 @@ def _full_model_parameters(result: Calibration, fitted: Fitted) -> int:
         `_PER_JOINT` for each measured joint, and those of frames and targets; 0 where the model was named and not
         chosen.
     """
-    if not result.candidates:
+    if not result.method.candidates:
         return 0
     return _PER_JOINT * len(fitted.task.robot.inputs) + fitted.setup.count
 
@@ -150,7 +150,7 @@ def _noise_floor(result: Calibration, fitted: Fitted, doubts: tuple[Reason, ...]
     Returns:
         shape (N, D), above 0 and at most 1; 1 for scalars that were not measured.
     """
-    fits = (result.fit_in_memory.geometry, result.fit_in_memory.non_geometric)
+    fits = (result.fit.geometry, result.fit.non_geometric)
     noise = fitted.estimate.problem.noise_over_sigma
     of_fits = [fit.estimate.problem.noise_over_sigma for fit in fits if fit is not None]
     least = np.min(of_fits, axis=0)
@@ -178,22 +178,22 @@ def _notes(result: Calibration) -> Iterator[Reason]:
         number in the table.
     """
     yield from _note_on_non_geometric(result)
-    m = result.measurements
+    m = result.fit.measurements
     if m.copies:
         yield Reason.of(Why.ROWS_COPIED, rows=len(m.copies), row=m.copies[0])
-    if result.outside:
-        farthest = max(result.outside, key=lambda row: row.beyond[0].by)
+    if result.rows.outside:
+        farthest = max(result.rows.outside, key=lambda row: row.beyond[0].by)
         joint = farthest.beyond[0]
         number = int(np.array(m.rows)[m.validation][farthest.index])
         distance = {"by_m" if joint.prismatic else "by_rad": joint.by}
         images = np.array(m.images)[m.validation]
-        outside = {image for image in images[[row.index for row in result.outside]] if image}
+        outside = {image for image in images[[row.index for row in result.rows.outside]] if image}
         of_images = (
             {"images": len(outside), "image": str(images[farthest.index])} if outside else {}
         )
         yield Reason.of(
             Why.OUTSIDE,
-            rows=len(result.outside),
+            rows=len(result.rows.outside),
             row=number,
             joint=joint.joint,
             **distance,
@@ -236,8 +236,8 @@ def _over_joint_limits(result: Calibration, part: FittedModel) -> tuple[float, f
     Args:
         result: The result: its nominal robot, that robot's frames and targets (``nominal_setup``), ``frame_estimated``,
             and whether a row determines where the base stands.
-        part: The result itself, for its geometry, or its non-geometric model: its kinematics, p parameters ``x``, their
-            ``covariance``, shape (p, p), f as ``extrapolation``, and the root of v_0 as ``expected_measured`` [m].
+        part: Its geometry, or its non-geometric model, with f as ``extrapolation`` and the root of v_0 as
+            ``expected_measured``.
 
     Returns:
         Expected errors of predicted positions of the first target in the first measurement frame, by the part and by
@@ -250,7 +250,7 @@ def _over_joint_limits(result: Calibration, part: FittedModel) -> tuple[float, f
     nominal_points = result.nominal_setup.target_poses(T_base_tip, samples)[:, :3, 3]
     points = poses[:, :3, 3]
     away = (nominal_points - points)[:, :, None]
-    if result.frame_estimated or not result.tells_place:
+    if result.method.frame_estimated or not result.rows.tells_place:
         away = without_rigid_motion(points, away)
         columns = without_rigid_motion(points, columns)
     d_square = float(np.mean(np.sum(away**2, axis=(1, 2))))
@@ -286,17 +286,21 @@ def _validation_errors(result: Calibration, part: FittedModel) -> tuple[Errors, 
         result: The result with its measurements in memory. For all N rows it has the residuals, measured minus
             predicted, shape (N, D), and their ``channels``; ``suspects`` are the validation rows
             whose score is beyond the limit, by their numbers in the table.
-        part: The result itself, for its geometry, or its non-geometric model.
+        part: Its geometry, or its non-geometric model.
 
     Returns:
         Errors of the nominal robot and by the part; and the number of suspects that were set aside, see
         `validation_errors`.
     """
-    m = result.measurements
-    suspects = [suspect.row for suspect in result.suspects]
-    residual = part.residual if isinstance(part, NonGeometric) else result.residual_calibrated
+    m = result.fit.measurements
+    suspects = [suspect.row for suspect in result.rows.suspects]
+    residual = part.residual if isinstance(part, NonGeometric) else result.rows.residual_calibrated
     return validation_errors(
-        m.validation, np.isin(m.rows, suspects), result.residual_nominal, residual, result.channels
+        m.validation,
+        np.isin(m.rows, suspects),
+        result.rows.residual_nominal,
+        residual,
+        result.rows.channels,
     )
 
 

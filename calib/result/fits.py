@@ -13,19 +13,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.basics.arrays import Mask
-from calib.basics.blas import one_blas_thread
+from calib.basics.jobs import one_blas_thread
 from calib.data.cell import AUTO, Cell
 from calib.data.measurements import Measurements
 from calib.diagnosis.frame_not_found import frame_not_found
 from calib.diagnosis.reasons import Reason
 from calib.diagnosis.usual_mistakes import check_positions, find_usual_mistake
 from calib.fit.estimate.fitting import Fitted, fit
-from calib.fit.estimate.task import PAPER, Task
-from calib.fit.registration.joint_loads import joint_loads
+from calib.fit.estimate.task import Task
 from calib.fit.registration.known_distances import known_distances
 from calib.fit.registration.rows import Rows
 from calib.fit.registration.setup import Setup
-from calib.fit.registration.table_rows import rows_and_setup
+from calib.fit.registration.table_rows import joint_loads, rows_and_setup
 from calib.fit.selection.candidates import Candidate
 from calib.fit.selection.ladder import check_parameter_names
 from calib.fit.selection.reference_fit import fit_with_all_families, with_better_weights
@@ -203,7 +202,7 @@ def _fit_models(task: Task, rows: Rows) -> tuple[Fitted, Fitted | None, tuple[Ca
         rows better; that of the non-geometric model, None if there is none; and the candidates of the choice, empty
         where the model was named.
     """
-    if task.model == AUTO and task.solver == PAPER:
+    if task.model == AUTO and not task.has_weights_and_priors:
         return fit(replace(task, model="dh", allow_absent=True), rows), None, ()
     candidates: tuple[Candidate, ...] = ()
     if task.model == AUTO:
@@ -234,7 +233,7 @@ def _with_outliers_confirmed(geometry: Fitted, measurements: Measurements) -> Fi
         paper's solver, and where the non-geometric model calls all of them outliers too.
     """
     task, flagged = geometry.task, geometry.estimate.outliers
-    if task.solver == PAPER or task.cell.priors.source == "off":
+    if not task.has_weights_and_priors or task.cell.priors.source == "off":
         return geometry
     if np.mean(flagged) < _FEW_OUTLIERS:
         return geometry

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.basics.arrays import Array, Mask
+from calib.basics.arrays import Array
 from calib.basics.channels import Channels
 from calib.camera.optics import INTRINSICS
 from calib.fit.estimate.fitting import Fitted
@@ -109,18 +109,17 @@ def length_of_pixels(T_frame_target: Array, optics: Optics | None, rows: Rows) -
     return np.where(is_image, depth / np.where(is_image, focal, 1.0), np.nan)
 
 
-def errors_at_board(residual: Array, channels: Channels, scale: Array, rows: Mask) -> Errors:
+def errors_at_board(residual: Array, channels: Channels, scale: Array) -> Errors:
     """Summarise the residuals of images as lengths at the board.
 
     Args:
-        residual: shape (N, D), measured minus predicted, of which those in pixels count.
+        residual: shape (N, D), measured minus predicted; those in pixels count.
         channels: The channel of each entry.
-        scale: shape (N,), length that a pixel is at each corner [m/px].
-        rows: shape (N,), which rows count.
+        scale: shape (N,), length that a pixel is at each corner [m/px]; NaN in rows that are not images.
 
     Returns:
         Figures in metres.
     """
     images = channels.where("px")
     lengths = np.where(images, residual, 0.0) * np.where(np.isfinite(scale), scale, 0.0)[:, None]
-    return Errors.of(lengths[rows], Channels.of_unit(images[rows]))
+    return Errors.of(lengths, Channels.of_unit(images))

@@ -17,11 +17,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.basics.arrays import Array, Mask, read_only
-from calib.basics.mappings import keep_read_only
-from calib.basics.values import Value
+from calib.basics.values import Value, keep_read_only
 from calib.errors import CalibError
 from calib.fit.estimate.fitting import Fitted, fit
-from calib.fit.estimate.task import PAPER
 from calib.fit.registration.rows import Rows
 from calib.fit.selection.linear_folds import linear_cross_validation
 from calib.result.fits import TableFits
@@ -145,7 +143,7 @@ def _fit_zeros(geometry: Fitted) -> tuple[Fitted, Mask]:
         CalibError: There is nothing to estimate, or too little to estimate it from.
     """
     task = replace(geometry.task, model="zeros", allow_absent=True)
-    if task.solver == PAPER:
+    if not task.has_weights_and_priors:
         task = replace(task, solver="lm")
     while True:
         fitted = fit(task, geometry.estimate.problem.rows, reference=geometry)

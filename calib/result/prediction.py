@@ -16,20 +16,16 @@ import numpy as np
 
 import calib.data.kinds as registry
 from calib.basics.arrays import Array, read_only
-from calib.basics.mappings import keep_read_only
-from calib.basics.values import Value
+from calib.basics.values import Value, keep_read_only
 from calib.diagnosis.reasons import Verdict
 from calib.fit.estimate.fitting import Fitted
-from calib.fit.estimate.task import PAPER
 from calib.fit.registration.setup import Setup
 from calib.model.kinematics import Kinematics, Samples
 from calib.model.observability import Observability
 from calib.model.parameters import FRAME, TARGET, ErrorModel
-from calib.numerics.errors import CrossValidation, rms
-from calib.numerics.intervals import interval_factor
+from calib.numerics.errors import CrossValidation, interval_factor, rms
 from calib.numerics.rigid_motion import best_motion, displacements_by
-from calib.robot.gravity import gravity_loads
-from calib.robot.payload import Payload
+from calib.robot.gravity import Payload, gravity_loads
 from calib.robot.robot import Robot
 
 #: The most poses over which an expected error is averaged.
@@ -69,18 +65,6 @@ class ParameterEstimate:
     #: data ask for a larger value. At the optimum it equals the pull of the prior, (x - mean) / prior_std^2. Where a
     #: prior is next to nothing wide, x is too, and only this still shows what the data ask for.
     data_gradient: float = np.nan
-
-
-@dataclass(frozen=True, slots=True)
-class Outlier:
-    """A row that does not belong to the others."""
-
-    #: Its number in the table
-    row: int
-    #: Norm of measured minus predicted over the scalars of each unit that the row measures, by its symbol
-    residual: Mapping[str, float]
-    #: Distance from what the others predict, in standard deviations
-    score: float
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -320,9 +304,9 @@ def parameter_estimates(
     estimate = fitted.estimate
     std = _std(fitted)
     half_width = interval_factor(estimate.freedom) * std
-    prior_std = _prior_std(estimate.problem.precision)
+    prior_std = _prior_std(estimate.problem.prior_precision)
     data_gradient = _data_gradient(fitted)
-    placed = fitted.placed()
+    placed = fitted.estimated_setup()
     result = []
     for k, parameter in enumerate(fitted.kinematics.model.parameters):
         nominal, value, delta = _values(fitted, placed, k)
@@ -420,9 +404,9 @@ def _data_gradient(fitted: Fitted) -> Array:
         shape (p,), [1/unit]; positive where the data ask for a larger value.
     """
     x, problem = fitted.estimate.x, fitted.estimate.problem
-    if fitted.task.solver == PAPER:  # not at the least of squares, and without priors
-        return np.asarray(problem.precision * (x - problem.centre))
-    without_priors = replace(problem, precision=np.zeros(len(x)))
+    if not fitted.task.has_weights_and_priors:  # x is not at the least of squares
+        return np.asarray(problem.prior_precision * (x - problem.prior_mean))
+    without_priors = replace(problem, prior_precision=np.zeros(len(x)))
     # Measured minus predicted in standard deviations, (m,), and its derivative by the parameters, (m, p).
     residual, jacobian = without_priors.system(x)
     return -residual @ jacobian

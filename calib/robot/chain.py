@@ -1,15 +1,15 @@
 """The geometry of a chain: its placements, in path order, and the ``<origin>`` that holds each of them.
 
 The path from base to tip may climb from the base to the link where the branches part, and then descend to the tip.
-A joint of the base's side is walked from its child link to its parent, so that its motion and its origin O turn round:
+A joint on the base's side is passed from its child link to its parent, which reverses its motion and its origin O:
 
     (O J(axis, q))^-1 = J(-axis, q) O^-1
 
-With its axis turned round it is a joint like any other, at the same q, and the whole path is one serial chain.
+With its axis reversed it is a joint like any other, at the same q, and the whole path is one serial chain.
 
-Its joints may be more than the columns of q, where some mimic others or are held: q_chain = A theta + b, with one
+The chain may have more joints than q has columns, if some mimic others or are held: q_chain = A theta + b, with one
 column for each joint that moves freely, a joint of the chain or the driver of one that mimics it. theta = q unless
-readings are coupled (`calib.robot.readings`).
+readings are coupled (`calib.robot.coupled_readings`).
 """
 
 from __future__ import annotations
@@ -25,19 +25,20 @@ from calib.basics.units import unit_fault
 from calib.basics.values import Value
 from calib.errors import UrdfError, choices, did_you_mean
 from calib.robot.full_model import full_model
-from calib.robot.urdf import Urdf, UrdfJoint
+from calib.robot.urdf import Urdf
+from calib.robot.urdf_tree import UrdfJoint
 
 MOVING = ("revolute", "continuous", "prismatic")
 """The types of joints that a chain may move by."""
 
-#: Names of a tip, in the order of preference, where several links lie equally far out.
+#: Usual names of a tip, the preferred ones first.
 _USUAL_TIPS = ("tool0", "tcp", "tool", "flange", "ee_link")
 
 #: What the names of the joints and links of a gripper or hand contain, in lower case.
 _FINGER_WORDS = ("finger", "thumb", "pinky", "jaw")
 _HAND_WORDS = (*_FINGER_WORDS, "gripper", "hand")
 
-#: What tells a wrist joint from a hand's, as in ``gripper_yaw_joint``.
+#: What the names of wrist joints contain, also if they contain a word of a hand, such as ``gripper_yaw_joint``.
 _WRIST_WORDS = ("roll", "pitch", "yaw")
 
 
@@ -45,14 +46,14 @@ _WRIST_WORDS = ("roll", "pitch", "yaw")
 class OriginFactors(Value):
     """A placement as the product of a URDF joint's ``<origin>`` O and constant poses: before O after.
 
-    A placement that no ``<origin>`` holds has none of them, and identities here.
+    If no ``<origin>`` holds the placement, the constants are identities.
     """
 
     #: Shape (4, 4), [m].
     before: Array
     #: Shape (4, 4), [m].
     after: Array
-    #: True where the joint is walked from child to parent: before O^-1 after.
+    #: True if the path passes the joint from child to parent: before O^-1 after.
     inverted: bool
 
     def origin(self, placement: Array) -> Array:
@@ -67,11 +68,11 @@ class OriginFactors(Value):
 class SerialChain:
     """The path between two links as a serial chain of n moving joints; see `calib.robot.robot.Robot`."""
 
-    #: Base to tip, n of them; those on the base's side with the axis turned round.
+    #: Base to tip, n of them; those on the base's side with the axis reversed.
     joints: tuple[UrdfJoint, ...]
     #: Shape (n + 1, 4, 4), [m]: of each joint in the one before it, of the tip in the last.
     placements: Array
-    #: n + 1 names of URDF joints whose ``<origin>`` holds the placement; None where a moving joint carries the end.
+    #: n + 1 names of URDF joints whose ``<origin>`` holds the placement; None if a moving joint carries the end.
     carriers: tuple[str | None, ...]
     #: Shape (4, 4), [m], pose of the base in the frame that the first placement is given in.
     T_root_base: Array
@@ -91,27 +92,55 @@ def chain_between(urdf: Urdf, base: str, tip: str) -> SerialChain:
 
     Raises:
         UrdfError: No joint moves between the links, one is of a type other than `MOVING`, a link does not exist, or
-            Pinocchio reads the URDF otherwise than it is written.
+            Pinocchio reads the URDF differently from what is written.
     """
     path = _path(urdf, base, tip)
     moving = [step for step in path if step.joint.type != "fixed"]
-    _check_moving(urdf, base, tip, [step.joint for step in moving])
-    full_model(urdf)  # which refuses what Pinocchio cannot read, or reads otherwise
+    wrong = [step.joint for step in moving if step.joint.type not in MOVING]
+    if wrong or not moving:
+        fault = "no joint moves"
+        if wrong:
+            fault = (
+                f"joint '{wrong[0].name}' of type '{wrong[0].type}' is not one of {choices(MOVING)}"
+            )
+        raise UrdfError(
+            f"{urdf.source}: {fault} between the base '{base}' and the tip '{tip}'. Name two links with the arm "
+            f"between them by --base and --tip; the links are {choices(urdf.links)}."
+        )
+    full_model(urdf)  # which refuses what Pinocchio cannot read, or reads differently
     T_root_base = np.eye(4)
     if not moving[0].up:
         # The chain starts in the URDF's root, with the joints above the base at zero.
         T_root_base = _product(_path(urdf, urdf.root, base))
         path = _path(urdf, urdf.root, tip)
-    groups = _placement_groups(path, {step.joint.name for step in moving})
+
+    # The steps whose origins each of the n + 1 placements is the product of.
+    groups: list[list[_Step]] = [[]]
+    names = {step.joint.name for step in moving}
+    for step in path:
+        moves = step.joint.name in names
+        if moves and step.up:  # its motion comes before its origin
+            groups.append([])
+        groups[-1].append(step)
+        if moves and not step.up:
+            groups.append([])
+
     carriers: list[str | None] = []
     factors = []
     for k, group in enumerate(groups):
-        # A moving joint's own origin, at the chain's ends else that of the fixed joint next to the moving one, so
-        # that all that is mounted behind it moves along.
+        # A moving joint's own origin carries the placement; at the chain's ends that of the fixed joint next to the
+        # moving one, so that everything mounted on it moves along.
         carried_by_last = k == 0 or (k < len(moving) and not moving[k].up)
-        carrier, factor = _origin_factors(group, carried_by_last=carried_by_last)
+        before = group[:-1] if carried_by_last else []
+        after = [] if carried_by_last else group[1:]
+        carrier = None
+        is_inverted = False
+        if group:
+            step = group[-1] if carried_by_last else group[0]
+            carrier = step.joint.name
+            is_inverted = step.up
         carriers.append(carrier)
-        factors.append(factor)
+        factors.append(OriginFactors(_product(before), _product(after), is_inverted))
     return SerialChain(
         joints=tuple(step.path_joint for step in moving),
         placements=read_only([_product(group) for group in groups]),
@@ -127,7 +156,7 @@ class _Step:
     """A joint of the path, fixed ones included."""
 
     joint: UrdfJoint
-    #: True where the path goes from the joint's child link to its parent.
+    #: True if the path goes from the joint's child link to its parent.
     up: bool
 
     @property
@@ -149,50 +178,6 @@ def _path(urdf: Urdf, base: str, tip: str) -> list[_Step]:
     to_base, to_tip = urdf.chain(base, tip)
     up = [_Step(urdf.joint(name), up=True) for name in reversed(to_base)]
     return up + [_Step(urdf.joint(name), up=False) for name in to_tip]
-
-
-def _check_moving(urdf: Urdf, base: str, tip: str, joints: Sequence[UrdfJoint]) -> None:
-    """Refuse a path without moving joints, or with one of several coordinates."""
-    wrong = [joint for joint in joints if joint.type not in MOVING]
-    if joints and not wrong:
-        return
-    fault = "no joint moves"
-    if wrong:
-        fault = f"joint '{wrong[0].name}' of type '{wrong[0].type}' is not one of {choices(MOVING)}"
-    raise UrdfError(
-        f"{urdf.source}: {fault} between the base '{base}' and the tip '{tip}'. Name two links with the arm "
-        f"between them by --base and --tip; the links are {choices(urdf.links)}."
-    )
-
-
-def _placement_groups(path: Sequence[_Step], moving: Collection[str]) -> list[list[_Step]]:
-    """Return the steps whose origins each placement is the product of, n + 1 lists; ``moving`` are n joints' names."""
-    groups: list[list[_Step]] = [[]]
-    for step in path:
-        moves = step.joint.name in moving
-        if moves and step.up:  # it moves first, its origin comes behind it
-            groups.append([])
-        groups[-1].append(step)
-        if moves and not step.up:
-            groups.append([])
-    return groups
-
-
-def _origin_factors(
-    group: list[_Step], *, carried_by_last: bool
-) -> tuple[str | None, OriginFactors]:
-    """Return the name of the joint that carries a placement, the last or the first of its steps, and its factors."""
-    before: list[_Step] = []
-    after: list[_Step] = []
-    if carried_by_last:
-        before = group[:-1]
-    else:
-        after = group[1:]
-    if not group:
-        return None, OriginFactors(_product(before), _product(after), inverted=False)
-    carrier = group[-1] if carried_by_last else group[0]
-    factors = OriginFactors(_product(before), _product(after), inverted=carrier.up)
-    return carrier.joint.name, factors
 
 
 def _product(steps: Sequence[_Step]) -> Array:
@@ -229,8 +214,8 @@ def farthest_link(
 ) -> str:
     """Return the link with the most moving joints between it and the base: the default tip.
 
-    Joints of a gripper or hand, which their names tell, do not count unless no other joint moves. Among links equally
-    far out a usual name such as ``tool0`` wins, else the last one that is not part of a gripper or hand.
+    Joints of a gripper or hand, by their names, do not count unless no other joint moves. Among links equally far out a
+    usual name such as ``tool0`` wins, else the last one that is not part of a gripper or hand.
 
     Args:
         urdf: The robot.
@@ -242,38 +227,28 @@ def farthest_link(
         UrdfError: There is no link ``base``.
     """
     urdf.chain(base, base)  # raises, with the names of all links, for one that does not exist
-    count = _joints_of_arm_to(urdf, base, measured, held)
+    above = {joint.child: joint for joint in urdf.joints}
+    start = base
+    while start in above and above[start].type == "fixed":
+        start = above[start].parent
+
+    # Joints of the arm that are measured count; if none moves, all that are measured; then the arm's; then all.
+    every = {joint.name for joint in urdf.joints}
+    arm = {joint.name for joint in urdf.joints if not _moves_hand(joint)}
+    given = every if measured is None else set(measured)
+    count: dict[str, int] = {}
+    for counted in (given & arm, given, arm, every):
+        count = _moving_joints_to(urdf, start, counted, held)
+        if max(count.values()):
+            break
     most = max(count.values())
     farthest = [link for link, number in count.items() if number == most]
     before_hand = [link for link in farthest if not _is_in_hand(urdf, link)] or farthest
     return next((name for name in _USUAL_TIPS if name in farthest), before_hand[-1])
 
 
-def _joints_of_arm_to(
-    urdf: Urdf,
-    base: str,
-    measured: Collection[str] | None,
-    held: Collection[str],
-) -> dict[str, int]:
-    """Return the number of moving joints from the base to each link that they lead to.
-
-    Those that are measured and no gripper's or hand's count; where none of them moves, those that are one or the other;
-    where none of these does, all. The arguments are those of `farthest_link`.
-    """
-    every = {joint.name for joint in urdf.joints}
-    arm = every - {joint.name for joint in urdf.joints if _moves_hand(joint)}
-    given = every if measured is None else set(measured)
-    start = _fixed_ancestor(urdf, base)
-    count: dict[str, int] = {}
-    for known in (given & arm, given, arm, every):
-        count = _moving_joints_to(urdf, start, known, held)
-        if max(count.values()):
-            break
-    return count
-
-
 def _moves_hand(joint: UrdfJoint) -> bool:
-    """Return True if a joint is one of a gripper or hand, by its name and that of the link that it moves."""
+    """Return True if a joint belongs to a gripper or hand, by its name and that of the link that it moves."""
     name, link = joint.name.casefold(), joint.child.casefold()
     if any(word in name or word in link for word in _FINGER_WORDS):
         return True
@@ -291,21 +266,13 @@ def _is_in_hand(urdf: Urdf, link: str) -> bool:
     return True
 
 
-def _fixed_ancestor(urdf: Urdf, link: str) -> str:
-    """Return the uppermost link that a link is fixed to."""
-    above = {joint.child: joint for joint in urdf.joints}
-    while link in above and above[link].type == "fixed":
-        link = above[link].parent
-    return link
-
-
 def _moving_joints_to(
     urdf: Urdf,
     start: str,
-    known: Collection[str],
+    counted: Collection[str],
     held: Collection[str],
 ) -> dict[str, int]:
-    """Return the number of known moving joints from a link to each link below it that these, fixed and held lead to."""
+    """Return how many counted joints move each link below one, for links that these, fixed and held joints lead to."""
     below: dict[str, list[UrdfJoint]] = {}
     for joint in urdf.joints:
         below.setdefault(joint.parent, []).append(joint)
@@ -314,7 +281,7 @@ def _moving_joints_to(
     for link in waiting:
         for joint in below.get(link, []):
             still = joint.type == "fixed" or joint.name in held
-            moves = joint.type in MOVING and joint.mimic is None and joint.name in known
+            moves = joint.type in MOVING and joint.mimic is None and joint.name in counted
             if still or moves:
                 count[joint.child] = count[link] + (not still)
                 waiting.append(joint.child)
@@ -327,7 +294,7 @@ class Coupling:
 
     #: The m joints that move freely, one for each column of q; the driver of a mimic joint may lie beside the chain.
     inputs: tuple[UrdfJoint, ...]
-    #: A, shape (n, m): 1 where a joint is its own column, the multiplier where it mimics another.
+    #: A, shape (n, m): 1 if a joint is its own column, the multiplier if it mimics another.
     matrix: Array
     #: b, shape (n,), offsets of mimic joints and held values [rad or m].
     offset: Array
@@ -344,23 +311,23 @@ def coupling_of(urdf: Urdf, joints: Sequence[UrdfJoint], held: Mapping[str, floa
     Raises:
         UrdfError: No joint is left to move, or one mimics what cannot drive it.
     """
-    # A joint of the chain may have its axis turned round.
+    # A joint of the chain may have its axis reversed.
     by_name = {joint.name: joint for joint in (*urdf.joints, *joints)}
-    rules = [_rule(urdf.source, by_name, joint.name, held) for joint in joints]
-    drivers = list(dict.fromkeys(rule.driver for rule in rules if rule.driver is not None))
+    followed = [_driver_of(urdf.source, by_name, joint.name, held) for joint in joints]
+    drivers = list(dict.fromkeys(driver for driver, _, _ in followed if driver is not None))
     if not drivers:
         raise UrdfError(
             f"{urdf.source}: the joints of the chain are {choices(joint.name for joint in joints)}, and none of "
             "them is left to move: each is held at a value or mimics one that is. Hold fewer joints."
         )
     matrix = np.zeros((len(joints), len(drivers)))
-    for row, rule in zip(matrix, rules, strict=True):
-        if rule.driver is not None:
-            row[drivers.index(rule.driver)] = rule.factor
+    for row, (driver, factor, _) in zip(matrix, followed, strict=True):
+        if driver is not None:
+            row[drivers.index(driver)] = factor
     return Coupling(
         inputs=tuple(by_name[name] for name in drivers),
         matrix=read_only(matrix),
-        offset=read_only([rule.offset for rule in rules]),
+        offset=read_only([offset for _, _, offset in followed]),
     )
 
 
@@ -372,7 +339,7 @@ def checked_held(urdf: Urdf, held: Mapping[str, float] | None) -> tuple[tuple[st
         held: Values by the joint's name; None for none.
 
     Raises:
-        UrdfError: A joint does not exist or does not move, or its value is no number or of the wrong unit.
+        UrdfError: A joint does not exist or does not move, or its value is not finite or has the wrong unit.
     """
     given = dict(held or {})
     moving = {joint.name: joint for joint in urdf.joints if joint.type in MOVING}
@@ -405,68 +372,51 @@ def all_values(
         count: N.
 
     Returns:
-        Values by the joint's name, each of shape (N,), [rad] or [m]. A joint that is neither a column nor held nor
-        mimics one is at zero, or at its mimic offset.
+        Values by the joint's name, each of shape (N,), [rad] or [m]. A joint that is not a column, is not held and
+        mimics no such joint is at zero, or at its mimic offset.
     """
     by_name = {joint.name: joint for joint in urdf.joints}
     result = {}
     for joint in urdf.joints:
         if joint.type in MOVING:
             try:
-                rule = _rule(urdf.source, by_name, joint.name, held)
+                driver, factor, offset = _driver_of(urdf.source, by_name, joint.name, held)
             except UrdfError:  # it mimics what cannot drive it; the chain's own joints were checked
-                rule = _Rule(None, 0.0, 0.0)
+                driver, factor, offset = None, 0.0, 0.0
             driver_values = np.zeros(count)
-            if rule.driver is not None:
-                driver_values = columns.get(rule.driver, driver_values)
-            result[joint.name] = rule.factor * driver_values + rule.offset
+            if driver is not None:
+                driver_values = columns.get(driver, driver_values)
+            result[joint.name] = factor * driver_values + offset
     return result
 
 
-@dataclass(frozen=True, slots=True)
-class _Rule:
-    """A joint's value by the one that drives it: factor * driver + offset."""
-
-    #: Name of the driving joint, the joint itself where it moves freely; None where none drives it.
-    driver: str | None
-    factor: float
-    #: [rad or m].
-    offset: float
-
-
-def _rule(
+def _driver_of(
     source: str,
     by_name: Mapping[str, UrdfJoint],
     name: str,
     held: Mapping[str, float],
-) -> _Rule:
-    """Return how a joint follows the joint at the end of its chain of mimics.
+) -> tuple[str | None, float, float]:
+    """Return the driver, factor and offset [rad or m] of a joint with the value factor * driver + offset.
 
-    Args:
-        source: Name of the URDF, for messages.
-        by_name: All joints.
-        name: The joint's name.
-        held: Values [rad or m] of joints that stay where they are, by name.
-
-    Raises:
-        UrdfError: It mimics itself, a joint that does not exist, or one that cannot drive it.
+    The driver is the joint at the end of its chain of mimics, itself if it moves freely; None if it does not move.
+    UrdfError if it mimics itself, a joint that does not exist, or one that cannot drive it.
     """
     factor = 1.0
     offset = 0.0
     followed = [name]
     while True:
         if name in held:
-            return _Rule(None, 0.0, factor * held[name] + offset)
+            return None, 0.0, factor * held[name] + offset
         joint = by_name[name]
         if joint.type == "fixed" or factor == 0.0:
-            return _Rule(None, 0.0, offset)
+            return None, 0.0, offset
         if joint.type not in MOVING:
             raise UrdfError(
                 f"{source}: joint '{followed[0]}' mimics '{name}', which is of type '{joint.type}'; only "
                 f"{choices(MOVING)} joints can drive others. Hold '{followed[0]}' at a value instead."
             )
         if joint.mimic is None:
-            return _Rule(name, factor, offset)
+            return name, factor, offset
         offset += factor * joint.mimic_offset
         factor *= joint.mimic_multiplier
         if joint.mimic not in by_name or joint.mimic in followed:

@@ -1,4 +1,4 @@
-"""The Pinocchio model of all of a URDF: every joint, also those beside a chain, mimic joints moving freely."""
+"""The Pinocchio model of a whole URDF: every joint, also those beside a chain; mimic joints move freely."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from calib.robot.urdf import Urdf
 #: Prefix of the links' names in the Pinocchio model.
 _LINK = "link:"
 
-#: Poses of links by Pinocchio and by the URDF's text may differ by this, absolute and relative [m; rotations: 1].
+#: Poses of links by Pinocchio and by the URDF's text may differ by this, absolutely and relatively [m; rotations: 1].
 _SAME_POSE = 1e-9
 
 
 def full_model(urdf: Urdf) -> pin.Model:
-    """Return the Pinocchio model of all of a URDF, a copy that may be changed; links are found by `link_frame`.
+    """Return the Pinocchio model of a whole URDF, a copy that may be changed; links are found by `link_frame`.
 
     Raises:
-        UrdfError: Pinocchio cannot read the URDF, or reads it otherwise than it is written.
+        UrdfError: Pinocchio cannot read the URDF, or reads it differently from what is written.
     """
     return _built_model(urdf).copy()
 
@@ -42,20 +42,6 @@ def _built_model(urdf: Urdf) -> pin.Model:
     pin.framesForwardKinematics(model, data, pin.neutral(model))
     links = [i for i, frame in enumerate(model.frames) if frame.type == pin.FrameType.BODY]
     T_root_link = {model.frames[i].name: data.oMf[i].homogeneous for i in links}
-    misread = _misread_joints(urdf, T_root_link)
-    if misread:
-        raise UrdfError(
-            f"{urdf.source}: Pinocchio reads the joints {choices(misread)} in another way than they are written. Look "
-            "for unusual characters in numbers and names, and for comments inside of tags."
-        )
-    # Pinocchio cannot lock a joint that shares its name with a link, as ANYmal's do: let links be told apart.
-    for i in links:
-        model.frames[i].name = _LINK + model.frames[i].name
-    return model
-
-
-def _misread_joints(urdf: Urdf, T_root_link: Mapping[str, Array]) -> list[str]:
-    """Return the names of joints whose origin differs from what Pinocchio read, by its poses of links (4, 4) [m]."""
     misread = []
     for joint in urdf.joints:
         if not {joint.parent, joint.child} <= T_root_link.keys():
@@ -64,7 +50,15 @@ def _misread_joints(urdf: Urdf, T_root_link: Mapping[str, Array]) -> list[str]:
         T_root_child = T_root_link[joint.parent] @ joint.T_parent_joint
         if not np.allclose(T_root_child, T_root_link[joint.child], _SAME_POSE, _SAME_POSE):
             misread.append(joint.name)
-    return misread
+    if misread:
+        raise UrdfError(
+            f"{urdf.source}: Pinocchio reads the joints {choices(misread)} in another way than they are written. Look "
+            "for unusual characters in numbers and names, and for comments inside of tags."
+        )
+    # Pinocchio cannot lock a joint that shares its name with a link, as ANYmal's do: links get names of their own.
+    for i in links:
+        model.frames[i].name = _LINK + model.frames[i].name
+    return model
 
 
 def full_configurations(model: pin.Model, values: Mapping[str, Array]) -> Array:
@@ -104,7 +98,7 @@ def joint_frames(
         numbers: Pinocchio's numbers of joints of the model.
 
     Returns:
-        T_root_joint (N, 4, 4) [m] by number: of these joints, of all joints that carry them, and of 0, the root.
+        T_root_joint (N, 4, 4) [m] by number, for these joints, all joints that carry them, and 0, the root.
     """
     frames: dict[int, Array] = {0: np.tile(np.eye(4), (_sample_count(values), 1, 1))}
     # A joint's supports begin with the root and end with the joint itself.
@@ -129,5 +123,5 @@ def link_frame(model: pin.Model, link: str) -> int:
 
 
 def _sample_count(values: Mapping[str, Array]) -> int:
-    """Return N of joint values (N,) by name; 0 without any."""
+    """Return the number N of joint values (N,) by name; 0 without any."""
     return max((len(value) for value in values.values()), default=0)

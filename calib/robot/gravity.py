@@ -1,32 +1,79 @@
-"""Loads of gravity on the joints of a chain, and lever arms of masses about them.
+"""Loads of gravity on the joints of a chain and its payload, and lever arms of masses about the joints.
 
 Gravity loads each joint by
 
     load_i(q) = - dU(q) / dq_i
 
-with the potential energy U of all links and the payload: positive where gravity drives the joint towards larger values.
-A joint of compliance c [rad/Nm or m/N] gives way by c load_i.
+with the potential energy U of all links and the payload: positive if gravity drives the joint towards larger values. A
+joint of compliance c [rad/Nm or m/N] gives way by c load_i.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from calib.basics.arrays import Array, Mask
+from calib.basics.arrays import Array, read_only
+from calib.basics.records import key
+from calib.basics.value_forms import POINT_MM, number
+from calib.basics.values import Value
+from calib.errors import ModelError
 from calib.robot import kernel
 from calib.robot.full_model import full_configurations, full_model, joint_frames, link_frame
-from calib.robot.payload import Payload, finite_vector
 from calib.robot.robot import Robot
 
 GRAVITY = (0.0, 0.0, -9.81)
-"""The acceleration of gravity where the URDF's root link has z up, [m/s^2]."""
+"""The acceleration of gravity if the URDF's root link has z up, [m/s^2]."""
 
 #: The least acceleration that is divided by [m/s^2]; without gravity all lever arms are then zero.
 _TINY = float(np.finfo(np.float64).tiny)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Payload(Value):
+    """A point mass that the tip carries and that the URDF does not hold."""
+
+    #: [kg], 0 or more.
+    mass: float = key("mass_kg", number("kg"), "Mass at the tip.", json="mass_kg")
+    #: shape (3,), its centre of mass in the frame of the tip [m].
+    com: Array = key(
+        "com_mm",
+        POINT_MM,
+        "Its centre of mass in the tip.",
+        default_factory=lambda: np.zeros(3),
+        absent="0, 0, 0",
+        json="com_m",
+    )
+
+    def __post_init__(self) -> None:
+        """Copy the centre of mass and check the numbers."""
+        com = finite_vector(self.com, "centre of mass of a payload", "[m]")
+        object.__setattr__(self, "com", com)
+        if not (np.isfinite(self.mass) and self.mass >= 0):
+            raise ModelError(
+                f"The mass of a payload is {self.mass} kg; give a number of kg, 0 or more."
+            )
+
+
+def finite_vector(values: ArrayLike, name: str, unit: str) -> Array:
+    """Return three finite numbers as a read-only array of shape (3,).
+
+    Args:
+        values: The numbers.
+        name: Their name in the message, such as ``"acceleration of gravity"``.
+        unit: Their unit in the message, such as ``"[m/s^2]"``.
+
+    Raises:
+        ModelError: They are not three, or not finite.
+    """
+    array = read_only(values)
+    if array.shape != (3,) or not np.isfinite(array).all():
+        raise ModelError(f"The {name} is {values!r}; give three finite numbers {unit}.")
+    return array
 
 
 def gravity_loads(
@@ -37,8 +84,8 @@ def gravity_loads(
 ) -> Array:
     """Return the load of gravity on each joint of the chain, and the lever arms of masses along the chain about it.
 
-    The masses are those of all links of the URDF, also beside the chain, where their joints are as
-    `Robot.urdf_values` says; a link without a mass is massless. A lever arm is the load of a mass over its weight.
+    The masses are those of all links of the URDF, also beside the chain, with their joints at `Robot.urdf_values`; a
+    link without a mass is massless. A lever arm is the load of a mass over its weight.
 
     Args:
         robot: The robot, n joints in its chain.
@@ -47,9 +94,9 @@ def gravity_loads(
         gravity: Shape (3,), acceleration in the URDF's root link [m/s^2], which stands still.
 
     Returns:
-        Shape (N, n, n + 3). Of each joint first its load, [Nm] or [N] where it slides; then the lever arms, [m] or 1
-        where it slides, of masses at the origins of the n joints, at the tip, and at a base that joints move. All
-        are positive where gravity drives the joint towards larger values.
+        Shape (N, n, n + 3). For each joint first its load, [Nm], or [N] if it slides; then the lever arms, [m], or 1 if
+        it slides, of masses at the origins of the n joints, at the tip, and at a base that joints move. All are
+        positive if gravity drives the joint towards larger values.
 
     Raises:
         ModelError: The values do not fit the chain, or gravity is not three finite numbers.
@@ -57,9 +104,16 @@ def gravity_loads(
     values = robot.urdf_values(q)
     acceleration = finite_vector(gravity, "acceleration of gravity", "[m/s^2]")
     down = acceleration / max(float(np.linalg.norm(acceleration)), _TINY)
-    model = _loaded_model(robot, payload, acceleration)
+
+    model = full_model(robot.urdf)
+    model.gravity.linear = np.array(acceleration)
+    model.gravity.angular = np.zeros(3)
+    if payload is not None:
+        tip = model.frames[link_frame(model, robot.tip)]
+        mass = pin.Inertia(float(payload.mass), np.array(payload.com), np.zeros((3, 3)))
+        model.appendBodyToJoint(tip.parentJoint, mass, tip.placement)
     data = model.createData()
-    columns = [model.idx_vs[number] for number in _joint_numbers(robot, model)]
+    columns = [model.idx_vs[model.getJointId(joint.name)] for joint in robot.joints]
 
     def work(block: slice) -> Array:
         """Return the loads and lever arms of a block of samples, (B, n, n + 3)."""
@@ -77,130 +131,39 @@ def gravity_loads(
     return np.concatenate(kernel.over_blocks(work, len(first_joint)))
 
 
-def _loaded_model(robot: Robot, payload: Payload | None, gravity: Array) -> pin.Model:
-    """Return the model of the whole URDF with a payload at the tip, in a field of gravity.
-
-    Args:
-        robot: The robot, its URDF and tip.
-        payload: Mass [kg] and its centre in the tip [m]; None for none.
-        gravity: Shape (3,), acceleration in the URDF's root link [m/s^2].
-    """
-    model = full_model(robot.urdf)
-    model.gravity.linear = np.array(gravity)
-    model.gravity.angular = np.zeros(3)
-    if payload is not None:
-        tip = model.frames[link_frame(model, robot.tip)]
-        mass = pin.Inertia(float(payload.mass), np.array(payload.com), np.zeros((3, 3)))
-        model.appendBodyToJoint(tip.parentJoint, mass, tip.placement)
-    return model
-
-
 def _lever_arms(robot: Robot, model: pin.Model, values: Mapping[str, Array], down: Array) -> Array:
-    """Return the lever arms of `gravity_loads`: how much deeper a unit of each joint moves each point.
+    """Return how much deeper a unit of each joint moves each point, shape (N, n, n + 2), [m] per rad or m.
 
     A turning joint at o with the axis a moves a point p by a x (p - o), which is (p - o) . (down x a) deeper; a sliding
-    one by a, which is a . down deeper.
-
-    Args:
-        robot: The robot.
-        model: The model of its whole URDF.
-        values: Joint values of N samples as of `Robot.urdf_values`.
-        down: Shape (3,), unit vector of gravity in the URDF's root, or zeros.
-
-    Returns:
-        Shape (N, n, n + 2), [m] per rad or m: at the origins of the n joints, the tip and the base.
+    one by a, which is a . down deeper. The points are the origins of the n joints, the tip and the base; ``values`` are
+    those of N samples as of `Robot.urdf_values`, and ``down`` is a unit vector in the URDF's root, or zeros.
     """
-    numbers = _joint_numbers(robot, model)
-    ends = _end_frames(robot, model)
-    carriers = [*numbers, *(end.parentJoint for end in ends)]
+    joints = [model.getJointId(joint.name) for joint in robot.joints]
+    ends = [model.frames[link_frame(model, link)] for link in (robot.tip, robot.base)]
+    carriers = [*joints, *(end.parentJoint for end in ends)]
     frames = joint_frames(model, robot.urdf, values, carriers)
-    T_root_joint = np.stack([frames[number] for number in numbers], axis=1)
-    axes = _axes_in_root(robot, T_root_joint)
+
+    T_root_joint = np.stack([frames[number] for number in joints], axis=1)
+    # As the URDF has them: those of ``robot.joints`` may be turned round.
+    axes_in_joints = np.array([robot.urdf.joint(joint.name).axis for joint in robot.joints])
+    axes = np.asarray((T_root_joint[:, :, :3, :3] @ axes_in_joints[:, :, None])[..., 0])
     origins = T_root_joint[:, :, :3, 3]
-    points = np.concatenate([origins, _end_origins(ends, frames)], axis=1)
-    depths = _depths_per_unit(robot, axes, origins, points, down)
-    return np.asarray(depths * _bearing(model, numbers, carriers))
-
-
-def _end_frames(robot: Robot, model: pin.Model) -> list[pin.Frame]:
-    """Return Pinocchio's frames of the tip and of the base, in this order, in the model of the whole URDF."""
-    return [model.frames[link_frame(model, link)] for link in (robot.tip, robot.base)]
-
-
-def _end_origins(ends: Sequence[pin.Frame], frames: Mapping[int, Array]) -> Array:
-    """Return the origins of links in the URDF's root.
-
-    Args:
-        ends: Pinocchio's frames of k links: the joint that carries each, and the link's pose in the joint.
-        frames: Poses (N, 4, 4) [m] of these joints in the root, by Pinocchio's numbers.
-
-    Returns:
-        Shape (N, k, 3), [m].
-    """
-    origins = []
+    end_origins = []
     for end in ends:
         T_root_link = frames[end.parentJoint] @ end.placement.homogeneous
-        origins.append(T_root_link[:, :3, 3])
-    return np.stack(origins, axis=1)
+        end_origins.append(T_root_link[:, :3, 3])
+    points = np.concatenate([origins, np.stack(end_origins, axis=1)], axis=1)
 
-
-def _joint_numbers(robot: Robot, model: pin.Model) -> list[int]:
-    """Return Pinocchio's numbers of the chain's n joints in the model of the whole URDF."""
-    return [model.getJointId(joint.name) for joint in robot.joints]
-
-
-def _bearing(model: pin.Model, numbers: list[int], carriers: list[int]) -> Mask:
-    """Return True where a joint bears a point: the point comes behind it in the URDF.
-
-    Args:
-        model: The model of the whole URDF.
-        numbers: Pinocchio's numbers of n joints.
-        carriers: Of the joint that carries each of k points.
-
-    Returns:
-        Shape (n, k).
-    """
-    bears = np.zeros((len(numbers), len(carriers)), dtype=np.bool_)
-    for point, carrier in enumerate(carriers):
-        supports = set(model.supports[carrier])
-        bears[:, point] = [number in supports for number in numbers]
-    return bears
-
-
-def _depths_per_unit(
-    robot: Robot,
-    axes: Array,
-    origins: Array,
-    points: Array,
-    down: Array,
-) -> Array:
-    """Return how much deeper a unit of each joint would move each point if it carried it.
-
-    Args:
-        robot: The robot.
-        axes: Shape (N, n, 3), of the joints in the URDF's root.
-        origins: Shape (N, n, 3), of the joints in the URDF's root [m].
-        points: Shape (N, k, 3), in the URDF's root [m].
-        down: Shape (3,), unit vector of gravity in the URDF's root, or zeros.
-
-    Returns:
-        Shape (N, n, k), [m] per rad or m.
-    """
     slopes = np.cross(down, axes)
     slopes_at_origins = np.sum(slopes * origins, axis=2)
     depths: Array = slopes @ points.swapaxes(1, 2) - slopes_at_origins[:, :, None]
     slides = np.array([joint.type == "prismatic" for joint in robot.joints])
     depths_of_sliding = axes[:, slides] @ down
     depths[:, slides] = depths_of_sliding[:, :, None]
-    return depths
 
-
-def _axes_in_root(robot: Robot, T_root_joint: Array) -> Array:
-    """Return the axes of the chain's n joints in the URDF's root, none turned round, shape (N, n, 3).
-
-    Args:
-        robot: The robot, whose URDF has the axes in the frames of the joints.
-        T_root_joint: Shape (N, n, 4, 4), the frames of the joints [m].
-    """
-    axes = np.array([robot.urdf.joint(joint.name).axis for joint in robot.joints])
-    return np.asarray((T_root_joint[:, :, :3, :3] @ axes[:, :, None])[..., 0])
+    # A joint moves only the points that it carries.
+    carries = np.zeros((len(joints), len(carriers)), dtype=np.bool_)
+    for point, carrier in enumerate(carriers):
+        supports = set(model.supports[carrier])
+        carries[:, point] = [number in supports for number in joints]
+    return np.asarray(depths * carries)

@@ -1,11 +1,11 @@
-"""The one arithmetic of poses and their derivatives, vectorised over samples; it knows arrays only, no robot.
+"""Poses and their derivatives, vectorised over samples: all of them are computed here, from arrays alone.
 
 A frame of B samples is an array of shape (4, 3, B): its axes x, y, z and its origin, along the axes of the measurement
 frame. Samples come last, so that a constant placement is one matrix product for all samples, and so is the step from
 a chain's regressor to the columns of a model's parameters. A twist (v, w) of a body with the axes R moves a point of
 it, d from its origin, with R v + (R w) x d: that is the whole derivative, and it is exact.
 
-Samples are worked on in blocks that stay in the processor's cache.
+Samples are processed in blocks that stay in the processor's cache.
 """
 
 from __future__ import annotations
@@ -24,19 +24,19 @@ Numbers = NDArray[np.int_]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Geometry:
-    """A serial chain, seen at targets from measurement frames; every pose of shape (4, 4) [m]."""
+    """A serial chain, seen at targets from measurement frames."""
 
     #: shape (n,), True for joints that slide along their axis; the others turn about it.
     slides: NDArray[np.bool_]
     #: Shape (n, 3, 3), a rotation that takes z to each joint's axis, see `turns_to`.
     turns: Array
-    #: Shape (n + 1, 4, 4): of each joint in the one before it, of the tip in the last joint.
+    #: Shape (n + 1, 4, 4), [m]: of each joint in the one before it, of the tip in the last joint.
     placements: Array
-    #: Shape (F, 4, 4), T_frame_base.
+    #: Shape (F, 4, 4), [m], T_frame_base.
     bases: Array
-    #: Shape (4, 4), of the frame that the first placement is given in.
+    #: Shape (4, 4), [m], of the frame that the first placement is given in.
     T_base_root: Array
-    #: Shape (T, 4, 4), T_tip_target.
+    #: Shape (T, 4, 4), [m], T_tip_target.
     targets: Array
 
 
@@ -44,7 +44,7 @@ class Geometry:
 class Directions:
     """Twists per unit of each of p parameters, linear part first, in the local axes of the place that they move."""
 
-    #: Shape (F, 6, p), of the base behind each measurement frame.
+    #: Shape (F, 6, p), of the base in each measurement frame.
     bases: Array
     #: Shape (n + 1, 6, p), of the joints and the tip.
     placements: Array
@@ -62,16 +62,16 @@ class ChainSamples:
     frame: Numbers
     #: Shape (N,), index of the target, from 0.
     target: Numbers
-    #: shape (N, n, k), derivative of ``values`` by the k parameters that change them; k = 0 without such.
+    #: shape (N, n, k), derivative of ``values`` by the k parameters that change them; k = 0 if there are none.
     moved: Array
-    #: Shape (k,), indices of these among the p parameters.
+    #: Shape (k,), indices of these parameters among all p.
     columns: Numbers
 
 
 def turns_to(axes: Array) -> Array:
     """Return a rotation that takes z to each of n unit vectors, (n, 3) to (n, 3, 3)."""
     x, y, z = np.reshape(axes, (-1, 3)).T
-    # From the nearer of z and -z, for the other one's formula divides by next to nothing.
+    # From the nearer of z and -z: the formula for the other divides by nearly zero.
     side = np.where(z >= 0.0, 1.0, -1.0)
     y = side * y
     z = side * z
@@ -139,7 +139,7 @@ def twists(
     jacobian = np.empty((p, 6 if rotation else 3, count))
     steps = _steps(geometry)
     joints = np.arange(1, n + 1)
-    # Joints are looked at along their turned axes, and a place that many samples share is like a joint.
+    # Twists of joints along the frames of `_steps`, whose z is the joint's axis.
     inner = directions.placements.reshape(n + 1, 2, 3, p).copy()
     inner[:n] = geometry.turns.transpose(0, 2, 1)[:, None] @ inner[:n]
     linear = inner.reshape(6 * (n + 1), p).T
@@ -216,7 +216,7 @@ def add_columns(columns: Array, moves: Array, twists_at: Array, place: Numbers) 
         used = np.flatnonzero(twist.any(axis=0))
         if not len(used):
             continue
-        # Columns between the first and the last used one get zeros added.
+        # A slice is faster than indices; the unused columns within it get zeros added.
         first = int(used[0])
         last = int(used[-1]) + 1
         seeing: slice | Numbers = slice(None)
@@ -244,16 +244,16 @@ def carried(frames: Array, T: Array, place: Numbers) -> Array:
 
 
 def _poses_to_fill(count: int) -> Array:
-    """Return N poses whose last row alone is written, (N, 4, 4)."""
+    """Return N poses, (N, 4, 4), of which only the last row is filled in."""
     T = np.empty((count, 4, 4))
     T[:, 3] = 0.0, 0.0, 0.0, 1.0
     return T
 
 
 def _steps(geometry: Geometry) -> Array:
-    """Return the placements between joints turned so that their axis is z, (n + 1, 4, 4): P_1 in the base, ..., P_tip.
+    """Return the placements (n + 1, 4, 4), P_1 in the base, ..., P_tip, between joints whose axis is z.
 
-    A joint J(axis, q) = Q J(z, q) Q^-1 with the rotation Q = ``turns``; Q^-1 and the next Q go into the placements.
+    With the rotation Q = ``turns`` a joint is J(axis, q) = Q J(z, q) Q^-1; Q^-1 and the next Q go into the placements.
     """
     n = len(geometry.slides)
     steps: Array = geometry.placements.copy()

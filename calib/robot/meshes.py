@@ -51,7 +51,7 @@ class LinkShape:
 
     @property
     def mesh(self) -> tuple[str, tuple[float, float, float]] | None:
-        """The file name of a mesh and its scale along x, y, z; None for another geometry."""
+        """The file name of a mesh and its scale along x, y, z; None for any other geometry."""
         if self.geometry.tag != "mesh":
             return None
         scale = numbers(self.geometry.get("scale"), (1.0, 1.0, 1.0))
@@ -59,9 +59,9 @@ class LinkShape:
 
     @property
     def sizes(self) -> tuple[float, ...] | None:
-        """Edges of a box, radius and length of a cylinder or capsule, radius of a sphere [m]; None for all else.
+        """Edges of a box, radius and length of a cylinder or capsule, radius of a sphere [m].
 
-        None too where a size is missing or not positive.
+        None for any other geometry, or if a size is missing or not positive.
         """
         keys = _SIZE_KEYS.get(self.geometry.tag, ())
         words = [self.geometry.get(key, "nan") for key in keys]
@@ -84,28 +84,22 @@ def link_shapes(urdf: Urdf, kind: Literal["visual", "collision"]) -> Iterator[Li
         urdf: The robot.
         kind: ``"visual"`` or ``"collision"``.
     """
+    zeros = (0.0, 0.0, 0.0)
     for link in urdf.elements().findall("link"):
         for element in link.findall(kind):
-            T = _origin_of(element)
+            T = np.eye(4)
+            for origin in element.findall("origin"):
+                T[:3, 3] = numbers(origin.get("xyz"), zeros)
+                T[:3, :3] = pin.rpy.rpyToMatrix(*numbers(origin.get("rpy"), zeros))
             for geometry in element.findall("geometry/*")[:1]:
                 yield LinkShape(link.get("name", ""), T, geometry)
 
 
-def _origin_of(element: Element) -> Array:
-    """Return the pose (4, 4) [m] of an element's last ``<origin>``; what is not three numbers counts as zeros."""
-    T = np.eye(4)
-    zeros = (0.0, 0.0, 0.0)
-    for origin in element.findall("origin"):
-        T[:3, 3] = numbers(origin.get("xyz"), zeros)
-        T[:3, :3] = pin.rpy.rpyToMatrix(*numbers(origin.get("rpy"), zeros))
-    return T
-
-
 def mesh_folders(urdf: Urdf, package_dirs: Iterable[str | Path] = ()) -> tuple[Path, ...]:
-    """Return the folders in which ``package://`` and relative mesh names are looked for, each once.
+    """Return the folders in which ``package://`` and relative mesh names are looked up, each once.
 
-    Those that the user gives, the URDF's own folder and those above it, ``ROS_PACKAGE_PATH``, ``AMENT_PREFIX_PATH``,
-    the share folder of example-robot-data and the one of this Python.
+    They are those that the user gives, the URDF's own folder and those above it, ``ROS_PACKAGE_PATH``,
+    ``AMENT_PREFIX_PATH``, the share folder of example-robot-data and that of this Python.
 
     Args:
         urdf: The robot.
@@ -130,7 +124,7 @@ def find_mesh(name: str, folders: Sequence[Path]) -> Path | None:
         folders: The folders to look in, see `mesh_folders`.
     """
     for path in _candidates(name, folders):
-        # os.path: a name that the system cannot have is that of no file.
+        # os.path returns False for a name that the system cannot have.
         if os.path.isfile(path):  # noqa: PTH113
             return path
     return None
@@ -146,25 +140,23 @@ def _candidates(name: str, folders: Sequence[Path]) -> Iterator[Path]:
         package, _, inside = path.lstrip("/").partition("/")
         yield from (folder / package / inside for folder in folders)
         yield from (folder / inside for folder in folders if folder.name == package)
-        for (
-            folder
-        ) in folders:  # a package's folder may have another name than its package.xml states
+        # The name of a package's folder may differ from that in its package.xml.
+        for folder in folders:
             yield from (package_folder / inside for package_folder in packages_in(folder, package))
 
 
 def read_mesh(path: Path, scale: Sequence[float]) -> tuple[tuple[Array, Faces] | None, str]:
     """Read the triangles of a mesh file.
 
-    A COLLADA file is as large as its ``<unit>`` says and stands as it is written: ``<up_axis>`` is ignored, as ROS and
-    its simulators ignore it.
+    A COLLADA file has the unit of its ``<unit>``; its ``<up_axis>`` is ignored, as ROS and its simulators ignore it.
 
     Args:
-        path: The file, whose ending says of which of `KINDS` it is.
+        path: The file, whose ending says which of `KINDS` it is.
         scale: Factors along x, y, z.
 
     Returns:
         Vertices, shape (V, 3), [m], and faces, shape (F, 3); and ``""``. Or None, and the fault as text for a message
-        behind the file's name.
+        after the file's name.
     """
     kind = path.suffix.lower()
     if kind not in KINDS:
@@ -215,7 +207,7 @@ def numbers(text: str | None, default: tuple[float, float, float]) -> tuple[floa
 
     Args:
         text: The value of an attribute; None if it is missing.
-        default: The result where the text is anything but three finite numbers.
+        default: The result if the text is anything but three finite numbers.
     """
     try:
         x, y, z = (float(word) for word in (text or "").split())

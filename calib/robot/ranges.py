@@ -1,7 +1,7 @@
 """Limits and ranges of joint values, and readings drawn or spread between them.
 
-Limits and ranges are those of the URDF's joints, the values theta = C q of the columns' joints, also where readings q
-are coupled (`calib.robot.readings`): the readings within them then fill no box.
+Limits and ranges are those of the URDF's joints, the values theta = C q of the columns' joints, also if the readings q
+are coupled (`calib.robot.coupled_readings`); the readings within them are then not a box.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from calib.basics.arrays import Array, read_only
 from calib.basics.units import unit_fault
 from calib.errors import CalibError, choices
 from calib.robot.robot import Robot
-from calib.robot.urdf import UrdfJoint
+from calib.robot.urdf_tree import UrdfJoint
 
 #: Number of joint values that `spread_poses` spreads over the ranges, unless another is given.
 SPREAD = 200
@@ -25,16 +25,19 @@ SPREAD = 200
 #: Number of joint values at which a written URDF is compared with the model, unless another is given.
 _RANDOM = 20
 
-#: Seed of the random joint values, so that the same robot is always compared at the same ones.
+#: Seed of the random joint values, so that a robot is always compared at the same ones.
 _SEED = 20170401
 
-#: Direction numbers of a Sobol sequence, shape (bits, columns); the test of this module says how they are made.
+#: Direction numbers of a Sobol sequence, shape (bits, columns); the tests of this module show how they are made.
 _DIRECTIONS = Path(__file__).with_name("sobol.npy")
 
-#: A range may pass a limit by this [rad or m]: 360 deg is not quite 6.28318 rad.
+#: A range may exceed a limit by this [rad or m]: 360 deg is slightly more than 6.28318 rad.
 _ROUNDING = 1e-4
 
-#: A sliding joint without limits is moved this far to both sides of zero [m].
+#: Margin to the limits of a sliding joint [m]; that of the others, an angle, is given.
+_SLIDING_MARGIN = 5e-3
+
+#: A sliding joint without limits moves this far to both sides of zero [m].
 _UNLIMITED_SLIDE = 1.0
 
 
@@ -69,12 +72,12 @@ def spread_poses(robot: Robot, count: int = SPREAD) -> Array:
 
 
 def spread_between(ranges: Array, count: int) -> Array:
-    """Return rows of SciPy's unscrambled Sobol sequence between bounds, without its first point, where all are lowest.
+    """Return rows of SciPy's unscrambled Sobol sequence between bounds, without the first, which is the lower bounds.
 
         x_n = x_(n - 1) xor v_c,    c the lowest bit that is set in n
 
-    The direction numbers v are SciPy's too, and kept in a file: its sequence stands behind its distributions, which
-    take as long to import as a calibration takes.
+    The direction numbers v are SciPy's, stored in a file, because importing SciPy's Sobol sequence pulls in
+    scipy.stats, which takes as long as a calibration.
 
     Args:
         ranges: Shape (m, 2), the lower and the upper bound of each column.
@@ -97,7 +100,7 @@ def spread_between(ranges: Array, count: int) -> Array:
 
 
 def sobol(count: int, columns: int) -> Array:
-    """Return points of SciPy's unscrambled Sobol sequence behind the first one.
+    """Return points of SciPy's unscrambled Sobol sequence after the first one.
 
     Args:
         count: The number of points.
@@ -114,14 +117,9 @@ def sobol(count: int, columns: int) -> Array:
 
 
 def _column_bounds(robot: Robot, bounds_of: Callable[[UrdfJoint], tuple[float, float]]) -> Array:
-    """Return bounds of the columns' joints, narrowed so that joints that mimic them stay within theirs, if possible.
+    """Return bounds (m, 2), [rad] or [m], of ``robot.inputs``, which also keep joints that mimic them within theirs.
 
-    Args:
-        robot: The robot, with m columns of q.
-        bounds_of: Function of a joint that gives its lowest and highest value [rad or m].
-
-    Returns:
-        Shape (m, 2), [rad] or [m], of the values of ``robot.inputs``, read-only.
+    A joint whose bounds would leave nothing is not considered.
     """
     bounds = np.array([bounds_of(joint) for joint in robot.inputs])
     values_at_zero = robot.chain_values(np.zeros(len(bounds)))[0]
@@ -137,7 +135,7 @@ def _column_bounds(robot: Robot, bounds_of: Callable[[UrdfJoint], tuple[float, f
 
 
 def _limits_of(joint: UrdfJoint) -> tuple[float, float]:
-    """Return a joint's limits [rad or m], infinite where there are none."""
+    """Return a joint's limits [rad or m], infinite if there are none."""
     low = -np.inf if joint.lower is None else joint.lower
     high = np.inf if joint.upper is None else joint.upper
     return low, high
@@ -154,7 +152,7 @@ def _range_of(joint: UrdfJoint) -> tuple[float, float]:
 
 @lru_cache(maxsize=16)
 def column_limits(robot: Robot) -> Array:
-    """Return the URDF's limits of ``robot.inputs``, shape (m, 2), [rad] or [m]; infinite where there are none."""
+    """Return the URDF's limits of ``robot.inputs``, shape (m, 2), [rad] or [m]; infinite if there are none."""
     return _column_bounds(robot, _limits_of)
 
 
@@ -167,8 +165,8 @@ def column_ranges(robot: Robot) -> Array:
 def full_ranges(robot: Robot) -> Array:
     """Return values that take each joint everywhere it can go, shape (m, 2), [rad] or [m].
 
-    The limits; of a joint that may turn further one whole turn inside of them, the one nearest to zero; 1 m to both
-    sides of zero where a sliding joint has no limits.
+    The limits; for a joint that may turn further, the one whole turn within them that is nearest to zero; for a sliding
+    joint without limits, 1 m to both sides of zero.
     """
     ranges = np.array(column_ranges(robot))
     turn = 2.0 * np.pi
@@ -202,7 +200,7 @@ def joint_ranges(
         Shape (m, 2), [rad] or [m], read-only.
 
     Raises:
-        CalibError: A joint that the chain does not have, a range that is empty or leaves the limits, the wrong unit.
+        CalibError: The chain has no such joint, or the range is empty, exceeds the limits, or has the wrong unit.
     """
     limits = column_limits(robot)
     ranges = np.array(full_ranges(robot))
@@ -213,34 +211,27 @@ def joint_ranges(
         values = robot.input_values(readings)
         least = values.min(axis=0)
         most = values.max(axis=0)
-        # The margin ends at a limit; a value that was measured beyond it stays in.
+        # The margin ends at a limit, but a value that was measured beyond the limit is kept.
         ranges[:, 0] = np.minimum(least, np.maximum(least - margin, limits[:, 0]))
         ranges[:, 1] = np.maximum(most, np.minimum(most + margin, limits[:, 1]))
-    for name, ends in (given or {}).items():
-        _check_range(robot, name, ends)
+    for name, (low, high) in (given or {}).items():
+        if name not in robot.joint_names:
+            raise CalibError(
+                f"A range is given for '{name}', which is not a joint of the chain '{robot.base}' to '{robot.tip}'; "
+                f"its joints are {choices(robot.joint_names, limit=30)}."
+            )
+        fault = unit_fault(low, slides=robot.joint_types[name] == "prismatic")
+        if fault is not None:
+            raise CalibError(f"The range given for the joint '{name}' {fault}.")
         column = robot.joint_names.index(name)
         lower, upper = limits[column]
-        ranges[column] = max(ends[0], lower), min(ends[1], upper)
+        if not (low < high and low >= lower - _ROUNDING and high <= upper + _ROUNDING):
+            raise CalibError(
+                f"The range of '{name}' is {range_text(robot, name, (low, high))}; the lower end comes first, both "
+                f"within the URDF's {range_text(robot, name, (lower, upper))}. To hold a joint still: --hold."
+            )
+        ranges[column] = max(low, lower), min(high, upper)
     return read_only(ranges)
-
-
-def _check_range(robot: Robot, name: str, ends: tuple[float, float]) -> None:
-    """Refuse a range, lowest and highest value [rad or m], that a joint of this name cannot be given."""
-    if name not in robot.joint_names:
-        raise CalibError(
-            f"A range is given for '{name}', which is no joint of the chain '{robot.base}' to '{robot.tip}'; its "
-            f"joints are {choices(robot.joint_names, limit=30)}."
-        )
-    low, high = ends
-    fault = unit_fault(low, slides=robot.joint_types[name] == "prismatic")
-    if fault is not None:
-        raise CalibError(f"The range given for the joint '{name}' {fault}.")
-    lower, upper = column_limits(robot)[robot.joint_names.index(name)]
-    if not (low < high and low >= lower - _ROUNDING and high <= upper + _ROUNDING):
-        raise CalibError(
-            f"The range of '{name}' is {range_text(robot, name, ends)}; the lower end comes first, both "
-            f"within the URDF's {range_text(robot, name, (lower, upper))}. To hold a joint still: --hold."
-        )
 
 
 def range_text(robot: Robot, name: str, ends: Array | tuple[float, float]) -> str:
@@ -260,19 +251,15 @@ def range_text(robot: Robot, name: str, ends: Array | tuple[float, float]) -> st
     return f"{scale * ends[0]:.6g} to {scale * ends[1]:.6g} {unit}"
 
 
-#: Margin to the ends of a sliding joint [m], where that of the others is an angle.
-_SLIDING_MARGIN = 5e-3
-
-
 def margins_by_joint(robot: Robot, margin: float) -> Array:
-    """Return the distance that planned values keep to both limits of each measured joint.
+    """Return the distance that planned values keep from both limits of each measured joint.
 
     Args:
         robot: The robot, with m measured joints.
-        margin: Distance of joints that turn [rad]; 0: sliding joints keep none either.
+        margin: Distance for joints that turn [rad]; 0: sliding joints keep none either.
 
     Returns:
-        Shape (m,), in the order of ``robot.joint_names``: ``margin`` [rad] of joints that turn, 5 mm (or 0) [m] of
+        Shape (m,), in the order of ``robot.joint_names``: ``margin`` [rad] for joints that turn, 5 mm (or 0) [m] for
         sliding ones.
     """
     slides = [joint.type == "prismatic" for joint in robot.inputs]

@@ -1,7 +1,7 @@
 """The corrected URDF, read back and compared with the model in memory.
 
-A corrected URDF must say what the model in memory says, to two readers that share no code with the writer: Pinocchio,
-which the model itself stands on, and yourdfpy.
+Two readers that share no code with the writer must find in a corrected URDF what the model in memory has: Pinocchio,
+which the model itself is built on, and yourdfpy.
 """
 
 from __future__ import annotations
@@ -34,25 +34,25 @@ def check_written(robot: Robot, expected: Array, q: Array) -> None:
     read_again = robot.rebuilt(Urdf.from_bytes(robot.urdf.data, "the corrected URDF"))
     by_pinocchio = read_again.poses(q)
     by_yourdfpy = _poses_by_yourdfpy(robot, q)
-    _compare("Pinocchio", by_pinocchio, expected)
-    _compare("yourdfpy", by_yourdfpy, expected)
-
-
-def _compare(reader: str, poses: Array, expected: Array) -> None:
-    """Refuse poses (N, 4, 4) [m] by a reader of the URDF that differ from those expected by more than `TOLERANCE`."""
-    off = np.abs(poses - expected)
-    if not off.max() <= TOLERANCE:
-        raise UrdfError(
-            f"The corrected URDF, read back by {reader}, puts the tip {off[:, :3, 3].max():.2e} m and "
-            f"{off[:, :3, :3].max():.2e} rad away from the model in memory; {TOLERANCE:g} is allowed. It is not "
-            "written. Please report this with the URDF."
-        )
+    for reader, poses in (("Pinocchio", by_pinocchio), ("yourdfpy", by_yourdfpy)):
+        off = np.abs(poses - expected)
+        if not off.max() <= TOLERANCE:
+            raise UrdfError(
+                f"The corrected URDF, read back by {reader}, puts the tip {off[:, :3, 3].max():.2e} m and "
+                f"{off[:, :3, :3].max():.2e} rad away from the model in memory; {TOLERANCE:g} is allowed. It is not "
+                "written. Please report this with the URDF."
+            )
 
 
 def _poses_by_yourdfpy(robot: Robot, q: Array) -> Array:
     """Return T_base_tip as yourdfpy computes it from the URDF's text, shape (N, 4, 4), [m]."""
     model = yourdfpy_model(robot.urdf)
-    values = robot.chain_values(q) / _axis_lengths(robot, model)
+    # yourdfpy slides by q times the axis as it is written, which may have any length.
+    lengths = np.ones(len(robot.joints))
+    for i, joint in enumerate(robot.joints):
+        if joint.type == "prismatic":
+            lengths[i] = np.linalg.norm(model.joint_map[joint.name].axis)
+    values = robot.chain_values(q) / lengths
     poses = np.empty((len(values), 4, 4))
     for i, row in enumerate(values):
         by_name = {joint.name: value for joint, value in zip(robot.joints, row, strict=True)}
@@ -72,7 +72,7 @@ def yourdfpy_model(urdf: Urdf) -> Any:  # noqa: ANN401  yourdfpy has no types
     import yourdfpy
 
     logger = logging.getLogger("yourdfpy.urdf")
-    logger.disabled = True  # its warnings about other parts of the robot, mimic joints for one
+    logger.disabled = True  # because it warns about other parts of the robot, such as mimic joints
     try:
         parsed = yourdfpy.URDF.load(
             io.BytesIO(urdf.data),
@@ -80,28 +80,14 @@ def yourdfpy_model(urdf: Urdf) -> Any:  # noqa: ANN401  yourdfpy has no types
             load_meshes=False,
             load_collision_meshes=False,
         ).robot
-        # Every joint of the chain is given its value, and yourdfpy takes none for one that mimics another.
+        # Every joint of the chain is given its value, which yourdfpy does not accept for one that mimics another.
         for joint in parsed.joints:
             joint.mimic = None
         return yourdfpy.URDF(parsed, load_meshes=False, load_collision_meshes=False)
-    # Whatever a foreign reader raises, the file is not fit to be given out.
+    # Whatever a foreign reader raises: a file that it cannot read must not be written.
     except Exception as error:
         raise UrdfError(
             f"yourdfpy cannot read the corrected URDF of '{urdf.name}', so it is not written: {error}"
         ) from error
     finally:
         logger.disabled = False
-
-
-def _axis_lengths(robot: Robot, model: Any) -> list[float]:  # noqa: ANN401  yourdfpy has no types
-    """Return the length of each chain joint's axis as written where it slides, else 1; n numbers.
-
-    yourdfpy slides by q times the axis as it is written; the axis is a direction, of any length.
-    """
-    lengths = []
-    for joint in robot.joints:
-        length = 1.0
-        if joint.type == "prismatic":
-            length = float(np.linalg.norm(model.joint_map[joint.name].axis))
-        lengths.append(length)
-    return lengths

@@ -5,10 +5,9 @@ pose of joint i in the frame of the joint before it, and the pose of the tip in 
 
     T_base_tip(q) = T_root_base^-1  P_1 J_1(q_1)  P_2 J_2(q_2) ... P_n J_n(q_n)  P_tip
 
-Every correction is a change of these placements, each carried by the ``<origin>`` of one URDF joint. The joints may lie
-on both sides of the link where the branches to base and tip part (`calib.robot.chain`), and may be more than the
-columns of q, where some mimic others or are held (`calib.robot.chain`). q are joint readings, which may be coupled
-(`calib.robot.readings`):
+Every correction is a change of these placements, each carried by the ``<origin>`` of one URDF joint. The joints may be
+on both sides of the link where the branches to base and tip part, and may be more than the columns of q, if some mimic
+others or are held (`calib.robot.chain`). q are joint readings, which may be coupled (`calib.robot.coupled_readings`):
 
     q_chain = A theta + b,    theta = C q
 """
@@ -25,8 +24,7 @@ from numpy.typing import ArrayLike
 
 from calib.basics.arguments import check_mapping, check_names, check_type, finite_numbers, numbers
 from calib.basics.arrays import Array, Mask, read_only, rigid_inverse
-from calib.basics.short import one_line
-from calib.basics.values import Value
+from calib.basics.values import Value, one_line
 from calib.errors import ModelError, UrdfError, choices
 from calib.robot import kernel
 from calib.robot.chain import (
@@ -37,12 +35,12 @@ from calib.robot.chain import (
     coupling_of,
     farthest_link,
 )
-from calib.robot.dh.description import DHRobot
-from calib.robot.dh.rows import STANDARD, DHRow, DHTable
-from calib.robot.readings import ReadingCoupling, checked_coupling, reading_matrix
-from calib.robot.urdf import Urdf, UrdfJoint, read_urdf, urdf_of_dh
+from calib.robot.coupled_readings import ReadingCoupling, checked_coupling, reading_matrix
+from calib.robot.dh.rows import STANDARD, DHRobot, DHRow, DHTable
+from calib.robot.urdf import Urdf, read_urdf, urdf_of_dh
+from calib.robot.urdf_tree import UrdfJoint
 
-#: A placement that no <origin> holds may differ by rounding [m; rotation matrices: 1].
+#: A placement that no <origin> holds may change by this, which is rounding [m; rotation matrices: 1].
 _ROUNDING = 1e-12
 
 
@@ -53,11 +51,11 @@ class Robot(Value):
     Two are equal when URDF, base, tip, held joints and coupled readings are.
     """
 
-    #: The n moving joints, base to tip, mimic and held ones too; those on the base's side with the axis turned round.
+    #: The n moving joints, base to tip, mimic and held ones too; those on the base's side with the axis reversed.
     joints: tuple[UrdfJoint, ...] = field(compare=False)
     #: shape (n + 1, 4, 4), [m]; see the module's text. The last one is the tip's.
     placements: Array = field(compare=False)
-    #: For each placement the URDF joint whose ``<origin>`` holds it; None where a moving joint carries the end.
+    #: For each placement the URDF joint whose ``<origin>`` holds it; None if a moving joint carries the end.
     carriers: tuple[str | None, ...] = field(compare=False)
     #: shape (4, 4), [m], pose of the base where the chain starts: the URDF's root, or a base that its joints move.
     T_root_base: Array = field(compare=False)
@@ -77,8 +75,8 @@ class Robot(Value):
     _reading_coupling: ReadingCoupling
     #: The joint of each column of q, m of them; a driver that lies outside the chain is among them.
     inputs: tuple[UrdfJoint, ...] = field(compare=False)
-    #: A of q_chain = A theta + b, shape (n, m): 1 where a joint of the chain is the column's, its multiplier where it
-    #: mimics that. Coupled readings are not in it, but in ``reading_matrix``.
+    #: A of q_chain = A theta + b, shape (n, m): 1 if a joint of the chain is the column's, its multiplier if it mimics
+    #: that. Coupled readings are not in it, but in ``reading_matrix``.
     mimic_matrix: Array = field(compare=False)
     #: b of q_chain = A theta + b, shape (n,): offsets of mimic joints and held values [rad] or [m].
     _offset: Array = field(compare=False)
@@ -98,7 +96,7 @@ class Robot(Value):
         """Load a robot from a URDF, a xacro or a file of DH rows, or by its name from example-robot-data.
 
         Args:
-            source: Path of a URDF; or of a file of DH rows; or of a xacro, with arguments behind it as in
+            source: Path of a URDF; or of a file of DH rows; or of a xacro, followed by arguments as in
                 ``"ur.urdf.xacro ur_type:=ur5e"``; or a name such as ``"ur3"`` or ``"panda"``.
             base: Link in whose frame the poses are given; default the URDF's root link.
             tip: Link that the chain ends at; default the link with the most moving joints before it.
@@ -110,7 +108,7 @@ class Robot(Value):
                 between joints that turn and joints that slide are [m/rad] and [rad/m]. None: q are the joints' values.
 
         Raises:
-            ArgumentError: It is no path and no name, but of another type.
+            ArgumentError: It is neither a path nor a name.
             FileError: The file cannot be read.
             UrdfError: No such robot, link or joint, a chain that calib cannot take, or a xacro with a fault.
 
@@ -150,13 +148,26 @@ class Robot(Value):
         Raises:
             UrdfError: No such link or joint, or a chain that calib cannot take.
         """
-        _check_chain(base, tip, measured, held)
-        _check_coupling(coupling)
+        for argument, link in (("base", base), ("tip", tip)):
+            check_type(argument, link, (str, type(None)), "the name of a link, or None")
+        if measured is not None:
+            check_names("measured", measured)
+        if held is not None:
+            check_mapping("held", held)
+            for name, value in held.items():
+                allowed = (int, float, np.number)
+                check_type(f"held[{name!r}]", value, allowed, "a value [rad] or [m]")
+        if coupling is not None:
+            check_mapping("coupling", coupling)
+            for name, factors in coupling.items():
+                check_mapping(f"coupling[{name!r}]", factors)
+
         held_values = checked_held(urdf, held)
         dh = None if coupling else urdf.dh
         if dh is not None:
             coupling = dh.coupling
         couplings = checked_coupling(urdf, coupling, dict(held_values))
+
         if base is None:
             base = urdf.root
         if tip is None:
@@ -207,7 +218,7 @@ class Robot(Value):
             convention: ``"standard"``, ``"modified"`` or ``"hayati"``.
             name: Name of the robot.
             T_base_0: Shape (4, 4), [m], pose before the first row; None: the identity.
-            T_n_tip: Shape (4, 4), [m], pose behind the last row; None: the identity.
+            T_n_tip: Shape (4, 4), [m], pose after the last row; None: the identity.
             coupling: Factors of the readings of other joints in a joint's value, by joint:
                 ``{"joint_3": {"joint_2": 1.0}}``, value_3 = reading_3 + reading_2.
 
@@ -229,7 +240,11 @@ class Robot(Value):
             >>> robot.poses([0.0, 0.0, 0.1, 0.0])[0, :3, 3].round(3).tolist()
             [0.6, -0.0, 0.3]
         """
-        _check_rows(rows, convention, name)
+        check_type("rows", rows, Sequence, "a sequence of DHRow, one for each joint")
+        for i, row in enumerate(rows):
+            check_type(f"rows[{i}]", row, DHRow, "a DHRow")
+        check_type("convention", convention, str, "one of 'standard', 'modified' and 'hayati'")
+        check_type("name", name, str, "the name of the robot")
         poses = []
         for argument, pose in (("T_base_0", T_base_0), ("T_n_tip", T_n_tip)):
             given = np.eye(4) if pose is None else pose
@@ -246,7 +261,7 @@ class Robot(Value):
         base: str | None = None,
         tip: str | None = None,
     ) -> Robot:
-        """Return the robot read anew from another URDF or between other links, with the same joints held and coupled.
+        """Return the robot read from another URDF or between other links, with the same joints held and coupled.
 
         Args:
             urdf: The URDF to read; None for this robot's.
@@ -347,7 +362,7 @@ class Robot(Value):
             argument: Its name, for messages.
 
         Raises:
-            ArgumentError: They are no numbers.
+            ArgumentError: They are not numbers.
             ModelError: The shape does not fit the chain, or a value is not finite.
         """
         names = self.joint_names
@@ -414,7 +429,7 @@ class Robot(Value):
     def urdf_values(self, q: ArrayLike) -> dict[str, Array]:
         """Return the value of every joint of the URDF with one coordinate, by name, shape (N,), [rad] or [m].
 
-        Joints that are neither held nor follow a column of q are at zero.
+        Joints that are not held and follow no column of q are at zero.
 
         Args:
             q: Shape (N, m) or (m,), [rad] or [m], columns in the order of ``joint_names``.
@@ -441,23 +456,19 @@ class Robot(Value):
         ).copy()
         for i, carrier in enumerate(self.carriers):
             if carrier is None:
-                self._check_unchanged(i, placements[i])
+                if np.abs(placements[i] - self.placements[i]).max() > _ROUNDING:
+                    end = f"base '{self.base}'" if i == 0 else f"tip '{self.tip}'"
+                    raise UrdfError(
+                        f"The {end} of '{self.name}' is moved by its joint directly: the URDF has no <origin> between "
+                        "them that could hold a correction. Choose a link that is fixed to it, or add a fixed joint "
+                        "and a link to the URDF."
+                    )
                 placements[i] = self.placements[i]
         moved = replace(self, placements=read_only(placements))
         before = self.origins()
         after = moved.origins()
         changed = {name: T for name, T in after.items() if (before[name] != T).any()}
         return replace(moved, urdf=self.urdf.with_origins(changed))
-
-    def _check_unchanged(self, i: int, placement: Array) -> None:
-        """Refuse another placement, (4, 4), in place of number i, from 0, which no ``<origin>`` holds."""
-        if np.abs(placement - self.placements[i]).max() > _ROUNDING:
-            end = f"base '{self.base}'" if i == 0 else f"tip '{self.tip}'"
-            raise UrdfError(
-                f"The {end} of '{self.name}' is moved by its joint directly: the URDF has no <origin> between "
-                "them that could hold a correction. Choose a link that is fixed to it, or add a fixed joint "
-                "and a link to the URDF."
-            )
 
     def origins(self) -> dict[str, Array]:
         """Return the ``<origin>`` of each URDF joint that carries a placement, by name, shape (4, 4), [m]."""
@@ -470,44 +481,9 @@ class Robot(Value):
         return origins
 
 
-def _check_rows(rows: object, convention: object, name: object) -> None:
-    """Refuse rows, a convention or a name of another type."""
-    allowed = "a sequence of DHRow, one for each joint"
-    check_type("rows", rows, Sequence, allowed)
-    for i, row in enumerate(rows):  # type: ignore[var-annotated,arg-type]
-        check_type(f"rows[{i}]", row, DHRow, "a DHRow")
-    check_type("convention", convention, str, "one of 'standard', 'modified' and 'hayati'")
-    check_type("name", name, str, "the name of the robot")
-
-
-def _check_chain(
-    base: str | None,
-    tip: str | None,
-    measured: Collection[str] | None,
-    held: Mapping[str, float] | None,
-) -> None:
-    """Refuse a base, a tip, measured joints or held values of another type."""
-    for argument, link in (("base", base), ("tip", tip)):
-        check_type(argument, link, (str, type(None)), "the name of a link, or None")
-    if measured is not None:
-        check_names("measured", measured)
-    if held is not None:
-        check_mapping("held", held)
-        for name, value in held.items():
-            check_type(f"held[{name!r}]", value, (int, float, np.number), "a value [rad] or [m]")
-
-
-def _check_coupling(coupling: Mapping[str, Mapping[str, float]] | None) -> None:
-    """Refuse couplings of readings that are no mappings from names to mappings from names."""
-    if coupling is not None:
-        check_mapping("coupling", coupling)
-        for name, factors in coupling.items():
-            check_mapping(f"coupling[{name!r}]", factors)
-
-
 @lru_cache(maxsize=16)
 def _axes_of(robot: Robot) -> tuple[Mask, Array, Array]:
-    """Return the mask of sliding joints (n,), rotations that take z to their axes (n, 3, 3), and T_base_root (4, 4)."""
+    """Return the mask of sliding joints (n,), rotations that take z to the axes (n, 3, 3), and T_base_root (4, 4)."""
     slides = np.array([joint.type == "prismatic" for joint in robot.joints])
     turns = kernel.turns_to(np.array([joint.axis for joint in robot.joints]))
     return slides, turns, rigid_inverse(robot.T_root_base)

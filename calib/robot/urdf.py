@@ -7,7 +7,7 @@ import hashlib
 import importlib.metadata
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -16,21 +16,19 @@ from xml.etree.ElementTree import Element as AnyElement
 import numpy as np
 import pinocchio as pin
 
-from calib.basics.arrays import Array, read_only
+from calib.basics.arrays import Array
 from calib.basics.files import check_no_xacro, read_bytes, write_atomically
 from calib.basics.json_files import parsed_json
 from calib.basics.values import Value
 from calib.errors import CalibError, UrdfError, choices, did_you_mean
-from calib.robot.dh.description import DHRobot
 from calib.robot.dh.file import ENDINGS, read_dh_robot
 from calib.robot.dh.json_file import robot_of_json
+from calib.robot.dh.rows import DHRobot
 from calib.robot.generated.dh_urdf import REMARK, dh_urdf
 from calib.robot.generated.universal_robots import MODELS, named_ur_urdf, ur_model
 from calib.robot.urdf_tree import UrdfJoint, read_tree
 from calib.robot.urdf_xml import Document
 from calib.robot.xacro_file import XacroCall, flattened, is_xacro
-
-__all__ = ["Urdf", "UrdfJoint", "find_urdf", "read_only", "read_urdf", "robot_data_urdfs"]
 
 #: Name of the link that carries the target in a corrected URDF, when asked for.
 TARGET_LINK = "calib_target"
@@ -113,28 +111,26 @@ class Urdf(Value):
 
     @property
     def dh(self) -> DHRobot | None:
-        """The DH rows that a comment of the file states, from which it was made; None of any other URDF.
+        """The DH rows that a comment of the file states, from which it was made; None for any other URDF.
 
-        Of a corrected URDF they are still those from which the nominal one was made.
+        A corrected URDF still has the rows from which the nominal one was made.
 
         Raises:
             UrdfError: The comment was changed, so that it makes no robot.
         """
         for comment in self._document.comments:
             text = comment.text.strip()
-            if text.startswith(REMARK):
-                return self._dh_of(text.removeprefix(REMARK))
+            if not text.startswith(REMARK):
+                continue
+            try:
+                stated = parsed_json(text.removeprefix(REMARK), self.source)
+                return robot_of_json(stated, self.source)
+            except CalibError as error:
+                raise UrdfError(
+                    f"{self.source}: the comment '{REMARK.strip(': ')}' was changed. Remove it, or write the URDF "
+                    f"again from its rows. {error}"
+                ) from error
         return None
-
-    def _dh_of(self, text: str) -> DHRobot:
-        """Return the DH rows that JSON in a comment states."""
-        try:
-            return robot_of_json(parsed_json(text, self.source), self.source)
-        except CalibError as error:
-            raise UrdfError(
-                f"{self.source}: the comment '{REMARK.strip(': ')}' was changed. Remove it, or write the URDF anew "
-                f"from its rows. {error}"
-            ) from error
 
     def elements(self) -> AnyElement:
         """Return the whole file as elements, a new tree at each call."""
@@ -220,21 +216,23 @@ class Urdf(Value):
                 f"no link can be added to {self.source} as '{name}': that name is empty or taken, "
                 f"or the name of its joint, '{joint_name}', is; choose another or use with_origins"
             )
-        return self._with_last_lines(self._link_lines(name, joint_name, parent, T_parent_link))
-
-    def _with_last_lines(self, lines: Sequence[tuple[int, bytes]]) -> Urdf:
-        """Return the URDF with lines before ``</robot>``, indented as its last element is.
-
-        Args:
-            lines: The number of steps that each is indented by, and its bytes. They stand in one line where
-                ``</robot>`` shares its line.
-        """
         document = self._document
+        link = document.quoted(name)
+        # Each line with the number of steps that it is indented by.
+        lines = [
+            (0, b"<link name=" + link + b"/>"),
+            (0, b"<joint name=" + document.quoted(joint_name) + b' type="fixed">'),
+            (1, b"<parent link=" + document.quoted(parent) + b"/>"),
+            (1, b"<child link=" + link + b"/>"),
+            (1, _origin_tag(T_parent_link)),
+            (0, b"</joint>"),
+        ]
         close = document.root.close
         robot_indent = document.line_head(close)
-        if robot_indent is None:
+        if robot_indent is None:  # </robot> shares its line
             joined = b"".join(line for _, line in lines)
             return self._patched([(close, close, joined)])
+        # As the last element is indented.
         indent = document.line_head(document.root.children[-1].start) or robot_indent + b"  "
         step = b"  "
         if indent.startswith(robot_indent):
@@ -243,26 +241,6 @@ class Urdf(Value):
         before = close - len(robot_indent)
         return self._patched([(before, before, indented)])
 
-    def _link_lines(
-        self,
-        name: str,
-        joint_name: str,
-        parent: str,
-        T_parent_link: Array,
-    ) -> list[tuple[int, bytes]]:
-        """Return the lines of a new link and its fixed joint, each with the number of steps that it is indented by."""
-        document = self._document
-        link = document.quoted(name)
-        joint = document.quoted(joint_name)
-        return [
-            (0, b"<link name=" + link + b"/>"),
-            (0, b"<joint name=" + joint + b' type="fixed">'),
-            (1, b"<parent link=" + document.quoted(parent) + b"/>"),
-            (1, b"<child link=" + link + b"/>"),
-            (1, _origin_tag(T_parent_link)),
-            (0, b"</joint>"),
-        ]
-
     def with_verdict(self, text: str) -> Urdf:
         """Return the URDF with a verdict as a comment on a line before ``<robot>``, in place of one that it has.
 
@@ -270,7 +248,7 @@ class Urdf(Value):
             text: The verdict and its reason, which `verdict` reads back; empty for a URDF without such a comment.
 
         Returns:
-            The URDF; all its other bytes are those of this one.
+            The URDF; all other bytes are kept.
         """
         document = self._document
         patches = [
@@ -294,7 +272,7 @@ class Urdf(Value):
             The path.
 
         Raises:
-            FileError: It exists and is not to be overwritten, has the name of a xacro, or cannot be written.
+            FileError: It exists and must not be overwritten, has the name of a xacro, or cannot be written.
         """
         check_no_xacro(path)
         return write_atomically(path, self.data, overwrite=overwrite)
@@ -330,10 +308,8 @@ class Urdf(Value):
 
 
 def _xyz_rpy(T: Array) -> dict[str, str]:
-    """Return the attributes of the <origin> of a pose (4, 4) [m], as text that reads back exactly.
-
-    Pinocchio's rpy is accurate at pitch = +-pi/2, too.
-    """
+    """Return the attributes of the <origin> of a pose (4, 4) [m], as text that reads back exactly."""
+    # Pinocchio's rpy is accurate also at pitch = +-pi/2.
     rpy = pin.rpy.matrixToRpy(T[:3, :3])
     return {"xyz": _number_text(T[:3, 3]), "rpy": _number_text(rpy)}
 
@@ -360,44 +336,36 @@ def urdf_of_dh(robot: DHRobot, source: str, path: Path | None = None) -> Urdf:
 
 
 def read_urdf(source: str | Path) -> Urdf:
-    """Read the URDF of a file, of a xacro with the arguments behind it, or of a robot by its name.
+    """Read the URDF of a file, of a xacro that arguments may follow, or of a robot by its name.
 
     A file of DH rows is read as the URDF that they state. Names are those of example-robot-data and, for arms that it
     does not have, those of Universal Robots' arms, such as ``"ur10e"``.
 
     Raises:
         FileError: The file cannot be read.
-        MeasurementError: It is a table of something else than DH rows, or has a fault.
+        MeasurementError: It is a table of anything but DH rows, or has a fault.
         ModelError: DH rows make no robot.
         UrdfError: There is no such robot, the xacro has a fault, or it is not a URDF that can be calibrated.
     """
     if is_xacro(source):
-        return _flattened(source)
+        call = XacroCall.parse(source)
+        data = flattened(call)
+        try:
+            return Urdf.from_bytes(data, call.name, call.path)
+        except UrdfError as error:
+            raise UrdfError(
+                f"{str(error).rstrip('.')}. This is about the flattened text: xacro FILE ARGUMENTS > robot.urdf"
+            ) from error
     path = find_urdf(source)
-    if path is None:
-        return _named_arm(str(source))
-    if path.suffix.lower() in ENDINGS:
-        return urdf_of_dh(read_dh_robot(path), path.name, path)
-    return Urdf.read(path)
+    if path is not None:
+        if path.suffix.lower() in ENDINGS:
+            return urdf_of_dh(read_dh_robot(path), path.name, path)
+        return Urdf.read(path)
 
-
-def _flattened(source: str | Path) -> Urdf:
-    """Return the URDF of a xacro with the arguments behind it; raises as `read_urdf` does."""
-    call = XacroCall.parse(source)
-    data = flattened(call)
-    try:
-        return Urdf.from_bytes(data, call.name, call.path)
-    except UrdfError as error:
-        raise UrdfError(
-            f"{str(error).rstrip('.')}. This is about the flattened text: xacro FILE ARGUMENTS > robot.urdf"
-        ) from error
-
-
-def _named_arm(name: str) -> Urdf:
-    """Return the URDF of an arm of Universal Robots by its name; UrdfError, which lists all names, if there is none."""
-    data = named_ur_urdf(name)
-    if data is not None:
-        return Urdf.from_bytes(data, f"the nominal {ur_model(name).name}")
+    name = str(source)
+    of_arm = named_ur_urdf(name)
+    if of_arm is not None:
+        return Urdf.from_bytes(of_arm, f"the nominal {ur_model(name).name}")
     files = {file.removesuffix(".urdf").removesuffix("_robot") for file in robot_data_urdfs()}
     known = sorted(files | {model.plain for model in MODELS})
     raise UrdfError(
@@ -417,10 +385,9 @@ def robot_data_urdfs() -> dict[str, Path]:
 
 
 def find_urdf(source: str | Path) -> Path | None:
-    """Return the file that a path, or the name of a robot of example-robot-data, means; None if it is no such name.
+    """Return the file of a path, or of the name, in any case, of a robot of example-robot-data; None if it has none.
 
-    ``<name>_robot.urdf`` comes before ``<name>.urdf``: that package's own loader returns a UR5 for ``"ur3"``. Names are
-    read in any case.
+    ``<name>_robot.urdf`` comes before ``<name>.urdf``: that package's own loader returns a UR5 for ``"ur3"``.
     """
     path = Path(source)
     if path.suffix or len(path.parts) != 1 or os.path.isfile(path):  # noqa: PTH113  of any length
@@ -433,20 +400,13 @@ def find_urdf(source: str | Path) -> Path | None:
 
 
 def _similar(name: str, known: list[str]) -> str:
-    """Return names of robots like the one given, as the end of a message that says they may be others.
+    """Return known names like the one given, as the end of a message that says they may be other robots.
 
-    A ``ur10e`` is no ``ur10``: its first link is 53 mm longer. Only names with the same numbers are proposed.
-
-    Args:
-        name: The name given.
-        known: The names of all robots.
-
-    Returns:
-        Names that continue the one given, or that it continues, after a separator; else those that differ by few
-        letters.
+    They continue the name given, or it continues them, after a separator; else they differ by few letters.
     """
     given = name.casefold()
     similar = [robot for robot in known if _continues(given, robot) or _continues(robot, given)]
+    # Names with other numbers are not proposed: a ur10e is not a ur10, its first link is 53 mm longer.
     numbered = [robot for robot in known if _numbers_in(robot) == _numbers_in(given)]
     similar = similar or difflib.get_close_matches(given, numbered, n=3)
     if not similar:
@@ -461,5 +421,5 @@ def _continues(longer: str, shorter: str) -> bool:
 
 
 def _numbers_in(name: str) -> list[str]:
-    """Return the numbers in a name, with the letters behind them as in ``["10e"]``: they tell kinds of robots apart."""
+    """Return the numbers in a name with the letters after them, such as ``["10e"]``: robots differ by them."""
     return re.findall(r"\d+[a-z]*", name.casefold())

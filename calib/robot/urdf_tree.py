@@ -1,7 +1,7 @@
 """The kinematic tree that a URDF states: its joints and links, checked, with the place and the remedy of each fault.
 
-A URDF is in metres and radians. One whose joints all lie tens of metres apart is in millimetres, one with angles of
-many turns in degrees; both are refused, for every number that is computed from them would be wrong.
+A URDF is in metres and radians. One whose joints are tens of metres apart is in millimetres, one with angles of many
+turns in degrees; both are refused, because every number that is computed from them would be wrong.
 """
 
 from __future__ import annotations
@@ -22,19 +22,19 @@ from calib.robot.urdf_xml import XACRO_FIX, Document, Element
 #: The types of joints of URDF.
 JOINT_TYPES = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
 
-#: An axis as written that is shorter than this has no direction.
+#: An axis that is written shorter than this has no direction.
 _ZERO_AXIS = 1e-9
 
-#: No robot has half of its joints further than this from their parents [m]; in millimetres all robots have.
+#: If half of the joints are further than this from their parents [m], lengths are in millimetres.
 _FAR = 10.0
 
-#: No origin is turned by more than two turns [rad]; in degrees most are.
+#: If an origin is turned by more than this, two turns [rad], angles are in degrees.
 _TURNED = 4.0 * np.pi
 
-#: A limit of a joint above this, two turns if in radians [rad], may be one in degrees.
+#: A limit of a joint above this, two turns [rad], may be in degrees.
 _TURNS = 4.0 * np.pi
 
-#: A limit of a joint above this, two turns, is none in degrees [deg].
+#: A limit of a joint above this, two turns [deg], is not in degrees.
 _MOST_DEGREES = 720.0
 
 #: Limits in degrees are multiples of this [deg].
@@ -67,9 +67,9 @@ class UrdfJoint(Value):
     axis: Array
     #: Name of the joint that drives this one, or None.
     mimic: str | None
-    #: Lower limit [rad or m]; None where none is stated or the type has none.
+    #: Lower limit [rad or m]; None if none is stated or the type has none.
     lower: float | None
-    #: Upper limit, likewise.
+    #: Upper limit [rad or m], or None.
     upper: float | None
     #: Factor of the driving joint's value.
     mimic_multiplier: float = 1.0
@@ -110,7 +110,7 @@ def read_tree(document: Document) -> tuple[tuple[UrdfJoint, ...], tuple[str, ...
 
 
 def _unique_names(document: Document, elements: list[Element]) -> tuple[str, ...]:
-    """Return the names of links or joints; UrdfError where one is missing or given twice."""
+    """Return the names of links or joints; UrdfError if one is missing or given twice."""
     lines: dict[str, int] = {}
     for element in elements:
         name = element.attributes.get("name", "")
@@ -127,7 +127,7 @@ def _unique_names(document: Document, elements: list[Element]) -> tuple[str, ...
 
 
 def _joint(document: Document, element: Element) -> UrdfJoint:
-    """Return the joint that a ``<joint>`` states; UrdfError where it is not complete."""
+    """Return the joint that a ``<joint>`` states; UrdfError if it is not complete."""
     kind = element.attributes.get("type", "")
     if kind not in JOINT_TYPES:
         text = f" has the type '{kind}'; the types are {choices(JOINT_TYPES)}"
@@ -142,7 +142,17 @@ def _joint(document: Document, element: Element) -> UrdfJoint:
     if length < _ZERO_AXIS:
         text = ': the axis is zero; give its direction, xyz="0 0 1" for example'
         raise _fault(document, element, text)
-    _check_limit(document, element, kind)
+    # Every reader of URDFs refuses a limit that is missing or incomplete.
+    limit = _part(document, element, "limit")
+    if limit is None and kind in _LIMITS:
+        text = f" is {kind} and has no <limit>; give it <limit {_LIMITS[kind]}"
+        raise _fault(document, element, text)
+    if limit is not None:
+        for key in ("effort", "velocity"):
+            if key not in limit.attributes:
+                text = f': its <limit> has no {key}; add {key}="0" if it is not known'
+                raise _fault(document, element, text, limit)
+            numbers("limit", key, (0.0,))
     lower = upper = None
     if kind in ("revolute", "prismatic"):
         lower = _limit(document, element, "lower")
@@ -164,24 +174,9 @@ def _joint(document: Document, element: Element) -> UrdfJoint:
 
 
 def _limit(document: Document, element: Element, key: str) -> float | None:
-    """Return a joint's limit ``"lower"`` or ``"upper"`` [rad or m]; None where it is not stated."""
+    """Return a joint's limit ``"lower"`` or ``"upper"`` [rad or m]; None if it is not stated."""
     (value,) = _numbers(document, element, "limit", key, (np.nan,))
     return None if np.isnan(value) else value
-
-
-def _check_limit(document: Document, element: Element, kind: str) -> None:
-    """Refuse a joint whose ``<limit>`` is missing or is not whole, as every reader of URDFs does."""
-    limit = _part(document, element, "limit")
-    if limit is None:
-        if kind in _LIMITS:
-            text = f" is {kind} and has no <limit>; give it <limit {_LIMITS[kind]}"
-            raise _fault(document, element, text)
-        return
-    for key in ("effort", "velocity"):
-        if key not in limit.attributes:
-            text = f': its <limit> has no {key}; add {key}="0" if it is not known'
-            raise _fault(document, element, text, limit)
-        _numbers(document, element, "limit", key, (0.0,))
 
 
 def _fault(
@@ -190,12 +185,12 @@ def _fault(
     text: str,
     part: Element | None = None,
 ) -> UrdfError:
-    """Return an error about a joint, with the line of one of its parts; None: of the joint itself."""
+    """Return an error about a joint, with the line of one of its parts, or of the joint itself."""
     return document.at(part or element, f"joint '{element.attributes['name']}'{text}")
 
 
 def _part(document: Document, element: Element, tag: str) -> Element | None:
-    """Return the joint's child of that name, None without; UrdfError if there are several."""
+    """Return the joint's child of that name, None if there is none; UrdfError if there are several."""
     parts = element.all(tag)
     if len(parts) > 1:
         raise _fault(document, element, f" has {len(parts)} <{tag}>; keep one")
@@ -203,7 +198,7 @@ def _part(document: Document, element: Element, tag: str) -> Element | None:
 
 
 def _link(document: Document, element: Element, tag: str, key: str = "link") -> str:
-    """Return the value of ``<tag key="...">``; UrdfError without it."""
+    """Return the value of ``<tag key="...">``; UrdfError if there is none."""
     part = _part(document, element, tag)
     value = part.attributes.get(key, "") if part else ""
     if not value:
@@ -218,17 +213,9 @@ def _numbers(
     key: str,
     default: tuple[float, ...],
 ) -> tuple[float, ...]:
-    """Return the finite numbers of ``<tag key="...">`` of a joint.
+    """Return the finite numbers of ``<tag key="...">`` of a joint, as many as the default, which are those if missing.
 
-    Args:
-        document: The file.
-        element: The joint's element.
-        tag: Name of its child.
-        key: Name of the child's attribute.
-        default: The numbers where the child or the attribute is missing; as many are read as these are.
-
-    Raises:
-        UrdfError: Anything else is written.
+    UrdfError if anything else is written.
     """
     part = _part(document, element, tag)
     if part is None or key not in part.attributes:
@@ -247,13 +234,7 @@ def _numbers(
 
 
 def _check_tree(document: Document, joints: tuple[UrdfJoint, ...], links: tuple[str, ...]) -> None:
-    """Refuse links that do not exist or have two parents, several roots, and loops.
-
-    Args:
-        document: The file.
-        joints: Its joints, in the order of their elements.
-        links: The names of its links.
-    """
+    """Refuse links that do not exist or have two parents, several roots, and loops."""
     above: dict[str, UrdfJoint] = {}
     for joint, element in zip(joints, document.root.all("joint"), strict=True):
         for link in (joint.parent, joint.child):
@@ -273,7 +254,11 @@ def _check_tree(document: Document, joints: tuple[UrdfJoint, ...], links: tuple[
             f"{document.source} has {len(roots)} root links: {choices(roots)}; join them by fixed "
             "joints so that one is left"
         )
-    reached = _links_below(roots, joints)
+    reached: set[str] = set()
+    new = set(roots)
+    while new:
+        reached |= new
+        new = {joint.child for joint in joints if joint.parent in reached} - reached
     loop = sorted(joint.name for joint in joints if joint.child not in reached)
     if loop:
         raise UrdfError(
@@ -281,23 +266,8 @@ def _check_tree(document: Document, joints: tuple[UrdfJoint, ...], links: tuple[
         )
 
 
-def _links_below(roots: list[str], joints: tuple[UrdfJoint, ...]) -> set[str]:
-    """Return the links that joints lead to from the root links, these included."""
-    reached: set[str] = set()
-    new = set(roots)
-    while new:
-        reached |= new
-        new = {joint.child for joint in joints if joint.parent in reached} - reached
-    return reached
-
-
 def _check_units(document: Document, joints: tuple[UrdfJoint, ...]) -> None:
-    """Refuse a URDF whose lengths look like millimetres, or its angles or limits like degrees.
-
-    Args:
-        document: The file.
-        joints: Its joints, in the order of their elements.
-    """
+    """Refuse a URDF whose lengths look like millimetres, or its angles or limits like degrees."""
     lengths = [float(np.linalg.norm(joint.xyz)) for joint in joints]
     apart = [length for length in lengths if length > 0.0]
     typical = float(np.median(apart)) if apart else 0.0
@@ -328,12 +298,12 @@ def _check_units(document: Document, joints: tuple[UrdfJoint, ...]) -> None:
 
 
 def _looks_like_degrees(joint: UrdfJoint) -> bool:
-    """Return True for limits that are round numbers, many turns if in radians, and at most two if in degrees."""
+    """Return True for limits that are round numbers, more than two turns in radians, and at most two in degrees."""
     if joint.lower is None or joint.upper is None:
         return False
     ends = np.array([joint.lower, joint.upper])
     size = float(np.abs(ends).max())
-    # 100 and 1000 stand for no limit at all.
+    # 100 and 1000 mean no limit at all.
     placeholder = float(np.log10(max(size, 1.0))).is_integer()
     round_numbers = not np.any(ends % _STEP_DEGREES)
     return _TURNS < size <= _MOST_DEGREES and round_numbers and not placeholder

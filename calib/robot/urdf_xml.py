@@ -1,4 +1,4 @@
-"""The XML under a URDF: its elements, and the position of each start tag in the file's own bytes.
+"""The XML of a URDF: its elements, and the position of each start tag in the file's own bytes.
 
 With these positions one number can be changed while all other bytes (comments, quotes, line ends, encoding) are kept.
 """
@@ -14,10 +14,10 @@ from xml.sax.saxutils import quoteattr
 
 from calib.errors import UrdfError
 
-#: The remedy, for messages, where a URDF holds names or numbers of xacro.
+#: The remedy, for messages about a URDF that contains xacro.
 XACRO_FIX = "expand it first: xacro robot.urdf.xacro > robot.urdf; or name it robot.urdf.xacro, and calib expands it"
 
-#: Levels of elements that are noted: robot, joint, origin.
+#: Number of levels of elements that are recorded: robot, joint, origin.
 _DEPTH = 3
 
 #: A start tag, in which quotes may hide its end; group 1 is its name.
@@ -90,13 +90,18 @@ class Document:
             source: Its name, for messages.
 
         Raises:
-            UrdfError: It is no XML, empty, xacro, or of an encoding that cannot be used; the text says where.
+            UrdfError: It is not XML, empty, xacro, or of an encoding that cannot be used; the text says where.
         """
         if data[:2] in (b"\xff\xfe", b"\xfe\xff") or b"\0" in data[:4]:
             raise UrdfError(f"{source} is in UTF-16 or UTF-32; save it as UTF-8")
         try:
-            encoding, root, comments = _scan(data, source)
-            return cls(data, source, encoding, root, comments)
+            parser = expat.ParserCreate()
+            scanner = _Scanner(data, source, parser)
+            parser.XmlDeclHandler = scanner.declaration
+            parser.StartElementHandler = scanner.start
+            parser.EndElementHandler = scanner.end
+            parser.CommentHandler = scanner.comment
+            parser.Parse(data, True)
         except expat.ExpatError as error:
             text = data.removeprefix(b"\xef\xbb\xbf").lstrip()
             if not text:
@@ -110,6 +115,8 @@ class Document:
         except (LookupError, ValueError) as error:
             message = f"{source}: its encoding cannot be used ({error}); save it as UTF-8"
             raise UrdfError(message) from error
+        assert scanner.root is not None, "the parser accepts no file without an element"
+        return cls(data, source, scanner.encoding, scanner.root, tuple(scanner.comments))
 
     def at(self, element: Element, text: str) -> UrdfError:
         """Return an error that says where: file, line, then a text.
@@ -121,10 +128,7 @@ class Document:
         return UrdfError(f"{self.source}, line {element.line}: {text}")
 
     def elements(self) -> ElementTree.Element:
-        """Return all elements as a new tree, their names as written.
-
-        A prefix need not be declared, as for other readers of URDF.
-        """
+        """Return all elements as a new tree, their names as written, also with prefixes that are not declared."""
         builder = ElementTree.TreeBuilder()
         parser = expat.ParserCreate()
         parser.StartElementHandler = builder.start
@@ -151,8 +155,8 @@ class Document:
     def comment(self, text: str) -> bytes:
         """Return a comment on a line of its own, in the file's encoding and line ends.
 
-        XML allows no ``--`` in a comment: the hyphens are written apart. A character that XML does not allow becomes
-        a question mark.
+        XML allows no ``--`` in a comment, so that hyphens are separated. A character that XML does not allow becomes a
+        question mark.
         """
         line = _NOT_XML.sub("?", " ".join(text.split()))
         line = re.sub("-(?=-)", "- ", line)
@@ -197,7 +201,7 @@ class Document:
 
 @dataclass(slots=True)
 class _Scanner:
-    """Handlers of a parser that note the elements of the upper levels, the comments and the encoding of a file."""
+    """Handlers of a parser that record the elements of the upper levels, the comments and the encoding of a file."""
 
     #: The file.
     data: bytes
@@ -218,29 +222,13 @@ class _Scanner:
     _xacro: set[str] = field(default_factory=lambda: {"xacro"})
 
     def declaration(self, _version: str, encoding: str | None, _standalone: int) -> None:
-        """Note the encoding of an XML declaration."""
+        """Record the encoding of an XML declaration."""
         self.encoding = encoding or "utf-8"
 
     def start(self, tag: str, attributes: dict[str, str]) -> None:
-        """Note an element whose start tag was read; UrdfError if it is xacro."""
+        """Record an element whose start tag was read; UrdfError if its name or attributes have a prefix of xacro."""
         line = self.parser.CurrentLineNumber
         first = self.parser.CurrentByteIndex
-        self._refuse_xacro(tag, attributes, line)
-        self._depth += 1
-        if self._depth > _DEPTH:
-            return
-        match = _START_TAG.match(self.data, first)
-        # All changes rest on this position: never go on without it.
-        assert match is not None, f"<{tag}> does not stand where the parser says"
-        element = Element(tag, attributes, line, first, match.end(), match.end(), [])
-        if self._open:
-            self._open[-1].children.append(element)
-        else:
-            self.root = element
-        self._open.append(element)
-
-    def _refuse_xacro(self, tag: str, attributes: dict[str, str], line: int) -> None:
-        """Refuse an element, in this line, whose name or attributes have a prefix of xacro."""
         for name, value in attributes.items():
             if name.startswith("xmlns:") and "xacro" in value:
                 self._xacro.add(name.removeprefix("xmlns:"))
@@ -249,9 +237,21 @@ class _Scanner:
             if colon and prefix in self._xacro:
                 message = f"'{name}' belongs to xacro, not URDF; {XACRO_FIX}"
                 raise UrdfError(f"{self.source}, line {line}: {message}")
+        self._depth += 1
+        if self._depth > _DEPTH:
+            return
+        match = _START_TAG.match(self.data, first)
+        # All changes rely on this position: never go on without it.
+        assert match is not None, f"<{tag}> does not stand where the parser says"
+        element = Element(tag, attributes, line, first, match.end(), match.end(), [])
+        if self._open:
+            self._open[-1].children.append(element)
+        else:
+            self.root = element
+        self._open.append(element)
 
     def end(self, _tag: str) -> None:
-        """Note where the end tag of an element begins."""
+        """Record where the end tag of an element begins."""
         self._depth -= 1
         if self._depth < _DEPTH:
             element = self._open.pop()
@@ -259,29 +259,7 @@ class _Scanner:
                 element.close = self.parser.CurrentByteIndex
 
     def comment(self, text: str) -> None:
-        """Note a comment."""
+        """Record a comment."""
         first = self.parser.CurrentByteIndex
         last = self.data.index(b"-->", first) + len(b"-->")
         self.comments.append(Comment(text, first, last))
-
-
-def _scan(data: bytes, source: str) -> tuple[str, Element, tuple[Comment, ...]]:
-    """Return a file's encoding, its outermost element with the levels below it, and its comments.
-
-    Args:
-        data: The file, byte for byte.
-        source: Its name, for messages.
-
-    Raises:
-        UrdfError: It is xacro.
-        ExpatError: It is no XML.
-    """
-    parser = expat.ParserCreate()
-    scanner = _Scanner(data, source, parser)
-    parser.XmlDeclHandler = scanner.declaration
-    parser.StartElementHandler = scanner.start
-    parser.EndElementHandler = scanner.end
-    parser.CommentHandler = scanner.comment
-    parser.Parse(data, True)
-    assert scanner.root is not None, "the parser accepts no file without an element"
-    return scanner.encoding, scanner.root, tuple(scanner.comments)

@@ -11,7 +11,7 @@ from calib.basics.channels import RESIDUAL_UNITS
 from calib.diagnosis.coverage import Beyond, OutsideRow
 from calib.fit.selection.robustness import Robustness
 from calib.result.calibration import Calibration
-from calib.result.prediction import Outlier
+from calib.result.parts import Outlier
 from calib.show.lines import mm, plural
 from calib.show.sizes import shown
 

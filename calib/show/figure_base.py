@@ -271,7 +271,7 @@ class RowKind(NamedTuple):
 
 def row_kinds(c: Calibration) -> tuple[RowKind, ...]:
     """Return estimation rows, validation rows and flagged rows of either set; each row is in one, none is empty."""
-    m = c.measurements
+    m = c.fit.measurements
     flagged = flagged_rows(c)
     kinds = (
         RowKind("estimation", m.estimation & ~flagged, ESTIMATION, "o", 4.2),

@@ -24,9 +24,9 @@ def flagged_rows(c: Calibration) -> Mask:
 
     They are the outliers among the estimation rows, and the suspects among the validation rows.
     """
-    flagged = [*c.outliers, *c.suspects]
+    flagged = [*c.rows.outliers, *c.rows.suspects]
     numbers = [outlier.row for outlier in flagged]
-    return np.isin(c.measurements.rows, numbers)
+    return np.isin(c.fit.measurements.rows, numbers)
 
 
 def setup_of_rows(setup: Setup, m: Measurements) -> tuple[Array, Array]:

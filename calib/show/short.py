@@ -18,7 +18,7 @@ def before_and_after(c: Calibration) -> tuple[str, Errors, Errors]:
         Which rows they are of, ``"held-out"``, ``"validation"`` or ``"fitted"``; and the errors of both robots, of the
         geometry alone and without outliers.
     """
-    before, after = c.nominal_cross_validation, c.cross_validation
+    before, after = c.trust.nominal_cross_validation, c.cross_validation
     if before is not None and after is not None:
         return "held-out", before.errors_without_outliers, after.errors_without_outliers
     nominal, calibrated = c.errors["nominal"], c.errors["calibrated"]

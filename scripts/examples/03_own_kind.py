@@ -52,6 +52,6 @@ result = calib.calibrate(robot, data, cell=cell)
 before, after = (result.errors[which]["estimation"] for which in ("nominal", "calibrated"))
 print(f"image: {before['px'].rms:.2f} px rms before, {after['px'].rms:.2f} px after")
 print(f"depth: {1e3 * before['m'].rms:.2f} mm rms before, {1e3 * after['m'].rms:.2f} mm after")
-print(f"noise: {result.sigma['px']:.3f} px, {1e3 * result.sigma['m']:.3f} mm")
-assert abs(result.sigma["px"] - 0.1) < 0.02
-assert abs(result.sigma["m"] - 0.3e-3) < 0.06e-3
+print(f"noise: {result.noise.sigma['px']:.3f} px, {1e3 * result.noise.sigma['m']:.3f} mm")
+assert abs(result.noise.sigma["px"] - 0.1) < 0.02
+assert abs(result.noise.sigma["m"] - 0.3e-3) < 0.06e-3

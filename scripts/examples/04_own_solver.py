@@ -42,12 +42,17 @@ data = scenario.draw(seed=1).measure(scenario.random_poses(40, seed=1), seed=1).
 own = calib.calibrate(robot, data, model="dh", solver="halving")
 usual = calib.calibrate(robot, data, model="dh")
 for result in (own, usual):
-    error, count = result.errors["calibrated"]["estimation"]["m"].rms, result.solution.evaluations
-    print(f"solver {result.solver}: {1e3 * error:.4f} mm rms, {count} evaluations in the last run")
+    error, count = (
+        result.errors["calibrated"]["estimation"]["m"].rms,
+        result.method.solution.evaluations,
+    )
+    print(
+        f"solver {result.method.solver}: {1e3 * error:.4f} mm rms, {count} evaluations in the last run"
+    )
 
 # Differences are counted in standard deviations of the estimates, again to compare unlike units.
 std = np.array([p.std for p in usual.parameters])
-difference = float(np.max(np.abs(own.x - usual.x) / std))
-assert own.solver == "halving"
+difference = float(np.max(np.abs(own.geometry.x - usual.geometry.x) / std))
+assert own.method.solver == "halving"
 assert difference < 1e-3
 print("All parameters agree to a thousandth of their standard deviations.")

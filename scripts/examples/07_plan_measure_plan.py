@@ -28,7 +28,7 @@ result = calib.calibrate(robot, first, cell=cell)
 print(f"measured: true error {true_error(result):.3f} mm rms")
 
 # Now more is known: the robot, the reflector, and the noise. The next poses are chosen to add to the first.
-known = calib.Cell(target=result.target, sigma=result.sigma, model="placement")
+known = calib.Cell(target=result.target, sigma=result.noise.sigma, model="placement")
 request = calib.PlanRequest(count=12, validation=0, candidates=2000, ladder=False, seed=1)
 further = calib.plan(result.robot, known, request, taken=plan.joints)
 assert further.before is not None

@@ -30,7 +30,7 @@ for drawing in drawings(result):
 print(f"figures: {', '.join(names)}")
 
 # A figure of one's own: everything that is drawn is an array of the result.
-error = 1e3 * np.linalg.norm(result.residual_calibrated, axis=1)  # of each row [mm]
+error = 1e3 * np.linalg.norm(result.rows.residual_calibrated, axis=1)  # of each row [mm]
 figure = Figure(figsize=(6, 3), layout="constrained")
 axes = figure.subplots()
 axes.bar(result.rows.numbers, error)
@@ -38,7 +38,7 @@ axes.set(xlabel="row", ylabel="position error [mm]")
 figure.savefig("own_figure.png", dpi=100)
 worst = result.rows.numbers[int(np.argmax(error))]
 print(f"own figure: the largest error is {error.max():.2f} mm, in row {worst}")
-assert worst in [outlier.row for outlier in result.outliers]
+assert worst in [outlier.row for outlier in result.rows.outliers]
 
 # The robot before and after, with the error of each row as an arrow: a page that needs no network.
 # calib.view(result) alone opens the same page in the browser.

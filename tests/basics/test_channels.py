@@ -65,5 +65,5 @@ def test_each_unit_is_shown_in_a_unit_of_its_quantity():
         assert unit.sigma_key == f"{unit.sigma_name}_{unit.shown}"
         assert 0.0 < unit.repeatability < unit.absurd
     assert residual_unit("px") is RESIDUAL_UNITS["px"]
-    with pytest.raises(CalibError, match="'mm' is no unit of residuals; allowed are 'm', 'rad'"):
+    with pytest.raises(CalibError, match="'mm' is not a unit of residuals; allowed are 'm', 'rad'"):
         residual_unit("mm")

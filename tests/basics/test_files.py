@@ -19,7 +19,9 @@ def names(folder: Path) -> list[str]:
 def test_read_says_what_is_wrong(tmp_path: Path):
     with pytest.raises(FileError, match=r"table '.*none\.csv' does not exist; check the name"):
         read_bytes(tmp_path / "none.csv", "table")
-    with pytest.raises(FileError, match=r"ur_type:=ur5e' does not exist; .* in one pair of quotes"):
+    with pytest.raises(
+        FileError, match=r"ur_type:=ur5e' does not exist; .* in the same pair of quotes"
+    ):
         read_bytes(tmp_path / "ur_type:=ur5e", "table")
     with pytest.raises(FileError, match="is a folder; name the file inside it"):
         read_bytes(tmp_path, "URDF")

@@ -3,8 +3,9 @@ from __future__ import annotations
 from concurrent.futures import BrokenExecutor, Future, ThreadPoolExecutor
 
 import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
 
-from calib.basics.jobs import batch_size, run
+from calib.basics.jobs import batch_size, one_blas_thread, run
 from calib.errors import CalibError
 
 
@@ -40,3 +41,22 @@ def test_a_killed_worker_is_an_error_that_says_what_to_try():
 @pytest.mark.parametrize(("count", "largest", "size"), [(3, 50, 1), (240, 50, 10), (9999, 50, 50)])
 def test_batches_are_many_enough_for_all_workers(count, largest, size):
     assert batch_size(count, largest) == size
+
+
+def blas_threads() -> set[int]:
+    return {
+        library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"
+    }
+
+
+def test_linear_algebra_takes_one_thread_within_and_as_many_as_before_after():
+    # Whoever runs the tests may have said one thread.
+    with threadpool_limits(limits=2, user_api="blas"):
+        if blas_threads() != {2}:
+            pytest.fail("the linear algebra of this machine cannot have two threads")
+        with one_blas_thread():
+            assert blas_threads() == {1}
+            with one_blas_thread():
+                assert blas_threads() == {1}
+            assert blas_threads() == {1}
+        assert blas_threads() == {2}

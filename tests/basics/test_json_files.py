@@ -66,8 +66,26 @@ def test_a_long_list_has_one_entry_a_line():
 
 
 def test_paths_make_nested_tables():
-    flat = {"a.b": 1, "a.c.d": 2, "": {"e": 3}, "a.": {"f": 4}}
-    assert nested(flat) == {"a": {"b": 1, "c": {"d": 2}, "f": 4}, "e": 3}
+    assert nested({"a.b": 1, "a.c.d": 2, "e": 3}) == {"a": {"b": 1, "c": {"d": 2}}, "e": 3}
+
+
+@dataclass(frozen=True)
+class Pair:
+    first: Part
+    second: Part
+
+
+def test_a_path_that_ends_in_a_dot_puts_a_part_s_keys_beside_the_others():
+    layout = JsonLayout(
+        {Part: {"mass": "deep.mass"}, Pair: {"first": "", "second": "deep.too."}}, {}
+    )
+    pair = Pair(Part(1.0, Colour.RED), Part(2.0, Colour.RED))
+    table = layout.table(pair)
+    assert table == {
+        "deep": {"mass": 1.0, "too": {"deep": {"mass": 2.0}, "colour": "red"}},
+        "colour": "red",
+    }
+    assert layout.read(Pair, table) == pair
 
 
 # Layouts

@@ -224,7 +224,7 @@ def test_a_cell_file_loads_its_plugins_before_its_other_keys(tmp_path):
     assert plugins.loaded()[-1].name == str(tmp_path / "my_plugin.py")
     for text, said in (
         ('plugins = "my_plugin.py"', "'plugins' is 'my_plugin.py'; it must be a list of names"),
-        ("plugins = [1]", "A plugin in 'plugins' is 1"),
+        ("plugins = [1]", "entry 1 of 'plugins' is 1"),
         ('plugins = ["none.py"]', "cell.toml: Plugin"),
     ):
         path.write_text(text)
@@ -289,7 +289,7 @@ def test_a_result_names_the_plugins_that_it_needs(fitted):
     (table,) = plugins.plugin_tables(used)
     assert table["name"] == str(plugin)
     assert [table[key] for key in used] == [["ripple"], ["edge"], ["twin"], []]
-    assert again.solver == "twin"
+    assert again.method.solver == "twin"
 
 
 def test_without_a_plugin_that_is_known_the_name_is_said(fitted, tmp_path):

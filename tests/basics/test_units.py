@@ -1,3 +1,4 @@
+import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
@@ -6,6 +7,8 @@ from calib.basics.units import (
     Angle,
     Length,
     find_unit,
+    parse_joint_values,
+    parse_point,
     split_header,
     unit_fault,
 )
@@ -57,3 +60,16 @@ def test_a_unit_is_held_against_the_joint():
     assert unit_fault(Length(0.3), slides=False).startswith("is a length, and the joint turns")
     # Of a plain number nothing is known.
     assert unit_fault(0.3, slides=True) is unit_fault(0.3, slides=False) is None
+
+
+@pytest.mark.parametrize("text", ["1 2 3 mm", "1,2,3 mm", " 1, 2, 3mm", "0.1 0.2 0.3 cm"])
+def test_points(text: str):
+    point = parse_point(text, "--target")
+    np.testing.assert_allclose(point, [1e-3, 2e-3, 3e-3], rtol=1e-15)
+    assert not point.flags.writeable
+
+
+def test_joint_values():
+    values = parse_joint_values(["lift=0.3 m", " pan = -90deg", "a=b=1 mrad"], "--hold")
+    assert values == {"lift": 0.3, "pan": pytest.approx(-np.pi / 2, rel=1e-15), "a=b": 1e-3}
+    assert [type(value) for value in values.values()] == [Length, Angle, Angle]

@@ -19,8 +19,7 @@ import pytest
 
 import calib
 from calib.basics.arrays import read_only
-from calib.basics.mappings import ReadOnlyMapping
-from calib.basics.values import Value, packed
+from calib.basics.values import ReadOnlyMapping, Value, one_line, packed
 from calib.data import kinds
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
@@ -100,7 +99,9 @@ def made(
         "evaluation": evaluate(ur3, table, arm),
         "comparison": compare(default_result, default_result),
         "program": program,
-        "commands": compensate(bent, Program.of_joints(bent.measurements.joints[:3]), accept=True),
+        "commands": compensate(
+            bent, Program.of_joints(bent.fit.measurements.joints[:3]), accept=True
+        ),
         "plan": plan(ur3, arm, small, collisions=None),
         "region": Density.of(points, 0.5).region(),
         "scenario": scenario,
@@ -150,9 +151,9 @@ def test_a_robot_is_pickled_without_models_of_pinocchio(made):
 def test_one_robot_in_many_places_is_pickled_once(made):
     result = made["calibration"]
     again = pickle.loads(pickle.dumps(result))
-    assert result.nominal is result.kinematics.robot
-    assert again.nominal is again.kinematics.robot
-    assert again.fitted.kinematics.robot is again.nominal
+    assert result.nominal is result.geometry.kinematics.robot
+    assert again.nominal is again.geometry.kinematics.robot
+    assert again.fit.geometry.kinematics.robot is again.nominal
 
 
 def test_a_result_can_be_evaluated_and_written_after_pickling(made, tmp_path: Path):
@@ -161,7 +162,7 @@ def test_a_result_can_be_evaluated_and_written_after_pickling(made, tmp_path: Pa
     assert again.summary() == result.summary()
     here = result.write_json(tmp_path / "here.json").read_bytes()
     assert again.write_json(tmp_path / "there.json").read_bytes() == here
-    q = result.measurements.joints
+    q = result.fit.measurements.joints
     assert np.array_equal(again.predict_poses(q), result.predict_poses(q))
 
 
@@ -268,3 +269,41 @@ def test_read_only_arrays_stay_so_wherever_they_are_and_others_do_not():
 def test_what_has_no_read_only_array_is_pickled_as_it_is():
     for value in (1.0, "a", (1, 2), {"a": (1,)}, [read_only([1.0])], Plain(np.zeros(1))):
         assert packed(value) is value
+
+
+def test_a_mapping_has_the_entries_in_their_order():
+    mapping = ReadOnlyMapping({"b": 1, "a": 2})
+    assert mapping["a"] == 2
+    assert list(mapping) == ["b", "a"]
+    assert len(mapping) == 2
+    assert mapping == {"a": 2, "b": 1}
+    assert ReadOnlyMapping() == {}
+
+
+def test_a_mapping_cannot_be_changed_not_even_through_what_it_was_made_of():
+    entries = {"a": 1}
+    mapping = ReadOnlyMapping(entries)
+    entries["a"] = 2
+    assert mapping["a"] == 1
+    with pytest.raises(TypeError):
+        mapping["a"] = 2  # type: ignore[index]
+
+
+def test_a_mapping_pickled_and_deep_copied_is_equal_and_of_its_own():
+    mapping = ReadOnlyMapping({"a": [1.0]})
+    for again in (pickle.loads(pickle.dumps(mapping)), copy.deepcopy(mapping)):
+        assert type(again) is ReadOnlyMapping
+        assert again == mapping
+        assert again["a"] is not mapping["a"]
+
+
+def test_parts_that_are_empty_are_left_out():
+    assert one_line("Fleet", "3 robots", "", "0 failed") == "Fleet(3 robots, 0 failed)"
+    assert one_line("Cell") == "Cell()"
+
+
+def test_a_line_is_one_and_not_too_long():
+    line = one_line("Robot", "a\nb" * 99)
+    assert len(line) == 120
+    assert "\n" not in line
+    assert line.endswith("...)")

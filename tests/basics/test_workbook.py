@@ -88,7 +88,7 @@ def test_files_and_sheets_that_are_refused(saved, tmp_path):
     refused(f"{path}#Pose", ["'Pose'", "'Poses'", "'Notes'", '"t.xlsx#Poses"'])
     refused(tmp_path / "none.xlsx#A", "none.xlsx' does not exist")
     (tmp_path / "text.xlsx").write_text("a [deg],x [mm]\n")
-    refused(tmp_path / "text.xlsx", "no Excel file")
+    refused(tmp_path / "text.xlsx", "not an Excel file")
 
 
 def test_without_openpyxl_the_message_says_what_to_install(saved, monkeypatch):

@@ -12,7 +12,7 @@ from scipy.ndimage import gaussian_filter
 
 from calib.basics.arrays import Array
 from calib.boards.board import APRILTAG, CHESSBOARD, Board
-from calib.boards.drawing import is_white
+from calib.boards.layout import white_squares
 
 #: Parts of a pixel along u and v.
 PARTS = 3
@@ -86,7 +86,7 @@ class View:
 
 def _white_squares(board: Board) -> list[tuple[int, int]]:
     """Column and row of the white squares, in rows along x."""
-    rows, columns = np.nonzero(is_white(board))
+    rows, columns = np.nonzero(white_squares(board))
     return list(zip(columns.tolist(), rows.tolist(), strict=True))
 
 

@@ -1,4 +1,4 @@
-"""Boards: corners against OpenCV's own boards, and descriptions that make no board."""
+"""Boards: corners as OpenCV has them, and descriptions that do not make a board."""
 
 from __future__ import annotations
 

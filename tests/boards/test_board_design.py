@@ -7,7 +7,7 @@ from itertools import product
 import pytest
 
 from calib.boards.board import APRILTAG, CHARUCO, CHESSBOARD, PATTERNS
-from calib.boards.board_design import Wish, designed
+from calib.boards.board_design import design
 from calib.boards.paper import PAPERS, module_size, sheet_for
 from calib.errors import CalibError
 
@@ -25,46 +25,44 @@ def size(board):
     ],
 )
 def test_the_default_board_for_a4(pattern, expected):
-    assert size(designed(Wish(pattern=pattern), "a4")) == expected
+    assert size(design("a4", pattern=pattern)) == expected
 
 
 @pytest.mark.parametrize(("pattern", "paper"), [*product(PATTERNS, PAPERS)])
 def test_squares_are_as_large_as_fits(pattern, paper):
-    board = designed(Wish(pattern=pattern), paper)
+    board = design(paper, pattern=pattern)
     assert sheet_for(board, paper) is not None
     with pytest.raises(CalibError, match=f"largest squares that fit are {1e3 * board.square:g} mm"):
-        designed(
-            Wish(
-                pattern=pattern,
-                columns=board.columns,
-                rows=board.rows,
-                square=board.square + 0.001,
-            ),
+        design(
             paper,
+            pattern=pattern,
+            columns=board.columns,
+            rows=board.rows,
+            square=board.square + 0.001,
         )
 
 
 @pytest.mark.parametrize(
-    ("wish", "expected"),
+    ("given", "expected"),
     [
         # Upright with 7 of the 8 rows that fit, for rows are odd; lying it would be 8 x 5.
-        (Wish(square=0.03), (6, 7, 30, 23)),
-        (Wish(square=0.04, columns=4), (4, 5, 40, 31)),
+        ({"square": 0.03}, (6, 7, 30, 23)),
+        ({"square": 0.04, "columns": 4}, (4, 5, 40, 31)),
         # Columns and rows together are odd.
-        (Wish(pattern=CHESSBOARD, square=0.03), (8, 5, 30, 0)),
-        (Wish(pattern=CHESSBOARD, square=0.03, rows=6), (5, 6, 30, 0)),
-        (Wish(pattern=APRILTAG, square=0.05), (5, 3, 50, 40)),
+        ({"pattern": CHESSBOARD, "square": 0.03}, (8, 5, 30, 0)),
+        ({"pattern": CHESSBOARD, "square": 0.03, "rows": 6}, (5, 6, 30, 0)),
+        ({"pattern": APRILTAG, "square": 0.05}, (5, 3, 50, 40)),
     ],
 )
-def test_of_squares_of_a_size_as_many_as_fit(wish, expected):
-    board = designed(wish, "a4")
+def test_of_squares_of_a_size_as_many_as_fit(given, expected):
+    board = design("a4", **given)
     assert size(board) == expected
     assert sheet_for(board, "a4") is not None
 
 
 def test_a_marker_leaves_a_module_white_around_it():
     for millimetres in range(8, 60):
-        board = designed(Wish(square=millimetres / 1e3), "none")
+        board = design("none", square=millimetres / 1e3)
         gap = (board.square - board.marker) / 2
         assert gap >= module_size(board) - 1e-9
         larger = board.marker + 0.001
@@ -72,26 +70,29 @@ def test_a_marker_leaves_a_module_white_around_it():
 
 
 def test_the_dictionary_grows_with_the_board():
-    assert designed(Wish(columns=21, rows=11), "a3").dictionary == "DICT_5X5_250"
-    assert designed(Wish(first_marker=90), "a4").dictionary == "DICT_5X5_250"
+    assert design("a3", columns=21, rows=11).dictionary == "DICT_5X5_250"
+    assert design("a4", first_marker=90).dictionary == "DICT_5X5_250"
     with pytest.raises(CalibError, match="Large enough are 'DICT_5X5_100'"):
-        designed(Wish(columns=15, rows=11, dictionary="DICT_5X5_50"), "a4")
+        design("a4", columns=15, rows=11, dictionary="DICT_5X5_50")
 
 
 @pytest.mark.parametrize(
-    ("wish", "paper", "text"),
+    ("given", "paper", "text"),
     [
-        (Wish(pattern="charuko"), "a4", "did you mean 'charuco'"),
-        (Wish(), "a5", "paper 'a5'"),
-        (Wish(pattern=CHESSBOARD, marker=0.01), "a4", "no markers"),
-        (Wish(columns=100, rows=100), "a4", "5000 markers"),
-        (Wish(pattern=CHESSBOARD, columns=100, rows=100), "a4", "do not fit"),
-        (Wish(marker=0.03), "a4", "more than the marker's 30 mm"),
-        (Wish(square=0.2), "a4", "does not fit on a4"),
-        (Wish(square=0.02, marker=0.02), "a4", "smaller than the squares"),
-        (Wish(dictionary="DICT_5X5_99"), "a4", "did you mean"),
+        ({"pattern": "charuko"}, "a4", "did you mean 'charuco'"),
+        ({}, "a5", "paper 'a5'"),
+        ({"columns": 0}, "a4", "1 or more columns and rows, not 0"),
+        ({"rows": -2, "square": 0.03}, "a4", "1 or more columns and rows, not -2"),
+        ({"first_marker": -1}, "a4", "the first with the id -1"),
+        ({"pattern": CHESSBOARD, "marker": 0.01}, "a4", "no markers"),
+        ({"columns": 100, "rows": 100}, "a4", "5000 markers"),
+        ({"pattern": CHESSBOARD, "columns": 100, "rows": 100}, "a4", "do not fit"),
+        ({"marker": 0.03}, "a4", "more than the marker's 30 mm"),
+        ({"square": 0.2}, "a4", "does not fit on a4"),
+        ({"square": 0.02, "marker": 0.02}, "a4", "smaller than the squares"),
+        ({"dictionary": "DICT_5X5_99"}, "a4", "did you mean"),
     ],
 )
-def test_what_cannot_be_drawn(wish, paper, text):
+def test_what_cannot_be_drawn(given, paper, text):
     with pytest.raises(CalibError, match=text):
-        designed(wish, paper)
+        design(paper, **given)

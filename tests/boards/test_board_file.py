@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import pytest
 
+from calib.basics.records import json_key, keys_of
 from calib.boards.board import APRILTAG, CHARUCO, CHESSBOARD, Board
-from calib.boards.board_file import board_of_table, board_toml, read_board, shifted
+from calib.boards.board_file import board_of_table, board_toml, correct_toml, read_board
 from calib.errors import CalibError, FileError
 
 if sys.version_info >= (3, 11):
@@ -52,12 +53,6 @@ def test_a_board_is_read_back_exactly(board, tmp_path):
     path = tmp_path / "board.toml"
     path.write_text(board_toml(board), encoding="utf-8")
     assert attributes(read_board(path)) == attributes(board)
-
-
-def test_lengths_keep_their_digits():
-    for hundredths in range(1, 20000, 7):
-        assert shifted(shifted(hundredths / 100, -3), 3) == hundredths / 100
-        assert shifted(shifted(hundredths / 1e5, 3), -3) == hundredths / 1e5
 
 
 def test_the_file_is_in_mm_and_percent():
@@ -153,3 +148,37 @@ def test_files_that_are_none(tmp_path):
     path.write_text('file = "board.toml"', encoding="utf-8")
     with pytest.raises(CalibError, match="is one itself"):
         read_board(path)
+
+
+DRAWN = Board(
+    pattern=CHARUCO, columns=10, rows=7, square=0.025, marker=0.019, dictionary="DICT_5X5_100"
+)
+
+
+def test_the_file_keeps_what_else_is_in_it():
+    text = board_toml(DRAWN) + "# glued to glass\n"
+    board = replace(DRAWN, square=0.02493, marker=0.018947, sigma_scale=0.0012)
+    corrected = correct_toml(text, board)
+    before, after = text.splitlines(), corrected.splitlines()
+    changed = [line for line, old in zip(after, before, strict=True) if line != old]
+    assert changed == ["square_mm = 24.93", "marker_mm = 18.947", "sigma_scale_percent = 0.12"]
+
+
+def test_a_file_without_all_keys_is_written_as_a_whole():
+    text = (
+        "pattern = 'charuco'\ncolumns=10\nrows=7\nsquare_mm = 25\nmarker_mm=19\n"
+        "dictionary='DICT_5X5_100'\n"
+    )
+    board = replace(DRAWN, square=0.02493, marker=0.018947, sigma_scale=0.0012)
+    corrected = correct_toml(text, board)
+    assert board_toml(board_of_table(tomllib.loads(corrected), "")) == board_toml(board)
+
+
+def test_every_field_of_a_board_has_a_key_of_its_own():
+    rows = list(keys_of(Board))
+    assert [field.name for field, _ in rows] == [field.name for field in fields(Board)]
+    for names in ([row.name for _, row in rows], [json_key(field) for field, _ in rows]):
+        assert len(set(names)) == len(names)
+    flags = [option.flag for _, row in rows for option in row.options]
+    assert "--first-marker" in flags
+    assert len(set(flags)) == len(flags)

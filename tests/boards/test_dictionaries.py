@@ -2,10 +2,19 @@
 
 from __future__ import annotations
 
+import itertools
+
 import cv2
+import numpy as np
 import pytest
 
-from calib.boards.dictionaries import DICTIONARIES, check_markers
+from calib.boards.dictionaries import (
+    DICTIONARIES,
+    KINDS,
+    check_markers,
+    kind_of,
+    smallest_dictionary,
+)
 from calib.errors import CalibError
 
 
@@ -28,3 +37,25 @@ def test_a_dictionary_that_is_too_small_names_larger_ones():
         check_markers("DICT_5X5_10O", 0, 5, "A board")
     with pytest.raises(CalibError):
         check_markers("DICT_4X4_50", -1, 5, "A board")
+
+
+def test_small_dictionaries_are_the_beginning_of_large_ones():
+    assert sorted(name for kind in KINDS for name in kind) == sorted(DICTIONARIES)
+    for kind in KINDS:
+        codes = [
+            cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name)).bytesList for name in kind
+        ]
+        for small, large in itertools.pairwise(codes):
+            np.testing.assert_array_equal(small, large[: len(small)])
+
+
+def test_dictionaries_with_the_same_first_markers():
+    assert kind_of("DICT_5X5_100") == kind_of("DICT_5X5_1000")
+    assert kind_of("DICT_APRILTAG_36h11") != kind_of("DICT_APRILTAG_36h10")
+
+
+def test_the_smallest_dictionary_that_has_an_id():
+    assert smallest_dictionary(KINDS[1], 49) == "DICT_5X5_50"
+    assert smallest_dictionary(KINDS[1], 50) == "DICT_5X5_100"
+    assert smallest_dictionary(KINDS[1], 999) == "DICT_5X5_1000"
+    assert smallest_dictionary(KINDS[1], 5000) == "DICT_5X5_1000"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.boards.board_design import Wish, designed
+from calib.boards.board_design import design
 from calib.boards.drawing import black_rectangles
 from calib.boards.page import TEXT_SIZE, page_of
 from calib.boards.paper import PAPERS, sheet_for
@@ -17,7 +17,7 @@ LINES = ["board: 10 x 7 squares of 25 mm", "markers", "Print at 100 %"]
 
 
 def page(pattern="charuco", paper="a4", **wish):
-    board = designed(Wish(pattern=pattern, **wish), paper)
+    board = design(paper, pattern=pattern, **wish)
     sheet = sheet_for(board, paper)
     return board, sheet, page_of(board, sheet, LINES)
 

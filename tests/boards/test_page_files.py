@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import pytest
 
-from calib.boards.board_design import Wish, designed
+from calib.boards.board_design import design
 from calib.boards.page import page_of
 from calib.boards.page_files import pdf, svg
 from calib.boards.paper import sheet_for
@@ -24,7 +24,7 @@ PER_MM = DPI / 25.4
 
 
 def page(pattern="charuco", paper="a4", **wish):
-    board = designed(Wish(pattern=pattern, **wish), paper)
+    board = design(paper, pattern=pattern, **wish)
     sheet = sheet_for(board, paper)
     return board, sheet, page_of(board, sheet, ["<Text> & (\\ more)", "größer"])
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import pytest
 
 from calib.boards.board import APRILTAG, CHARUCO, Board
-from calib.boards.board_file import board_of_table, board_toml, parsed_toml
-from calib.boards.print_scale import corrected_toml, print_scale, rescaled
+from calib.boards.print_scale import print_scale, rescaled
 from calib.errors import CalibError
 
 BOARD = Board(
@@ -70,22 +69,3 @@ def test_the_scale_and_its_standard_deviation():
 def test_what_is_no_length_of_the_print(text):
     with pytest.raises(CalibError, match="--measured"):
         print_scale(BOARD, text)
-
-
-def test_the_file_keeps_what_else_is_in_it():
-    text = board_toml(BOARD) + "# glued to glass\n"
-    board = rescaled(BOARD, print_scale(BOARD, "249.3 mm"))
-    corrected = corrected_toml(text, board)
-    before, after = text.splitlines(), corrected.splitlines()
-    changed = [line for line, old in zip(after, before, strict=True) if line != old]
-    assert changed == ["square_mm = 24.93", "marker_mm = 18.947", "sigma_scale_percent = 0.12"]
-
-
-def test_a_file_without_all_keys_is_written_anew():
-    text = (
-        "pattern = 'charuco'\ncolumns=10\nrows=7\nsquare_mm = 25\nmarker_mm=19\n"
-        "dictionary='DICT_5X5_100'\n"
-    )
-    board = rescaled(BOARD, print_scale(BOARD, "249.3 mm"))
-    corrected = corrected_toml(text, board)
-    assert board_toml(board_of_table(parsed_toml(corrected), "")) == board_toml(board)

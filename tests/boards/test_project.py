@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.boards.project import Sight, corner_pixels, project, rays
+from calib.boards.project import Sight, corner_pixels, in_image, project, rays
 from calib.camera.camera import Camera
 from calib.errors import CalibError
 from tests.boards.boards import CHESS_BOARD, FISHEYE, PINHOLE, facing
@@ -52,6 +52,11 @@ def test_rays_lead_back_to_their_pixels(camera):
 def test_a_camera_without_numbers_projects_nothing():
     with pytest.raises(CalibError, match="left"):
         project(Camera(name="left", width=640, height=480), POINTS)
+
+
+def test_pixels_inside():
+    pixels = np.array([[2.0, 2.0], [1.9, 5.0], [637.0, 477.0], [637.1, 3.0], [np.nan, 3.0]])
+    assert in_image(pixels, (640, 480), 2.5).tolist() == [True, False, True, False, False]
 
 
 def test_corners_are_seen_in_the_image_with_its_margin():

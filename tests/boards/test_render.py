@@ -23,7 +23,7 @@ from tests.boards.boards import (
     TAG_BOARD,
     facing,
 )
-from tests.boards.test_texture import dictionary, opencv_charuco
+from tests.boards.test_drawing import opencv_charuco, opencv_dictionary
 
 WARPED = Print(CHARUCO_BOARD, scale=(1.01, 0.99), warp=(2e-3, -3e-3))
 
@@ -152,7 +152,9 @@ def test_tags_are_found_with_their_corners_and_ids():
     image = render(Print(TAG_BOARD), PINHOLE, T)
     parameters = cv2.aruco.DetectorParameters()
     parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
-    found, ids, _ = cv2.aruco.ArucoDetector(dictionary(TAG_BOARD), parameters).detectMarkers(image)
+    found, ids, _ = cv2.aruco.ArucoDetector(opencv_dictionary(TAG_BOARD), parameters).detectMarkers(
+        image
+    )
     assert sorted(np.ravel(ids)) == list(range(10, 22))
     truth = true_pixels(Print(TAG_BOARD), PINHOLE, T).reshape(-1, 4, 2)
     error = np.reshape(found, (-1, 4, 2)) - truth[np.ravel(ids) - 10]

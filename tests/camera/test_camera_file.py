@@ -175,7 +175,7 @@ def test_the_lens_of_a_file_is_not_another_one(tmp_path):
     [
         ("camera.toml", b"width: 3", "TOML"),
         ("camera.yaml", b"\xff\xfe\x00", "UTF-8"),
-        ("camera.yaml", b"width 3", "no description of a camera"),
+        ("camera.yaml", b"width 3", "not the description of a camera"),
     ],
 )
 def test_other_files_are_refused(name, data, word, tmp_path):

@@ -226,8 +226,8 @@ def test_a_part_of_the_image_is_refused(old, new, word):
     ("text", "word"),
     [
         ("a: [1", "neither YAML nor TOML"),
-        ("", "no description of a camera"),
-        ("1280", "no description of a camera"),
+        ("", "not the description of a camera"),
+        ("1280", "not the description of a camera"),
         ("<?xml version='1.0'?>", "XML"),
         ("a: !!python/object/apply:os.getcwd []", "neither YAML nor TOML"),
     ],

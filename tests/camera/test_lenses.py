@@ -68,9 +68,9 @@ def test_each_point_may_have_numbers_of_its_own(name):
 
 
 @pytest.mark.parametrize("name", LENSES)
-def test_rays_lead_back_to_the_points(name):
+def test_undistorted_images_lead_back_to_the_points(name):
     lens, P = LENSES[name], points()
-    rays = lens.rays(lens.project(P, VALUES[name]), VALUES[name])
+    rays = lens.undistort(lens.project(P, VALUES[name]), VALUES[name])
     np.testing.assert_allclose(rays, P / P[:, 2:], atol=1e-10)
 
 
@@ -81,7 +81,7 @@ def test_the_line_of_sight_meets_the_centre(name):
     np.testing.assert_allclose(lens.project(P, VALUES[name])[0], VALUES[name][2:4])
     by_point, _ = lens.derivatives(P, VALUES[name])
     np.testing.assert_allclose(by_point[0, :, :2], np.diag(VALUES[name][:2]))
-    np.testing.assert_allclose(lens.rays(VALUES[name][None, 2:4], VALUES[name]), P)
+    np.testing.assert_allclose(lens.undistort(VALUES[name][None, 2:4], VALUES[name]), P)
 
 
 @pytest.mark.parametrize("name", LENSES)

@@ -17,6 +17,7 @@ from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
 from calib.verbs.simulate.scenario import Scenario
 from tests.cli_fixtures import factory
+from tests.parts import with_part
 from tests.places import ROOT
 from tests.verbs.fleet.arms import CELL
 
@@ -201,7 +202,7 @@ def test_the_non_geometric_model_has_a_verdict_of_its_own(call, folder, ur3: Rob
     assert call(folder, *words).code == ExitStatus.DONE
     assert call(folder, *words, "--geometry").code == ExitStatus.NOT_ACCEPTED
     non_geometric = replace(result.non_geometric, verdict=result.verdict)
-    replace(result, non_geometric=non_geometric, verdict=fine).write_json(
+    replace(with_part(result, "trust", verdict=fine), non_geometric=non_geometric).write_json(
         folder / "both.json", overwrite=True
     )
     refused = call(folder, *words)

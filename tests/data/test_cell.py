@@ -1,4 +1,4 @@
-"""A cell: its defaults, the values that it refuses, and known distances between groups."""
+"""A cell: its defaults, and the values that it refuses."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import re
 import numpy as np
 import pytest
 
-from calib.data.cell import Cell, GroupDistance
+from calib.data.cell import Cell
 from calib.errors import CalibError, MeasurementError
 
 
@@ -69,25 +69,6 @@ def test_another_target():
     cell = Cell(sigma={"m": 1e-4}).with_target([1, 2, 3], estimate=False)
     np.testing.assert_array_equal(cell.target, [1, 2, 3])
     assert (cell.sigma, cell.estimate_target) == ({"m": 1e-4}, False)
-
-
-@pytest.mark.parametrize(
-    ("first", "second", "groups", "pairs"),
-    [
-        ("a", "b", ["b", "a", "c", "a"], (("a", "b"),)),
-        ("a", "b", ["a", "c"], ()),
-        ("*l", "*r", ["1l", "2l", "2r", "1r", "3l"], (("1l", "1r"), ("2l", "2r"))),
-        ("p*/l", "p*/r", ["p1/l", "q1/l", "q1/r", "p1/r", "p/l", "p/r"], (("p1/l", "p1/r"), ("p/l", "p/r"))),
-        # The text of the star is what is left of the whole name: "aba" is "ab" and "ba" only where they overlap.
-        ("ab*ba", "x*", ["aba", "xa", "x"], ()),
-        ("ab*ba", "x*", ["abba", "x", "xa"], (("abba", "x"),)),
-        ("*", "*2", ["1", "12", "122"], (("1", "12"), ("12", "122"))),
-    ],
-)  # fmt: skip
-def test_the_star_stands_for_the_same_text(
-    first: str, second: str, groups: list[str], pairs: tuple[tuple[str, str], ...]
-):
-    assert GroupDistance(first, second, 1.0, 1e-3).pairs(groups) == pairs
 
 
 def test_a_cell_in_one_line():

@@ -39,7 +39,7 @@ def test_names_and_paths_give_what_their_values_give(cell_file: Path, result: ca
     table = calib.Measurements.read(TABLE, robot.joint_names)
     by_values = calib.calibrate(robot, table, cell=calib.Cell.read(cell_file), validate=False)
     assert result.nominal == robot
-    assert np.array_equal(result.x, by_values.x)
+    assert np.array_equal(result.geometry.x, by_values.geometry.x)
     evaluated = calib.evaluate(URDF, str(TABLE), cell_file)
     assert np.array_equal(
         evaluated.residual, calib.evaluate(robot, table, calib.Cell.read(cell_file)).residual
@@ -108,7 +108,7 @@ def test_plans_workspaces_and_scenarios_of_a_name(cell_file: Path):
 
 def test_results_by_their_files(result: calib.Calibration, tmp_path: Path):
     file = result.write_json(tmp_path / "result.json")
-    program = calib.Program.of_joints(result.measurements.joints[:2])
+    program = calib.Program.of_joints(result.fit.measurements.joints[:2])
     here = calib.compensate(result, program, accept=True)
     assert np.array_equal(calib.compensate(file, program, accept=True).q, here.q)
     urdf = result.write_urdf(tmp_path / "corrected.urdf", accept=True)

@@ -288,7 +288,7 @@ def test_a_kind_from_outside_is_simulated_fitted_and_cross_validated(ur3, count)
     assert result.errors["calibrated"]["estimation"]["m"].rms == pytest.approx(2e-5, rel=0.3)
     assert (
         result.cross_validation.errors["m"].rms
-        < 0.1 * result.nominal_cross_validation.errors["m"].rms
+        < 0.1 * result.trust.nominal_cross_validation.errors["m"].rms
     )
     for p in result.parameters:
         if p.name.endswith(".zero") and p.identifiable:
@@ -317,8 +317,8 @@ def test_rows_of_angles_alone_stand_beside_points(ur3):
         },
     )
     result = calib.calibrate(ur3, data, cell=replace(scenario.cell, model="zeros"), validate=False)
-    assert result.residual_calibrated[60:, :2].std() == pytest.approx(1e-4, rel=0.4)
-    assert np.all(np.isfinite(result.residual_calibrated[result.used]))
+    assert result.rows.residual_calibrated[60:, :2].std() == pytest.approx(1e-4, rel=0.4)
+    assert np.all(np.isfinite(result.rows.residual_calibrated[result.rows.channels.used]))
 
 
 @pytest.mark.slow

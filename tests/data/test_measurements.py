@@ -168,6 +168,11 @@ def test_copies_are_left_out_and_repeats_are_not():
     assert m.without_copies() is m
     held = Measurements(("a",), joints[:2] * 0, points[:2], kinds=("fixed",) * 2)
     assert held.without_copies() is held
+    no_point = np.full((2, 3), np.nan)
+    read = Measurements(
+        ("a",), joints[:1].repeat(2, 0), no_point, kinds=("distance",) * 2, distances=[0.5, 0.5]
+    )
+    assert read.without_copies().copies == (2,)
 
 
 @pytest.mark.parametrize("name", ["point", "pose", "distance"])

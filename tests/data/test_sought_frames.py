@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from operator import attrgetter
+
 import pytest
 
 import calib
@@ -16,9 +18,10 @@ def check_that_it_does_not_matter_whether_the_frame_is_given(robot, what, seed):
     table, cell = measured(robot, what, seed)
     given = calib.calibrate(robot, table, cell=cell)
     sought = calib.calibrate(robot, table, cell=unstated(cell))
-    for name in ("nominal_cross_validation", "cross_validation"):
-        expected = getattr(given, name).errors.leading.rms
-        assert getattr(sought, name).errors.leading.rms == pytest.approx(expected, rel=1e-4)
+    for part in ("trust.nominal_cross_validation", "geometry.cross_validation"):
+        validation = attrgetter(part)
+        expected = validation(given).errors.leading.rms
+        assert validation(sought).errors.leading.rms == pytest.approx(expected, rel=1e-4)
     assert sought.verdict.use == given.verdict.use
     assert Why.FAR_OFF_BEFORE not in [reason.why for reason in sought.verdict.reasons]
 

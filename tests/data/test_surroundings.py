@@ -1,11 +1,18 @@
-"""Instrument, reflector and boxes: the noise model, unit vectors, and values that are refused."""
+"""Instrument, reflector, boxes and known distances: the noise model, unit vectors, and values that are refused."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from calib.data.surroundings import Box, Reflector, Tracker, TrackerNoise, check_box_names
+from calib.data.surroundings import (
+    Box,
+    GroupDistance,
+    Reflector,
+    Tracker,
+    TrackerNoise,
+    check_box_names,
+)
 from calib.errors import CalibError
 
 
@@ -46,3 +53,22 @@ def test_boxes_have_edges_poses_and_names_of_their_own():
         Box("table", [1, 0, 3], np.eye(4))
     with pytest.raises(CalibError, match="The pose of the box 'table' is"):
         Box("table", [1, 2, 3], -np.eye(4))
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "groups", "pairs"),
+    [
+        ("a", "b", ["b", "a", "c", "a"], (("a", "b"),)),
+        ("a", "b", ["a", "c"], ()),
+        ("*l", "*r", ["1l", "2l", "2r", "1r", "3l"], (("1l", "1r"), ("2l", "2r"))),
+        ("p*/l", "p*/r", ["p1/l", "q1/l", "q1/r", "p1/r", "p/l", "p/r"], (("p1/l", "p1/r"), ("p/l", "p/r"))),
+        # The text of the star is what is left of the whole name: "aba" is "ab" and "ba" only where they overlap.
+        ("ab*ba", "x*", ["aba", "xa", "x"], ()),
+        ("ab*ba", "x*", ["abba", "x", "xa"], (("abba", "x"),)),
+        ("*", "*2", ["1", "12", "122"], (("1", "12"), ("12", "122"))),
+    ],
+)  # fmt: skip
+def test_the_star_stands_for_the_same_text(
+    first: str, second: str, groups: list[str], pairs: tuple[tuple[str, str], ...]
+):
+    assert GroupDistance(first, second, 1.0, 1e-3).pairs(groups) == pairs

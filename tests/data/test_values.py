@@ -91,7 +91,9 @@ def test_a_list_of_points_that_is_not_complete_yet(table, listed):
 def test_a_word_that_is_no_set_is_named_with_its_column_and_remedy(table):
     rows = [row.replace("estimate", "teach_pendant") for row in PLAN]
     file = table(PLAN_HEADER.replace("set", "Set"), *rows)
-    refused(file, "line 2 (row 1), column 'Set': 'teach_pendant' is no set; allowed are 'estimate'")
+    refused(
+        file, "line 2 (row 1), column 'Set': 'teach_pendant' is not a set; allowed are 'estimate'"
+    )
     refused(file, '--columns "Set=-" leaves it out')
     m = Measurements.read(file, columns={"Set": "-"})
     assert m.sets == ("estimate", "estimate")

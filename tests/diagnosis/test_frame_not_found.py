@@ -64,12 +64,12 @@ def test_the_nominal_robot_is_not_judged(ur3):
     result = calib.calibrate(ur3, with_joints_reversed(table), cell=unstated(cell))
     assert result.verdict.use == NO
     assert [reason.why for reason in result.verdict.reasons] == [Why.FRAME_NOT_FOUND]
-    assert result.nominal_cross_validation is None
+    assert result.trust.nominal_cross_validation is None
     text = result.summary()
     assert "The measurement frame was not found" in text
     assert "estimation rows, calibrated" in text
     assert "rows, nominal" not in text
-    assert not result.nominal_is_judged
+    assert not result.rows.nominal_is_judged
     assert np.isnan(result.errors["nominal"]["estimation"]["m"].rms)
 
 

@@ -57,7 +57,7 @@ def test_unknowns_beside_are_those_of_a_fit_that_has_them(clean):
     columns[:, :3, :3], columns[:, 3:, 3:] = np.eye(3), np.eye(3)
     columns[:, :3, 3:] = np.cross(np.eye(3), T[:, :3, 3][:, :, None], axis=1)
     beside = estimate_jointly(known, rows.derivative(T, columns))
-    found = free.placed().T_frame_base[0]
+    found = free.estimated_setup().T_frame_base[0]
     np.testing.assert_allclose(beside.b[:3], found[:3, 3], atol=2e-5)
     np.testing.assert_allclose(
         beside.b[3:], Rotation.from_matrix(found[:3, :3]).as_rotvec(), atol=5e-5
@@ -68,7 +68,7 @@ def test_unknowns_beside_are_those_of_a_fit_that_has_them(clean):
     # The priors have the same part in each parameter.
     of_robot = ~free.kinematics.model.family(FRAME)
     estimate = free.estimate
-    determined = 1.0 - np.diag(estimate.covariance) * estimate.problem.precision
+    determined = 1.0 - np.diag(estimate.covariance) * estimate.problem.prior_precision
     np.testing.assert_allclose(beside.determined, determined[of_robot], atol=0.05)
     assert np.min(determined) < 0.2
     assert np.max(determined) > 0.95
@@ -128,13 +128,13 @@ def test_the_scale_of_an_instrument(clean, share):
 def test_a_known_distance_between_sockets_tells_the_scale(calibrated):
     """Sockets measure nothing: only the distance grows, and the error that it then has is found."""
     scene, result = calibrated("sockets")
-    scale = instrument_scale(result.fitted)
+    scale = instrument_scale(result.fit.geometry)
     assert not scale.measured
     assert abs(scale.share) < 3.0 * scale.std
-    wrong = tuple(replace(one, length=1.01 * one.length) for one in result.cell.distances)
-    cell = replace(result.cell, distances=wrong)
-    rows, setup = rows_and_setup(scene.robot, result.measurements, cell)
-    task = replace(result.fitted.task, cell=cell, setup=setup)
+    wrong = tuple(replace(one, length=1.01 * one.length) for one in result.fit.cell.distances)
+    cell = replace(result.fit.cell, distances=wrong)
+    rows, setup = rows_and_setup(scene.robot, result.fit.measurements, cell)
+    task = replace(result.fit.geometry.task, cell=cell, setup=setup)
     from calib.fit.registration.known_distances import known_distances
 
     found = fit(replace(task, distances=known_distances(cell, setup)), rows)
@@ -175,7 +175,7 @@ def test_residuals_without_a_block_are_those_of_a_fit_to_the_others_with_the_sam
     root = np.sqrt(np.where(masks[0], 0.0, weights))[:, None] / noise
     A = (root[:, :, None] * linear.A).reshape(-1, problem.size)
     y = (root * linear.residual(np.zeros(problem.size))).ravel()
-    H = A.T @ A + np.diag(problem.precision)
-    x = np.linalg.solve(H, A.T @ y + problem.precision * problem.centre)
+    H = A.T @ A + np.diag(problem.prior_precision)
+    x = np.linalg.solve(H, A.T @ y + problem.prior_precision * problem.prior_mean)
     np.testing.assert_allclose(residuals, linear.residual(x) / noise, atol=1e-6)
-    assert np.any(problem.centre)
+    assert np.any(problem.prior_mean)

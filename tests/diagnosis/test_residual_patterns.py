@@ -71,7 +71,7 @@ def test_no_pattern_is_looked_for_in_rounding_or_where_a_fit_is_nearly_exact(
     drift = np.linspace(0.0, way, rows)[:, None] * [1.0, -0.7, 0.5]
     fitted = calibrate(
         scene.robot, replace(m, points=m.points + drift), model=model, validate=False
-    ).fitted
+    ).fit.geometry
     noise = np.median(fitted.estimate.problem.scales)
     assert (fitted.estimate.freedom > FEWEST_FREEDOM and noise > ROUNDING_NOISE) == looked
     order = Order(np.arange(rows), np.diff(m.joints, axis=0, prepend=m.joints[:1]))

@@ -12,7 +12,7 @@ from calib.fit.estimate.fitting import fit
 from calib.fit.estimate.task import Task
 from calib.fit.registration.table_rows import rows_and_setup
 from tests.covariances import random_covariances
-from tests.fit.estimate.test_pose_noise import table_with
+from tests.fit.estimate.special_cases.test_pose_covariances import table_with
 
 #: The orientation before the position.
 TURNS_FIRST = [3, 4, 5, 0, 1, 2]

@@ -23,32 +23,32 @@ from tests.judged import reasons
 def test_a_station_that_the_others_do_not_predict(calibrated):
     """At one of three stations a joint slipped: each station alone looks well, but not from the others."""
     scene, good = calibrated("set-ups")
-    m = good.measurements
+    m = good.fit.measurements
     joints = m.joints.copy()
     joints[np.array(m.groups) == "1", 2] += 2e-4
-    slipped = calibrate(scene.robot, replace(m, joints=joints), cell=good.cell)
+    slipped = calibrate(scene.robot, replace(m, joints=joints), cell=good.fit.cell)
     assert reasons(slipped)[Why.SETUP_UNPREDICTED]["setup"] == "1"
     assert slipped.verdict.use == "use with care"
     assert Why.SETUP_UNPREDICTED not in reasons(good)
-    assert len(disagreeing_stations(good.fitted)) == 0
+    assert len(disagreeing_stations(good.fit.geometry)) == 0
 
 
 def test_of_two_stations_either_is_compared_with_the_other(calibrated):
     scene, good = calibrated("known set-ups")
-    m = good.measurements
+    m = good.fit.measurements
     joints = m.joints.copy()
     joints[np.array(m.groups) == "1", 2] += 2e-4
     table = replace(m, joints=joints)
-    slipped = calibrate(scene.robot, table, cell=good.cell, model="dh", validate=False)
-    found = disagreeing_stations(slipped.fitted)
+    slipped = calibrate(scene.robot, table, cell=good.fit.cell, model="dh", validate=False)
+    found = disagreeing_stations(slipped.fit.geometry)
     assert {reason.why for reason in found} == {Why.SETUP_UNPREDICTED}
     assert {reason.values["setup"] for reason in found} <= {"0", "1"}
     assert all(reason.values["ratio"] > 1.5 for reason in found)
-    assert disagreeing_stations(good.fitted) == ()
+    assert disagreeing_stations(good.fit.geometry) == ()
     # A single one has none to be compared with.
     alone = table.select(np.array(m.groups) == "1")
     one = calibrate(scene.robot, alone, cell=Cell(estimate_frame=True), model="dh", validate=False)
-    assert disagreeing_stations(one.fitted) == ()
+    assert disagreeing_stations(one.fit.geometry) == ()
 
 
 @pytest.mark.parametrize(
@@ -65,7 +65,7 @@ def test_a_station_is_flagged_by_its_share_of_outliers(
 ):
     """Of 20 rows of one station, and of 40 of two others."""
     _, c = calibrated("set-ups")
-    fitted = c.fitted
+    fitted = c.fit.geometry
     frame = fitted.estimate.problem.rows.samples.frame
     chosen = np.concatenate([np.flatnonzero(frame == k)[:20] for k in range(3)])
     rows = fitted.estimate.problem.rows.select(chosen)
@@ -83,10 +83,10 @@ def test_a_station_is_flagged_by_its_share_of_outliers(
 def test_a_station_whose_rows_are_flagged(calibrated):
     """A joint slipped further: the robust fit takes that station's rows for outliers, and the station is named."""
     scene, good = calibrated("set-ups")
-    m = good.measurements
+    m = good.fit.measurements
     joints = m.joints.copy()
     joints[np.array(m.groups) == "1", 2] += 2e-3
-    slipped = calibrate(scene.robot, replace(m, joints=joints), cell=good.cell)
+    slipped = calibrate(scene.robot, replace(m, joints=joints), cell=good.fit.cell)
     assert reasons(slipped)[Why.SETUP_FLAGGED]["setup"] == "1"
     assert slipped.verdict.use != "use"
     assert Why.SETUP_FLAGGED not in reasons(good)

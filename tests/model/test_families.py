@@ -67,11 +67,11 @@ def test_a_family_from_outside(registry, ur3):
         ("other", ("other", "cos"), "the name of its factor 'cos' is taken"),
         ("other", ("twice", "twice"), "the name of its factor 'twice' is taken"),
         ("other", (), "'other' has no factors"),
-        ("a+b", ("other",), "'a[+]b' is no name"),
-        ("", ("other",), "'' is no name"),
-        ("other", ("a.b",), "'a[.]b' is no name"),
-        ("other", ("a[b]",), "is no name"),
-        (3, ("other",), "3 is no name"),
+        ("a+b", ("other",), "'a[+]b' is not a name"),
+        ("", ("other",), "'' is not a name"),
+        ("other", ("a.b",), "'a[.]b' is not a name"),
+        ("other", ("a[b]",), "is not a name"),
+        (3, ("other",), "3 is not a name"),
     ],
 )
 def test_a_family_of_a_wrong_name_or_without_factors_is_refused(registry, name, factors, fault):

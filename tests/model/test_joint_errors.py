@@ -7,8 +7,7 @@ import pytest
 from calib.model.error_model import error_model
 from calib.model.joint_errors import joint_displacements, joint_parameters
 from calib.model.kinematics import Kinematics, Samples
-from calib.robot.gravity import gravity_loads
-from calib.robot.payload import Payload
+from calib.robot.gravity import Payload, gravity_loads
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
 from tests.robot.shared import LIMIT, joint, urdf_of

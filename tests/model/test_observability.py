@@ -10,8 +10,7 @@ from calib.model.families import ANGLE, LENGTH
 from calib.model.kinematics import Kinematics, Samples
 from calib.model.observability import Observability, analyse, rank_by_gap
 from calib.model.parameters import FRAME, TARGET, TIP, ErrorModel, Parameter
-from calib.robot.gravity import gravity_loads
-from calib.robot.payload import Payload
+from calib.robot.gravity import Payload, gravity_loads
 from calib.robot.robot import Robot
 from calib.show.words import combination_text
 

@@ -7,7 +7,7 @@ import pytest
 
 from calib.basics.channels import Channels
 from calib.errors import CalibError
-from calib.numerics.errors import Errors
+from calib.numerics.errors import Errors, interval_factor
 from tests.residuals import lengths_and_angles
 
 # The paper's Table 4: errors of rows 31 to 35 before and after calibration [mm].
@@ -59,7 +59,7 @@ def test_a_unit_that_was_not_measured_has_no_figures():
     assert errors["m"].n == 0
     assert np.isnan([errors["m"].max, errors["m"].mean, errors["m"].rms]).all()
     assert Errors.of(np.zeros((0, 3))).leading.n == 0
-    with pytest.raises(CalibError, match="'deg' is no unit of residuals"):
+    with pytest.raises(CalibError, match="'deg' is not a unit of residuals"):
         errors["deg"]
 
 
@@ -68,3 +68,10 @@ def test_a_length_alone_has_no_mean_along_an_axis():
     assert (errors["m"].n, errors["m"].mean, errors["m"].max) == (2, pytest.approx(2e-3), 3e-3)
     assert np.all(np.isnan(errors["m"].mean_axis))
     assert np.all(np.isnan(errors["m"].rms_axis))
+
+
+@pytest.mark.parametrize(
+    ("freedom", "factor"), [(1.0, 12.706), (10.0, 2.228), (63.0, 1.998), (1e9, 1.960)]
+)
+def test_interval_factor_is_students(freedom, factor):
+    assert interval_factor(freedom) == pytest.approx(factor, abs=1e-3)

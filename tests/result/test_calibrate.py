@@ -22,8 +22,7 @@ from calib.numerics.errors import Errors
 from calib.result.calibrate import _validated, calibrate
 from calib.result.calibration_file import read_result
 from calib.result.fits import fit_table
-from calib.robot.gravity import gravity_loads
-from calib.robot.payload import Payload
+from calib.robot.gravity import Payload, gravity_loads
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
@@ -68,16 +67,16 @@ def test_the_stated_noise_is_that_of_fitted_rows(ur3, table, by_cell, by_row, st
         sigma=by_row,
     )
     found = calibrate(ur3, four, cell=Cell(model="zeros", sigma=by_cell), validate=False)
-    assert found.sigma_given == pytest.approx(stated)
+    assert found.noise.sigma_given == pytest.approx(stated)
 
 
 def test_nominal_positions_agree_with_the_papers_table_3(default_result, table):
-    nominal = 1e3 * (table.points - default_result.residual_nominal)[table.validation]
+    nominal = 1e3 * (table.points - default_result.rows.residual_nominal)[table.validation]
     assert np.abs(nominal - TABLE_3).max() < 0.19
 
 
 def test_nominal_errors_agree_with_table_4_and_are_known_to_the_micrometre(default_result, table):
-    norms = 1e3 * np.linalg.norm(default_result.residual_nominal[table.validation], axis=1)
+    norms = 1e3 * np.linalg.norm(default_result.rows.residual_nominal[table.validation], axis=1)
     assert np.abs(norms - TABLE_4).max() < 0.19
     found = millimetres(default_result.errors["nominal"]["validation"])
     assert found == pytest.approx((3.606, 2.543, 2.733), abs=1e-3)
@@ -88,9 +87,9 @@ def test_the_papers_algorithm_does_better_than_the_paper_says(by_the_paper):
     assert rms <= 0.75
     assert rms == pytest.approx(0.700, abs=2e-3)
     assert largest == pytest.approx(1.034, abs=5e-3)
-    assert by_the_paper.solution.status == "converged"
-    assert len(by_the_paper.solution.history) >= 50
-    assert by_the_paper.solution.history[0].mu == 0.01
+    assert by_the_paper.method.solution.status == "converged"
+    assert len(by_the_paper.method.solution.history) >= 50
+    assert by_the_paper.method.solution.history[0].mu == 0.01
 
 
 def test_default_on_validation_rows(default_result):
@@ -101,7 +100,7 @@ def test_default_on_validation_rows(default_result):
 
 
 def test_rank_and_the_named_combinations(default_result):
-    o = default_result.observability
+    o = default_result.trust.observability
     assert (o.rank, o.columns) == (21, 27)
     together = [set(u.names) for u in o.unidentifiable]
     for expected in ({"d2", "d4"}, {"d3", "d4"}, {"a6", "target_x"}, {"d6", "target_z"}):
@@ -124,7 +123,7 @@ def test_a_wrong_or_missing_target_converges_to_the_same_result(ur3, table, defa
 
 def test_scipy_solves_the_same_problem(ur3, table, paper_cell, default_result):
     result = calibrate(ur3, table, cell=paper_cell, solver="scipy", validate=False)
-    np.testing.assert_allclose(result.x, default_result.x, atol=1e-7)
+    np.testing.assert_allclose(result.geometry.x, default_result.geometry.x, atol=1e-7)
     np.testing.assert_allclose(result.covariance, default_result.covariance, atol=1e-10)
 
 
@@ -157,7 +156,7 @@ def test_a_target_link_stands_where_the_target_is(default_result, tmp_path):
 
 
 def test_a_urdf_that_disagrees_with_memory_is_not_written(default_result, tmp_path):
-    x = default_result.x.copy()
+    x = default_result.geometry.x.copy()
     x[0] += 1e-8
     robot = default_result.model.apply(default_result.nominal, x)
     tampered = replace(default_result, robot=robot)
@@ -245,8 +244,8 @@ def test_expected_errors_are_those_of_the_covariance(virtual):
         data = Measurements(joint_names=robot.joint_names, joints=rows.joints, points=rows.measured)
         result = calibrate(robot, data, validate=False)
         errors = result.predict(q) - virtual.kinematics.points(x, q)
-        ratios.append(np.mean(np.sum(errors**2, axis=1)) / result.expected_everywhere**2)
-        assert result.expected_measured < result.expected_everywhere
+        ratios.append(np.mean(np.sum(errors**2, axis=1)) / result.geometry.expected_everywhere**2)
+        assert result.geometry.expected_measured < result.geometry.expected_everywhere
     assert np.sqrt(np.mean(ratios)) == pytest.approx(1.0, abs=0.15)
 
 
@@ -296,11 +295,11 @@ def test_unseen_poses_of_a_known_truth_are_right(calibrated, name, bar):
     scene, c = calibrated(name)
     q = random_joint_values(scene.robot, 200, 71)
     fitted = c.fit.non_geometric or c.fit.geometry
-    into_base = rigid_inverse(fitted.placed().T_frame_base[0])
+    into_base = rigid_inverse(fitted.estimated_setup().T_frame_base[0])
     for t, target in enumerate(c.setup.targets):
         found = (into_base @ c.predict_poses(q, target=target))[:, :3, 3]
         # Where frames are estimated, the base itself is known up to its own first placement.
-        apart = as_one_body if c.cell.estimate_frame else off_by
+        apart = as_one_body if c.fit.cell.estimate_frame else off_by
         wanted = true_points(scene, q, int(target[1:]))
         assert apart(found, wanted) < bar, t
         nominal = (scene.robot.poses(q) @ scene.kinematics.T_tip_target[t])[:, :3, 3]
@@ -318,7 +317,7 @@ def test_without_positions_the_arm_is_right_as_one_body(calibrated, name):
     )
     # Planes tell no scale: only priors do.
     assert found < (nominal / 3 if name == "planes" else 3e-5)
-    assert found < 3 * c.expected_everywhere
+    assert found < 3 * c.geometry.expected_everywhere
 
 
 @pytest.mark.parametrize("model", ["dh", "dh+gain"])
@@ -346,7 +345,7 @@ def test_a_set_up_of_validation_rows_alone_is_registered_to_them(make_scene, kin
         robot = c.nominal if non_geometric else c.robot
         assert evaluate(robot, table, cell, **anew).errors["all"]["m"].rms < 1e-9
     nominal = evaluate(c.nominal, table, cell).residual
-    np.testing.assert_allclose(nominal, c.residual_nominal, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(nominal, c.rows.residual_nominal, rtol=0, atol=1e-9)
     assert c.summary().count("registered to its validation rows") == 1
 
 
@@ -362,7 +361,7 @@ def test_a_known_distance_to_a_socket_that_only_validation_rows_see(make_scene):
     )
     result = calibrate(scene.robot, table, cell=Cell(distances=known), model="dh")
     assert result.verdict.use == "use"
-    assert len(result.fitted.estimate.problem.distances) == 1
+    assert len(result.fit.geometry.estimate.problem.distances) == 1
     assert result.errors["calibrated"]["validation"]["m"].rms < 2e-4
 
 
@@ -397,7 +396,7 @@ def test_rows_that_bend_far_off_the_geometry_are_no_outliers(make_scene, panda, 
     robot = Robot.from_urdf(urdf, panda.base, panda.tip)
     cell = Cell(estimate_frame=True, payload=payload if inertias else None)
     c = calibrate(robot, Measurements(panda.joint_names, rows.q, points), cell=cell, model=model)
-    assert c.outliers == ()
+    assert c.rows.outliers == ()
     fresh = Measurements(panda.joint_names, every.q[:500], kinematics.points(x, every)[:500])
     before, after = (evaluate(r, fresh, FREE).errors["all"]["m"].rms for r in (robot, c.robot))
     assert after < before
@@ -405,20 +404,20 @@ def test_rows_that_bend_far_off_the_geometry_are_no_outliers(make_scene, panda, 
 
 def test_every_kind_is_cross_validated_and_judged(case):
     scene, c = case
-    kinds = set(c.measurements.kinds)
+    kinds = set(c.fit.measurements.kinds)
     assert c.cross_validation is not None
     # A non-geometric model than the URDF can hold leaves the geometry with patterns, which is said.
     if c.non_geometric is None:
         # Planes alone tell no length, which is said.
-        tells_length = bool(c.cell.distances) or not kinds <= {"fixed", "plane"}
+        tells_length = bool(c.fit.cell.distances) or not kinds <= {"fixed", "plane"}
         assert c.verdict.use == "use"
         assert ("no_length" in [reason.code for reason in c.verdict.reasons]) != tells_length
-        assert c.sigma["m"] == pytest.approx(scene.noise, rel=0.25)
-        after, before = c.cross_validation.errors, c.nominal_cross_validation.errors
+        assert c.noise.sigma["m"] == pytest.approx(scene.noise, rel=0.25)
+        after, before = c.cross_validation.errors, c.trust.nominal_cross_validation.errors
         assert after["m"].rms < 0.1 * before["m"].rms
         assert (after["rad"].n > 0) == ("pose" in kinds)
         if "pose" in kinds:
-            assert c.sigma["rad"] == pytest.approx(scene.noise_angle, rel=0.3)
+            assert c.noise.sigma["rad"] == pytest.approx(scene.noise_angle, rel=0.3)
             assert after["rad"].rms < 0.2 * before["rad"].rms
 
 
@@ -452,7 +451,9 @@ def test_parameters_by_exact_name_hold_under_auto(make_scene, tmp_path):
     assert again.errors["all"]["m"].n == 70
     assert not free.parameter("alpha1").at_bound
     assert abs(held.parameter("d5").delta) < 1e-7
-    terms = dict(zip([t.name for t in held.model.terms], held.model.values(held.x), strict=True))
+    terms = dict(
+        zip([t.name for t in held.model.terms], held.model.values(held.geometry.x), strict=True)
+    )
     assert terms["a3"] == pytest.approx(0.5 * terms["a2"], rel=1e-12)
     assert "a4" not in terms
     assert held.parameter("a2").std < free.parameter("a2").std
@@ -461,9 +462,13 @@ def test_parameters_by_exact_name_hold_under_auto(make_scene, tmp_path):
 def test_families_that_are_named_make_the_larger_model(calibrated):
     scene, c = calibrated("gain")
     named = calibrate(
-        scene.robot, c.measurements, cell=replace(c.cell, model="dh+gain"), validate=False
+        scene.robot, c.fit.measurements, cell=replace(c.fit.cell, model="dh+gain"), validate=False
     )
-    assert (named.model.name, named.non_geometric.name, named.candidates) == ("dh", "dh+gain", ())
+    assert (named.model.name, named.non_geometric.name, named.method.candidates) == (
+        "dh",
+        "dh+gain",
+        (),
+    )
     np.testing.assert_allclose(named.non_geometric.x, c.non_geometric.x, atol=1e-6)
     gains = [p for p in named.non_geometric.parameters if p.name.endswith(".gain")]
     truth = dict(zip(scene.kinematics.model.names, scene.x, strict=True))
@@ -496,7 +501,7 @@ def test_where_refits_refuse_a_larger_model_the_next_by_evidence_is_tried(refuse
     done = []
     result = _validated(m, fits, lambda *counts: done.append(counts))
     assert (result.model.name, result.non_geometric.name) == ("dh", "dh+gain")
-    assert {c.name: c.chosen for c in result.candidates if c.chosen} == {
+    assert {c.name: c.chosen for c in result.method.candidates if c.chosen} == {
         "dh": "geometry",
         "dh+gain": "non_geometric",
     }
@@ -506,7 +511,9 @@ def test_where_refits_refuse_a_larger_model_the_next_by_evidence_is_tried(refuse
     assert done[-1] == (120, 120)
     # The rows that no fit saw are predicted by the successor.
     unseen = np.linalg.norm(result.non_geometric.residual[m.validation], axis=1)
-    assert unseen.mean() < np.linalg.norm(result.residual_calibrated[m.validation], axis=1).mean()
+    assert (
+        unseen.mean() < np.linalg.norm(result.rows.residual_calibrated[m.validation], axis=1).mean()
+    )
 
 
 def test_where_refits_refuse_every_larger_model_there_is_none(refused):
@@ -514,7 +521,7 @@ def test_where_refits_refuse_every_larger_model_there_is_none(refused):
     geometries = tuple(c for c in fits.candidates if "+" not in c.name)
     result = _validated(m, replace(fits, candidates=geometries), None)
     assert result.non_geometric is None
-    assert [c.name for c in result.candidates if c.chosen] == ["dh"]
+    assert [c.name for c in result.method.candidates if c.chosen] == ["dh"]
 
 
 def test_a_larger_model_that_was_named_stays(refused):

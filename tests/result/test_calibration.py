@@ -9,21 +9,23 @@ import pytest
 
 from calib.errors import ModelError
 from calib.model.kinematics import Samples
-from calib.result.calibration import RowNames
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
+from tests.parts import with_part
 
 
 def test_predictions_are_what_residuals_are_made_of(case):
     """Of every kind that measures positions, by the target and station of the row, by either model."""
     _, c = case
-    m = c.measurements
+    m = c.fit.measurements
     seen = m.of_kind("point", "pose")
     for i in np.flatnonzero(seen)[::7]:
         where = {"target": m.targets[i], "group": m.groups[i]}
         q = m.joints_for(c.nominal.joint_names)[i]
         geometry = c.predict(q, non_geometric=False, **where)[0]
-        np.testing.assert_allclose(m.points[i] - geometry, c.residual_calibrated[i, :3], atol=1e-12)
+        np.testing.assert_allclose(
+            m.points[i] - geometry, c.rows.residual_calibrated[i, :3], atol=1e-12
+        )
         if c.non_geometric is not None:
             non_geometric = c.predict(q, **where)[0]
             np.testing.assert_allclose(
@@ -55,7 +57,7 @@ def test_set_ups_see_the_same_robot(calibrated):
 
 def test_without_an_instrument_s_frame_predictions_are_in_the_base(calibrated):
     scene, c = calibrated("sockets")
-    q = c.measurements.joints[:5]
+    q = c.fit.measurements.joints[:5]
     in_base = c.predict(q)
     T = c.setup.T_frame_base[0]
     np.testing.assert_allclose(
@@ -72,7 +74,7 @@ def test_positions_are_as_sure_as_their_errors_are_small(calibrated):
     errors = np.linalg.norm(c.predict(q) - true, axis=1)
     std = c.position_std(q)
     assert 0.4 < np.sqrt(np.mean(errors**2) / np.mean(std**2)) < 2.0
-    assert np.sqrt(np.mean(std**2)) == pytest.approx(c.expected_everywhere, rel=0.15)
+    assert np.sqrt(np.mean(std**2)) == pytest.approx(c.geometry.expected_everywhere, rel=0.15)
 
 
 def test_in_a_socket_s_frame_positions_are_as_sure_as_predictions_differ(calibrated):
@@ -81,10 +83,14 @@ def test_in_a_socket_s_frame_positions_are_as_sure_as_predictions_differ(calibra
     q, group, step = random_joint_values(c.nominal, 5, 3), c.setup.groups[0], 1e-6
 
     def at(x):
-        return replace(c, x=x).predict(q, group=group)
+        return with_part(c, "geometry", x=x).predict(q, group=group)
 
     J = np.stack(
-        [(at(c.x + e) - at(c.x - e)) / (2 * step) for e in step * np.eye(len(c.x))], axis=2
+        [
+            (at(c.geometry.x + e) - at(c.geometry.x - e)) / (2 * step)
+            for e in step * np.eye(len(c.geometry.x))
+        ],
+        axis=2,
     )
     expected = np.sqrt(np.einsum("nij,jk,nik->n", J, c.covariance, J))
     np.testing.assert_allclose(c.position_std(q, group=group), expected, rtol=1e-3)
@@ -103,7 +109,7 @@ def test_names_that_are_not_there_are_refused(calibrated):
 
 def test_joint_values_outside_of_the_measured_are_told(calibrated):
     _, c = calibrated("points")
-    seen = c.measurements.joints[c.weights > 0.0]
+    seen = c.fit.measurements.joints[c.rows.weights > 0.0]
     inside, beyond = seen[3].copy(), seen[3].copy()
     beyond[2] = seen[:, 2].max() + 0.5
     assert c.outside_of_measured(inside) == ()
@@ -123,12 +129,3 @@ def test_a_target_link_is_for_one_target(calibrated, tmp_path):
     q = random_joint_values(turned.nominal, 5, 2)
     into_base = np.linalg.inv(turned.T_frame_base)
     np.testing.assert_allclose(robot.poses(q), into_base @ turned.predict_poses(q), atol=1e-9)
-
-
-def test_images_are_counted_where_all_rows_are_corners():
-    blank = ("",) * 4
-    sets = ("estimate", "estimate", "estimate", "validate")
-    names = RowNames((1, 2, 3, 4), sets, blank, blank, blank, ("a.png", "b.png", "a.png", ""))
-    assert names.images_of(names.estimation) == 2
-    assert names.images_of(np.ones(4, dtype=bool)) == 0  # one is no corner
-    assert replace(names, images=()).images_of(names.estimation) == 0

@@ -15,14 +15,14 @@ import calib
 from calib.data.cell import Cell
 from calib.data.record import Record
 from calib.errors import FileError, ModelError
-from calib.example.__init__ import paper_urdf
+from calib.example import paper_urdf
 from calib.result.calibrate import calibrate
 from calib.result.calibration import Calibration
 from calib.result.calibration_file import (
     read_result,
     write_result,
 )
-from calib.robot.payload import Payload
+from calib.robot.gravity import Payload
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 from calib.verbs.calibrate.text import summary
@@ -82,10 +82,10 @@ def everything(make_scene: Callable[..., Any]) -> Calibration:
     )
     result = calibrate(robot, m, cell=cell)
     assert result.non_geometric is not None
-    assert result.outliers
-    assert result.suspects
-    assert result.repeats is not None
-    assert result.pose_noise is not None
+    assert result.rows.outliers
+    assert result.rows.suspects
+    assert result.noise.repeats is not None
+    assert result.noise.pose_noise is not None
     return result
 
 
@@ -97,7 +97,11 @@ def differences(one: Any, other: Any, path: str = "") -> list[str]:
     if is_dataclass(one):
         if type(one) is not type(other):
             return [path]
-        names = [f.name for f in fields(one) if f.name not in ("fit", "path") and f.name[0] != "_"]
+        names = [
+            f.name
+            for f in fields(one)
+            if f.name not in ("fit_in_memory", "path") and f.name[0] != "_"
+        ]
         return [
             d for n in names for d in differences(getattr(one, n), getattr(other, n), f"{path}.{n}")
         ]
@@ -127,9 +131,9 @@ def test_a_result_read_back_is_the_one_written(case: Any, tmp_path: Path):
 def test_everything_is_read_back(everything: Calibration, tmp_path: Path):
     read = Calibration.read_json(everything.write_json(tmp_path / "r.json"))
     assert differences(everything, read) == []
-    assert read.fit is None
+    assert read.fit_in_memory is None
     with pytest.raises(ModelError, match="read from a file, which holds neither"):
-        _ = read.measurements
+        _ = read.fit.measurements
 
 
 def test_a_result_of_an_earlier_version_has_no_record(
@@ -190,18 +194,22 @@ def test_the_values_are_those_of_the_calibration(
     assert (
         result_json["cross_validation"]["errors"]["m"]["rms"] == c.cross_validation.errors["m"].rms
     )
-    assert result_json["cross_validation"]["without_outliers"]["m"]["n"] == 30 - len(c.outliers)
+    assert result_json["cross_validation"]["without_outliers"]["m"]["n"] == 30 - len(
+        c.rows.outliers
+    )
     assert [p["name"] for p in result_json["parameters"]] == list(c.model.names)
     assert [p["value"] for p in result_json["parameters"]] == [p.value for p in c.parameters]
     np.testing.assert_array_equal(result_json["covariance"], c.covariance)
     np.testing.assert_array_equal(result_json["frames"]["target_m"], c.target)
-    np.testing.assert_array_equal(result_json["rows"]["residual_calibrated"], c.residual_calibrated)
-    assert c.robustness is not None
+    np.testing.assert_array_equal(
+        result_json["rows"]["residual_calibrated"], c.rows.residual_calibrated
+    )
+    assert c.trust.robustness is not None
     assert result_json["robustness"]["weights_lowered"] is True
-    assert result_json["robustness"]["moved_max_m"] == c.robustness.moved_max
-    assert result_json["robustness"]["full"]["m"]["rms"] == c.robustness.errors_full["m"].rms
+    assert result_json["robustness"]["moved_max_m"] == c.trust.robustness.moved_max
+    assert result_json["robustness"]["full"]["m"]["rms"] == c.trust.robustness.errors_full["m"].rms
     assert result_json["rows"]["numbers"] == list(range(1, 36))
-    assert result_json["rows"]["weights"] == c.weights.tolist()
+    assert result_json["rows"]["weights"] == c.rows.weights.tolist()
     assert result_json["rows"]["sets"] == ["estimate"] * 30 + ["validate"] * 5
     assert c.verdict is not None
     told = result_json["verdict"]
@@ -273,15 +281,15 @@ def test_a_result_read_back_meets_every_row_as_the_fit_did(case: Any, tmp_path: 
     corrected = Robot.load(c.write_urdf(tmp_path / "c.urdf"), "base", "tool0", held=held)
     for robot in (scene.robot, corrected):
         bare = Cell(held=held)
-        again = evaluate(stored.corrected(robot), c.measurements, bare, known=stored.setup)
+        again = evaluate(stored.corrected(robot), c.fit.measurements, bare, known=stored.setup)
         assert again.registered == ()
-        np.testing.assert_array_equal(again.used, c.used)
-        np.testing.assert_allclose(again.residual, c.residual_calibrated, rtol=0, atol=1e-9)
+        np.testing.assert_array_equal(again.used, c.rows.channels.used)
+        np.testing.assert_allclose(again.residual, c.rows.residual_calibrated, rtol=0, atol=1e-9)
         assert (stored.non_geometric is None) == (c.non_geometric is None)
         if stored.non_geometric is not None:
             nominal = stored.uncorrected(robot)
             non_geometric = evaluate(
-                nominal, c.measurements, bare, non_geometric=stored.non_geometric
+                nominal, c.fit.measurements, bare, non_geometric=stored.non_geometric
             )
             assert non_geometric.registered == ()
             np.testing.assert_allclose(

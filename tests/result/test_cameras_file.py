@@ -6,8 +6,10 @@ import json
 from dataclasses import fields
 
 from calib.basics.json_files import plain
+from calib.basics.records import json_key, keys_of
 from calib.boards.board import Board
 from calib.camera.camera import UNKNOWN, Camera
+from calib.camera.camera_file import camera_toml
 from calib.result.cameras_file import boards_table, cameras_table, read_boards, read_cameras
 
 VALUES = [420.1, 418.0, 641.0, 358.0, -0.02, 0.01, -4e-3, 6e-17]
@@ -58,3 +60,15 @@ def test_boards_are_read_back():
     table = written(boards_table({"": board}))
     assert (table[0]["square_m"], table[0]["sigma_corner_m"]) == (0.02985, 3e-5)
     assert attributes(read_boards(table)[""]) == attributes(board)
+
+
+def test_every_key_of_a_camera_is_in_both_files():
+    """A new flag of a camera is a field, and nothing else."""
+    camera = Camera(width=640, height=480)
+    (table,) = cameras_table({"": camera})
+    toml = camera_toml(camera)
+    rows = keys_of(Camera)
+    assert {field.name for field, _ in rows} == {"name", "width", "height", "lens"}
+    for field, row in rows:
+        assert table[json_key(field)] == getattr(camera, field.name)
+        assert f"{row.name} = " in toml

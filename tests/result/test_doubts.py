@@ -24,6 +24,7 @@ from calib.result.doubts import (
 from calib.robot.ranges import random_joint_values
 from tests.hard_cases import made
 from tests.judged import arm, judged, reasons, table_of
+from tests.parts import with_part
 
 
 def test_good_data_give_no_reason_for_care(make_scene):
@@ -90,7 +91,9 @@ def test_a_joint_that_stood_still_is_no_corner_of_the_others(make_scene):
 def test_sockets_without_a_known_distance_tell_no_length(calibrated):
     scene, good = calibrated("sockets")
     assert Why.NO_LENGTH not in reasons(good)
-    unknown = calibrate(scene.robot, good.measurements, cell=replace(good.cell, distances=()))
+    unknown = calibrate(
+        scene.robot, good.fit.measurements, cell=replace(good.fit.cell, distances=())
+    )
     assert Why.NO_LENGTH in reasons(unknown)
     assert unknown.verdict.use == "use"
 
@@ -127,7 +130,7 @@ def test_the_noise_of_angles_is_held_against_the_stated_one_alone(make_scene, no
     scene = arm(make_scene, 63, noise=3e-5, noise_angle=noise)
     cell = Cell(model="dh", sigma={} if stated is None else {"rad": stated})
     result = calibrate(scene.robot, scene.poses(40), cell=cell, validate=False)
-    geometry = result.fit_in_memory.geometry
+    geometry = result.fit.geometry
     found = list(noise_doubts(result, geometry, ()))
     assert [reason.why for reason in found] == codes
     for reason in found:
@@ -166,7 +169,7 @@ def test_the_noise_of_lengths_is_held_against_the_stated_or_a_usual_one(
     scene = arm(make_scene, 63, noise=noise)
     cell = Cell(model="dh", sigma={} if stated is None else {"m": stated})
     result = calibrate(scene.robot, scene.points(60), cell=cell, validate=False)
-    found = list(noise_doubts(result, result.fit_in_memory.geometry, ()))
+    found = list(noise_doubts(result, result.fit.geometry, ()))
     assert [reason.why for reason in found] == ([] if why is None else [why])
     for reason in found:
         size = reason.values["noise_m"] if stated is None else reason.values["after_m"]
@@ -181,13 +184,13 @@ def test_residuals_that_a_model_lacks_or_that_follow_a_joint_are_no_noise(make_s
     follows = Reason.of(Why.JOINT_PATTERN)
 
     def found(result: Calibration, doubt: Reason) -> list[Why]:
-        fitted = named.fit_in_memory.geometry
+        fitted = named.fit.geometry
         return [reason.why for reason in noise_doubts(result, fitted, (doubt,))]
 
     assert found(named, lacks) == []
     assert found(named, follows) == []
     assert found(named, Reason.of(Why.DRIFT)) == [Why.NOISE_LARGE]
-    chosen = replace(named, candidates=calibrated("points")[1].candidates)
+    chosen = with_part(named, "method", candidates=calibrated("points")[1].method.candidates)
     assert found(chosen, follows) == [Why.NOISE_LARGE]
     tried = replace(named, non_geometric=calibrated("gain")[1].non_geometric)
     assert found(tried, follows) == [Why.NOISE_LARGE]
@@ -208,14 +211,18 @@ def test_repeats_that_agree_better_with_each_other_than_with_the_model(
 ):
     scene = arm(make_scene, 63, noise=noise)
     result = calibrate(scene.robot, scene.points(40), model="dh", validate=False)
-    left = result.sigma["m"]
+    left = result.noise.sigma["m"]
     repeats = Repeats(within={"m": share * left}, freedoms={"m": freedom}, rho=0.9)
-    found = list(_agreeing_repeats(replace(result, repeats=repeats), result.fitted))
+    found = list(
+        _agreeing_repeats(with_part(result, "noise", repeats=repeats), result.fit.geometry)
+    )
     assert [reason.why for reason in found] == [Why.REPEATS_AGREE] * told
     for reason in found:
         assert reason.values["within_m"] == share * left
         assert reason.values["noise_m"] == pytest.approx(left)
-    assert list(_agreeing_repeats(replace(result, repeats=None), result.fitted)) == []
+    assert (
+        list(_agreeing_repeats(with_part(result, "noise", repeats=None), result.fit.geometry)) == []
+    )
 
 
 def test_a_sole_posture_is_named_by_its_row_and_the_joint_that_it_alone_moves(make_scene):
@@ -228,7 +235,7 @@ def test_a_sole_posture_is_named_by_its_row_and_the_joint_that_it_alone_moves(ma
     table = table_of(scene, q, np.random.default_rng(2))
     table = replace(table, sets=("validate",) * 5 + ("estimate",) * 35)
     result = calibrate(scene.robot, table, model="dh", validate=False)
-    (reason,) = _sole_postures(result, result.fitted.estimate.problem.rows)
+    (reason,) = _sole_postures(result, result.fit.geometry.estimate.problem.rows)
     assert reason.why == Why.SOLE_POSTURE
     assert reason.values == {"rows": [18], "joints": ["wrist_1_joint"]}
 
@@ -236,7 +243,7 @@ def test_a_sole_posture_is_named_by_its_row_and_the_joint_that_it_alone_moves(ma
 def test_a_joint_hardly_moved_below_a_third_of_a_radian_or_five_centimetres():
     """Three joints slide, the fourth turns: spans in metres and radians."""
     result = made("prismatic")
-    rows = result.fitted.estimate.problem.rows
+    rows = result.fit.geometry.estimate.problem.rows
 
     def still(*spans: float) -> list[bool]:
         q = np.linspace(0.0, 1.0, len(rows))[:, None] * spans
@@ -282,5 +289,5 @@ def test_copies_of_rows_are_left_out(make_scene):
         return Measurements(m.joint_names, joints=m.joints[each], points=m.points[each])
 
     one, other = judged(make_scene, 72, rows=40), judged(make_scene, 72, twice, rows=40)
-    np.testing.assert_array_equal(one.x, other.x)
+    np.testing.assert_array_equal(one.geometry.x, other.geometry.x)
     assert reasons(other)[Why.ROWS_COPIED] == {"rows": 40, "row": 2}

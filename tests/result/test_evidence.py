@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -15,6 +13,7 @@ from calib.result.evidence import (
     validation_errors,
 )
 from calib.robot.ranges import spread_poses
+from tests.parts import with_part
 
 ALL = Channels.of_unit(np.ones((10, 3), dtype=bool))
 
@@ -49,16 +48,18 @@ def test_a_full_geometry_has_four_parameters_a_joint_besides_frames_and_targets(
     calibrated, name: str, places: int
 ):
     _, c = calibrated(name)
-    assert _full_model_parameters(c, c.fitted) == 6 * 4 + places
+    assert _full_model_parameters(c, c.fit.geometry) == 6 * 4 + places
     # None is asked for where the model was named.
-    assert _full_model_parameters(replace(c, candidates=()), c.fitted) == 0
+    assert _full_model_parameters(with_part(c, "method", candidates=()), c.fit.geometry) == 0
 
 
 def test_the_nominal_robot_is_off_over_the_joint_limits_by_what_was_corrected(calibrated):
     """Without uncertainty of the parameters: the distance of both predictions, rms."""
     _, c = calibrated("known set-ups")
-    certain = replace(c, covariance=np.zeros_like(c.covariance), expected_measured=0.0)
-    of_part, of_nominal = _over_joint_limits(certain, certain)
+    certain = with_part(
+        c, "geometry", covariance=np.zeros_like(c.covariance), expected_measured=0.0
+    )
+    of_part, of_nominal = _over_joint_limits(certain, certain.geometry)
     q = spread_poses(c.nominal)
     points = c.predict(q, target=c.setup.targets[0], group=c.setup.groups[0])
     setup = c.nominal_setup

@@ -17,25 +17,25 @@ from calib.model.parameters import FRAME
 from calib.result import fits as module
 from calib.result.calibrate import calibrate
 from calib.result.fits import fit_table
-from calib.robot.payload import Payload
+from calib.robot.gravity import Payload
 from tests.fits import TARGETS, every_sixth_validates
 
 
 def test_a_named_geometry_is_fitted_alone(calibrated):
     scene, c = calibrated("points")
     began = time.perf_counter()
-    fits = fit_table(scene.robot, c.measurements, replace(c.cell, model="dh"))
+    fits = fit_table(scene.robot, c.fit.measurements, replace(c.fit.cell, model="dh"))
     assert 0.0 < fits.seconds <= time.perf_counter() - began
     assert fits.geometry.task.model == "dh"
     assert fits.non_geometric is None
     assert (fits.candidates, fits.mistake) == ((), None)
-    assert len(fits.all_rows) == len(c.measurements)
-    assert len(fits.fitted_rows) == np.sum(c.measurements.estimation)
+    assert len(fits.all_rows) == len(c.fit.measurements)
+    assert len(fits.fitted_rows) == np.sum(c.fit.measurements.estimation)
 
 
 def test_families_behind_a_name_make_a_non_geometric_model(calibrated):
     scene, c = calibrated("gain")
-    fits = fit_table(scene.robot, c.measurements, replace(c.cell, model="dh+gain"))
+    fits = fit_table(scene.robot, c.fit.measurements, replace(c.fit.cell, model="dh+gain"))
     assert fits.non_geometric is not None
     assert fits.non_geometric.task.model == "dh+gain"
     # The geometry starts where registration for the other model put frames and targets.
@@ -48,11 +48,11 @@ def test_families_behind_a_name_make_a_non_geometric_model(calibrated):
 
 def test_the_models_that_the_data_choose_are_fitted(calibrated):
     scene, c = calibrated("gain")
-    fits = fit_table(scene.robot, c.measurements, c.cell)
+    fits = fit_table(scene.robot, c.fit.measurements, c.fit.cell)
     chosen = {one.chosen: one.name for one in fits.candidates if one.chosen}
     assert chosen == {"geometry": "dh", "non_geometric": "dh+gain"}
     assert fits.geometry.task.model == "dh"
-    np.testing.assert_array_equal(fits.geometry.estimate.x, c.x)
+    np.testing.assert_array_equal(fits.geometry.estimate.x, c.geometry.x)
 
 
 def test_of_a_usual_mistake_only_joint_zeros_are_fitted(ur3, table):
@@ -79,10 +79,10 @@ def test_outliers_are_confirmed_where_a_named_geometry_alone_was_fitted(
     """Non-geometric models were tried already where the data chose, and nothing is right of a usual mistake."""
     scene, c = calibrated(name)
     order = [1, 0, 2, 3, 4, 5] if swapped else range(6)
-    table = replace(c.measurements, joints=c.measurements.joints[:, order])
+    table = replace(c.fit.measurements, joints=c.fit.measurements.joints[:, order])
     real = module._with_outliers_confirmed
     with mock.patch.object(module, "_with_outliers_confirmed", wraps=real) as asked:
-        fits = fit_table(scene.robot, table, c.cell, model=model)
+        fits = fit_table(scene.robot, table, c.fit.cell, model=model)
     assert asked.called == confirmed
     assert (fits.mistake is not None) == swapped
 
@@ -138,7 +138,7 @@ def test_a_part_of_many_rows_confirms_outliers_as_all_rows_do(
     by_few = calibrate(panda, data, cell=cell, validate=False)
     monkeypatch.setattr("calib.result.fits._MANY_ROWS", len(rows))
     by_all = calibrate(panda, data, cell=cell, validate=False)
-    np.testing.assert_array_equal(by_few.x, by_all.x)
-    assert by_few.outliers == by_all.outliers
-    assert bends or len(by_few.outliers) > 0.5 * off.sum()
-    assert not bends or len(by_few.outliers) < 10
+    np.testing.assert_array_equal(by_few.geometry.x, by_all.geometry.x)
+    assert by_few.rows.outliers == by_all.rows.outliers
+    assert bends or len(by_few.rows.outliers) > 0.5 * off.sum()
+    assert not bends or len(by_few.rows.outliers) < 10

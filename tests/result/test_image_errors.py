@@ -26,10 +26,10 @@ def test_a_pixel_is_as_long_as_the_corner_is_far():
 
 
 def test_lengths_are_pixels_times_their_length():
-    channels = Channels.of_unit(np.ones((3, 2), dtype=bool), "px")
+    measured = np.array([[True, True], [True, True], [False, False]])
     residual = np.array([[3.0, 4.0], [0.0, 1.0], [9.0, 9.0]])
-    scale = np.array([1e-3, 2e-3, 1.0])
-    errors = errors_at_board(residual, channels, scale, np.array([True, True, False]))["m"]
+    scale = np.array([1e-3, 2e-3, np.nan])
+    errors = errors_at_board(residual, Channels.of_unit(measured, "px"), scale)["m"]
     assert errors.n == 2
     assert errors.max == pytest.approx(5e-3)
     assert errors.mean == pytest.approx(3.5e-3)

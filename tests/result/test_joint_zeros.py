@@ -147,21 +147,26 @@ def test_held_out_rows_are_predicted_by_fits_without_them():
     assert zeros.errors["m"].n == 28  # of 30, two are outliers
     assert zeros.errors["m"].rms() == pytest.approx(1.692e-3, abs=1e-6)
     alone = calibrate(
-        result.nominal, result.measurements, cell=replace(result.cell, model="zeros"), robust=False
+        result.nominal,
+        result.fit.measurements,
+        cell=replace(result.fit.cell, model="zeros"),
+        robust=False,
     )
-    outliers = result.fitted.estimate.outliers
-    held_out = linear_cross_validation(alone.fitted, outliers).errors_without_outliers["m"].rms
+    outliers = result.fit.geometry.estimate.outliers
+    held_out = (
+        linear_cross_validation(alone.fit.geometry, outliers).errors_without_outliers["m"].rms
+    )
     assert zeros.errors["m"].rms() == pytest.approx(held_out, rel=0.05)
 
 
 def test_without_cross_validation_they_are_those_of_the_validation_rows():
     result = ur3_result()
-    zeros = zeros_of(result.nominal, result.measurements, result.cell)
+    zeros = zeros_of(result.nominal, result.fit.measurements, result.fit.cell)
     assert zeros.rows == VALIDATION
     assert zeros.errors["m"].n == 5
     assert zeros.delta == pytest.approx(result.zeros.delta, abs=1e-12)
-    only_fitted = result.measurements.select(result.measurements.estimation)
-    assert zeros_of(result.nominal, only_fitted, result.cell).rows == ESTIMATION
+    only_fitted = result.fit.measurements.select(result.fit.measurements.estimation)
+    assert zeros_of(result.nominal, only_fitted, result.fit.cell).rows == ESTIMATION
 
 
 def test_poses_have_errors_in_both_units():
@@ -192,8 +197,8 @@ def test_too_few_rows_have_none():
 
 def test_the_paper_s_solver_has_them_too():
     result = ur3_result()
-    cell = replace(result.cell, model="paper")
-    zeros = zeros_of(result.nominal, result.measurements, cell, solver="paper")
+    cell = replace(result.fit.cell, model="paper")
+    zeros = zeros_of(result.nominal, result.fit.measurements, cell, solver="paper")
     assert np.degrees(zeros.delta[0]) == pytest.approx(0.345, abs=0.1)
 
 

@@ -16,6 +16,7 @@ from calib.result.calibration import Calibration
 from calib.result.prediction import _prior_std
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
+from tests.parts import with_part
 
 TARGET = np.array([0.05, -0.06, 0.04])
 ANCHOR = np.array([0.9, 0.2, 0.1])
@@ -82,7 +83,10 @@ def test_each_target_counts_from_where_it_was_given(calibrated):
     scene, c = calibrated("targets")
     given = {"t0": scene.kinematics.T_tip_target[0, :3, 3] + [1e-3, 0.0, 0.0]}
     found = calibrate(
-        scene.robot, c.measurements, cell=replace(c.cell, targets=given, model="dh"), validate=False
+        scene.robot,
+        c.fit.measurements,
+        cell=replace(c.fit.cell, targets=given, model="dh"),
+        validate=False,
     )
     for axis in range(3):
         known = found.parameter(f"target_{'xyz'[axis]}[t0]")
@@ -119,7 +123,7 @@ def test_the_error_at_a_new_point_has_what_the_model_lacks(calibrated):
     here, elsewhere = c.new_point
     held_out = c.cross_validation.errors_without_outliers["m"].rms
     assert here == held_out
-    added = c.expected_elsewhere**2 - c.expected_measured**2
+    added = c.geometry.expected_elsewhere**2 - c.geometry.expected_measured**2
     assert elsewhere**2 == pytest.approx(held_out**2 + added)
-    alone = replace(c, cross_validation=None)
-    assert alone.new_point == (c.expected_measured, c.expected_elsewhere)
+    alone = with_part(c, "geometry", cross_validation=None)
+    assert alone.new_point == (c.geometry.expected_measured, c.geometry.expected_elsewhere)

@@ -9,8 +9,7 @@ from hypothesis import event, given, settings, strategies as st
 
 from calib.errors import CalibError, UrdfError
 from calib.model.dh_table import dh_table
-from calib.robot.gravity import gravity_loads
-from calib.robot.payload import Payload
+from calib.robot.gravity import Payload, gravity_loads
 from calib.robot.readback import check_written
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf

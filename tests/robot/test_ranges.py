@@ -107,7 +107,7 @@ def test_ranges_of_the_paper_s_rows(ur3):
 @pytest.mark.parametrize(
     ("given", "said"),
     [
-        ({"ankle": (0, 1)}, "for 'ankle', which is no joint of .* 'lift', 'turn', 'knee'"),
+        ({"ankle": (0, 1)}, "for 'ankle', which is not a joint of .* 'lift', 'turn', 'knee'"),
         ({"turn": (1, -1)}, "of 'turn' is 57.2958 to -57.2958 deg; the lower end"),
         ({"lift": (Angle(0.2), Angle(0.3))}, "joint 'lift' is an angle, and the joint slides"),
         ({"turn": (Length(0), Length(0.1))}, "joint 'turn' is a length, and the joint turns"),

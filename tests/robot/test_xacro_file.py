@@ -166,7 +166,7 @@ FAULTS: dict[str, tuple[str, dict[str, str], str, str]] = {
         '<xacro:arg name="height" default="1"/>\n' + HALF, {}, "heigth:=2",
         "r.urdf.xacro heigth:=2: it has no argument 'heigth' (did you mean 'height'?); its arguments: 'height'",
     ),
-    "no argument": (HALF, {}, "h=2", "'h=2' behind r.urdf.xacro is no argument or a second one; write NAME:=VALUE"),
+    "no argument": (HALF, {}, "h=2", "'h=2' after r.urdf.xacro is not an argument, or repeats one; write NAME:=VALUE"),
     "broken macro": (HALF + ARM + '<xacro:arm x="1"/>\n', {}, "", "name 'zz' is not defined"),
     "text for a number": (
         '<xacro:property name="h" value="high"/>\n', {}, "",

@@ -9,7 +9,7 @@ import numpy as np
 from calib.diagnosis.coverage import Beyond, OutsideRow
 from calib.fit.selection.robustness import Robustness
 from calib.numerics.errors import Errors
-from calib.result.prediction import Outlier
+from calib.result.parts import Outlier
 from calib.show.doubtful_rows import (
     outliers_text,
     outside_text,

@@ -79,7 +79,7 @@ def test_every_row_is_of_one_kind(calibrations):
     kinds = row_kinds(c)
     assert [kind.name for kind in kinds] == ["estimation", "validation", "outlier"]
     assert np.all(np.sum([kind.mask for kind in kinds], axis=0) == 1)
-    count = len(c.outliers) + len(c.suspects)
+    count = len(c.rows.outliers) + len(c.rows.suspects)
     assert kinds[2].style()["label"] == f"{count} outliers"
     assert len({(kind.colour, kind.marker) for kind in kinds}) == 3
     assert rows_text(np.array([True]), "estimation") == "1 estimation row"

@@ -9,14 +9,14 @@ from calib.show.row_values import flagged_rows, measured_in_base, setup_of_rows
 
 def test_flagged_are_outliers_and_suspects(calibrations):
     c = calibrations.made("with_outliers")
-    flagged = {outlier.row for outlier in (*c.outliers, *c.suspects)}
+    flagged = {outlier.row for outlier in (*c.rows.outliers, *c.rows.suspects)}
     assert flagged
-    assert {c.measurements.rows[k] for k in np.flatnonzero(flagged_rows(c))} == flagged
+    assert {c.fit.measurements.rows[k] for k in np.flatnonzero(flagged_rows(c))} == flagged
 
 
 def test_each_row_has_the_frame_and_target_that_it_names(calibrations):
     c = calibrations.made("mixed")
-    m = c.measurements
+    m = c.fit.measurements
     T_frame_base, T_tip_target = setup_of_rows(c.setup, m)
     for k, (group, target) in enumerate(zip(m.groups, m.targets, strict=True)):
         station = c.setup.groups.index(group)
@@ -27,7 +27,7 @@ def test_each_row_has_the_frame_and_target_that_it_names(calibrations):
 
 def test_measured_positions_are_taken_into_the_base_frame(calibrations):
     c = calibrations.made("poses")
-    m = c.measurements
+    m = c.fit.measurements
     T_frame_base, _ = setup_of_rows(c.setup, m)
     places = measured_in_base(m, T_frame_base)
     back = np.einsum("nij,nj->ni", T_frame_base[:, :3, :3], places) + T_frame_base[:, :3, 3]
@@ -36,5 +36,5 @@ def test_measured_positions_are_taken_into_the_base_frame(calibrations):
 
 def test_distances_measure_no_position(calibrations):
     c = calibrations.made("distances")
-    T_frame_base, _ = setup_of_rows(c.setup, c.measurements)
-    assert np.all(np.isnan(measured_in_base(c.measurements, T_frame_base)))
+    T_frame_base, _ = setup_of_rows(c.setup, c.fit.measurements)
+    assert np.all(np.isnan(measured_in_base(c.fit.measurements, T_frame_base)))

@@ -12,12 +12,13 @@ from calib.numerics.errors import Errors
 from calib.result.calibration import Calibration
 from calib.show.short import before_and_after, rms_text
 from calib.verbs.evaluate.evaluation import evaluate
+from tests.parts import with_part
 from tests.residuals import lengths_and_angles
 
 
 def test_a_calibration_says_verdict_errors_and_rows(default_result: Calibration):
     c = default_result
-    before = c.nominal_cross_validation.errors_without_outliers["m"].rms
+    before = c.trust.nominal_cross_validation.errors_without_outliers["m"].rms
     after = c.cross_validation.errors_without_outliers["m"].rms
     assert repr(c) == (
         f"Calibration('ur3', base to tool0, {c.verdict.use}, held-out rms {1e3 * before:.3f} mm to "
@@ -29,7 +30,9 @@ def test_a_calibration_says_verdict_errors_and_rows(default_result: Calibration)
 def test_without_held_out_rows_the_errors_are_those_of_validation_or_fitted_rows(
     default_result: Calibration,
 ):
-    c = replace(default_result, cross_validation=None, verdict=None)
+    c = with_part(
+        with_part(default_result, "geometry", cross_validation=None), "trust", verdict=None
+    )
     where, before, after = before_and_after(c)
     assert where == "validation"
     assert (before["m"].rms, after["m"].rms) == tuple(

@@ -118,8 +118,8 @@ def test_what_was_written_is_read_back(words, folder, kind):
         names = rows.dtype.names[-predicted.shape[1] :]
         to_si = [UNITS[name.rsplit("_", 1)[1]].to_si for name in names]
         measured = np.column_stack([rows[name] for name in names]) * to_si
-    np.testing.assert_allclose(result.residual_calibrated, measured - predicted, atol=1e-9)
-    assert result.channels.present == tuple(KINDS[kind][0])
+    np.testing.assert_allclose(result.rows.residual_calibrated, measured - predicted, atol=1e-9)
+    assert result.rows.channels.present == tuple(KINDS[kind][0])
 
 
 @pytest.mark.slow

@@ -85,7 +85,7 @@ def test_a_result_holds_the_robot_that_its_xacro_became(call, folder: Path):
         ),
         (
             ["inspect", "ur3_from_origins.urdf.xacro", "origins:=ur3_nominal_origins.yaml"],
-            "Arguments of a xacro stand behind its name, with it in one pair of quotes",
+            "Arguments of a xacro follow its name, in the same pair of quotes",
         ),
         (
             ["fit", NOMINAL, "data.csv", "-o", "corrected.urdf.xacro"],

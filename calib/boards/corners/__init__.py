@@ -1,1 +1,1 @@
-"""Corners of boards in one image: markers, prediction, search, refinement."""
+"""Corners of a board in an image: markers, a map from the board to the image, search and refinement."""

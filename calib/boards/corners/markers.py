@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from calib.basics.arrays import Array, Integers
+from calib.basics.arrays import Array, Integers, Mask
 from calib.basics.values import Value
 from calib.boards.dictionaries import DICTIONARIES
 from calib.boards.opencv import opencv
@@ -22,7 +22,7 @@ _THRESHOLD_STEP = 20
 #: The step of a thorough search [px].
 _THOROUGH_STEP = 5
 
-#: Outlines of one id whose middles are nearer than this, in sides of the smaller one, are of one marker.
+#: Outlines of one id belong to one marker if their middles are nearer than this, in sides of the smaller one.
 _DOUBLE = 0.5
 
 #: Smallest perimeter of a marker as a share of the image's longer side: 26 px in 1280.
@@ -38,6 +38,16 @@ class Markers(Value):
     #: Their corners, clockwise from the top left, shape (m, 4, 2) [px].
     corners: Array
 
+    @property
+    def sides(self) -> Array:
+        """Mean side of each marker, shape (m,) [px]."""
+        edges = self.corners - np.roll(self.corners, 1, axis=1)
+        return np.asarray(np.linalg.norm(edges, axis=2).mean(axis=1))
+
+    def select(self, chosen: Mask) -> Markers:
+        """Return the markers of a mask, shape (m,)."""
+        return Markers(self.ids[chosen], self.corners[chosen])
+
     def of_ids(self, first: int, count: int) -> Markers:
         """Return the markers of a board.
 
@@ -48,25 +58,13 @@ class Markers(Value):
         Returns:
             Those with one of these ids, which are then counted from 0.
         """
-        used = (self.ids >= first) & (self.ids < first + count)
-        return Markers(self.ids[used] - first, self.corners[used])
+        used = self.select((self.ids >= first) & (self.ids < first + count))
+        return Markers(used.ids - first, used.corners)
 
 
 def no_markers() -> Markers:
     """Return no markers, as a chessboard has."""
     return Markers(np.zeros(0, dtype=int), np.zeros((0, 4, 2)))
-
-
-def _dictionary(name: str) -> Any:  # noqa: ANN401  a class without types
-    """Return one of OpenCV's dictionaries; raises `CalibError` for one that this version does not have."""
-    cv2 = opencv()
-    number = getattr(cv2.aruco, name, None) if name in DICTIONARIES else None
-    if number is None:
-        raise CalibError(
-            f"OpenCV {cv2.__version__} has no dictionary of markers '{name}'; a newer one may: pip install --upgrade "
-            "opencv-python-headless"
-        )
-    return cv2.aruco.getPredefinedDictionary(number)
 
 
 def find_markers(
@@ -80,12 +78,22 @@ def find_markers(
     Args:
         image: Grey values, 8 bits, shape (height, width).
         dictionary: Name of the dictionary.
-        thorough: Whether to search three times as long, which finds some more markers that are blurred or badly lit.
+        thorough: True to search three times as long, which finds some more markers that are blurred or badly lit.
 
     Returns:
-        The markers; their corners are where OpenCV has them, to about half a pixel.
+        The markers, with OpenCV's corners: to about half a pixel.
+
+    Raises:
+        CalibError: This version of OpenCV does not have the dictionary.
     """
-    aruco = opencv().aruco
+    cv2 = opencv()
+    aruco = cv2.aruco
+    number = getattr(aruco, dictionary, None) if dictionary in DICTIONARIES else None
+    if number is None:
+        raise CalibError(
+            f"OpenCV {cv2.__version__} has no dictionary of markers '{dictionary}'; a newer one may: pip install "
+            "--upgrade opencv-python-headless"
+        )
     parameters = aruco.DetectorParameters()
     parameters.adaptiveThreshWinSizeMax = _WIDEST_THRESHOLD
     parameters.adaptiveThreshWinSizeStep = _THOROUGH_STEP if thorough else _THRESHOLD_STEP
@@ -95,7 +103,7 @@ def find_markers(
     parameters.minMarkerDistanceRate = 0.02
     parameters.perspectiveRemovePixelPerCell = 8
     parameters.cornerRefinementMethod = aruco.CORNER_REFINE_SUBPIX
-    detector = aruco.ArucoDetector(_dictionary(dictionary), parameters)
+    detector = aruco.ArucoDetector(aruco.getPredefinedDictionary(number), parameters)
     corners, ids, _ = detector.detectMarkers(image)
     if ids is None or len(ids) == 0:
         return no_markers()
@@ -106,13 +114,10 @@ def find_markers(
 def _without_doubles(markers: Markers) -> Markers:
     """Drop a second outline of the same marker, such as the inner edge of its black frame: the larger one is kept."""
     centres = markers.corners.mean(axis=1)
-    edges = markers.corners - np.roll(markers.corners, 1, axis=1)
-    sides = np.linalg.norm(edges, axis=2).mean(axis=1)
-    kept: list[int] = []
+    sides = markers.sides
+    kept = np.zeros(len(sides), dtype=bool)
     for k in np.argsort(-sides, kind="stable").tolist():
-        same = [j for j in kept if markers.ids[j] == markers.ids[k]]
+        same = kept & (markers.ids == markers.ids[k])
         distances = np.linalg.norm(centres[same] - centres[k], axis=1)
-        if not np.any(distances < _DOUBLE * sides[k]):
-            kept.append(k)
-    kept.sort()
-    return Markers(markers.ids[kept], markers.corners[kept])
+        kept[k] = not np.any(distances < _DOUBLE * sides[k])
+    return markers.select(kept)

@@ -1,15 +1,15 @@
 """The map from a board to its image without a calibrated camera: a homography, and one number for the lens.
 
-A straight line stays straight under a homography H, under a lens it does not. The lens is taken for one that draws
-points at equal distances for equal angles from its axis, as fisheye lenses do (Devernay and Faugeras 2001, "Straight
-lines have to be straight"), or for one that does the opposite. It has one parameter, and closed forms both ways:
+A straight line stays straight under a homography H, but not under a lens. The lens is modelled as one that images equal
+angles from its axis at equal distances, as fisheye lenses do (Devernay and Faugeras 2001, "Straight lines have to be
+straight"), or as one that does the opposite. It has one parameter, and closed forms both ways:
 
     p_u = p_d tan(w r_d) / (w r_d),     r_d = |p_d|,  w = sqrt(-3 lambda)       lambda < 0, a barrel
     p_u = p_d tanh(w r_d) / (w r_d),                  w = sqrt(3 lambda)        lambda > 0, a pincushion
     p_u ~ H (x, y, 1)
 
-with p = (pixel - image's middle) / (half of the image's diagonal); near the middle p_u = p_d (1 - lambda r_d^2). For a
-given lambda H is linear least squares (direct linear transform), so the fit is a search along one number.
+with p = (pixel - image's middle) / (half of the image's diagonal); near the middle p_u = p_d (1 - lambda r_d^2). Given
+lambda, H is linear least squares (direct linear transform), so the fit is a search over one number.
 """
 
 from __future__ import annotations
@@ -19,29 +19,26 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from calib.basics.arrays import Array, Mask
+from calib.basics.arrays import Array
 from calib.basics.values import Value
 
-#: The values of lambda that are searched: from a fisheye lens's barrel to a strong pincushion.
+#: Range of lambda: from the barrel of a fisheye lens to a strong pincushion.
 _LAMBDA_RANGE = (-4.0, 0.4)
 
-#: Distances from the middle below this are not bent, in units of w.
+#: Smallest w r at which the distortion is computed; below, it is nil.
 _TINY = 1e-9
 
 #: Largest tanh that is inverted.
 _FARTHEST = 1.0 - 1e-9
 
-#: Angle from the lens's axis up to which points are mapped: at a right angle p_u is infinite [rad].
+#: Largest angle from the lens's axis: at a right angle p_u is infinite [rad].
 _WIDEST = 1.5
 
-#: Standard deviation of lambda before anything is seen: most lenses bend little.
+#: Prior standard deviation of lambda: most lenses bend little.
 _SIGMA_LAMBDA = 0.3
 
-#: Uncertainty of a point that the prior of lambda is weighed against, as a share of half the diagonal.
+#: Standard deviation of a point, against which the prior of lambda is weighed, as a share of half the diagonal.
 _SIGMA_POINT = 3e-4
-
-#: Points that fix a homography.
-FEWEST_POINTS = 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,14 +55,7 @@ class PlanarMap(Value):
     half_diagonal: float
 
     def project(self, points: Array) -> Array:
-        """Return the pixels of points of the board.
-
-        Args:
-            points: x and y on the board, shape (n, 2) [m].
-
-        Returns:
-            Pixels, shape (n, 2); NaN for a point behind the camera.
-        """
+        """Return the pixels of points (n, 2) [m] of the board, shape (n, 2); NaN for a point behind the camera."""
         homogeneous = np.column_stack([points, np.ones(len(points))]) @ self.H.T
         depth = np.where(homogeneous[:, 2] > 0.0, homogeneous[:, 2], np.nan)
         undistorted = homogeneous[:, :2] / depth[:, None]
@@ -77,7 +67,7 @@ class PlanarMap(Value):
 
         Args:
             points: x and y on the board, shape (n, 2) [m].
-            step: Half of the distance of the two points of a difference [m]: a small part of a square.
+            step: Half the distance between the two points of a difference [m]: a small part of a square.
 
         Returns:
             d pixel / d (x, y), shape (n, 2, 2) [px/m]; NaN for a point behind the camera.
@@ -156,32 +146,26 @@ def _distort(undistorted: Array, distortion: float) -> Array:
 
 
 def _homography(points: Array, image: Array, root_weights: Array) -> Array:
-    """Return the homography of least algebraic error, shape (3, 3); its depth is positive at the points' middle.
+    """Return the homography of least algebraic error, shape (3, 3), with positive depth at the points' middle.
 
-    Both sides are moved and scaled to mean 0 and size 1 before (Hartley 1997, "In defense of the eight-point
+    Both sides are first moved and scaled to mean 0 and size 1 (Hartley 1997, "In defense of the eight-point
     algorithm").
     """
     from_points = _normalisation(points)
     from_image = _normalisation(image)
-    equations = _equations(_apply(from_points, points), _apply(from_image, image))
-    system = np.tile(root_weights, 2)[:, None] * equations
+    x, y = _apply(from_points, points).T
+    u, v = _apply(from_image, image).T
+    ones = np.ones_like(x)
+    zeros = np.zeros_like(x)
+    by_u = np.stack([x, y, ones, zeros, zeros, zeros, -u * x, -u * y, -u], axis=1)
+    by_v = np.stack([zeros, zeros, zeros, x, y, ones, -v * x, -v * y, -v], axis=1)
+    system = np.tile(root_weights, 2)[:, None] * np.concatenate([by_u, by_v])
     # The eigenvector of the smallest eigenvalue of the 9 x 9 normal matrix: the data are scaled to size 1.
     _, vectors = np.linalg.eigh(system.T @ system)
     normalised = vectors[:, 0].reshape(3, 3)
     H = np.linalg.solve(from_image, normalised @ from_points)
     depth = H[2] @ np.append(points.mean(axis=0), 1.0)
     return np.asarray(H / (np.sign(depth) * np.linalg.norm(H)))
-
-
-def _equations(points: Array, image: Array) -> Array:
-    """Return the linear equations of the nine elements of a homography, shape (2 n, 9)."""
-    x, y = points.T
-    u, v = image.T
-    ones = np.ones_like(x)
-    zeros = np.zeros_like(x)
-    by_u = np.stack([x, y, ones, zeros, zeros, zeros, -u * x, -u * y, -u], axis=1)
-    by_v = np.stack([zeros, zeros, zeros, x, y, ones, -v * x, -v * y, -v], axis=1)
-    return np.concatenate([by_u, by_v])
 
 
 def _normalisation(points: Array) -> Array:
@@ -191,19 +175,3 @@ def _normalisation(points: Array) -> Array:
     return np.array(
         [[scale, 0.0, -scale * mean[0]], [0.0, scale, -scale * mean[1]], [0.0, 0.0, 1.0]]
     )
-
-
-def in_image(pixels: Array, image_size: tuple[int, int], margin: float) -> Mask:
-    """Test which pixels are inside an image.
-
-    Args:
-        pixels: The pixels, shape (n, 2).
-        image_size: Width and height of the image [px].
-        margin: Least distance from the centres of the outermost pixels [px].
-
-    Returns:
-        A truth value for each, shape (n,).
-    """
-    low = np.full(2, margin)
-    high = np.array(image_size) - 1.0 - margin
-    return np.asarray(((pixels >= low) & (pixels <= high)).all(axis=1))

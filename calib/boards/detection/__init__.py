@@ -1,1 +1,1 @@
-"""Boards in pictures, by the run: pictures and rows matched, corners or reasons for each, mistakes by name."""
+"""Boards in pictures: each picture is read and searched; all of them together show mistakes in a description."""

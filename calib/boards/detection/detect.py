@@ -1,10 +1,11 @@
-"""Corners of boards in pictures: every picture is searched, and every one that gives nothing has its reason."""
+"""Corners of boards in pictures: every picture is searched, and one that gives nothing comes with the reason."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
+from itertools import combinations
 from pathlib import Path
 
 import calib.basics.jobs as jobs
@@ -22,29 +23,30 @@ from calib.boards.detection.findings import (
     Finding,
     board_findings,
     is_wrong_description,
+    other_pattern,
     picture_findings,
     usual_sizes,
 )
 from calib.boards.detection.image_files import ImageFile, find_images
-from calib.boards.detection.other_patterns import kind_of, other_pattern
 from calib.boards.detection.picture import OTHER_SIZE, Picture, Search, look
+from calib.boards.dictionaries import kind_of
 from calib.errors import CalibError, choices
 
 
 @dataclass(frozen=True, slots=True)
 class Detection(Value):
-    """The boards in pictures."""
+    """What was found in pictures."""
 
     boards: tuple[Board, ...]
-    #: In the order in which they were named.
+    #: In the order in which they were given.
     pictures: tuple[Picture, ...]
     findings: tuple[Finding, ...]
-    #: Fewest corners of a board in a picture that are used.
+    #: Fewest corners of a board with which a picture is used.
     fewest: int
 
     @property
     def used(self) -> tuple[Picture, ...]:
-        """The pictures of which corners are used."""
+        """The pictures with corners that are used."""
         return tuple(picture for picture in self.pictures if picture.used)
 
     @property
@@ -65,32 +67,46 @@ def detect(
 
     Args:
         images: The pictures, or files, folders and patterns as `find_images` takes them.
-        boards: The boards that they may show; their names and their markers are different.
-        fewest: Fewest corners of a board in a picture that are used.
+        boards: The boards that they may show, with different names and different markers.
+        fewest: Fewest corners of a board with which a picture is used.
         executor: Where the pictures are searched; None: here.
         progress: Called with the number of pictures done and of all.
 
     Returns:
-        What every picture shows, and what is wrong with them or with the boards' descriptions.
+        What every picture shows, and what is wrong with the pictures or with the descriptions of the boards.
 
     Raises:
         ArgumentError: An argument has a wrong type.
-        CalibError: Two boards have one name, or share markers, or there is no such picture.
+        CalibError: Two boards have one name or share markers, or a picture does not exist.
 
     Example:
         >>> board = Board(pattern="chessboard", columns=9, rows=6, square=0.025)
         >>> calib.detect(["images"], [board]).corner_count  # doctest: +SKIP
         480
     """
-    _check_all("images", images, (ImageFile, str, Path), "files, folders or patterns")
-    _check_all("boards", boards, Board, "Board values")
+    _check_sequence("images", images, (ImageFile, str, Path), "files, folders or patterns")
+    _check_sequence("boards", boards, Board, "Board values")
     check_whole("fewest", fewest, 4)
     check_executor(executor)
     check_callable("progress", progress)
     check_boards(boards)
-    files = _files(images)
+    words = [image for image in images if not isinstance(image, ImageFile)]
+    files = [image for image in images if isinstance(image, ImageFile)]
+    if words:
+        files += find_images(words)
+
     search = Search(tuple(boards), fewest, single_thread=executor is not None)
-    pictures = _of_usual_size(_looked_at(search, files, executor, progress))
+    by_number: dict[int, Picture] = {}
+    for number, picture in jobs.run(look, search, files, executor):
+        by_number[number] = picture
+        if progress is not None:
+            progress(len(by_number), len(files))
+    pictures = [by_number[number] for number in range(len(files))]
+
+    usual = usual_sizes(pictures)
+    for k, picture in enumerate(pictures):
+        if not picture.reason and picture.size != usual[picture.file.camera]:
+            pictures[k] = replace(picture, reason=OTHER_SIZE)
     findings = list(picture_findings(pictures))
     readable = [picture for picture in pictures if not picture.reason]
     for board in boards:
@@ -101,78 +117,38 @@ def detect(
     return Detection(tuple(boards), tuple(pictures), tuple(findings), fewest)
 
 
-def _check_all(argument: str, given: object, types: type | tuple[type, ...], allowed: str) -> None:
-    """Refuse an argument that is no sequence of values of a type, or has none."""
+def check_boards(boards: Sequence[Board]) -> None:
+    """Refuse boards that cannot be told apart in a picture; raises `CalibError`."""
+    for first, second in combinations(boards, 2):
+        if first.name == second.name:
+            raise CalibError(f"Two boards have the name '{first.name}'; give each its own.")
+        if CHESSBOARD in (first.pattern, second.pattern):
+            sizes = [{board.columns, board.rows} for board in (first, second)]
+            is_same = first.pattern == second.pattern and sizes[0] == sizes[1]
+        else:
+            begin = max(first.first_marker, second.first_marker)
+            end = min(first.first_marker + first.markers, second.first_marker + second.markers)
+            is_same = kind_of(first.dictionary) == kind_of(second.dictionary) and begin < end
+        if is_same:
+            raise CalibError(
+                f"The boards {choices([first.name, second.name])} look alike in a picture: they have the same size, or "
+                "share markers of a dictionary. Print one with other markers: calib board --first-marker, or another "
+                "--dictionary."
+            )
+
+
+def _check_sequence(
+    argument: str, given: object, types: type | tuple[type, ...], allowed: str
+) -> None:
+    """Refuse an argument that is not a sequence of values of some types, or is empty."""
     if isinstance(given, (str, bytes)) or not isinstance(given, Sequence) or not given:
         raise wrong_type(argument, given, f"a sequence of {allowed}, one or more")
     for k, value in enumerate(given):
         check_type(f"{argument}[{k}]", value, types, f"one of {allowed}")
 
 
-def _files(images: Sequence[ImageFile | str | Path]) -> list[ImageFile]:
-    """Return pictures; words are the files that they name."""
-    words = [image for image in images if not isinstance(image, ImageFile)]
-    files = [image for image in images if isinstance(image, ImageFile)]
-    return [*files, *(find_images(words) if words else ())]
-
-
-def _looked_at(
-    search: Search,
-    files: Sequence[ImageFile],
-    executor: Executor | None,
-    progress: Callable[[int, int], None] | None,
-) -> list[Picture]:
-    """Return what was found in each picture, in their order."""
-    by_number: dict[int, Picture] = {}
-    for number, picture in jobs.run(look, search, files, executor):
-        by_number[number] = picture
-        if progress is not None:
-            progress(len(by_number), len(files))
-    return [by_number[number] for number in range(len(files))]
-
-
-def check_boards(boards: Sequence[Board]) -> None:
-    """Refuse boards that cannot be told apart; raises `CalibError`."""
-    for k, board in enumerate(boards):
-        for other in boards[:k]:
-            _check_pair(other, board)
-
-
-def _check_pair(first: Board, second: Board) -> None:
-    """Refuse two boards that cannot be told apart."""
-    if first.name == second.name:
-        raise CalibError(f"Two boards have the name '{first.name}'; give each its own.")
-    if CHESSBOARD in (first.pattern, second.pattern):
-        is_same = first.pattern == second.pattern and _sides(first) == _sides(second)
-    else:
-        begin = max(first.first_marker, second.first_marker)
-        end = min(first.first_marker + first.markers, second.first_marker + second.markers)
-        is_same = kind_of(first.dictionary) == kind_of(second.dictionary) and begin < end
-    if is_same:
-        raise CalibError(
-            f"The boards {choices([first.name, second.name])} look alike in a picture: they have the same size, or "
-            "share markers of a dictionary. Print one with other markers: calib board --first-marker, or another "
-            "--dictionary."
-        )
-
-
-def _sides(board: Board) -> set[int]:
-    """Return the numbers of columns and rows, in no order."""
-    return {board.columns, board.rows}
-
-
-def _of_usual_size(pictures: Sequence[Picture]) -> list[Picture]:
-    """Return pictures, those of another size than most of their camera's with that reason."""
-    usual = usual_sizes(pictures)
-    result = []
-    for picture in pictures:
-        is_other = not picture.reason and picture.size != usual[picture.file.camera]
-        result.append(replace(picture, reason=OTHER_SIZE) if is_other else picture)
-    return result
-
-
 def _without(picture: Picture, board: Board) -> Picture:
-    """Return a picture whose corners of a board are not used: the board is described wrongly."""
+    """Return a picture in which the corners of a board are not used: the board is described wrongly."""
     views = []
     for view in picture.views:
         is_wrong = view.board == board.name and view.is_used

@@ -1,4 +1,4 @@
-"""Pictures as they are named on a command line: files, folders and patterns, each with its name and its camera."""
+"""Pictures as they are named on a command line, by files, folders and patterns: their names and cameras."""
 
 from __future__ import annotations
 
@@ -16,25 +16,25 @@ from calib.basics.values import Value
 from calib.boards.opencv import opencv
 from calib.errors import FileError, choices
 
-#: Endings of the files of a folder that are pictures, in lower case.
+#: Endings of pictures in a folder, in lower case.
 ENDINGS = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 
-#: What a name with any of these characters is: a pattern.
+#: Characters that make a name a pattern.
 _PATTERN = re.compile(r"[*?\[]")
 
-#: Numbers in a name, by which names are sorted as people do.
+#: Numbers in a name; names are sorted by their values, as people do.
 _NUMBER = re.compile(r"(\d+)")
 
 
 @dataclass(frozen=True, slots=True)
 class ImageFile(Value):
-    """A picture that was named."""
+    """A picture on disk."""
 
     #: The file.
     path: Path
-    #: Its name in tables: that of the file, with folders before it where several have the same.
+    #: Its name in tables: that of the file, with as many folders in front as make it unique.
     name: str
-    #: The camera that took it; "" where that is not said.
+    #: The camera that took it; "" if that is not stated.
     camera: str = ""
 
 
@@ -44,12 +44,11 @@ def find_images(
     """Find pictures.
 
     Args:
-        words: Files, folders, of which all pictures are taken, and patterns such as ``run/*.png``; ``**`` goes through
-            folders.
-        cameras: Names of cameras by the folders with their pictures; "" is the folder of all others. None: not said.
+        words: Files, folders (all pictures in them), and patterns such as ``run/*.png``; ``**`` descends into folders.
+        cameras: Names of cameras by the folders with their pictures, "" for all other pictures. None: not stated.
 
     Returns:
-        The pictures, each once, in the order of the words, those of a folder or pattern sorted with numbers by value.
+        The pictures, each once, in the order of the words; those of a folder or pattern sorted, numbers by value.
 
     Raises:
         FileError: A file does not exist, a folder or pattern has no pictures, or a camera has none.
@@ -63,7 +62,10 @@ def find_images(
     of_others = (cameras or {}).get("", "")
     images = []
     for path, name in zip(unique, _names(unique), strict=True):
-        images.append(ImageFile(path, name, _camera_of(path, folders) or of_others))
+        # The innermost of the folders that the picture is in.
+        around = [str(folder) for folder in Path(os.path.realpath(path)).parents]
+        named = [folders[folder] for folder in around if folder in folders]
+        images.append(ImageFile(path, name, named[0] if named else of_others))
     without = set((cameras or {}).values()) - {image.camera for image in images}
     if without:
         raise FileError(
@@ -80,8 +82,8 @@ def read_image(image: ImageFile) -> Any:  # noqa: ANN401  8-bit, which Array is 
         image: The file.
 
     Returns:
-        Grey values, 8 bits, shape (height, width), as the file has them: a note that the picture is to be turned is
-        ignored, since a camera's intrinsics are those of its sensor; None if it is no picture.
+        Grey values, 8 bits, shape (height, width), as stored: an orientation tag is ignored, since a camera's
+        intrinsics refer to its sensor. None if the file is not a picture.
 
     Raises:
         FileError: The file cannot be read.
@@ -96,7 +98,7 @@ def read_image(image: ImageFile) -> Any:  # noqa: ANN401  8-bit, which Array is 
 
 
 def _named_by(word: str | Path) -> list[Path]:
-    """Return the pictures that a word names."""
+    """Return the pictures that a word names: a file, those in a folder, or those that match a pattern."""
     path = Path(word)
     if path.is_dir():
         inside = [entry for entry in path.iterdir() if entry.suffix.lower() in ENDINGS]
@@ -118,7 +120,7 @@ def _named_by(word: str | Path) -> list[Path]:
 
 
 def _by_numbers(path: Path) -> list[tuple[int, int, str]]:
-    """Return what sorts names with numbers by value: ``pose_2`` before ``pose_10``."""
+    """Return a sorting key by which ``pose_2`` comes before ``pose_10``."""
     key = []
     for part in _NUMBER.split(str(path)):
         is_number = part.isdecimal()
@@ -127,7 +129,7 @@ def _by_numbers(path: Path) -> list[tuple[int, int, str]]:
 
 
 def _names(paths: Iterable[Path]) -> list[str]:
-    """Return the shortest name of each file that no other has: the file's, or with folders before it."""
+    """Return the shortest unique name of each file: its own, or with folders in front."""
     parts = [Path(os.path.abspath(path)).parts for path in paths]  # noqa: PTH100  links keep their names
     names = [""] * len(parts)
     length = 1
@@ -142,11 +144,3 @@ def _names(paths: Iterable[Path]) -> list[str]:
                 unnamed.discard(k)
         length += 1
     return names
-
-
-def _camera_of(path: Path, folders: Mapping[str, str]) -> str:
-    """Return the camera of the innermost folder around a file; "" if none is named."""
-    for parent in Path(os.path.realpath(path)).parents:
-        if str(parent) in folders:
-            return folders[str(parent)]
-    return ""

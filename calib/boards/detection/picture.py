@@ -1,4 +1,4 @@
-"""One picture: read, searched for all boards, and made small for a page."""
+"""One picture: read, searched for all boards, and reduced to a small copy for a page."""
 
 from __future__ import annotations
 
@@ -6,8 +6,7 @@ import hashlib
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from calib.basics.mappings import ReadOnlyMapping
-from calib.basics.values import Value
+from calib.basics.values import ReadOnlyMapping, Value
 from calib.boards.board import CHESSBOARD, Board
 from calib.boards.corners.markers import Markers, find_markers, no_markers
 from calib.boards.detection.board_search import NO_BOARD, BoardView, reason_of_nothing, search_board
@@ -15,7 +14,7 @@ from calib.boards.detection.image_files import ImageFile, read_image
 from calib.boards.opencv import opencv
 from calib.errors import FileError
 
-#: The file is no picture.
+#: The file is not a picture.
 UNREADABLE = "unreadable"
 
 #: The picture has another size than most of its camera's.
@@ -36,7 +35,7 @@ class Search(Value):
     """Boards that pictures are searched for."""
 
     boards: tuple[Board, ...]
-    #: Fewest corners of a board in a picture that are used.
+    #: Fewest corners of a board with which a picture is used.
     fewest: int
     #: Whether OpenCV uses one thread, as beside other processes.
     single_thread: bool = False
@@ -51,7 +50,7 @@ class Picture(Value):
     size: tuple[int, int] = (0, 0)
     #: What it shows of each board, in their order.
     views: tuple[BoardView, ...] = ()
-    #: Why nothing of it is used; "" if something is, or if the views say it.
+    #: Why nothing of it is used; "" if something is, or if the reasons of the views say it.
     reason: str = ""
     #: The markers in it by the name of their dictionary.
     markers: ReadOnlyMapping[str, Markers] = field(default_factory=ReadOnlyMapping)
@@ -90,16 +89,20 @@ def look(search: Search, file: ImageFile) -> Picture:
         markers, views = _search(search, image, thorough=True)
     if all(view.reason == NO_BOARD for view in views):
         views = [
-            _with_reason(view, image, board)
+            replace(view, reason=reason_of_nothing(image, board))
             for view, board in zip(views, search.boards, strict=True)
         ]
+    scale = min(1.0, _SMALL / max(image.shape))
+    size = (max(1, round(scale * image.shape[1])), max(1, round(scale * image.shape[0])))
+    copy = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+    _, small = cv2.imencode(".jpg", copy, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
     return Picture(
         file=file,
         size=(image.shape[1], image.shape[0]),
         views=tuple(views),
         markers=ReadOnlyMapping(markers),
         sha256=hashlib.sha256(image.tobytes()).hexdigest(),
-        small=_small(image),
+        small=bytes(small.tobytes()),
     )
 
 
@@ -109,7 +112,7 @@ def _search(
     *,
     thorough: bool,
 ) -> tuple[dict[str, Markers], list[BoardView]]:
-    """Return the markers in a picture by dictionary, and what it shows of each board."""
+    """Return the markers in a picture by the name of their dictionary, and what it shows of each board."""
     dictionaries = sorted({board.dictionary for board in search.boards if board.dictionary})
     markers = {name: find_markers(image, name, thorough=thorough) for name in dictionaries}
     views = []
@@ -117,18 +120,3 @@ def _search(
         of_board = no_markers() if board.pattern == CHESSBOARD else markers[board.dictionary]
         views.append(search_board(image, board, of_board, search.fewest))
     return markers, views
-
-
-def _with_reason(view: BoardView, image: Any, board: Board) -> BoardView:  # noqa: ANN401  8-bit
-    """Return the view of a board that is not in a picture, with the reason."""
-    return replace(view, reason=reason_of_nothing(image, board))
-
-
-def _small(image: Any) -> bytes:  # noqa: ANN401  8-bit
-    """Return a small copy of a picture as JPEG."""
-    cv2 = opencv()
-    scale = min(1.0, _SMALL / max(image.shape))
-    size = (max(1, round(scale * image.shape[1])), max(1, round(scale * image.shape[0])))
-    copy = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
-    _, data = cv2.imencode(".jpg", copy, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
-    return bytes(data.tobytes())

@@ -179,13 +179,9 @@ def _fail_on_count(
 
 
 def _position_of(name: str, names: Sequence[str], *, in_any_case: bool = False) -> int | None:
-    """Return the position of a name among others, from 0, None if it is not there.
+    """Return the position of a name among others, from 0; None if it is not there.
 
-    Args:
-        name: The name.
-        names: The others.
-        in_any_case: Whether single letters are found in any case; else but those of a position they are found as
-            written. Longer names are found in any case.
+    Upper and lower case are the same, except for single letters other than x, y, z, unless ``in_any_case``.
     """
     is_exact = len(name) == 1 and name not in _POSITION and not in_any_case
     for i, other in enumerate(names):

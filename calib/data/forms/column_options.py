@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from typing import TypeAlias
 
 from calib.basics.arguments import check_mapping, check_type
-from calib.basics.mappings import ReadOnlyMapping
 from calib.basics.units import Quantity, find_unit, symbols
+from calib.basics.values import ReadOnlyMapping
 from calib.data.forms.brands import Brand, find_brand
 from calib.data.forms.orientations import Convention, find_convention
 from calib.errors import CalibError, MeasurementError, choices
@@ -33,7 +33,7 @@ class ColumnOptions:
     brand: str | None = None
     #: One of `calib.data.forms.orientations.CONVENTIONS`; None: as the columns' names say.
     orientation: str | None = None
-    #: Unit of the joints whose columns name none, ``"deg"``; ``"deg mm"`` where some slide. None: each names its own.
+    #: Unit of the joints whose columns name none, ``"deg"``; ``"deg mm"`` if some slide. None: each names its own.
     joint_unit: str | None = None
 
     def __post_init__(self) -> None:

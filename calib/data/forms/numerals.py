@@ -1,6 +1,6 @@
 """Numbers as people and programs write them: with a decimal point or comma, with or without a sign between thousands.
 
-A sign with other than three digits behind it is decimal, one that is there twice stands between thousands, and of two
+A sign with other than three digits after it is decimal, one that is there twice stands between thousands, and of two
 in one number the last is decimal. Numbers such as 1,992 and 1.992 may be either: the other numbers of the file decide.
 """
 
@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable
-from typing import NamedTuple
 
 from calib.errors import MeasurementError
 
@@ -43,50 +42,39 @@ def decimal_sign_in(remarks: Iterable[str]) -> str | None:
     return None
 
 
-class _Evidence(NamedTuple):
-    """First line, from 1, with each meaning of each sign."""
-
-    decimal: dict[str, int]
-    thousands: dict[str, int]
-    either: dict[str, int]
-
-
-def _evidence_of(numerals: Iterable[tuple[int, str]]) -> _Evidence:
-    """Return what numbers say of their signs; arguments as of `decimal_sign_of`."""
-    evidence = _Evidence({}, {}, {})
-    for line, text in numerals:
-        signs = [character for character in text if character in ".,"]
-        if not signs or not NUMERAL.fullmatch(text):
-            continue
-        if _EITHER.fullmatch(text):
-            evidence.either.setdefault(signs[0], line)
-        elif len(signs) == 1:
-            evidence.decimal.setdefault(signs[0], line)
-        else:
-            evidence.thousands.setdefault(signs[0], line)
-            if signs[-1] != signs[0]:
-                evidence.decimal.setdefault(signs[-1], line)
-    return evidence
-
-
 def decimal_sign_of(
     numerals: Iterable[tuple[int, str]], source: str, stated: str | None = None
 ) -> str:
     """Return the decimal sign of the numbers of a file.
 
     Args:
-        numerals: Line of each number, from 1, and the number as written; what is no number says nothing.
+        numerals: Line of each number, from 1, and the number as written; anything else is ignored.
         source: The file's name, for messages.
         stated: The sign that the file states; None: it states none.
 
     Returns:
-        ``"."`` or ``","``; ``"."`` where nothing tells and no number has a comma: 1.992 alone is less than 2.
+        ``"."`` or ``","``; ``"."`` if nothing decides and no number has a comma: 1.992 alone is less than 2.
 
     Raises:
         MeasurementError: Numbers contradict each other or what is stated, or there are commas, each with three digits
-            behind it, and nothing tells what they are.
+            after it, and nothing decides what they are.
     """
-    decimal, thousands, either = _evidence_of(numerals)
+    # The first line with each meaning of each sign.
+    decimal: dict[str, int] = {}
+    thousands: dict[str, int] = {}
+    either: dict[str, int] = {}
+    for line, text in numerals:
+        signs = [character for character in text if character in ".,"]
+        if not signs or not NUMERAL.fullmatch(text):
+            continue
+        if _EITHER.fullmatch(text):
+            either.setdefault(signs[0], line)
+        elif len(signs) == 1:
+            decimal.setdefault(signs[0], line)
+        else:
+            thousands.setdefault(signs[0], line)
+            if signs[-1] != signs[0]:
+                decimal.setdefault(signs[-1], line)
     if stated is not None:
         decimal.setdefault(stated, 1)
     _check_agreement(source, decimal, thousands)
@@ -97,7 +85,7 @@ def decimal_sign_of(
     if "," in either:
         raise MeasurementError(
             f"{source}, line {either[',']}: a comma may be decimal or stand between thousands: three digits follow "
-            "each, and nothing else tells. Write a first line '# Decimal: comma' or '# Decimal: point'."
+            "each, and nothing else decides. Write a first line '# Decimal: comma' or '# Decimal: point'."
         )
     return "."
 
@@ -121,7 +109,7 @@ def _check_agreement(source: str, decimal: dict[str, int], thousands: dict[str, 
 
 
 def plain(text: str, decimal_sign: str) -> str:
-    """Return a number with a decimal point and nothing between thousands; what is no number stays as it is.
+    """Return a number with a decimal point and nothing between thousands; anything else stays as it is.
 
     Args:
         text: As written.

@@ -20,16 +20,16 @@ class Orientation(NamedTuple):
     convention: Convention
     #: Its columns, in the order of the convention.
     columns: Columns
-    #: Names of other conventions with these columns, where nothing but the columns says which one it is.
+    #: Names of other conventions with these columns, if only the columns say which one it is.
     alternatives: tuple[str, ...]
 
 
 def conventions_of(
     table: Table, named: Named, joint_names: Collection[str], options: ColumnOptions
 ) -> tuple[Convention, ...]:
-    """Return the conventions of which a table has all columns; of those with the same columns the one that is meant.
+    """Return the conventions whose columns a table has; of several with the same columns the one that is meant.
 
-    Where cells of some conventions are filled in, only these count: a plan leaves columns empty.
+    If the cells of some conventions are filled in, only these count: a plan leaves columns empty.
 
     Args:
         table: The table.

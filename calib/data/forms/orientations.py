@@ -32,7 +32,7 @@ class Convention:
 
     #: What ``--orientation`` calls it.
     name: str
-    #: The columns' names, of which single capital letters are read as written, others in any case.
+    #: The columns' names; single capital letters are read as written, others in any case.
     columns: tuple[str, ...]
     #: Unit in which the numbers are usually written; empty: they have none.
     unit: str
@@ -174,7 +174,7 @@ _ROWS = (
     ),
 )
 
-#: All conventions by name; the first with some columns is what these are where nothing else is said.
+#: All conventions by name; of those with the same columns the first counts if nothing else is said.
 CONVENTIONS: Mapping[str, Convention] = MappingProxyType({row.name: row for row in _ROWS})
 
 #: Names of columns as written here, by those that are read in any case, in lower case.

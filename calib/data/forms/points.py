@@ -45,9 +45,9 @@ class Points:
         Args:
             source: The table's name, for messages.
             rows: The numbers of the table's rows, for messages.
-            names: Name of each row's point, whole or without collection and group; if none of the
-                rows' names is in the list so, the last part of each counts, behind a blank, ``/``,
-                ``:`` or ``_``. None: the points are in the order of the rows.
+            names: Name of each row's point, whole or without collection and group; if the list has none of these
+                names, the last part of each counts, after a blank, ``/``, ``:`` or ``_``. None: the points are in the
+                order of the rows.
 
         Returns:
             Index of each row's point, from 0; -1 for a row whose point is not measured yet. That is
@@ -81,7 +81,7 @@ class Points:
             if fault is not None:
                 raise MeasurementError(
                     f"{source}, row {row}: in {self.source} {fault}. Correct the name or remove "
-                    "the row; where the points are in the order of the rows, --columns "
+                    "the row; if the points are in the order of the rows, --columns "
                     '"point=-" does without names.'
                 )
         return [indices[0] if indices else -1 for indices in hits]
@@ -133,7 +133,7 @@ def _last(name: str) -> str:
 
 
 def _endings(name: str) -> Iterator[str]:
-    """Yield what a name ends with from each of its parts on, but for the first."""
+    """Yield the endings of a name that begin at each of its parts but the first."""
     for before in _BEFORE_LAST.finditer(name):
         if name[before.end() :]:
             yield name[before.end() :]

@@ -8,8 +8,8 @@ import numpy as np
 
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
+from calib.fit.registration.board_views import images_as_poses
 from calib.fit.registration.table_rows import rows_and_setup
-from calib.fit.registration.views import views_of
 from calib.robot.robot import Robot
 
 
@@ -26,10 +26,10 @@ def as_poses(robot: Robot, cell: Cell, table: Measurements) -> tuple[Measurement
         estimated unless they are given.
     """
     rows, setup = rows_and_setup(robot, table, cell)
-    views = views_of(rows)
-    measured = views.rows.measured
+    views, source_rows = images_as_poses(rows)
+    measured = views.measured
     mask = np.zeros(len(table), dtype=bool)
-    mask[views.first] = True
+    mask[source_rows] = True
     first = table.select(mask)
     poses = replace(
         first,

@@ -13,7 +13,7 @@ from calib.fit.estimate.problem import Problem
 from calib.fit.estimate.solving import estimate_with_priors
 from calib.fit.estimate.task import Task
 
-#: A parameter at its bound is released where that lowers the sum of squares by more than this.
+#: A parameter at its bound is released if that lowers the sum of squares by more than this.
 _WORTH_RELEASING = 1e-6
 
 #: The most estimates, as a multiple of the number of parameters.
@@ -24,21 +24,13 @@ def estimate_within_bounds(problem: Problem, task: Task, prior: PriorTerms) -> E
     """Estimate the parameters within their bounds, by an active set.
 
     A parameter that comes out beyond a bound is held at this bound, and all others are estimated again. When none is
-    beyond, those held parameters are released that the measurements pull inwards, each at most once. It ends where none
-    is beyond or released, or after 3 p (`_ROUNDS`) further estimates.
+    beyond, those held parameters are released that the measurements pull inwards, each at most once. It ends when none
+    is beyond or released, or after `_ROUNDS` p further estimates.
 
     Args:
-        problem: The least-squares problem: N rows of measurements, and the robot as a function of p parameters, which
-            are offsets from the nominal robot and the registered frames and targets [m, rad, ...]. Its rows of sole
-            postures (poses that alone determine a direction of the parameters, which no other row can check) are
-            marked.
-        task: Robot, cell and options of the fit; used are the solver, and the treatment of repeats and outliers.
-        prior: Priors of the p parameters, none of them held, and ``prior.limits``, shape (p, 2), the lowest and highest
-            value of each [m, rad, ...]; infinite without a bound.
-
-    Returns:
-        The estimated parameters with covariance, noise, scores and weights of the rows. Its ``at_bound`` has the
-        indices, from 0, of the parameters that are held at a bound.
+        problem: The least-squares problem, with its rows of sole postures marked.
+        task: The fit.
+        prior: Priors and bounds of the p parameters, none of them held.
 
     Raises:
         SolverError: The residual is not finite at the start.
@@ -65,20 +57,9 @@ def estimate_within_bounds(problem: Problem, task: Task, prior: PriorTerms) -> E
 
 
 def _pulled_inwards(estimate: Estimate, prior: PriorTerms, fixed: Mapping[int, float]) -> set[int]:
-    """Parameters at a bound whose release would lower the sum of squares, within the bounds.
+    """Indices of parameters at a bound whose release would lower the sum of squares, within the bounds.
 
-    A Gauss-Newton step of one parameter alone lowers the sum of squares by slope^2 / curvature; it must exceed 1e-6
-    (`_WORTH_RELEASING`).
-
-    Args:
-        estimate: The estimate of the p parameters with these held at their bounds: ``estimate.x``, shape (p,), and its
-            problem with weights and noise as estimated.
-        prior: Priors and bounds of the p parameters, none of them held; ``prior.limits``, shape (p, 2), has the lowest
-            and highest value of each.
-        fixed: Index, from 0, of each parameter that is held, and the value that it is held at [m, rad, ...].
-
-    Returns:
-        Indices of those parameters, from 0.
+    A Gauss-Newton step of one parameter alone lowers the sum of squares by slope^2 / curvature.
     """
     residual, jacobian = _without_holds(estimate, prior).system(estimate.x)
     slope = jacobian.T @ residual  # gradient of half the sum of squares
@@ -93,18 +74,10 @@ def _pulled_inwards(estimate: Estimate, prior: PriorTerms, fixed: Mapping[int, f
 
 
 def _without_holds(estimate: Estimate, prior: PriorTerms) -> Problem:
-    """The problem in which parameters that an estimate holds at a bound have their usual priors again.
+    """The estimate's problem in which parameters that are held at a bound have their usual priors again.
 
-    Args:
-        estimate: The estimate of the p parameters with some held; ``estimate.problem`` has the weights and noise as
-            estimated, ``estimate.prior_std`` the estimated prior standard deviation by the name of its family, SI
-            units.
-        prior: Priors of the p parameters, none of them held: names, members and given standard deviations of K
-            families, and 1 / variance (``precision``) and mean (``centre``), shape (p,), of parameters besides these.
-
-    Returns:
-        The estimate's problem with other precisions and means. Families of parameters have the prior standard deviation
-        that was estimated; the one as given where all parameters of a family were held, or priors are off.
+    Families of parameters have the prior standard deviation that was estimated; the one as given if all parameters of a
+    family were held, or priors are off.
     """
     estimated_std = {} if prior.source == "off" else estimate.prior_std
     prior_std = []
@@ -112,4 +85,4 @@ def _without_holds(estimate: Estimate, prior: PriorTerms) -> Problem:
         prior_std.append(estimated_std.get(family, given_std))
     family_precision = 1.0 / np.array(prior_std) ** 2
     precision = prior.precision + family_precision @ prior.families
-    return replace(estimate.problem, precision=precision, centre=prior.centre)
+    return replace(estimate.problem, prior_precision=precision, prior_mean=prior.mean)

@@ -8,13 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.basics.arrays import Array, Mask, read_only
-from calib.basics.mappings import keep_read_only
-from calib.basics.values import Value
+from calib.basics.values import Value, keep_read_only
 from calib.fit.estimate.linear import LinearProblem
 from calib.fit.estimate.problem import Problem
 from calib.fit.estimate.stages import Stage
 from calib.model.parameters import FRAME, TARGET
-from calib.numerics.pose_noise import PoseNoise
+from calib.numerics.correlated_noise import PoseNoise
 from calib.numerics.scores import Limits
 from calib.numerics.solvers import Solution
 
@@ -25,7 +24,7 @@ _NOTHING = 1e-8
 #: first joint, which nothing distinguishes from the frame, and the joint's origin would be rewritten by 1e-8.
 _TRACE = 3e-4
 
-#: Singular values below this share of the largest are zero, where frames and targets make up for traces.
+#: Singular values below this share of the largest are zero, when frames and targets make up for traces.
 _RANK_TOLERANCE = 1e-9
 
 
@@ -47,13 +46,14 @@ class Estimate(Value):
     flag_limit: float
     #: Degrees of freedom left for the noise
     freedom: float
-    #: (C,), estimated noise of each instrument, in units of the given sigma
+    #: (C,), estimated noise of each channel, in units of the given sigma
     noise: tuple[float, ...]
     #: Prior standard deviation of each family, SI units; empty without priors
     prior_std: Mapping[str, float]
     #: (N,), robust weights, repeats not shared out
     weights: Array
-    #: Restricted log-likelihood at these prior standard deviations and noise
+    #: Restricted log-likelihood at these prior standard deviations and noise, in units of the given sigma, except for a
+    #: constant: the normalisation of the weak priors of flat parameters
     log_likelihood: float
     #: Indices of the parameters that are held at a bound, from 0
     at_bound: tuple[int, ...] = ()
@@ -70,43 +70,26 @@ class Estimate(Value):
 
     @property
     def pose_noise(self) -> PoseNoise | None:
-        """Scale of the stated covariances of poses, and what the robot adds; None where none was stated."""
+        """Scale of the stated covariances of poses, and what the robot adds; None if none was stated."""
         rows = self.problem.rows
         return rows.pose_noise if np.any(rows.correlated) else None
 
     @property
     def outliers(self) -> Mask:
-        """Rows that are flagged as outliers: those whose score is above the limit.
-
-        Uses `scores`, shape (N,), the norm of each row's deleted residual in standard deviations, and `flag_limit`.
-
-        Returns:
-            Mask of the N fitted rows, shape (N,), in the order of ``problem.rows``.
-        """
+        """Rows that are flagged as outliers, shape (N,): those whose score is above the limit."""
         return self.scores > self.flag_limit
 
 
 def problem_at_stage(problem: Problem, stage: Stage) -> Problem:
-    """Return a problem with the weights, noise and priors of a stage.
-
-    Args:
-        problem: The least-squares problem of N rows and p parameters.
-        stage: State of one fit to these rows: ``stage.effective``, shape (1, N), row weights with the factors for
-            repeats; ``stage.noise``, shape (1, C), of each of C instruments, as a multiple of the given sigma;
-            ``stage.priors``, 1 / variance, (1, p), and mean, (p,), of each parameter; ``stage.rho``, shape (1, C, 3),
-            shares of each instrument's variance that the targets of a stop (standstill of the robot) have in common.
-
-    Returns:
-        The same problem with these weights, noise, precisions, means and shares.
-    """
+    """Return a problem with the weights, noise and priors of a stage of one fit (B = 1)."""
     priors = stage.priors
     return replace(
         problem,
         weights=stage.effective[0],
         noise=stage.noise[0],
-        precision=priors.precision[0],
-        centre=priors.centre,
-        rho=stage.rho[0],
+        prior_precision=priors.precision[0],
+        prior_mean=priors.centre,
+        stop_shares=stage.stop_shares[0],
     )
 
 
@@ -119,31 +102,34 @@ def estimate_at_stage(
     """Make the estimate from the last stage of a fit and the solution of its problem.
 
     Args:
-        problem: The least-squares problem of N rows of measurements and p parameters.
-        stage: State of the fit as it settled: ``stage.weights``, shape (1, N), robust weights of the rows, and
-            ``stage.effective``, with the factors for repeats; ``stage.noise``, shape (1, C), of each of C instruments,
-            as a multiple of the given sigma; ``stage.prior_std``, shape (1, K), of each family of parameters, in SI
-            units; and ``stage.prior``, the priors as given: names of the families, whether there are any (``source``),
-            and which parameters are held at a bound (``fixed``), and where (``centre``, shape (p,)).
-        solution: The solver's result at this stage: ``solution.x``, shape (p,), offsets from the nominal robot and the
-            registered frames and targets [m, rad, ...].
-        covariance_factor: Covariance of the solver's estimator over that of least squares; 1 for least squares.
+        problem: The least-squares problem.
+        stage: State of one fit (B = 1) as it settled.
+        solution: The solver's result at this stage.
+        covariance_factor: Covariance of the solver's estimator over that of least squares, which multiplies the
+            variance of the noise, not that of the priors; 1 for least squares.
 
     Returns:
-        The parameters with their covariance, and scores, weights, noise, priors and restricted log-likelihood. Its x
-        differs from the solution's where a parameter is a mere trace of its prior, which becomes 0 (frames and targets
-        make up for that), or is held at a bound, which it then meets.
+        The estimate. Its x differs from the solution's if a parameter is a mere trace of its prior, which becomes 0
+        (frames and targets make up for that), or is held at a bound, which it then meets.
     """
-    linear, prior = problem.linear(solution.x), stage.prior
+    linear, prior, priors = problem.linear(solution.x), stage.prior, stage.priors
     has_priors = prior.source != "off"
     _, covariance_for_scores, freedom = stage.scoring_fit(linear)
     scores = linear.scores(solution.x[None], covariance_for_scores, stage.effective, stage.noise)
-    covariance = _covariance(problem, stage, linear, covariance_factor)
+
+    equations = linear.normal_equations(stage.effective, stage.stop_shares)
+    _, covariances = equations.posterior(np.sqrt(covariance_factor) * stage.noise, priors)
+    covariance = covariances[0]
+    if problem.gauge is not None:  # the arm's size is as uncertain as by its prior
+        covariance = covariance + problem.gauge.covariance(priors.precision[0])
+    family_precision = np.where(prior.flat, 0.0, priors.precision)
+    log_likelihood = equations.log_likelihood(stage.noise, priors, family_precision)
+
     x = solution.x.copy()
     if has_priors:  # without, nothing keeps small what the target can replace: there are no traces
         x = _without_traces(problem, linear, covariance)
     held = list(prior.fixed)
-    x[held] = prior.centre[held]
+    x[held] = prior.mean[held]
     prior_std = dict(zip(prior.names, stage.prior_std[0].tolist(), strict=True))
     return Estimate(
         x=read_only(x),
@@ -156,82 +142,16 @@ def estimate_at_stage(
         noise=tuple(stage.noise[0].tolist()),
         prior_std=prior_std if has_priors else {},
         weights=read_only(stage.weights[0]),
-        log_likelihood=_log_likelihood(stage, linear),
+        log_likelihood=float(log_likelihood[0]),
         at_bound=prior.fixed,
     )
 
 
-def _covariance(
-    problem: Problem,
-    stage: Stage,
-    linear: LinearProblem,
-    covariance_factor: float,
-) -> Array:
-    """Covariance of the parameters of one fit, with the uncertainty of the arm's size where that is held.
-
-    Args:
-        problem: The least-squares problem. Where nothing measures a length its ``gauge`` holds the arm's size, with
-            ``growth``, shape (p,), the change of the parameters when all lengths double; else it is None.
-        stage: State of the fit: ``stage.effective``, shape (1, N), row weights; ``stage.noise``, shape (1, C), of each
-            of C instruments, as a multiple of the given sigma; ``stage.rho``, shape (1, C, 3), what the targets of a
-            stop share; ``stage.priors``, with the 1 / variance of each parameter, shape (1, p).
-        linear: The problem linearised at the solution: N rows of D scalars by p parameters, in units of the given
-            sigma.
-        covariance_factor: Covariance of the solver's estimator over that of least squares, which multiplies the
-            variance of the noise, not that of the priors; 1 for least squares.
-
-    Returns:
-        shape (p, p), in the products of the parameters' units [m, rad, ...].
-    """
-    equations = linear.normal_equations(stage.effective, stage.rho)
-    priors = stage.priors
-    _, covariance = equations.posterior(np.sqrt(covariance_factor) * stage.noise, priors)
-    result: Array = covariance[0]
-    if problem.gauge is not None:  # the arm's size is as uncertain as by its prior
-        growth = problem.gauge.growth
-        variance = problem.gauge.variance(priors.precision[0])
-        result = result + variance * np.outer(growth, growth)
-    return result
-
-
-def _log_likelihood(stage: Stage, linear: LinearProblem) -> float:
-    """Restricted log-likelihood of the noise and prior standard deviations of one fit.
-
-    Args:
-        stage: State of the fit: ``stage.effective``, shape (1, N), row weights, robust ones times factors for repeats;
-            ``stage.rho``, shape (1, C, 3), shares of the variance of each of C instruments that translations,
-            rotations and errors of joints, common to the targets of a stop, have; ``stage.noise``, shape (1, C),
-            standard deviation of each instrument, as a multiple of the given sigma; ``stage.priors``, the normal priors
-            of all p parameters at this stage, 1 / variance, shape (1, p), in the inverse squares of their units, and
-            means; ``stage.prior.flat``, shape (p,), True for parameters of frames and targets, of which only a weak
-            prior is assumed.
-        linear: The least-squares problem linearised at the solution: N rows of D scalars by p parameters, in units of
-            the given sigma.
-
-    Returns:
-        The natural logarithm, but for a constant: the normalisation of the weak priors of flat parameters is left out.
-        Scalars count in units of the given sigma.
-    """
-    equations = linear.normal_equations(stage.effective, stage.rho)
-    priors = stage.priors
-    family_precision = np.where(stage.prior.flat, 0.0, priors.precision)
-    return float(equations.log_likelihood(stage.noise, priors, family_precision)[0])
-
-
 def _without_traces(problem: Problem, linear: LinearProblem, covariance: Array) -> Array:
-    """The solution with changes of the robot that are mere traces of the priors set to zero.
+    """The solution, (p,), with changes of the robot that are mere traces of the priors set to zero.
 
-    A trace is an offset of a length or angle of the robot below 1e-8 m or rad (`_NOTHING`), or below 3e-4 (`_TRACE`) of
-    its standard deviation. Frames and targets change by least squares so that the predictions stay.
-
-    Args:
-        problem: The least-squares problem; its error model gives unit and family of each of the p parameters.
-        linear: The same problem linearised at the solution ``linear.x``, shape (p,), [m, rad, ...]; ``linear.A``, shape
-            (N, D, p), is the Jacobian of the predicted scalars, of which ``linear.used``, shape (N, D), are measured.
-        covariance: shape (p, p), of the solution.
-
-    Returns:
-        shape (p,), the parameters in their units [m, rad, ...].
+    A trace is an offset of a length or angle of the robot below `_NOTHING`, or below the share `_TRACE` of its standard
+    deviation. Frames and targets change by least squares so that the predictions stay.
     """
     model, x = problem.kinematics.model, linear.x
     of_setup = model.family(FRAME, TARGET)

@@ -2,21 +2,22 @@
 
     minimise  1/2 [sum_i w_i |W_i r_i(x)|^2 + sum_k (x_k - m_k)^2 / tau_k^2 + sum_c (d_c - d_c(x))^2 / s_c^2]
 
-with residuals r (measured minus predicted), W = 1 / sigma (of poses with a covariance as `Rows.standardised` has it),
-normal priors of standard deviation tau on the parameters (mean 0, but at a bound) and known distances d. Linearised it
-is y = A x + n: see `calib.fit.estimate.linear`.
+with residuals r (measured minus predicted), W = 1 / sigma (of poses with a covariance as `Rows.standardise` has it),
+normal priors of standard deviation tau on the parameters (mean 0, except at a bound) and known distances d. Linearised
+it is y = A x + n: see `calib.fit.estimate.linear`.
 
 Letters of shapes, in all of `calib.fit.estimate`:
 
     B   fits computed together, which differ in the weights of their rows; the first axis
-    C   instruments: lengths of each kind of rows, then angles of each kind; each has a noise
+    C   channels: one for each kind and unit of a scalar (m, then rad, then px), each with its own noise
     N   rows of the table
-    D   columns of a residual: 3 lengths, and 3 angles where orientations were measured
-    p   parameters: offsets of the robot, then of frames and targets, from the registered start [m, rad, ...]
+    D   columns of a residual: as many as the widest kind has scalars; `Rows.channels` gives each entry's unit
+    p   parameters: offsets of the robot, of frames and targets, from the registered start, and of cameras and boards,
+        in each parameter's unit [m, rad, ...]
     K   families of parameters, each with one prior standard deviation
 
 Sigma is the standard deviation of a scalar as given or assumed before the fit; the noise is the estimated one, in units
-of sigma. "In units of sigma" is as `Rows.standardised` has it: of a pose with a covariance the six scalars are made
+of sigma. "In units of sigma" is as `Rows.standardise` has it: of a pose with a covariance the six scalars are made
 independent too. "Whitened" is divided by sigma times noise, and times the root of the weight.
 """
 
@@ -28,10 +29,10 @@ import numpy as np
 
 from calib.basics.arrays import Array
 from calib.basics.values import Value
-from calib.fit.estimate.gauge import TOLERANCE, SizeGauge, measures_length, size_gauge
 from calib.fit.estimate.linear import LinearProblem
-from calib.fit.estimate.stop_errors import Stops
-from calib.fit.estimate.stop_shares import PARTS
+from calib.fit.estimate.special_cases.arm_size import SizeGauge, find_size_gauge, measures_length
+from calib.fit.estimate.special_cases.stop_shares import PARTS
+from calib.fit.estimate.special_cases.stops import Stops
 from calib.fit.registration.known_distances import KnownDistance
 from calib.fit.registration.rows import Rows
 from calib.model.kinematics import Kinematics
@@ -39,7 +40,7 @@ from calib.model.observability import Observability, analyse
 from calib.numerics.solvers import triangle
 from calib.robot.kernel import over_blocks
 
-#: Noise below this is no instrument's but rounding [m, rad].
+#: Noise below this is rounding, and not that of an instrument [m, rad, px].
 _SMALLEST_SIGMA = 1e-8
 
 #: Rows whose twists are in memory at a time.
@@ -60,24 +61,24 @@ class Problem(Value):
     kinematics: Kinematics
     #: The measurements
     rows: Rows
-    #: (C,), standard deviation of each instrument as estimated, in units of its sigma
+    #: (C,), standard deviation of each channel as estimated, in units of its sigma
     noise: Array
     #: (N,), of the rows, between 0 and 1
     weights: Array
     #: (p,), 1 / tau_k^2; 0 for a parameter without prior
-    precision: Array
-    #: (p,), means m_k of the priors
-    centre: Array
+    prior_precision: Array
+    #: (p,), m_k
+    prior_mean: Array
     #: Known distances between frames
     distances: tuple[KnownDistance, ...]
-    #: (C,), lowest noise of each instrument, in units of its sigma
+    #: (C,), lowest noise of each channel, in units of its sigma
     smallest_noise: tuple[float, ...]
-    #: (C, 3), share of each instrument's variance that targets of a stop have in common
-    rho: Array
-    #: The size of the arm, held where nothing measures a length
-    gauge: SizeGauge | None = None
-    #: Where the robot stood while several targets were measured
+    #: (C, 3), shares of each channel's variance that targets of a stop have in common, see `Stops`
+    stop_shares: Array
+    #: Where the robot stood while several targets were measured; None if it never did
     stops: Stops | None = None
+    #: The size of the arm, held at the nominal one; None if something measures a length
+    gauge: SizeGauge | None = None
     #: Cache of the last linearisation
     _last: list[LinearProblem] = field(default_factory=list, repr=False)
 
@@ -91,14 +92,12 @@ class Problem(Value):
         """Make the problem before any estimate: weights of one, noise as given, no priors.
 
         Args:
-            kinematics: The nominal robot under its error model of p parameters, frames and targets as registered.
-            rows: N rows of measurements: joint values, frame and target of each, and the measured scalars.
-            distances: Known distances between the origins of measurement frames; those between frames that the rows see
-                count.
+            kinematics: The nominal robot under its error model, frames and targets as registered.
+            rows: N rows of measurements.
+            distances: Known distances; those between frames that the rows see count.
 
         Returns:
-            The least-squares problem of these rows: p parameters, which are offsets from the nominal robot and the
-            registered frames and targets. The arm's size is not held.
+            The least-squares problem of these rows. The arm's size is not held.
         """
         smallest_noise = _smallest_noise(rows)
         observed = set(rows.samples.frame.tolist())
@@ -108,27 +107,21 @@ class Problem(Value):
             rows=rows,
             noise=np.ones(len(smallest_noise)),
             weights=np.ones(len(rows)),
-            precision=np.zeros(p),
-            centre=np.zeros(p),
+            prior_precision=np.zeros(p),
+            prior_mean=np.zeros(p),
             distances=tuple(d for d in distances if {d.first, d.second} <= observed),
             smallest_noise=smallest_noise,
-            rho=np.zeros((len(smallest_noise), len(PARTS))),
+            stop_shares=np.zeros((len(smallest_noise), len(PARTS))),
             stops=Stops.of(kinematics, rows),
         )
 
     def with_size_held(self) -> Problem:
-        """Return the problem with the arm's size held at the nominal one, where nothing measures a length.
-
-        Returns:
-            The problem with a ``gauge``, the combination of the parameters that is held at zero, which is the relative
-            change of the arm's size; None in it where the parameters cannot represent growth, or the rows determine the
-            size all the same. Itself where rows or known distances measure a length.
-        """
+        """Return the problem with the arm's size held at the nominal one; itself if something measures a length."""
         if measures_length(self.rows, self.distances):
             return self
         linear = self.linear(np.zeros(self.size))
         residual = linear.residual(linear.x)
-        gauge = size_gauge(self.kinematics, self.rows, linear.A, residual)
+        gauge = find_size_gauge(self.kinematics, self.rows, linear.A, residual)
         return replace(self, gauge=gauge)
 
     def with_rows(self, rows: Rows) -> Problem:
@@ -143,25 +136,25 @@ class Problem(Value):
 
     @property
     def size(self) -> int:
-        """Number p of parameters: of the robot, then of frames and targets."""
+        """Number p of parameters."""
         return len(self.kinematics.model)
 
     @property
     def scales(self) -> Array:
-        """Standard deviation of each scalar as estimated, shape (N, D), in its unit, such as [m] and [rad]."""
+        """Standard deviation of each scalar as estimated, shape (N, D), in the units of the rows' channels."""
         return self.rows.scales_at(self.noise)
 
     @property
     def noise_by_scalar(self) -> Array:
         """Estimated noise of each scalar in units of its sigma, shape (N, D); 1 where there is no scalar."""
-        # An entry without a scalar has the instrument -1, the last one here.
+        # An entry without a scalar has the channel -1, the last one here.
         return np.asarray(np.append(self.noise, 1.0)[self.rows.channels.index])
 
     @property
     def noise_over_sigma(self) -> Array:
-        """Estimated standard deviation over the stated or assumed one, of each of C instruments, shape (C,).
+        """Estimated standard deviation over the stated or assumed one, of each of C channels, shape (C,).
 
-        It is `noise`, but of instruments of poses with a covariance, where that is relative to V, with what the robot
+        It is `noise`, except for channels of poses with a covariance, where that is relative to V, with what the robot
         adds (`Rows.pose_noise`). Of these it is the median over rows of their standard deviations, rms over the axes.
         """
         rows = self.rows
@@ -181,12 +174,11 @@ class Problem(Value):
         """Measured minus predicted.
 
         Args:
-            x: shape (p,), offsets from the nominal robot and the registered frames and targets [m, rad, ...].
+            x: shape (p,), offsets [m, rad, ...].
 
         Returns:
-            shape (N, D), of the D scalars of N rows, lengths [m] in the first three columns, angles [rad] behind,
-            coordinates and rotation vectors along the axes of each row's measurement frame; not divided by their
-            standard deviations; 0 where nothing was measured.
+            shape (N, D), in the units of the rows' channels; vectors along the axes of each row's measurement frame;
+            not divided by their standard deviations; 0 where nothing was measured.
         """
         T_frame_target = self.kinematics.poses(x, self.rows.samples)
         optics = self.kinematics.optics(x, self.rows.samples)
@@ -196,11 +188,11 @@ class Problem(Value):
         """Jacobian of the prediction, which is minus that of the residual.
 
         Args:
-            x: shape (p,), offsets from the nominal robot and the registered frames and targets [m, rad, ...].
+            x: shape (p,), offsets [m, rad, ...].
 
         Returns:
-            shape (N, D, p), of the D scalars of N rows, [m] and [rad] per unit of each parameter; not divided by their
-            standard deviations; 0 where nothing was measured.
+            shape (N, D, p), in the units of the rows' channels per unit of each parameter; not divided by standard
+            deviations; 0 where nothing was measured.
         """
         return self.rows.in_units(self.linear(x).A)
 
@@ -210,18 +202,12 @@ class Problem(Value):
         Weights, noise and priors have no part in it: copies of the problem that differ in these share the last one.
 
         Args:
-            x: shape (p,), offsets from the nominal robot and the registered frames and targets [m, rad, ...].
-
-        Returns:
-            Residual at x, measured minus predicted, and Jacobian of the prediction, together of shape (p + 1, D, N), of
-            N rows of D scalars, in units of each scalar's given sigma; and whitened constraints C x = z, shapes (K, p)
-            and (K,): known distances, and last the arm's size if that is held.
+            x: shape (p,), offsets [m, rad, ...].
         """
         if self._last and np.array_equal(x, self._last[0].x):
             return self._last[0]
         self._last.clear()  # before the next one is made, for memory
         residual, C = self.constraints(x)
-        held = C[-1] if self.gauge is not None else np.zeros(self.size)
         linear = LinearProblem(
             x=x.copy(),
             columns=self._columns(x),
@@ -229,22 +215,14 @@ class Problem(Value):
             smallest_noise=self.smallest_noise,
             C=C,
             z=residual + C @ x,
-            held=held,
+            held=C[-1] if self.gauge is not None else np.zeros(self.size),
             stops=self.stops,
         )
         self._last.append(linear)
         return linear
 
     def _columns(self, x: Array) -> Array:
-        """Jacobian of the prediction and, behind it, the residual, measured minus predicted.
-
-        Args:
-            x: shape (p,), offsets from the nominal robot and the registered frames and targets [m, rad, ...].
-
-        Returns:
-            shape (p + 1, D, N), of the D scalars of N rows, in units of each scalar's given sigma; 0 where nothing was
-            measured.
-        """
+        """Jacobian of the prediction and, last, the residual, shape (p + 1, D, N), in units of sigma."""
         rows = self.rows
         columns = np.empty((self.size + 1, rows.width, len(rows)))
         rotation = rows.depends_on_orientation
@@ -255,8 +233,8 @@ class Problem(Value):
             if width < rows.width:  # these rows lack a kind that others have
                 columns[:, width:, part] = 0.0
             optics = self.kinematics.optics(x, part_rows.samples)
-            derivative = part_rows.standardised(part_rows.derivative(poses, twists, optics))
-            residual = part_rows.standardised(part_rows.residual(poses, optics))
+            derivative = part_rows.standardise(part_rows.derivative(poses, twists, optics))
+            residual = part_rows.standardise(part_rows.residual(poses, optics))
             columns[:-1, :width, part] = derivative.transpose(2, 1, 0)
             columns[-1][:width, part] = residual.T
         return columns
@@ -264,11 +242,13 @@ class Problem(Value):
     def observability(self, x: Array) -> Observability:
         """Analyse which combinations of parameters the rows and known distances determine.
 
-        Rows without weight do not count, but for those of sole postures (which no other row can check). Angles count as
-        lengths, by the ratio of their given sigmas. Where the arm's size is held, its growth counts as not determined.
+        Rows without weight do not count, except those of sole postures (which no other row can check). Angles and
+        pixels count as lengths, by the ratio of their given sigmas. If the arm's size is held, its growth counts as not
+        determined. Priors of cameras and boards count: they are what was stated or measured, as the print of a board
+        was; those of the robot are not.
 
         Args:
-            x: shape (p,), offsets from the nominal robot and the registered frames and targets [m, rad, ...].
+            x: shape (p,), offsets [m, rad, ...].
 
         Returns:
             Rank, condition and singular values of the Jacobian [m per step of the parameter, such as 1 mm or 1 mrad],
@@ -281,37 +261,20 @@ class Problem(Value):
         in_sigma = self.jacobian(x) / rows.scales[:, :, None]
         jacobian = (in_sigma * sigma_of_lengths)[counts]
         if self.gauge is not None:
-            # Growth changes predictions only by shares of the residuals, which determine nothing.
-            growth = self.gauge.growth
-            along = np.outer(jacobian @ growth, growth) / (growth @ growth)
-            jacobian = jacobian - along
+            jacobian = self.gauge.without_growth(jacobian)
         sigma = np.array([distance.sigma for distance in self.distances])
         _, whitened = self._distance_residuals(x)
         of_distances = whitened * sigma[:, None]
-        known = np.concatenate([jacobian, of_distances, self._known_optics()])
+        optical = [k for k, _ in model.optical]
+        of_optics = np.diag(np.sqrt(self.prior_precision))[optical] * np.median(rows.sigma["m"])
+        known = np.concatenate([jacobian, of_distances, of_optics])
         return analyse(known, model.names, model.units)
 
-    def _known_optics(self) -> Array:
-        """Return what is known beforehand of cameras and boards, as rows of the Jacobian of `observability`.
-
-        Their priors, 1 / tau_k^2 of `precision`, are what was stated or measured, as the print of a board was; those
-        of the robot are not.
-
-        Returns:
-            shape (k, p), [m].
-        """
-        numbers = [k for k, _ in self.kinematics.model.optical]
-        of_optics = np.diag(np.sqrt(self.precision))[numbers]
-        return np.asarray(of_optics * np.median(self.rows.sigma["m"]))
-
     def constraints(self, x: Array) -> tuple[Array, Array]:
-        """Residuals of what is known besides the measured rows: of the known distances between frames (`distances`).
-
-        Last, where nothing measures a length, comes the combination g of parameters that keeps the arm's size (`gauge`,
-        else None), a relative change, whose known value is 0 and whose sigma is 1e-6 (`TOLERANCE`).
+        """Residuals of what is known besides the measured rows: distances between frames, and last an arm's held size.
 
         Args:
-            x: shape (p,), offsets from the nominal robot and the registered frames and targets [m, rad, ...].
+            x: shape (p,), offsets [m, rad, ...].
 
         Returns:
             Known minus predicted of K constraints, over its sigma, shape (K,), and the Jacobian of the prediction,
@@ -320,26 +283,25 @@ class Problem(Value):
         residual, jacobian = self._distance_residuals(x)
         if self.gauge is None:
             return residual, jacobian
-        held = self.gauge.held / TOLERANCE
-        return np.append(residual, -held @ x), np.vstack([jacobian, held])
+        of_size, by_x = self.gauge.constraint(x)
+        return np.append(residual, of_size), np.vstack([jacobian, by_x])
 
     def _distance_residuals(self, x: Array) -> tuple[Array, Array]:
-        """Known minus predicted distances between the origins of measurement frames.
+        """Known minus predicted of the known distances, (K,), and the Jacobian of the prediction, (K, p), over sigma.
 
-        `distances` has K of them, each with the indices of its two frames, length and sigma [m].
-
-        Args:
-            x: shape (p,), offsets from the nominal robot and the registered frames and targets [m, rad, ...].
-
-        Returns:
-            Known minus predicted of each distance, over its sigma, shape (K,), and the Jacobian of the prediction,
-            shape (K, p), over sigma too.
+        They are between the origins c = -R^T t of measurement frames with T_frame_base = (R, t).
         """
         residual = np.empty(len(self.distances))
         jacobian = np.empty((len(self.distances), self.size))
         if not self.distances:
             return residual, jacobian
-        origins, derivatives = self._frame_origins(x)
+        displacement, directions = self.kinematics.model.displacements(x)
+        frames = len(self.kinematics.T_frame_base)
+        T = self.kinematics.T_frame_base @ displacement[:frames]
+        origins = -np.einsum("fji,fj->fi", T[:, :3, :3], T[:, :3, 3])
+        twists = directions[: 6 * frames].reshape(frames, 6, -1)
+        turned = np.cross(twists[:, 3:], origins[:, :, None], axis=1)
+        derivatives = -(twists[:, :3] + turned)  # (F, 3, p)
         for k, known in enumerate(self.distances):
             between = origins[known.first] - origins[known.second]
             length = float(np.linalg.norm(between))
@@ -349,40 +311,21 @@ class Problem(Value):
             jacobian[k] = along @ change / known.sigma
         return residual, jacobian
 
-    def _frame_origins(self, x: Array) -> tuple[Array, Array]:
-        """Origins of the measurement frames in the base: c = -R^T t with T_frame_base = (R, t).
-
-        Args:
-            x: shape (p,), offsets from the nominal robot and the registered frames and targets [m, rad, ...].
-
-        Returns:
-            Origins of the F frames, shape (F, 3), along the base's axes [m]; their derivative by x, shape (F, 3, p).
-        """
-        displacement, directions = self.kinematics.model.displacements(x)
-        frames = len(self.kinematics.T_frame_base)
-        T = self.kinematics.T_frame_base @ displacement[:frames]
-        origins = -np.einsum("fji,fj->fi", T[:, :3, :3], T[:, :3, 3])
-        twists = directions[: 6 * frames].reshape(frames, 6, -1)
-        turned = np.cross(twists[:, 3:], origins[:, :, None], axis=1)
-        return origins, -(twists[:, :3] + turned)
-
     def system(self, x: Array) -> tuple[Array, Array]:
         """The whitened residual and its derivative, as a solver takes them.
 
-        Whitened is divided by sigma times noise, and times the root of the row's weight; errors that the targets of a
-        standstill share are made independent. The priors have the 1 / variance `precision` and the mean `centre`, both
-        of shape (p,).
+        Errors that the targets of a stop share are made independent.
 
         Args:
-            x: shape (p,), offsets from the nominal robot and the registered frames and targets [m, rad, ...].
+            x: shape (p,), offsets [m, rad, ...].
 
         Returns:
             Residual r, shape (m,), and dr/dx, shape (m, p): of the measured scalars, measured minus predicted (of many
             rows a triangle with the same squares and products), then of each parameter with a prior, its mean minus the
             parameter over the prior standard deviation, then of each constraint, known minus predicted over its sigma.
         """
-        with_prior = np.flatnonzero(self.precision)
-        root = np.sqrt(self.precision[with_prior])
+        with_prior = np.flatnonzero(self.prior_precision)
+        root = np.sqrt(self.prior_precision[with_prior])
         of_constraints, slope = self.constraints(x)
         whitened = self._whitened(self.linear(x).columns)
         measured = whitened.shape[1]
@@ -392,28 +335,19 @@ class Problem(Value):
         both[:-1, :measured] = -whitened[:-1]
         both[-1, :measured] = whitened[-1]
         both[with_prior, measured + np.arange(len(with_prior))] = -root
-        both[-1, measured:last] = -root * (x - self.centre)[with_prior]
+        both[-1, measured:last] = -root * (x - self.prior_mean)[with_prior]
         both[:-1, last:] = -slope.T
         both[-1, last:] = of_constraints
         return both[-1], both[:-1].T
 
     def _whitened(self, columns: Array) -> Array:
-        """The whitened Jacobian A and residual r of the M measured scalars, by columns.
+        """The whitened columns of Jacobian and residual, (p + 1, D, N), at the M measured scalars, (p + 1, M).
 
-        Of more than 1024 rows (`_TALL`) it is the triangle R of [A r] = Q R, transposed, which has the same products.
-        Uses `weights`, shape (N,), of the rows; `noise`, shape (C,), of each instrument, in units of the given sigma;
-        and `rho`, shape (C, 3), shares of each instrument's variance that the targets of a stop have in common.
-
-        Args:
-            columns: shape (p + 1, D, N), Jacobian of the prediction and behind it the residual of the D scalars of N
-                rows, in units of each scalar's given sigma.
-
-        Returns:
-            shape (p + 1, M); or (p + 1, p + 1), or fewer columns, of a triangle.
+        Of more than `_TALL` rows it is the triangle R of [A r] = Q R, transposed, which has the same products.
         """
         whiten = (np.sqrt(self.weights)[:, None] / self.noise_by_scalar).T
-        if self.stops is not None and np.any(self.rho):
-            columns = self.stops.independent(columns * whiten, self.weights, self.rho)
+        if self.stops is not None and np.any(self.stop_shares):
+            columns = self.stops.independent(columns * whiten, self.weights, self.stop_shares)
             whiten = np.ones(whiten.shape)
         used = self.rows.used.T
         if len(self.weights) <= _TALL:
@@ -421,14 +355,7 @@ class Problem(Value):
         factor = whiten * used
 
         def block_triangle(rows: slice) -> Array:
-            """The triangle R of [A r] = Q R, whitened, over some of the rows.
-
-            Args:
-                rows: Slice of the N rows.
-
-            Returns:
-                shape (p + 1, p + 1), or fewer rows where there are fewer scalars.
-            """
+            """The triangle R of [A r] = Q R, whitened, over some of the rows."""
             block = (columns[:, :, rows] * factor[:, rows]).reshape(len(columns), -1)
             return triangle(block.T)
 
@@ -437,12 +364,7 @@ class Problem(Value):
         return np.asarray(triangle(stacked).T)
 
     def independent(self, values: Array, weights: Array) -> Array:
-        """Transform whitened values so that the errors which targets of a stop share are independent.
-
-        The values of a stop (a standstill at which several targets are measured) are multiplied by K^-1/2, where K is
-        their covariance over the noise squared; see `calib.fit.estimate.stop_errors`. Uses ``rho``, shape
-        (C, 3), shares of the variance of each of C instruments by translation and rotation of the targets' body, and
-        by the joints.
+        """Transform whitened values so that the errors which targets of a stop share are independent, see `Stops`.
 
         Args:
             values: shape (N, D, q), residuals or columns of Jacobians in units of the noise, multiplied by the roots of
@@ -450,24 +372,16 @@ class Problem(Value):
             weights: shape (N,), these weights.
 
         Returns:
-            shape (N, D, q), in the same units; as they are where no errors are shared.
+            shape (N, D, q), in the same units; as they are if no errors are shared.
         """
-        if self.stops is None or not np.any(self.rho):
+        if self.stops is None or not np.any(self.stop_shares):
             return values
-        columns = self.stops.independent(values.transpose(2, 1, 0), weights, self.rho)
+        columns = self.stops.independent(values.transpose(2, 1, 0), weights, self.stop_shares)
         return np.asarray(columns.transpose(2, 1, 0))
 
 
 def _smallest_noise(rows: Rows) -> tuple[float, ...]:
-    """The lowest noise of each instrument that is not rounding: 1e-8 m or rad.
-
-    Args:
-        rows: Rows of measurements: given sigma (``rows.scales``) of each scalar, shape (N, D), and its channel
-            (``rows.channels``): each has an instrument of its own.
-
-    Returns:
-        As a multiple of the instrument's given sigma (the median over its scalars), in the order of the C instruments.
-    """
+    """The lowest noise of each of C channels that is not rounding, as a multiple of its (median) given sigma."""
     scales = rows.scales
     result = []
     for c in range(len(rows.channels.units)):

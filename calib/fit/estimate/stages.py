@@ -15,7 +15,7 @@ import numpy as np
 from calib.basics.arrays import Array, Integers, Mask
 from calib.fit.estimate.linear import LinearProblem
 from calib.fit.estimate.prior_terms import PriorTerms
-from calib.fit.estimate.stop_shares import PARTS
+from calib.fit.estimate.special_cases.stop_shares import PARTS
 from calib.fit.registration.rows import Rows
 from calib.model.families import FAMILIES
 from calib.numerics.likelihood import GaussianPriors
@@ -72,15 +72,7 @@ class Weighting:
     def of(cls, repeats: str, robust: bool, rows: Rows) -> Weighting:
         """Return the treatment that a cell and task ask for, or, if the rows come with weights, to keep these.
 
-        Args:
-            repeats: How repeats of a pose count: "independent", "average" (as one row), or "weighted" by their
-                correlation.
-            robust: True if outliers lose their weight.
-            rows: N rows of measurements. In their weights, if any, repeats are already shared out; None for rows whose
-                weights the fit estimates.
-
-        Returns:
-            The treatment as asked for; of rows with weights "independent" and not robust, to begin with these weights.
+        Repeats are already shared out in the weights that rows come with.
         """
         if rows.weights is None:
             return cls(repeats, robust, 1.0)
@@ -98,122 +90,69 @@ class Stage:
     #: (B, N), robust weights; 0 for rows that a fit does not have
     weights: Array
     #: (B, N), factor on the weight of a row that has repeats
-    share: Array
-    #: (B, C), of each instrument, in units of the given sigma
+    repeat_factor: Array
+    #: (B, C), of each channel, in units of the given sigma
     noise: Array
     #: (B, K), of each family, in its parameters' unit
     prior_std: Array
-    #: (B, C, 3), shares of each instrument's variance that targets of a stop have in common
-    rho: Array
+    #: (B, C, 3), shares of each channel's variance that targets of a stop have in common
+    stop_shares: Array
 
     @classmethod
     def initial(
         cls,
         prior: PriorTerms,
         kept: Mask,
-        instruments: int,
+        channels: int,
         weights: Array | float = 1.0,
     ) -> Stage:
-        """Return the first stage: noise and priors as given.
+        """Return the first stage: noise and priors as given, repeats and the targets of a stop independent.
 
         Args:
-            prior: Priors of the p parameters, the same for all B fits: K families with a prior standard deviation each.
-            kept: shape (B, N), which of the N rows each fit has.
-            instruments: Number C of instruments: lengths of each kind of rows, and angles of each kind.
+            prior: Priors as given.
+            kept: shape (B, N), which of the rows each fit has.
+            channels: Number C of channels.
             weights: Weights of the rows to begin with, shape (N,), or one number for all rows.
-
-        Returns:
-            The stage with noise 1 (the given sigma), repeats that count as independent rows, and nothing that targets
-            of a stop have in common.
         """
         B = len(kept)
         return cls(
             prior=prior,
             kept=kept,
             weights=np.asarray(kept * weights, np.float64),
-            share=np.ones(kept.shape),
-            noise=np.ones((B, instruments)),
+            repeat_factor=np.ones(kept.shape),
+            noise=np.ones((B, channels)),
             prior_std=np.tile(np.array(prior.start, dtype=np.float64), (B, 1)),
-            rho=np.zeros((B, instruments, len(PARTS))),
+            stop_shares=np.zeros((B, channels, len(PARTS))),
         )
 
     @property
     def effective(self) -> Array:
-        """Weights with which the rows count in the fits: the robust ones, times the factor for repeats.
-
-        Uses `weights`, shape (B, N), robust weights of N rows in B fits, and `share`, shape (B, N), the factor by which
-        each of several repeats of a pose counts less.
-
-        Returns:
-            shape (B, N), from 0 to 1; 0 for rows that a fit does not have. A row's variance is divided by its weight.
-        """
-        return self.weights * self.share
+        """Weights with which the rows count, shape (B, N): the robust ones, times the factor for repeats."""
+        return self.weights * self.repeat_factor
 
     @property
     def priors(self) -> GaussianPriors:
-        """Priors of all p parameters, with the prior standard deviations of this stage.
-
-        Uses `prior_std`, shape (B, K), standard deviation of each of K families in B fits, and of `prior`, the priors
-        as given, the members of each family (``families``, shape (K, p)), and 1 / variance and mean (``precision`` and
-        ``centre``, shape (p,)) of parameters with a prior of their own, at a bound, or of frames and targets.
-
-        Returns:
-            1 / variance of each parameter in each of B fits, shape (B, p), and the means, shape (p,), in the
-            parameters' units.
-        """
+        """Priors of all p parameters, of each of B fits, with the prior standard deviations of this stage."""
         of_families = (1.0 / self.prior_std**2) @ self.prior.families
-        return GaussianPriors(of_families + self.prior.precision, self.prior.centre)
+        return GaussianPriors(of_families + self.prior.precision, self.prior.mean)
 
     def fit(self, linear: LinearProblem) -> tuple[Array, Array, Array]:
-        """Fit the linearised problem at this stage's weights, noise and priors, for each of B fits.
-
-        Uses `effective`, shape (B, N), row weights; `rho`, shape (B, C, 3), shares of variance that the targets of a
-        stop have in common; `noise`, shape (B, C), of each instrument as a multiple of the given sigma; and `priors`, 1
-        / variance, (B, p), and mean of each parameter.
-
-        Args:
-            linear: The least-squares problem linearised: N rows of D scalars by p parameters, in units of the given
-                sigma.
-
-        Returns:
-            x, shape (B, p), the parameters themselves [m, rad, ...]; its covariance, shape (B, p, p); and the degrees
-            of freedom left for the noise, shape (B,): scalars by weight, less those that the fit spent.
-        """
-        return linear.fit(self.effective, self.rho, self.noise, self.priors)
+        """Fit the linearised problem at this stage's weights, noise and priors: see `LinearProblem.fit`."""
+        return linear.fit(self.effective, self.stop_shares, self.noise, self.priors)
 
     def scoring_fit(self, linear: LinearProblem) -> tuple[Array, Array, Array]:
-        """Fit for the scores of single rows: `fit`, with covariance and freedom as if all rows were independent.
-
-        Uses `rho`, shape (B, C, 3), shares of variance that the targets of a stop have in common, and what `fit` uses:
-        row weights, noise and priors of B fits.
-
-        Args:
-            linear: The least-squares problem linearised: N rows of D scalars by p parameters, in units of the given
-                sigma.
-
-        Returns:
-            x, shape (B, p), [m, rad, ...], which takes into account what the targets of a stop have in common; and,
-            without it, the covariance, shape (B, p, p), and the degrees of freedom left for the noise, shape (B,).
-        """
+        """Fit for the scores of single rows: `fit`, with covariance and freedom as if all rows were independent."""
         x, covariance, freedom = self.fit(linear)
-        if np.any(self.rho):
-            independent = replace(self, rho=np.zeros(self.rho.shape))
+        if np.any(self.stop_shares):
+            independent = replace(self, stop_shares=np.zeros(self.stop_shares.shape))
             _, covariance, freedom = independent.fit(linear)
         return x, covariance, freedom
 
     def by_median(self, linear: LinearProblem) -> Stage:
         """Return the stage with the noise of medians, which outliers hardly move, and Cauchy's robust weights.
 
-        Noise and weights are computed in turn, three times, from where this stage is. A row's weight is 1 / (1 + (score
-        / 3.4)^2), with the norm of its deleted residual in standard deviations as the score.
-
-        Args:
-            linear: The least-squares problem linearised: N rows of D scalars by p parameters, in units of the given
-                sigma.
-
-        Returns:
-            The stage with new `weights`, shape (B, N), 0 for rows that a fit does not have, and a new `noise`, shape
-            (B, C), as a multiple of the given sigma; prior standard deviations stay.
+        Noise and weights are computed in turn, from where this stage is. A row's weight is 1 / (1 + (score / c)^2) with
+        c = `_CAUCHY`, and with the norm of its deleted residual in standard deviations as the score.
         """
         stage = self
         for _ in range(_MEDIAN_ROUNDS):
@@ -227,124 +166,64 @@ class Stage:
         return stage
 
     def _median_noise(self, linear: LinearProblem) -> Array:
-        """Noise of each instrument by the median of its rows' deleted residuals, which outliers hardly move.
-
-        Fits with this stage's weights, noise and priors. `kept`, shape (B, N), are the rows that each of B fits has.
-
-        Args:
-            linear: The least-squares problem linearised: N rows of D scalars by p parameters, in units of the given
-                sigma; ``linear.instruments``, shape (N, D), is the index of each scalar's instrument,
-                ``linear.smallest_noise`` the lowest noise of each of C instruments that is no rounding, as a multiple
-                of the given sigma.
-
-        Returns:
-            shape (B, C), standard deviation of a scalar as a multiple of the given sigma; at least the lowest.
-        """
+        """Noise of each channel, (B, C), by the median of its rows' deleted residuals; at least the lowest."""
         x, covariance, _ = self.fit(linear)
         noise = np.empty_like(self.noise)
         for c, smallest in enumerate(linear.smallest_noise):
-            # In units of this instrument's sigma, as if its noise were 1.
+            # In units of this channel's sigma, as if its noise were 1.
             unit_covariance = covariance / self.noise[:, c, None, None] ** 2
-            of_instrument = linear.instruments == c
-            factors = of_instrument[None].astype(np.float64)
+            of_channel = linear.channels.index == c
+            factors = of_channel[None].astype(np.float64)
             norms = linear.norms(x, unit_covariance, self.effective, factors)
-            by_median = median_noise(norms, of_instrument, self.kept)
+            by_median = median_noise(norms, of_channel, self.kept)
             noise[:, c] = np.maximum(by_median, smallest)
         return noise
 
     def by_likelihood(self, linear: LinearProblem, robust: bool) -> Stage:
-        """Return the stage with noise and prior standard deviations by restricted likelihood.
+        """Return the stage with noise and prior standard deviations of the highest restricted likelihood.
 
-        Prior standard deviations are estimated where the source of the priors (``prior.source``) is "data"; else they
-        stay.
+        Log noise has a normal prior about 0. Prior standard deviations are estimated if the source of the priors is
+        "data"; else they stay.
 
         Args:
-            linear: The least-squares problem linearised: N rows of D scalars by p parameters, in units of the given
-                sigma.
+            linear: The linearised problem.
             robust: Whether to give the rows the weights that follow from their scores first; then weights and
-                likelihood are computed in turn, twice.
-
-        Returns:
-            The stage of B fits with a new `noise`, shape (B, C), as a multiple of the given sigma, and, where these are
-            estimated, a new `prior_std`, shape (B, K), of each family, and new robust `weights`, shape (B, N).
+                likelihood are computed in turn.
         """
+        prior = self.prior
         stage = self
         for _ in range(_LIKELIHOOD_ROUNDS if robust else 1):
             if robust:
                 stage = replace(stage, weights=stage._row_weights(linear))
-            if self.prior.source == "data":
-                stage = stage._with_noise_and_priors_by_likelihood(linear)
+            equations = linear.normal_equations(stage.effective, stage.stop_shares)
+            if prior.source == "data":
+                limits = VarianceLimits(
+                    smallest_noise=linear.smallest_noise,
+                    prior_std=tuple(FAMILIES[name].bounds for name in prior.names),
+                    noise_spread=_NOISE_SPREAD,
+                )
+                start = (stage.noise, stage.prior_std)
+                besides_families = GaussianPriors(prior.precision, prior.mean)
+                noise, prior_std = prior_std_by_reml(
+                    equations, prior.families, start, besides_families, limits
+                )
+                stage = replace(stage, noise=noise, prior_std=prior_std)
             else:
-                stage = stage._with_noise_by_likelihood(linear)
+                limits = VarianceLimits(
+                    smallest_noise=linear.smallest_noise, prior_std=(), noise_spread=_NOISE_SPREAD
+                )
+                start = (stage.noise, stage.prior_std[:, :0])
+                no_families = prior.families[:0]
+                noise, _ = prior_std_by_reml(equations, no_families, start, stage.priors, limits)
+                stage = replace(stage, noise=noise)
         return stage
 
-    def _with_noise_and_priors_by_likelihood(self, linear: LinearProblem) -> Stage:
-        """The stage with the noise and the prior standard deviations of the highest restricted likelihood.
-
-        Uses the stage's row weights and `rho`, what the targets of a stop have in common, as they are, and begins at
-        its `noise` and `prior_std`. Of `prior` it uses the families' names and members (K, p), and 1 / variance and
-        mean, (p,), of the parameters that have a prior besides these.
-
-        Args:
-            linear: The least-squares problem linearised: N rows of D scalars by p parameters, in units of the given
-                sigma.
-
-        Returns:
-            The stage with a new `noise`, shape (B, C), of C instruments in B fits, as a multiple of the given sigma,
-            and a new `prior_std`, shape (B, K), of K families, in their parameters' unit. Log noise has a normal prior
-            about 0.
-        """
-        prior = self.prior
-        limits = VarianceLimits(
-            smallest_noise=linear.smallest_noise,
-            prior_std=tuple(FAMILIES[name].bounds for name in prior.names),
-            noise_spread=_NOISE_SPREAD,
-        )
-        equations = linear.normal_equations(self.effective, self.rho)
-        besides_families = GaussianPriors(prior.precision, prior.centre)
-        start = (self.noise, self.prior_std)
-        noise, prior_std = prior_std_by_reml(
-            equations, prior.families, start, besides_families, limits
-        )
-        return replace(self, noise=noise, prior_std=prior_std)
-
-    def _with_noise_by_likelihood(self, linear: LinearProblem) -> Stage:
-        """The stage with the noise of the highest restricted likelihood, at the priors of this stage.
-
-        Uses the stage's row weights, `rho`, what the targets of a stop have in common, and `priors`, 1 / variance, (B,
-        p), and mean of each of p parameters, as they are, and begins at its `noise`.
-
-        Args:
-            linear: The least-squares problem linearised: N rows of D scalars by p parameters, in units of the given
-                sigma.
-
-        Returns:
-            The stage with a new `noise`, shape (B, C), of C instruments in B fits, as a multiple of the given sigma.
-            Log noise has a normal prior about 0.
-        """
-        limits = VarianceLimits(
-            smallest_noise=linear.smallest_noise, prior_std=(), noise_spread=_NOISE_SPREAD
-        )
-        equations = linear.normal_equations(self.effective, self.rho)
-        no_families = self.prior.families[:0]
-        start = (self.noise, self.prior_std[:, :0])
-        noise, _ = prior_std_by_reml(equations, no_families, start, self.priors, limits)
-        return replace(self, noise=noise)
-
     def _row_weights(self, linear: LinearProblem) -> Array:
-        """Weight the rows of each of B fits by their scores under the linear fit.
+        """Weight the rows of each of B fits by their scores under the linear fit, (B, N), from 0 to 1.
 
         A weight is 1 up to the score that a good row keeps within with probability 0.99, and falls linearly to 0 at the
-        score from which on a row is an outlier. Where at most 6 degrees of freedom are left, or the weights add up to
-        no more than half the number of a fit's rows (`_MOST_OUTLIERS`), every row that the fit has keeps the weight 1.
-
-        Args:
-            linear: The least-squares problem linearised: N rows of D scalars by p parameters, in units of the given
-                sigma.
-
-        Returns:
-            shape (B, N), robust weights from 0 to 1; 0 for rows that a fit does not have (`kept`, shape (B, N), is
-            False).
+        score from which on a row is an outlier. If few degrees of freedom are left, or the weights add up to too small
+        a part of a fit's rows (`_MOST_OUTLIERS`), every row that the fit has keeps the weight 1.
         """
         x, covariance, freedom = self.scoring_fit(linear)
         count = np.sum(self.kept, axis=1)
@@ -355,21 +234,19 @@ class Stage:
         enough = (freedom > FEWEST_FREEDOM) & remains_enough
         return np.where(enough[:, None], weights, self.kept)
 
-    def sharing(self, linear: LinearProblem, poses: Integers, mode: str) -> Stage:
+    def by_repeats(self, linear: LinearProblem, poses: Integers, mode: str) -> Stage:
         """Return the stage with each of n repeats weighted by 1 / (1 + (n - 1) rho), with their correlation rho.
 
-        Of the n repeats only rows count whose robust weight (`weights`, shape (B, N)) is above 0 in the fit.
+        Of the n repeats only rows count whose robust weight is above 0 in the fit.
 
         Args:
-            linear: The least-squares problem linearised: N rows of D scalars by p parameters, in units of the given
-                sigma.
+            linear: The linearised problem.
             poses: shape (N,), rows of one number >= 0 are repeats: of one pose, frame, target and kind of measurement.
             mode: ``"independent"``: rho = 0; ``"average"``: 1; ``"weighted"``: estimated from the residuals of each
                 fit.
 
         Returns:
-            The stage with a new `share`, shape (B, N), the factors on the weights; itself where no pose has repeats, or
-            they are independent.
+            The stage with a new `repeat_factor`; itself if no pose has repeats, or they are independent.
         """
         number = int(poses.max()) + 1
         alive = self.weights > 0.0
@@ -380,21 +257,10 @@ class Stage:
         if mode == "weighted":
             rho = self._correlation_of_repeats(linear, poses)
         others = np.maximum(counts, 1) - 1.0
-        return replace(self, share=1.0 / (1.0 + others * rho[:, None]))
+        return replace(self, repeat_factor=1.0 / (1.0 + others * rho[:, None]))
 
     def _correlation_of_repeats(self, linear: LinearProblem, poses: Integers) -> Array:
-        """Estimate the correlation of repeats in each of B fits, from their residuals.
-
-        Fits with this stage's row weights, noise and priors; `weights`, shape (B, N), are the robust ones of the rows.
-
-        Args:
-            linear: The least-squares problem linearised: N rows of D scalars by p parameters, in units of the given
-                sigma; ``linear.used``, shape (N, D), are the scalars that were measured.
-            poses: shape (N,), rows of one number are repeats.
-
-        Returns:
-            shape (B,), intraclass correlation from 0 to 1; 1 where repeats have fewer than 6 degrees of freedom.
-        """
+        """Estimate the intraclass correlation of repeats, (B,), from their residuals; 1 if these are too few."""
         x, _, freedom = self.fit(linear)
         residual = linear.residual(x) / linear.noise_by_scalar(self.noise)
         scalars = np.sum(self.effective @ linear.used, axis=1)
@@ -409,84 +275,47 @@ class Stage:
         return rho
 
     def by_stops(self, linear: LinearProblem) -> Stage:
-        """Return the stage with the shares of variance that the targets of a stop have in common estimated.
+        """Return the stage with what the targets of a stop have in common estimated; itself if there are no stops.
 
-        A stop is a standstill of the robot at which several targets are measured; see `calib.fit.estimate.stop_errors`.
-        Uses the residuals of a fit with this stage's row weights `effective`, shape (B, N), priors, `rho`, and `noise`,
-        shape (B, C): standard deviation of each instrument as a multiple of the given sigma.
-
-        Args:
-            linear: The least-squares problem linearised: N rows of D scalars by p parameters, in units of the given
-                sigma; ``linear.stops`` are its stops, None where there are none.
-
-        Returns:
-            The stage with a new `rho`, shape (B, C, 3), shares by translation, rotation and joints of each of C
-            instruments, 0 where its noise is at most twice the lowest, which is rounding; itself where there are no
-            stops.
+        It is 0 in channels whose noise is mere rounding.
         """
         if linear.stops is None:
             return self
         x, covariance, _ = self.fit(linear)
-        rho = linear.stop_shares(x, covariance, self.effective, self.rho)
+        shares = linear.stops.estimate_shares(
+            linear.columns, x - linear.x, covariance, self.effective, self.stop_shares
+        )
         rounding = self.noise <= _ROUNDING * np.array(linear.smallest_noise)
-        return replace(self, rho=np.where(rounding[:, :, None], 0.0, rho))
+        return replace(self, stop_shares=np.where(rounding[:, :, None], 0.0, shares))
 
     def select(self, fits: Integers) -> Stage:
-        """Return the stage of some of the B fits.
-
-        Takes these from `kept`, the rows that each fit has, `weights`, robust, and `share`, the factor for repeats, all
-        of shape (B, N); `noise`, shape (B, C), of each instrument as a multiple of the given sigma; `prior_std`, shape
-        (B, K), of each family of parameters; and `rho`, shape (B, C, 3), shared by the targets of a stop.
-
-        Args:
-            fits: shape (n,), indices of the fits to keep, from 0.
-
-        Returns:
-            The stage of these n fits, in the order of ``fits``.
-        """
+        """Return the stage of some of the B fits, by their indices."""
         return replace(
             self,
             kept=self.kept[fits],
             weights=self.weights[fits],
-            share=self.share[fits],
+            repeat_factor=self.repeat_factor[fits],
             noise=self.noise[fits],
             prior_std=self.prior_std[fits],
-            rho=self.rho[fits],
+            stop_shares=self.stop_shares[fits],
         )
 
     def updated(self, fits: Integers, new: Stage) -> Stage:
-        """Return the stage with some of the B fits replaced; which rows each fit has, and the priors as given, stay.
+        """Return the stage with some of the B fits, by their indices, replaced by those of a stage of these alone."""
 
-        Args:
-            fits: Indices of the fits to replace, from 0, shape (n,).
-            new: A stage of these n fits alone, in the order of ``fits``, of which robust weights, factors for repeats,
-                noise, prior standard deviations and what stops share are taken.
-
-        Returns:
-            The stage of all B fits.
-        """
-
-        def joined(old_values: Array, new_values: Array) -> Array:
-            """A copy of an array of all fits, with the rows of the fits to replace exchanged.
-
-            Args:
-                old_values: shape (B, ...), of all B fits.
-                new_values: shape (n, ...), of the n fits to replace, in the order of ``fits``.
-
-            Returns:
-                shape (B, ...).
-            """
-            values: Array = old_values.copy()
-            values[fits] = new_values
-            return values
+        def updated(values: Array, new_values: Array) -> Array:
+            """A copy of an array of all fits with those of the fits to replace."""
+            result: Array = values.copy()
+            result[fits] = new_values
+            return result
 
         return replace(
             self,
-            weights=joined(self.weights, new.weights),
-            share=joined(self.share, new.share),
-            noise=joined(self.noise, new.noise),
-            prior_std=joined(self.prior_std, new.prior_std),
-            rho=joined(self.rho, new.rho),
+            weights=updated(self.weights, new.weights),
+            repeat_factor=updated(self.repeat_factor, new.repeat_factor),
+            noise=updated(self.noise, new.noise),
+            prior_std=updated(self.prior_std, new.prior_std),
+            stop_shares=updated(self.stop_shares, new.stop_shares),
         )
 
 
@@ -499,20 +328,17 @@ def run_stages(
     """Estimate weights, noise and prior standard deviations of B fits, until they settle.
 
     Args:
-        stage: The first stage: row weights, noise and prior standard deviations to begin with; ``stage.kept``, shape
-            (B, N), are the rows that each fit has.
-        linear_at: Maps a stage to the least-squares problem linearised at its solution (N rows of D scalars by p
-            parameters, in units of the given sigma); B fits share one linearisation.
+        stage: The first stage.
+        linear_at: Maps a stage to the problem linearised at its solution; B fits share one linearisation.
         poses: shape (N,), rows of one number are repeats.
-        weighting: Treatment of the rows' weights: ``weighting.repeats``, "independent", "average" or "weighted", and
-            ``weighting.robust``, whether outliers lose their weight.
+        weighting: Treatment of repeats and outliers.
 
     Returns:
-        The last stage, and the degrees of freedom of the fits at the first one, shape (B,): where they are few no row
+        The last stage, and the degrees of freedom of the fits at the first one, shape (B,): if they are few no row
         loses weight.
     """
     linear = linear_at(stage)
-    stage = stage.sharing(linear, poses, weighting.repeats)
+    stage = stage.by_repeats(linear, poses, weighting.repeats)
     _, _, freedom = stage.fit(linear)
     robust = weighting.robust and bool(np.any(freedom > FEWEST_FREEDOM))
     by_likelihood_in_turn = (False, True) if robust else (True,)
@@ -522,10 +348,10 @@ def run_stages(
             before = stage.select(moving)
             if by_likelihood:
                 after = before.by_likelihood(linear, robust)
-                after = after.sharing(linear, poses, weighting.repeats).by_stops(linear)
+                after = after.by_repeats(linear, poses, weighting.repeats).by_stops(linear)
             else:
                 after = before.by_median(linear)
-                after = after.sharing(linear, poses, weighting.repeats)
+                after = after.by_repeats(linear, poses, weighting.repeats)
             linear = linear_at(after)
             stage = stage.updated(moving, after)
             settled = _has_settled(before, after, weights_only=not by_likelihood)
@@ -536,18 +362,10 @@ def run_stages(
 
 
 def _has_settled(before: Stage, after: Stage, *, weights_only: bool) -> Mask:
-    """Mask of the fits that no longer change from one stage to the next.
+    """Mask of the fits, (B,), that no longer change from one stage to the next.
 
-    A fit has settled if no row's weight changes by 0.02 or more, and noise, prior standard deviations, and the share of
-    each instrument's variance that the targets of a stop do not have in common change by no more than 1 per cent.
-
-    Args:
-        before: Stage of B fits: row weights, noise and prior standard deviations.
-        after: The next stage of the same fits.
-        weights_only: True to compare the weights of the rows alone.
-
-    Returns:
-        shape (B,).
+    Compared are the rows' weights, and, unless ``weights_only``, noise, prior standard deviations, and the share of
+    each channel's variance that the targets of a stop do not have in common.
     """
     change = np.abs(after.effective - before.effective).max(axis=1)
     settled: Mask = change < _SETTLED_WEIGHT
@@ -556,7 +374,7 @@ def _has_settled(before: Stage, after: Stage, *, weights_only: bool) -> Mask:
     std_before = np.hstack([before.noise, before.prior_std])
     std_after = np.hstack([after.noise, after.prior_std])
     settled &= np.isclose(std_after, std_before, rtol=_SETTLED_STD).all(axis=1)
-    unshared_before = 1.0 - before.rho.sum(axis=2)
-    unshared_after = 1.0 - after.rho.sum(axis=2)
+    unshared_before = 1.0 - before.stop_shares.sum(axis=2)
+    unshared_after = 1.0 - after.stop_shares.sum(axis=2)
     settled &= np.isclose(unshared_after, unshared_before, rtol=_SETTLED_STD).all(axis=1)
     return settled

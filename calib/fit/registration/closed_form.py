@@ -1,7 +1,7 @@
-"""Frames and targets in closed form, on given poses of the tip: solutions of linear equations, and starts elsewhere.
+"""Frames and targets in closed form, on given poses of the tip: solutions of linear equations, else starts.
 
 With the rotation R_f and translation s_f of frame f (T_frame_base), the pose (R_i, p_i) of the tip at row i, and the
-target at t in the tip, a measured point is m_i = R_f (R_i t + p_i) + s_f: linear in t and s_f where R_f is known. A
+target at t in the tip, a measured point is m_i = R_f (R_i t + p_i) + s_f: linear in t and s_f if R_f is known. A
 measured orientation is M_i = R_f R_i R_t, linear in R_f and R_t as M_i R_t^T - R_f R_i = 0 (M. Shah, 2013).
 """
 
@@ -12,11 +12,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.basics.arrays import Array, Integers, Mask
-from calib.data.kinds import Kind
+from calib.basics.arrays import Array, Integers
 from calib.fit.registration.rows import Rows
 from calib.fit.registration.setup import Setup
-from calib.model.error_model import DIRECTIONS
 from calib.model.kinematics import Samples
 
 #: Directions of a frame's translation.
@@ -32,19 +30,37 @@ _FEWEST_POINTS = 3
 def linear_setup(setup: Setup, T_base_tip: Array, rows: Rows) -> Setup | None:
     """Estimate targets and translations of frames by linear least squares, unweighted.
 
+    The equations are R_f R_i t + ds_f = m_i - R_f p_i - s_f, for positions t of targets and changes ds_f of the
+    translations of frames.
+
     Args:
         setup: Its rotations of frames are known, and so are the poses that are not estimated.
         T_base_tip: shape (N, 4, 4), pose of the tip at each row [m].
         rows: N rows.
 
     Returns:
-        The setup with estimated translations, and targets turned as they were measured; None where a rotation of a
-        frame is estimated, or a row measures other than three coordinates.
+        The setup with estimated translations, and targets turned as they were measured; None if a rotation of a frame
+        is estimated, or a row measures other than three coordinates.
     """
-    if not _is_linear(setup, rows):
+    unknown = {direction for directions in setup.unknown for direction in directions}
+    only_coordinates = all(kind.coordinates and not kind.readings for kind in rows.present)
+    if not unknown.issubset(_TRANSLATIONS) or not only_coordinates:
         return None
-    A, rhs = _linear_equations(setup, T_base_tip, rows)
-    x, *_ = np.linalg.lstsq(A, rhs, rcond=_RANK_TOLERANCE)
+
+    T_frame_tip = setup.T_frame_base[rows.samples.frame] @ T_base_tip
+    R_frame_tip = T_frame_tip[:, :3, :3]
+    A = _linear_matrix(setup, R_frame_tip, rows.samples)
+    measured = np.zeros((len(rows), 3))
+    has_position = rows.where(lambda kind: kind.position)
+    if np.any(has_position):
+        measured[has_position] = rows.measured[has_position, :3]
+    target = rows.samples.target
+    lever = np.einsum("nij,nj->ni", R_frame_tip, setup.T_tip_target[target, :3, 3])
+    known_lever = np.where(setup.target_unknown[target, None], 0.0, lever)
+    rhs = measured - T_frame_tip[:, :3, 3]
+    rhs = rhs - known_lever
+    x, *_ = np.linalg.lstsq(A.reshape(-1, A.shape[2]), rhs.ravel(), rcond=_RANK_TOLERANCE)
+
     positions, changes = np.split(x.reshape(-1, 3), [len(setup.targets)])
     T_frame_base = setup.T_frame_base.copy()
     T_frame_base[:, :3, 3] += changes
@@ -52,57 +68,16 @@ def linear_setup(setup: Setup, T_base_tip: Array, rows: Rows) -> Setup | None:
     _, seen_targets = setup.seen_by(rows.samples)
     observed = seen_targets & setup.target_unknown
     T_tip_target[observed, :3, 3] = positions[observed]
-    result = setup.placed(T_frame_base, T_tip_target)
+    result = setup.with_poses(T_frame_base, T_tip_target)
     if setup.rotation:
         return with_measured_target_rotations(result, T_base_tip, rows)
     return result
 
 
-def _is_linear(setup: Setup, rows: Rows) -> bool:
-    """True if no rotation of a frame is estimated, and all rows measure three coordinates."""
-    unknown = {direction for directions in setup.unknown for direction in directions}
-    only_translations = unknown.issubset(_TRANSLATIONS)
-    return only_translations and all(
-        kind.coordinates and not kind.readings for kind in rows.present
-    )
-
-
-def _linear_equations(setup: Setup, T_base_tip: Array, rows: Rows) -> tuple[Array, Array]:
-    """The equations R_f R_i t + ds_f = m_i - R_f p_i - s_f, for changes ds_f of the translations of frames.
-
-    Args:
-        setup: Its rotations of frames are known, and so are the poses that are not estimated.
-        T_base_tip: shape (N, 4, 4), pose of the tip at each row [m].
-        rows: N rows of three coordinates.
-
-    Returns:
-        The matrix, shape (3 N, 3 T + 3 F), of targets' positions and frames' changes, and the right side, shape (3 N,).
-    """
-    T_frame_tip = setup.T_frame_base[rows.samples.frame] @ T_base_tip
-    R_frame_tip = T_frame_tip[:, :3, :3]
-    A = _linear_matrix(setup, R_frame_tip, rows.samples)
-    measured = np.zeros((len(rows), 3))
-    positions = rows.where(lambda kind: kind.position)
-    if np.any(positions):
-        measured[positions] = rows.measured[positions, :3]
-    target = rows.samples.target
-    lever = np.einsum("nij,nj->ni", R_frame_tip, setup.T_tip_target[target, :3, 3])
-    known_lever = np.where(setup.target_unknown[target, None], 0.0, lever)
-    rhs = measured - T_frame_tip[:, :3, 3]
-    rhs = rhs - known_lever
-    return A.reshape(-1, A.shape[2]), rhs.ravel()
-
-
 def _linear_matrix(setup: Setup, R_frame_tip: Array, samples: Samples) -> Array:
-    """The matrix of R_f R_i t + ds_f, by the positions t of targets and the changes ds_f of frames' translations.
+    """The matrix of R_f R_i t + ds_f by the positions t of targets and the changes ds_f, shape (N, 3, 3 T + 3 F).
 
-    Args:
-        setup: Targets and translations that are estimated; columns of others are zero.
-        R_frame_tip: shape (N, 3, 3), R_f R_i of each row.
-        samples: Frame and target of each row.
-
-    Returns:
-        shape (N, 3, 3 T + 3 F).
+    Columns of targets and translations that are not estimated are zero. ``R_frame_tip`` is R_f R_i, (N, 3, 3).
     """
     targets = len(setup.targets)
     A = np.zeros((len(samples), 3, 3 * (targets + len(setup.groups))))
@@ -125,56 +100,40 @@ def orientation_setup(setup: Setup, T_base_tip: Array, rows: Rows) -> Setup | No
         rows: N rows.
 
     Returns:
-        The setup; None where no frame is wholly unknown, no target is estimated, or a row has no orientation.
+        The setup; None if no frame is wholly unknown, no target is estimated, or a row has no orientation.
     """
     oriented = rows.where(lambda kind: kind.orientation)
-    wholly_unknown = [f for f, directions in enumerate(setup.unknown) if _all(directions)]
-    if not wholly_unknown or not setup.estimate_target or not np.all(oriented):
+    if not np.any(setup.wholly_unknown) or not setup.estimate_target or not np.all(oriented):
         return None
     T_frame_base = setup.T_frame_base.copy()
-    for f in wholly_unknown:
-        if np.any(rows.samples.frame == f):
-            T_frame_base[f, :3, :3] = _rotation_by_orientations(f, T_base_tip, rows)
-    turned = setup.placed(T_frame_base, setup.T_tip_target)
+    for f in np.flatnonzero(setup.wholly_unknown):
+        of_frame = np.flatnonzero(rows.samples.frame == f)
+        if not len(of_frame):
+            continue
+        # One target determines the frame, the one that it sees most often; all targets follow from the frames.
+        target = rows.samples.target[of_frame]
+        of_target = of_frame[target == np.bincount(target).argmax()]
+        R_measured = rows.measured[of_target, 3:12].reshape(-1, 3, 3)
+        T_frame_base[f, :3, :3] = _frame_rotation(T_base_tip[of_target, :3, :3], R_measured)
+    turned = setup.with_poses(T_frame_base, setup.T_tip_target)
     turned = with_measured_target_rotations(turned, T_base_tip, rows)
-    result = linear_setup(_with_rotations_known(turned), T_base_tip, rows)
-    if result is None:
-        return None
-    return setup.placed(result.T_frame_base, result.T_tip_target)
 
-
-def _rotation_by_orientations(f: int, T_base_tip: Array, rows: Rows) -> Array:
-    """R_frame_base of a frame, shape (3, 3), by the measured orientations of the target that it sees most often.
-
-    Args:
-        f: Number of the frame, from 0, of which there are rows.
-        T_base_tip: shape (N, 4, 4), pose of the tip at each row [m].
-        rows: N rows with an orientation.
-    """
-    of_frame = np.flatnonzero(rows.samples.frame == f)
-    target = rows.samples.target[of_frame]
-    # One target determines the frame; all targets follow from the frames.
-    most_often = np.bincount(target).argmax()
-    of_target = of_frame[target == most_often]
-    R_measured = rows.measured[of_target, 3:12].reshape(-1, 3, 3)
-    return _frame_rotation(T_base_tip[of_target, :3, :3], R_measured)
-
-
-def _with_rotations_known(setup: Setup) -> Setup:
-    """The setup with translations of frames and positions of targets alone to be estimated."""
+    # With the rotations known, translations of frames and positions of targets are left.
     translations = []
     for directions in setup.unknown:
-        of_frame = [direction for direction in directions if direction in _TRANSLATIONS]
-        translations.append(tuple(of_frame))
-    return replace(setup, unknown=tuple(translations), rotation=False)
+        kept = [direction for direction in directions if direction in _TRANSLATIONS]
+        translations.append(tuple(kept))
+    to_translate = replace(turned, unknown=tuple(translations), rotation=False)
+    result = linear_setup(to_translate, T_base_tip, rows)
+    if result is None:
+        return None
+    return setup.with_poses(result.T_frame_base, result.T_tip_target)
 
 
 def _frame_rotation(R_tip: Array, R_measured: Array) -> Array:
-    """R_f of one frame, shape (3, 3), by M_i R_t^T - R_f R_i = 0 of n rows of one target (M. Shah, 2013).
+    """R_f of one frame, (3, 3), by M_i R_t^T - R_f R_i = 0 of n rows of one target (M. Shah, 2013).
 
-    Args:
-        R_tip: shape (n, 3, 3), R_i, of the tip in the base.
-        R_measured: shape (n, 3, 3), M_i, of the target in the frame.
+    R_i, (n, 3, 3), are the orientations of the tip in the base, M_i, (n, 3, 3), those of the target in the frame.
     """
     A = np.zeros((len(R_tip), 9, 18))
     for a, b in itertools.product(range(3), repeat=2):
@@ -189,7 +148,7 @@ def _frame_rotation(R_tip: Array, R_measured: Array) -> Array:
 def with_frames_fitted(setup: Setup, T_base_tip: Array, rows: Rows) -> Setup:
     """Fit each estimated frame to its rows, with the targets as they are.
 
-    By measured points where there are three and the frame is wholly unknown, else by the kind of rows that has the most
+    By measured points if there are three and the frame is wholly unknown, else by the kind of rows that has the most
     scalars (a socket before a plane), else by the mean of the points.
 
     Args:
@@ -203,75 +162,43 @@ def with_frames_fitted(setup: Setup, T_base_tip: Array, rows: Rows) -> Setup:
     for f, directions in enumerate(setup.unknown):
         of_frame = np.flatnonzero(rows.samples.frame == f)
         if directions and len(of_frame):
-            T_frame_base[f] = _frame_fitted(T_frame_base[f], directions, points, rows, of_frame)
-    return setup.placed(T_frame_base, setup.T_tip_target)
+            T_frame_base[f] = _fit_frame(setup, f, points, rows, of_frame)
+    return setup.with_poses(T_frame_base, setup.T_tip_target)
 
 
-def _frame_fitted(
-    T_frame_base: Array,
-    directions: tuple[str, ...],
-    points: Array,
-    rows: Rows,
-    of_frame: Integers,
-) -> Array:
-    """Fit one frame to its rows; see `with_frames_fitted`.
+def _fit_frame(setup: Setup, f: int, points: Array, rows: Rows, of_frame: Integers) -> Array:
+    """Fit one frame to its n rows, by their numbers: T_frame_base, (4, 4) [m]; see `with_frames_fitted`.
 
-    Args:
-        T_frame_base: shape (4, 4), pose of the base in the frame before [m].
-        directions: Directions of the frame that are estimated.
-        points: shape (N, 3), predicted position of each row's target in the base [m].
-        rows: N rows of all frames.
-        of_frame: Numbers of the n rows of this frame.
-
-    Returns:
-        T_frame_base, shape (4, 4) [m].
+    ``points`` are the predicted positions of all rows' targets in the base, (N, 3) [m].
     """
+    T_frame_base = setup.T_frame_base[f]
     points = points[of_frame]
     measured = rows.measured[of_frame]
     has_position = rows.where(lambda kind: kind.position)[of_frame]
-    if _all(directions) and np.sum(has_position) >= _FEWEST_POINTS:
+    if setup.wholly_unknown[f] and np.sum(has_position) >= _FEWEST_POINTS:
         return _frame_by_points(measured[has_position, :3], points[has_position])
-    locating = _kind_that_locates(rows, of_frame)
-    if locating is not None:
-        kind, of_kind = locating
+
+    locating = []
+    for kind in rows.present:
+        of_kind = rows.where(kind.__eq__)[of_frame]
+        if kind.locate is not None and np.any(of_kind):
+            locating.append((kind, of_kind))
+    if locating:
+        kind, of_kind = max(locating, key=lambda one: len(one[0].units))
         assert kind.locate is not None
-        readings = measured[of_kind, : kind.size]
-        return kind.locate(points[of_kind], readings, T_frame_base)
+        return kind.locate(points[of_kind], measured[of_kind, : kind.size], T_frame_base)
+
     result: Array = T_frame_base.copy()
     if np.any(has_position):
-        measured_points = measured[has_position, :3]
-        shift = _mean_shift(T_frame_base, directions, measured_points, points[has_position])
-        result[:3, 3] += shift
+        predicted = points[has_position] @ T_frame_base[:3, :3].T + T_frame_base[:3, 3]
+        shift = measured[has_position, :3] - predicted
+        estimated = np.array([axis in setup.unknown[f] for axis in _TRANSLATIONS])
+        result[:3, 3] += np.where(estimated, shift.mean(axis=0), 0.0)
     return result
 
 
-def _mean_shift(
-    T_frame_base: Array,
-    directions: tuple[str, ...],
-    measured: Array,
-    points: Array,
-) -> Array:
-    """Mean of measured minus predicted points, zero along directions that are not estimated, shape (3,) [m].
-
-    Args:
-        T_frame_base: shape (4, 4), pose of the base in the frame [m].
-        directions: Directions of the frame that are estimated.
-        measured: shape (n, 3), points in the frame [m].
-        points: shape (n, 3), the same points in the base, predicted [m].
-    """
-    predicted = points @ T_frame_base[:3, :3].T + T_frame_base[:3, 3]
-    shift = measured - predicted
-    estimated = np.array([axis in directions for axis in _TRANSLATIONS])
-    return np.where(estimated, shift.mean(axis=0), 0.0)
-
-
 def _frame_by_points(measured: Array, points: Array) -> Array:
-    """T_frame_base, shape (4, 4) [m], that maps points in the base to measured ones, best (W. Kabsch, 1976).
-
-    Args:
-        measured: shape (n, 3), points in the frame [m].
-        points: shape (n, 3), the same points in the base [m].
-    """
+    """T_frame_base, (4, 4) [m], that best maps points in the base, (n, 3), to measured ones (W. Kabsch, 1976)."""
     centre = points.mean(axis=0)
     measured_centre = measured.mean(axis=0)
     R = nearest_rotation((measured - measured_centre).T @ (points - centre))
@@ -279,32 +206,6 @@ def _frame_by_points(measured: Array, points: Array) -> Array:
     T[:3, :3] = R
     T[:3, 3] = measured_centre - R @ centre
     return T
-
-
-def _kind_that_locates(rows: Rows, of_frame: Integers) -> tuple[Kind, Mask] | None:
-    """The kind with the most scalars a row that locates its frame, among rows of a frame, and which are of it.
-
-    Args:
-        rows: All rows.
-        of_frame: Numbers of the n rows of one frame.
-
-    Returns:
-        The kind and a mask of shape (n,); None without such a kind.
-    """
-    candidates = []
-    for kind in rows.present:
-        of_kind = rows.where(kind.__eq__)[of_frame]
-        if kind.locate is not None and np.any(of_kind):
-            candidates.append((kind, of_kind))
-    if not candidates:
-        return None
-
-    def scalars(candidate: tuple[Kind, Mask]) -> int:
-        """Number of scalars of a row."""
-        kind, _ = candidate
-        return len(kind.units)
-
-    return max(candidates, key=scalars)
 
 
 def with_measured_target_rotations(setup: Setup, T_base_tip: Array, rows: Rows) -> Setup:
@@ -325,7 +226,7 @@ def with_measured_target_rotations(setup: Setup, T_base_tip: Array, rows: Rows) 
             R_measured = rows.measured[of_target, 3:12].reshape(-1, 3, 3)
             total = np.einsum("nji,njk->ik", R_frame_tip[of_target], R_measured)
             T_tip_target[t, :3, :3] = nearest_rotation(total)
-    return setup.placed(setup.T_frame_base, T_tip_target)
+    return setup.with_poses(setup.T_frame_base, T_tip_target)
 
 
 def nearest_rotation(M: Array) -> Array:
@@ -333,8 +234,3 @@ def nearest_rotation(M: Array) -> Array:
     U, _, V = np.linalg.svd(M)
     handed = np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ V))])
     return np.asarray(U @ handed @ V)
-
-
-def _all(directions: tuple[str, ...]) -> bool:
-    """True if a frame is estimated in all six directions."""
-    return len(directions) == len(DIRECTIONS)

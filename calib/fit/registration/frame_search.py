@@ -1,6 +1,6 @@
 """Search for measurement frames of which nothing is known: starts all over the arm's reach, each one refined.
 
-Sought are frames whose kinds of rows neither measure positions nor locate their frame (`Kind.locate`), and whose pose
+These are frames whose kinds of rows neither measure positions nor locate their frame (`Kind.locate`), and whose pose
 the cell does not give: such as the line of a straight edge, of which rows measure the distance. Their sum of squares
 has local minima. Of random poses within a few times the arm's reach between one in eight and nearly all lead to the
 lowest one. It is taken as found once several starts have led to it, and its residuals are those of an arm.
@@ -17,14 +17,13 @@ from calib.basics.arrays import Array, Mask
 from calib.basics.channels import RESIDUAL_UNITS
 from calib.data.kinds import Kind
 from calib.errors import SolverError
-from calib.fit.registration.refinement import refined
+from calib.fit.registration.refinement import refine, target_poses
 from calib.fit.registration.rows import NONE, Rows
 from calib.fit.registration.setup import Setup
-from calib.fit.registration.starts import target_poses
 from calib.model.error_model import DIRECTIONS
 
-#: The most starts of a frame. One in eight leads to the lowest minimum where a tool is 0.6 m long and nothing is known
-#: of it, nearly all do where the target's place is known.
+#: The most starts of a frame. One in eight leads to the lowest minimum if a tool is 0.6 m long and nothing is known of
+#: it, nearly all do if the target's place is known.
 _STARTS = 60
 
 #: So many starts have to lead to the lowest minimum before the others are left out.
@@ -43,7 +42,7 @@ _NOTHING = 1e-6
 #: instrument or an object may stand that most poses are measured against.
 _FARTHEST = 4.0
 
-#: The least spread of the target's positions [m], where the robot hardly moves.
+#: The least spread of the target's positions [m], even if the robot hardly moves.
 _LEAST_SPREAD = 0.1
 
 #: Rows that are enough for a search.
@@ -53,33 +52,33 @@ _ROWS = 60
 _ROWS_OF_TARGET = 10
 
 
-def sought_frames(setup: Setup, rows: Rows) -> list[int]:
-    """Return the numbers of the frames that have to be sought, ordered by the names of their stations.
+def frames_to_search(setup: Setup, rows: Rows) -> list[int]:
+    """Return the numbers of the frames that have to be searched, ordered by the names of their stations.
 
     Args:
-        setup: Frames and targets, with what is estimated of them; the pose of a frame is not given where it is the
+        setup: Frames and targets, with what is estimated of them; the pose of a frame is not given if it is the
             identity.
-        rows: N rows; frames that they do not see are not sought.
+        rows: N rows; frames that they do not see are left out.
     """
-    if all(map(_tells_frame, rows.present)):
+
+    def gives_start(kind: Kind) -> bool:
+        """True if a start of the frame follows from rows of a kind, or they do not depend on it."""
+        return kind.position or kind.locate is not None or not kind.directions
+
+    if all(map(gives_start, rows.present)):
         return []
-    telling = rows.where(_tells_frame)
+    giving = rows.where(gives_start)
     observing = rows.where(lambda kind: bool(kind.directions))
     result = []
     for f, directions in enumerate(setup.unknown):
         of_frame = observing & (rows.samples.frame == f)
-        known = np.any(telling[of_frame]) or not np.array_equal(setup.T_frame_base[f], np.eye(4))
+        known = np.any(giving[of_frame]) or not np.array_equal(setup.T_frame_base[f], np.eye(4))
         if directions and np.any(of_frame) and not known:
             result.append(f)
     return sorted(result, key=lambda f: setup.groups[f])
 
 
-def _tells_frame(kind: Kind) -> bool:
-    """True if a start of the frame follows from rows of a kind, or they do not depend on it."""
-    return kind.position or kind.locate is not None or not kind.directions
-
-
-def with_frame_found(setup: Setup, f: int, T_base_tip: Array, rows: Rows) -> Setup:
+def find_frame(setup: Setup, f: int, T_base_tip: Array, rows: Rows) -> Setup:
     """Find a frame, and the targets that are estimated with it, by least squares from many starts.
 
     Args:
@@ -89,7 +88,7 @@ def with_frame_found(setup: Setup, f: int, T_base_tip: Array, rows: Rows) -> Set
         rows: N rows that see the frame.
 
     Returns:
-        The setup at the lowest minimum; where a start stood, if no residual is finite anywhere.
+        The setup at the lowest minimum; as it was if no residual is finite anywhere.
     """
     chosen = _rows_of_search(rows)
     T_base_tip = T_base_tip[chosen]
@@ -99,10 +98,10 @@ def with_frame_found(setup: Setup, f: int, T_base_tip: Array, rows: Rows) -> Set
     with np.errstate(all="ignore"):
         for start in _starts(setup, f, T_base_tip, rows):
             try:
-                minima.append(refined(start, T_base_tip, rows, _TOLERANCE))
+                minima.append(refine(start, T_base_tip, rows, _TOLERANCE))
             except SolverError:  # it is not finite there
                 continue
-            if _agreed(minima, T_base_tip, rows):
+            if _agree(minima, T_base_tip, rows):
                 break
     if not minima:
         return setup
@@ -110,7 +109,7 @@ def with_frame_found(setup: Setup, f: int, T_base_tip: Array, rows: Rows) -> Set
 
 
 def is_plausible(setup: Setup, T_base_tip: Array, rows: Rows) -> bool:
-    """Tell whether the residuals of most rows are of a size that an uncalibrated arm may have.
+    """Return whether the residuals of most rows are of a size that an uncalibrated arm may have.
 
     The median, which outliers do not move, is compared with `ResidualUnit.absurd`, beyond any arm and instrument.
 
@@ -130,14 +129,8 @@ def is_plausible(setup: Setup, T_base_tip: Array, rows: Rows) -> bool:
     return True
 
 
-def _agreed(minima: list[tuple[float, Setup]], T_base_tip: Array, rows: Rows) -> bool:
-    """Tell whether several starts led to the lowest minimum, and it is plausible.
-
-    Args:
-        minima: Half the sum of squares, and the setup, at the minimum that each start led to.
-        T_base_tip: shape (N, 4, 4), pose of the tip at each row [m].
-        rows: N rows.
-    """
+def _agree(minima: list[tuple[float, Setup]], T_base_tip: Array, rows: Rows) -> bool:
+    """Return whether several starts led to the lowest of the minima (cost and setup), and it is plausible."""
     lowest, setup = _lowest(minima)
     limit = (1.0 + _SAME) * lowest + _NOTHING * rows.count
     agreeing = sum(cost <= limit for cost, _ in minima)
@@ -150,7 +143,7 @@ def _lowest(minima: list[tuple[float, Setup]]) -> tuple[float, Setup]:
 
 
 def _rows_of_search(rows: Rows) -> Mask:
-    """Mask of rows that are enough for a search, shape (N,), the same ones in whatever order they stand.
+    """Mask of rows that are enough for a search, shape (N,), the same ones in whatever order they come.
 
     Evenly along the rows as sorted by joint values, then by what was measured; pairs stay whole.
     """
@@ -167,14 +160,7 @@ def _rows_of_search(rows: Rows) -> Mask:
 
 
 def _starts(setup: Setup, f: int, T_base_tip: Array, rows: Rows) -> Iterator[Setup]:
-    """Yield setups with a frame at random poses, always the same ones, and targets in turn as they are and elsewhere.
-
-    Args:
-        setup: Frames and targets.
-        f: Number of the frame, from 0.
-        T_base_tip: shape (N, 4, 4), pose of the tip at each row [m].
-        rows: N rows that see the frame.
-    """
+    """Yield setups with a frame at random poses, always the same ones, and targets in turn as they are and moved."""
     T_base_target = T_base_tip @ setup.T_tip_target[rows.samples.target]
     points = T_base_target[:, :3, 3]
     centre = points.mean(axis=0)
@@ -187,7 +173,7 @@ def _starts(setup: Setup, f: int, T_base_tip: Array, rows: Rows) -> Iterator[Set
         T_frame_base[f] = _random_pose(random, setup.unknown[f], centre, _FARTHEST * spread)
         # A target's own place is the best guess of it, be it given or at the tip.
         T_tip_target = targets[0] if k % 2 == 0 else targets[k // 2 % len(targets)]
-        yield setup.placed(T_frame_base, T_tip_target)
+        yield setup.with_poses(T_frame_base, T_tip_target)
 
 
 def _random_pose(
@@ -196,16 +182,10 @@ def _random_pose(
     centre: Array,
     farthest: float,
 ) -> Array:
-    """Draw a pose of a frame, displaced from the identity in the directions that are estimated.
+    """Draw a pose of a frame, (4, 4) [m], displaced from the identity in the directions that are estimated.
 
-    Args:
-        random: Source of random numbers.
-        directions: Directions of the frame that are estimated.
-        centre: shape (3,), point in the base about which origins are drawn [m].
-        farthest: The largest distance of an origin from it [m].
-
-    Returns:
-        T_frame_base, shape (4, 4) [m]; uniform in SO(3) where all rotations are estimated.
+    Its origin is at most ``farthest`` [m] from the centre, (3,), in the base; its rotation is uniform in SO(3) if all
+    are estimated.
     """
     translates, turns = np.array([axis in directions for axis in DIRECTIONS]).reshape(2, 3)
     quaternion = random.standard_normal(4)  # its scalar is the last one

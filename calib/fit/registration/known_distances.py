@@ -53,15 +53,7 @@ def known_distances(cell: Cell, setup: Setup) -> tuple[KnownDistance, ...]:
 
 
 def joined_stations(rows: Rows, distances: Sequence[KnownDistance]) -> Integers:
-    """Number the stations of rows, where those with a known distance between them are one.
-
-    Args:
-        rows: N rows.
-        distances: Known distances between frames.
-
-    Returns:
-        shape (N,), station of each row.
-    """
+    """Number the stations of N rows, shape (N,); those with a known distance between them are one."""
     pairs = [(distance.first, distance.second) for distance in distances]
     # A distance may be to a frame that these rows do not see.
     highest = max((max(pair) for pair in pairs), default=0)

@@ -1,4 +1,4 @@
-"""Labels of rows as numbers."""
+"""Labels of rows as numbers: names, merged labels, and repeated poses."""
 
 from __future__ import annotations
 
@@ -7,8 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 
-from calib.basics.arrays import Integers
+from calib.basics.arrays import Array, Integers
+
+#: Rows whose joint values differ by no more than this are repeats of a pose [rad or m].
+_SAME_POSE = 1e-3
 
 
 def numbered(words: Sequence[str], names: Sequence[str]) -> Integers:
@@ -22,7 +26,7 @@ def numbered(words: Sequence[str], names: Sequence[str]) -> Integers:
         shape (N,), index of each word in ``names``, from 0.
 
     Raises:
-        KeyError: A word is none of the names.
+        KeyError: A word is not among the names.
     """
     number = {name: i for i, name in enumerate(names)}
     return np.array([number[word] for word in words], dtype=np.int_)
@@ -48,3 +52,38 @@ def joined_labels(labels: Integers, pairs: Sequence[tuple[int, int]]) -> Integer
         labels = component[labels]
     _, number = np.unique(labels, return_inverse=True)
     return number.reshape(-1)
+
+
+def same_poses(joints: Array) -> Integers:
+    """Number the poses at which rows were measured: joint values that are equal except for the controller's noise.
+
+    The first row without a pose takes all rows near it that have none either, and so on.
+
+    Args:
+        joints: shape (N, n), joint values of each row [rad] or [m].
+
+    Returns:
+        shape (N,), pose of each row, numbered from 0 in the order of their first rows; repeats have one number.
+    """
+    unique, first, copy = np.unique(joints, axis=0, return_index=True, return_inverse=True)
+    tree = cKDTree(unique)
+    # Only those with a neighbour, about as near as repeats are, can be repeats. It is the second nearest point, as a
+    # point is nearest to itself; infinitely far if none is within reach.
+    reach = 1.01 * _SAME_POSE
+    distances, _ = tree.query(tree.data, k=[2], p=np.inf, distance_upper_bound=reach)
+    near = distances[:, 0] < reach
+
+    leader = first.copy()
+    free = np.ones(len(unique), dtype=bool)
+    order_of_rows = np.argsort(first[near])
+    for i in np.flatnonzero(near)[order_of_rows].tolist():
+        if not free[i]:
+            continue
+        # A leader takes its free neighbours.
+        taken = np.array(tree.query_ball_point(unique[i], _SAME_POSE, p=np.inf))
+        taken = taken[free[taken]]
+        leader[taken] = first[i]
+        free[taken] = False
+    leader_of_row = leader[copy.reshape(-1)]
+    _, pose = np.unique(leader_of_row, return_inverse=True)
+    return pose.reshape(-1)

@@ -1,12 +1,23 @@
-"""Refinement of a registration from a start, by Levenberg-Marquardt, on given poses of the robot's tip."""
+"""Registration that is not linear: starts, refined by Levenberg-Marquardt, on given poses of the robot's tip.
+
+A start has targets at one of several places, with the frames that suit them.
+"""
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Iterable
 from functools import partial
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from calib.basics.arrays import Array
+from calib.fit.registration.closed_form import (
+    orientation_setup,
+    with_frames_fitted,
+    with_measured_target_rotations,
+)
 from calib.fit.registration.rows import Rows
 from calib.fit.registration.setup import Setup
 from calib.model.error_model import frame_and_target_model
@@ -15,21 +26,88 @@ from calib.model.parameters import ErrorModel
 from calib.numerics.solvers import levenberg_marquardt
 from calib.robot import kernel
 
+#: Distances from the tip at which a target is tried if its place was not given [m]: a flange and a long tool.
+_REACHES = (0.15, 0.7)
 
-def sum_of_squares(setup: Setup, T_base_tip: Array, rows: Rows) -> float:
-    """Return the sum of squared residuals of a setup, in units of each scalar's sigma.
+#: Rotations of a frame, by direction, and the axis they turn about.
+_AXES = {"rx": "x", "ry": "y", "rz": "z"}
+
+#: The most starts that are refined: those with the lowest cost.
+_REFINED = 5
+
+
+def find_starts(setup: Setup, T_base_tip: Array, rows: Rows) -> list[Setup]:
+    """Return setups from which to refine a registration; one if orientations determine it.
 
     Args:
-        setup: Frames and targets.
+        setup: Frames and targets, with what is estimated of them.
         T_base_tip: shape (N, 4, 4), pose of the tip at each row [m].
         rows: N rows.
     """
-    T_frame_target = setup.target_poses(T_base_tip, rows.samples)
-    residual = rows.residual(T_frame_target, setup.optics_at(rows.samples)) / rows.scales
-    return float(np.sum(residual[rows.used] ** 2))
+    by_orientation = orientation_setup(setup, T_base_tip, rows)
+    if by_orientation is not None:
+        return [by_orientation]
+    # A single frame is tried turned by quarters about each rotation that is estimated, if not all are: refinement
+    # converges from any of them. A frame that is wholly unknown is fitted in closed form.
+    frames = [setup.T_frame_base]
+    if len(setup.groups) == 1 and not setup.wholly_unknown[0]:
+        for direction, quarter in itertools.product(_AXES, (1, 2, 3)):
+            if direction in setup.unknown[0]:
+                R = np.eye(4)
+                angle = quarter * np.pi / 2
+                R[:3, :3] = Rotation.from_euler(_AXES[direction], angle).as_matrix()
+                frames.append(setup.T_frame_base @ R)
+    result = []
+    for T_frame_base, T_tip_target in itertools.product(frames, target_poses(setup)):
+        start = setup.with_poses(T_frame_base, T_tip_target)
+        result.append(with_frames_fitted(start, T_base_tip, rows))
+    return result
 
 
-def refined(start: Setup, T_base_tip: Array, rows: Rows, tolerance: float) -> tuple[float, Setup]:
+def target_poses(setup: Setup) -> list[Array]:
+    """Return poses of all targets in the tip to start from, each of shape (T, 4, 4): as they are, and along each axis.
+
+    Args:
+        setup: Targets, and which of them are estimated.
+    """
+    result = [setup.T_tip_target]
+    if not setup.estimate_target:
+        return result
+    axes = [*np.eye(3), *-np.eye(3)]
+    offsets = [reach * axis for reach in _REACHES for axis in axes]
+    if np.any(setup.target_given & setup.target_unknown):
+        offsets.append(np.zeros(3))
+    for offset in offsets:
+        moved = setup.T_tip_target.copy()
+        moved[setup.target_unknown, :3, 3] = offset
+        result.append(moved)
+    return result
+
+
+def refine_best(starts: Iterable[Setup], T_base_tip: Array, rows: Rows, tolerance: float) -> Setup:
+    """Refine the most promising of several starts, and return the setup of the lowest sum of squares.
+
+    Args:
+        starts: Setups of the same frames and targets at different poses.
+        T_base_tip: shape (N, 4, 4), pose of the tip at each row [m].
+        rows: N rows.
+        tolerance: Relative fall of the sum of squares at which a refinement ends.
+    """
+
+    def sum_of_squares(setup: Setup) -> float:
+        """Return the sum of squared residuals of a setup, in units of each scalar's sigma."""
+        T_frame_target = setup.target_poses(T_base_tip, rows.samples)
+        residual = rows.residual(T_frame_target, setup.optics_at(rows.samples)) / rows.scales
+        return float(np.sum(residual[rows.used] ** 2))
+
+    turned = [with_measured_target_rotations(start, T_base_tip, rows) for start in starts]
+    promising = sorted(turned, key=sum_of_squares)[:_REFINED]
+    minima = [refine(start, T_base_tip, rows, tolerance) for start in promising]
+    _, best = min(minima, key=lambda minimum: minimum[0])
+    return best
+
+
+def refine(start: Setup, T_base_tip: Array, rows: Rows, tolerance: float) -> tuple[float, Setup]:
     """Minimise the sum of squares from a start, by Levenberg-Marquardt.
 
     Args:
@@ -44,11 +122,11 @@ def refined(start: Setup, T_base_tip: Array, rows: Rows, tolerance: float) -> tu
     model = frame_and_target_model(
         start.frame_unknowns, start.unknown_targets, start.target_names, rotation=start.rotation
     )
-    aligned = start.aligned(model)
-    system = partial(_system, aligned, T_base_tip, rows, start)
+    turned = start.turn_directions(model)
+    system = partial(_system, turned, T_base_tip, rows, start)
     x0 = np.zeros(len(model))
     solution = levenberg_marquardt(system, x0, steps(model.units), tolerance=tolerance)
-    displacement, _ = aligned.displacements(solution.x)
+    displacement, _ = turned.displacements(solution.x)
     return solution.cost, start.displaced(displacement)
 
 
@@ -59,17 +137,9 @@ def _system(
     setup: Setup,
     x: Array,
 ) -> tuple[Array, Array]:
-    """The residual of a registration and its Jacobian, in units of each scalar's sigma.
+    """The residual of a registration, (M,), and its derivative by x, (M, p), in units of each scalar's sigma.
 
-    Args:
-        model: Parameters of frames and targets alone, p of them.
-        T_base_tip: shape (N, 4, 4), pose of the tip at each row [m].
-        rows: N rows with M measured scalars.
-        setup: Frames and targets that x displaces.
-        x: shape (p,), [m] and [rad].
-
-    Returns:
-        Measured minus predicted, shape (M,), and its derivative, shape (M, p).
+    The p parameters x [m, rad] of the model are of frames and targets alone, and displace those of ``setup``.
     """
     displacement, directions = model.displacements(x)
     displaced = setup.displaced(displacement)
@@ -92,12 +162,7 @@ def _twists(
 ) -> Array:
     """Motion of each row's target by each parameter, along the frame's axes, shape (p, 6, N): v, then omega.
 
-    Args:
-        model: Its p parameters are of frames and targets alone; its places are frames, tip, targets.
-        directions: shape (6 places, p), twists at each place: `ErrorModel.displacements`.
-        setup: Frames and targets as displaced.
-        T_frame_target: shape (N, 4, 4), pose of each row's target [m].
-        rows: N rows.
+    The model's places are frames, tip, targets; ``directions`` are the twists at each, shape (6 places, p).
     """
     T_frame_base = setup.T_frame_base[rows.samples.frame]
     axes = np.array([_axes_first(T_frame_base), _axes_first(T_frame_target)])

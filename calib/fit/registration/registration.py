@@ -1,8 +1,8 @@
 """Registration: frames and targets fitted on given poses of the robot's tip, before its errors are estimated.
 
-By plain least squares, for a robust fit from a wrong start takes every row for an outlier: in closed form where the
-equations are linear, else by Levenberg-Marquardt from several starts. Frames of which nothing is known are sought first
-(`calib.fit.registration.frame_search`).
+By plain least squares, because a robust fit from a wrong start would treat every row as an outlier: in closed form if
+the equations are linear, else by Levenberg-Marquardt from several starts. Frames of which nothing is known are searched
+first (`calib.fit.registration.frame_search`).
 """
 
 from __future__ import annotations
@@ -11,22 +11,17 @@ import numpy as np
 
 from calib.basics.arrays import Array, Integers, Mask
 from calib.errors import MeasurementError
-from calib.fit.registration.closed_form import linear_setup, with_measured_target_rotations
-from calib.fit.registration.frame_search import sought_frames, with_frame_found
-from calib.fit.registration.refinement import refined, sum_of_squares
+from calib.fit.registration.board_views import images_as_poses
+from calib.fit.registration.closed_form import linear_setup
+from calib.fit.registration.frame_search import find_frame, frames_to_search
+from calib.fit.registration.refinement import find_starts, refine_best
 from calib.fit.registration.rows import NONE, Rows
 from calib.fit.registration.setup import Setup
-from calib.fit.registration.starts import starts_of
-from calib.fit.registration.views import views_of
-from calib.model.error_model import DIRECTIONS
-
-#: The most starts that are refined: those with the lowest cost.
-_REFINED = 5
 
 #: Rows that are enough for a registration, shared by the pairs of a frame and a target.
 _ROWS = 200
 
-#: Images that are enough for a registration, shared likewise.
+#: Images that are enough for a registration, shared in the same way.
 _VIEWS = 60
 
 #: The fewest rows of each pair of a frame and a target; with no more rows in all none is left out.
@@ -75,7 +70,7 @@ def register_all_rows(
     *,
     tolerance: float = 1e-12,
 ) -> Setup:
-    """Estimate the unknown frames and targets on given poses of the robot, by every row, few as they are.
+    """Estimate the unknown frames and targets on given poses of the robot, by every row, however few there are.
 
     Args:
         T_base_tip: shape (N, 4, 4), pose of the tip at each row [m].
@@ -86,34 +81,26 @@ def register_all_rows(
     if not setup.count:
         return setup
     if np.any(rows.where(lambda kind: kind.optical)):
-        starts = [_registered_to_views(setup, T_base_tip, rows, tolerance)]
-        return _settled(_best_refined(starts, T_base_tip, rows, tolerance), rows)
-    linear = linear_setup(setup, T_base_tip, rows)
-    only_points = np.all(rows.where(lambda kind: kind.position and kind.size == 3))
-    if linear is not None and only_points:
-        return linear  # it is the least-squares solution itself
-    if linear is not None:
-        starts = [linear]
-    elif sought_frames(setup, rows):
-        starts = [_with_frames_found(setup, T_base_tip, rows, tolerance)]
+        starts = [_register_to_views(setup, T_base_tip, rows, tolerance)]
     else:
-        starts = starts_of(setup, T_base_tip, rows)
-    best = _best_refined(starts, T_base_tip, rows, tolerance)
-    return _settled(best, rows)
+        linear = linear_setup(setup, T_base_tip, rows)
+        only_points = np.all(rows.where(lambda kind: kind.position and kind.size == 3))
+        if linear is not None and only_points:
+            return linear  # it is the least-squares solution itself
+        if linear is not None:
+            starts = [linear]
+        elif frames_to_search(setup, rows):
+            starts = [_search_frames(setup, T_base_tip, rows, tolerance)]
+        else:
+            starts = find_starts(setup, T_base_tip, rows)
+    best = refine_best(starts, T_base_tip, rows, tolerance)
+    return _settle(best, rows)
 
 
-def _registered_to_views(setup: Setup, T_base_tip: Array, rows: Rows, tolerance: float) -> Setup:
-    """Register cameras and boards to the poses of the boards in single views, without those that are far off.
-
-    Args:
-        setup: Frames and targets, with what is estimated of them.
-        T_base_tip: shape (N, 4, 4), pose of the tip at each row [m].
-        rows: N rows, of which some are images.
-        tolerance: Relative fall of the sum of squares at which a refinement ends.
-    """
-    views = views_of(rows)
-    T_base_tip = T_base_tip[views.first]
-    poses = views.rows
+def _register_to_views(setup: Setup, T_base_tip: Array, rows: Rows, tolerance: float) -> Setup:
+    """Register cameras and boards to the poses of the boards in single views, without those that are far off."""
+    poses, source_rows = images_as_poses(rows)
+    T_base_tip = T_base_tip[source_rows]
     registered = register_all_rows(T_base_tip, setup, poses, tolerance=tolerance)
     # A board nearly head on may be taken for its mirror image.
     near = _near_rows(registered, T_base_tip, poses)
@@ -122,57 +109,28 @@ def _registered_to_views(setup: Setup, T_base_tip: Array, rows: Rows, tolerance:
     return register_all_rows(T_base_tip[near], setup, poses.select(near), tolerance=tolerance)
 
 
-def _with_frames_found(setup: Setup, T_base_tip: Array, rows: Rows, tolerance: float) -> Setup:
-    """The setup with frames of which nothing is known found one by one, after all that rows of the others determine.
-
-    Args:
-        setup: Frames and targets, with what is estimated of them; some frames have to be sought.
-        T_base_tip: shape (N, 4, 4), pose of the tip at each row [m].
-        rows: N rows.
-        tolerance: Relative fall of the sum of squares at which a refinement ends.
-    """
-    sought = sought_frames(setup, rows)
+def _search_frames(setup: Setup, T_base_tip: Array, rows: Rows, tolerance: float) -> Setup:
+    """Find the frames of which nothing is known one by one, after all that the rows of the other frames determine."""
+    unknown = frames_to_search(setup, rows)
     numbers = np.arange(len(setup.groups))
-    others = rows.with_partners(~np.isin(rows.samples.frame, sought))
-    of_others = setup.with_fixed(np.isin(numbers, sought), np.zeros_like(setup.target_unknown))
-    placed = register_all_rows(
+    others = rows.with_partners(~np.isin(rows.samples.frame, unknown))
+    of_others = setup.with_fixed(np.isin(numbers, unknown), np.zeros_like(setup.target_unknown))
+    registered = register_all_rows(
         T_base_tip[others], of_others, rows.select(others), tolerance=tolerance
     )
     _, known_targets = setup.seen_by(rows.samples.select(others))
-    for f in sought:
+    for f in unknown:
         of_frame = rows.with_partners(rows.samples.frame == f)
         part = rows.select(of_frame)
-        start = setup.placed(placed.T_frame_base, placed.T_tip_target)
+        start = setup.with_poses(registered.T_frame_base, registered.T_tip_target)
         start = start.with_fixed(numbers != f, known_targets)
-        placed = with_frame_found(start, f, T_base_tip[of_frame], part)
+        registered = find_frame(start, f, T_base_tip[of_frame], part)
         known_targets = known_targets | setup.seen_by(part.samples)[1]
-    return setup.placed(placed.T_frame_base, placed.T_tip_target)
+    return setup.with_poses(registered.T_frame_base, registered.T_tip_target)
 
 
-def _best_refined(starts: list[Setup], T_base_tip: Array, rows: Rows, tolerance: float) -> Setup:
-    """The setup of lowest cost among the refinements of the most promising starts.
-
-    Args:
-        starts: Setups of the same frames and targets at different poses.
-        T_base_tip: shape (N, 4, 4), pose of the tip at each row [m].
-        rows: N rows.
-        tolerance: Relative fall of the sum of squares at which a refinement ends.
-    """
-    starts = [with_measured_target_rotations(start, T_base_tip, rows) for start in starts]
-    lowest_first = sorted(starts, key=lambda start: sum_of_squares(start, T_base_tip, rows))
-    promising = lowest_first[:_REFINED]
-    minima = [refined(start, T_base_tip, rows, tolerance) for start in promising]
-    _, best = min(minima, key=lambda solution: solution[0])
-    return best
-
-
-def _settled(setup: Setup, rows: Rows) -> Setup:
-    """The setup with directions that no row observes, such as a plane's turn about its normal, at a definite value.
-
-    Args:
-        setup: Frames and targets after their estimation.
-        rows: Rows by which they were estimated.
-    """
+def _settle(setup: Setup, rows: Rows) -> Setup:
+    """The setup with directions that no row observes, such as a plane's turn about its normal, at a definite value."""
     T_frame_base = setup.T_frame_base.copy()
     for f, directions in enumerate(setup.unknown):
         if not setup.own_axes[f]:
@@ -183,7 +141,7 @@ def _settled(setup: Setup, rows: Rows) -> Setup:
                 continue
             if np.any(rows.where(kind.__eq__) & of_frame):
                 T_frame_base[f] = kind.settle(T_frame_base[f])
-    return setup.placed(T_frame_base, setup.T_tip_target)
+    return setup.with_poses(T_frame_base, setup.T_tip_target)
 
 
 def nominal_setup(T_base_tip: Array, setup: Setup, rows: Rows) -> Setup:
@@ -216,22 +174,13 @@ def register_held_out(T_base_tip: Array, fitted: Setup, held_out: Setup, rows: R
         MeasurementError: Fewer numbers than unknowns.
     """
     concerned = held_out.unknown_at(rows.samples)
-    start = held_out.placed(fitted.T_frame_base, fitted.T_tip_target)
+    start = held_out.with_poses(fitted.T_frame_base, fitted.T_tip_target)
     registered = _register_without_outliers(T_base_tip[concerned], start, rows.select(concerned))
-    return fitted.placed(registered.T_frame_base, registered.T_tip_target)
+    return fitted.with_poses(registered.T_frame_base, registered.T_tip_target)
 
 
 def _register_without_outliers(T_base_tip: Array, setup: Setup, rows: Rows) -> Setup:
-    """`register`, repeated without the rows whose residual is far above the median.
-
-    Args:
-        T_base_tip: shape (N, 4, 4), pose of the tip at each row [m].
-        setup: Frames and targets, with what is estimated of them.
-        rows: N rows.
-
-    Returns:
-        The setup with the estimated poses; the same one where nothing is estimated.
-    """
+    """`register`, repeated without the rows whose residual is far above the median."""
     if not setup.count:
         return setup
     sample = rows.evenly(ENOUGH)
@@ -248,15 +197,9 @@ def _register_without_outliers(T_base_tip: Array, setup: Setup, rows: Rows) -> S
 
 
 def _near_rows(setup: Setup, T_base_tip: Array, rows: Rows) -> Mask | None:
-    """Rows whose residual is not far above the median, with the partners of pairs.
+    """Rows, (N,), whose residual is not far above the median, with the partners of pairs.
 
-    Args:
-        setup: Frames and targets as registered.
-        T_base_tip: shape (N, 4, 4), pose of the tip at each row [m].
-        rows: N rows.
-
-    Returns:
-        shape (N,); None where too few are left, of all rows or of a frame's.
+    None if too few are left, of all rows or of a frame's.
     """
     measuring = np.any(rows.used, axis=1)
     residual = rows.residual(setup.target_poses(T_base_tip, rows.samples))
@@ -270,10 +213,10 @@ def _near_rows(setup: Setup, T_base_tip: Array, rows: Rows) -> Mask | None:
 
 
 def _check_enough(setup: Setup, rows: Rows) -> None:
-    """Raise `MeasurementError` where rows have fewer numbers than unknowns, of the table or of one frame."""
+    """Raise `MeasurementError` if rows have fewer numbers than unknowns, of the table or of one frame."""
     frames, targets = setup.seen_by(rows.samples)
     observed = setup.with_fixed(~frames, ~targets)
-    wholly_unknown = [len(directions) == len(DIRECTIONS) for directions in observed.unknown]
+    wholly_unknown = observed.wholly_unknown.tolist()
     every = np.ones(len(rows), dtype=bool)
     _check_part("The table", rows, every, observed.count, points_needed=any(wholly_unknown))
     for f, name in enumerate(setup.groups):
@@ -286,14 +229,9 @@ def _check_enough(setup: Setup, rows: Rows) -> None:
 
 
 def _check_part(name: str, rows: Rows, part: Mask, unknowns: int, *, points_needed: bool) -> None:
-    """Raise `MeasurementError` where a part of the rows has fewer numbers than unknowns.
+    """Raise `MeasurementError` if a part of the rows, (N,), has fewer numbers than unknowns.
 
-    Args:
-        name: The part, at the start of the message.
-        rows: N rows.
-        part: shape (N,), rows of the part.
-        unknowns: Number of its unknowns.
-        points_needed: True if a frame is wholly unknown: two points leave the rotation about the line through them.
+    A frame that is wholly unknown needs three points: two leave the rotation about the line through them.
     """
     numbers = int(np.sum(rows.used[part]))
     count = int(np.sum(part))

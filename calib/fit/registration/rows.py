@@ -9,12 +9,12 @@ import numpy as np
 
 from calib.basics.arrays import Array, Integers, Mask
 from calib.basics.channels import Channels, channels_of, residual_unit
-from calib.basics.mappings import ReadOnlyMapping
+from calib.basics.values import ReadOnlyMapping
 from calib.camera.optics import board_points
 from calib.data.covariances import may_have_covariance
 from calib.data.kinds import Kind
 from calib.model.kinematics import FIXED, Optics, Samples
-from calib.numerics.pose_noise import POSE, PoseNoise, standardisers
+from calib.numerics.correlated_noise import POSE, PoseNoise, standardisers
 
 #: Index of the kind of rows that hold no measurement themselves: the second rows of pairs.
 NONE = -1
@@ -32,20 +32,8 @@ _FEWEST_OF_EACH = 100
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _KindRows:
-    """The rows of one kind."""
-
-    #: What these rows measure
-    kind: Kind
-    #: Their numbers; a slice where all rows are of this kind
-    rows: Integers | slice
-    #: Columns of the residual that the kind fills
-    columns: Integers
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class _CorrelatedRows:
-    """The n rows whose six scalars have a covariance."""
+    """The n rows whose six scalars have a covariance, see `calib.numerics.correlated_noise`."""
 
     #: (n,), their numbers
     rows: Integers
@@ -61,8 +49,8 @@ class _CorrelatedRows:
 class Rows:
     """N rows of measurements; row i sees one target from one frame at one pose of the robot.
 
-    A residual has D = `width` columns; column j of a row holds the scalar j of its kind, in the unit that `channels`
-    says.
+    A residual has D = `width` columns, as many as the widest kind has scalars; column j of a row holds the scalar j of
+    its kind, in the unit that `channels` says: [m], [rad] or [px].
     """
 
     #: Joint values, frame and target of each row
@@ -71,9 +59,9 @@ class Rows:
     kinds: tuple[Kind, ...]
     #: (N,), index of each row's kind in ``kinds``; `NONE` for the second row of a pair
     kind: Integers
-    #: (N, K), as `calib.data.kinds.Kind` says; zero in columns that a kind lacks
+    #: (N, K), as `calib.data.kinds.Kind` says; 0 in columns that a kind lacks
     measured: Array
-    #: (N,), number of the second row of a pair, at its first row; -1 elsewhere
+    #: (N,), number of the second row of a pair, at its first row; -1 at all other rows
     partner: Integers
     #: (N,), standard deviation of one scalar in each unit of `calib.basics.channels.RESIDUAL_UNITS`, by its symbol, as
     #: given or assumed before the fit; of rows with a covariance that of C, rms over the axes
@@ -84,20 +72,20 @@ class Rows:
     blocks: Integers
     #: (N,), weights that a fit takes as they are, with repeats already shared out; None: the fit estimates them
     weights: Array | None = None
-    #: (N,), rows of sole postures, see `calib.fit.estimate.sole_postures`; None: the fit finds them
+    #: (N,), rows of sole postures, see `calib.fit.estimate.special_cases.sole_postures`; None: the fit finds them
     sole: Mask | None = None
     #: (N, 6, 6), stated covariance of a measured pose's error: position [m] and rotation vector [rad], along the axes
     #: of the frame; NaN in rows without one, whose scalars are independent; None: no row has one
     covariances: Array | None = None
     #: Scale of these covariances, and what the robot adds to them
     pose_noise: PoseNoise = USUAL_POSE_NOISE
-    #: (N, 6, 6), J_q J_q^T with the Jacobian J_q of the target's pose by the joints that turn, likewise along the axes
-    #: of the frame [m^2, m, 1]; None: errors of joints do not count
+    #: (N, 6, 6), J_q J_q^T with the Jacobian J_q of the target's pose by the joints that turn, along the axes of the
+    #: frame too [m^2, m, 1]; None: errors of joints do not count
     by_joints: Array | None = None
-    #: (N, D), the kind and the unit of each entry of the residual: its instrument, and so its noise
+    #: (N, D), the channel of each entry of the residual: its kind and unit, and so its noise
     channels: Channels = field(init=False)
-    #: The rows of each kind that occurs, in the order of kinds' numbers
-    _by_kind: tuple[_KindRows, ...] = field(init=False, repr=False)
+    #: Each kind that occurs, in the order of ``kinds``, with the numbers of its rows; a slice if all are of one kind
+    _by_kind: tuple[tuple[Kind, Integers | slice], ...] = field(init=False, repr=False)
     #: Rows with a covariance, and the transformations of their scalars; None: no row has one
     _correlated: _CorrelatedRows | None = field(init=False, repr=False)
 
@@ -107,10 +95,28 @@ class Rows:
         units = [kind.units for kind in self.kinds]
         vector_units = [kind.vector_units for kind in self.kinds]
         object.__setattr__(self, "channels", channels_of(units, vector_units, self.kind))
-        object.__setattr__(self, "_by_kind", _rows_by_kind(self.kinds, self.kind))
+        by_kind: list[tuple[Kind, Integers | slice]] = []
+        for k, kind in enumerate(self.kinds):
+            of_kind = self.kind == k
+            if np.any(of_kind):
+                rows = slice(None) if np.all(of_kind) else np.flatnonzero(of_kind)
+                by_kind.append((kind, rows))
+        object.__setattr__(self, "_by_kind", tuple(by_kind))
+        object.__setattr__(self, "_correlated", self._find_correlated())
+
+    def _find_correlated(self) -> _CorrelatedRows | None:
+        """Return the rows with a covariance, and the transformations of their scalars; None if there are none."""
+        stated = self.covariances
+        if stated is None:
+            return None
         poses = self.where(may_have_covariance)
-        correlated = _correlated_rows(self, poses)
-        object.__setattr__(self, "_correlated", correlated)
+        chosen = np.flatnonzero(np.isfinite(stated[:, 0, 0]) & poses)
+        if not len(chosen):
+            return None
+        by_joints = np.zeros(stated.shape) if self.by_joints is None else self.by_joints
+        V = self.pose_noise.covariances(stated[chosen], by_joints[chosen])
+        W = standardisers(V)
+        return _CorrelatedRows(chosen, V, W, np.asarray(np.linalg.inv(W)))
 
     def __len__(self) -> int:
         """Number of rows N."""
@@ -167,17 +173,17 @@ class Rows:
             result[self._correlated.rows, :POSE] = np.sqrt(variances)
         return result
 
-    def standardised(self, values: Array) -> Array:
+    def standardise(self, values: Array) -> Array:
         """Return values of the scalars in units of their standard deviations as given or assumed.
 
         Those of rows with a covariance are multiplied by W instead, which makes their errors independent; see
-        `calib.numerics.pose_noise`.
+        `calib.numerics.correlated_noise`.
 
         Args:
             values: Residuals or derivatives, shape (N, D) or (N, D, q), in the units of ``channels``.
 
         Returns:
-            Of the same shape [1].
+            Of the same shape, without unit.
         """
         by_row = values.reshape(len(self), self.width, -1)
         result = by_row / self.scales[:, :, None]
@@ -187,10 +193,10 @@ class Rows:
         return np.asarray(result.reshape(values.shape))
 
     def in_units(self, standardised: Array) -> Array:
-        """Return values of the scalars in the units of ``channels``: the inverse of `standardised`.
+        """Return values of the scalars in the units of ``channels``: the inverse of `standardise`.
 
         Args:
-            standardised: shape (N, D) or (N, D, q) [1].
+            standardised: shape (N, D) or (N, D, q), without unit.
 
         Returns:
             Of the same shape.
@@ -228,7 +234,7 @@ class Rows:
     @property
     def present(self) -> tuple[Kind, ...]:
         """Kinds that some row has, in the order of ``kinds``."""
-        return tuple(part.kind for part in self._by_kind)
+        return tuple(kind for kind, _ in self._by_kind)
 
     @property
     def checked(self) -> Mask:
@@ -240,8 +246,8 @@ class Rows:
     def where(self, test: Callable[[Kind], bool]) -> Mask:
         """Rows of kinds that pass a test, such as ``lambda kind: kind.position``, shape (N,)."""
         result = np.zeros(len(self), dtype=bool)
-        for part in self._by_kind:
-            result[part.rows] = test(part.kind)
+        for kind, rows in self._by_kind:
+            result[rows] = test(kind)
         return result
 
     def select(self, which: Mask | slice) -> Rows:
@@ -251,7 +257,7 @@ class Rows:
             which: shape (N,) or a slice; of a pair both rows or none.
 
         Returns:
-            These rows; partners and channels are numbered anew.
+            These rows; partners and channels get new numbers.
         """
         chosen = np.arange(len(self))[which]
         if len(chosen) == len(self):
@@ -287,12 +293,11 @@ class Rows:
             shape (N, D), in the units of ``channels``; 0 where nothing was measured.
         """
         result = np.zeros((len(self), self.width))
-        numbers = np.arange(len(self))[:, None]
-        for part in self._by_kind:
-            measured = self.measured[part.rows, : part.kind.size]
-            predicted = self._at_kind(part, T_frame_target)
-            values = part.kind.residual_of(measured, predicted, self._optics_at(part, optics))
-            result[numbers[part.rows], part.columns] = values
+        for kind, rows in self._by_kind:
+            measured = self.measured[rows, : kind.size]
+            predicted = self._at_kind(kind, rows, T_frame_target)
+            values = kind.residual_of(measured, predicted, self._optics_at(kind, rows, optics))
+            result[rows, : len(kind.units)] = values
         return result
 
     def derivative(
@@ -303,39 +308,33 @@ class Rows:
         Args:
             T_frame_target: shape (N, 4, 4), predicted pose of each row's target in its frame [m].
             twists: shape (N, 6, p), motion of the target by each parameter, along the frame's axes; see
-                `Kinematics.twists`. (N, 3, p), translations alone, where no row depends on its target's orientation.
+                `Kinematics.twists`. (N, 3, p), translations alone, if no row depends on its target's orientation.
             optics: Numbers of camera and board, and the parameters that change them; None: those before the fit,
                 which none of the p parameters changes.
 
         Returns:
             shape (N, D, p); 0 where nothing was measured.
         """
-        numbers = np.arange(len(self))[:, None]
         shape = (len(self), self.width, twists.shape[2])
         result: Array | None = None
-        for part in self._by_kind:
-            values = self._derivative_of(part, T_frame_target, twists, optics)
-            if values.shape == shape:
-                return values  # the only kind, and all columns
+        for kind, rows in self._by_kind:
+            measured = self.measured[rows, : kind.size]
+            predicted = self._at_kind(kind, rows, T_frame_target)
+            moved = self._at_kind(kind, rows, twists)
+            if kind.optical:
+                values = self._optics_at(kind, rows, optics)
+                by_motion, by_optics = kind.derivative(measured, predicted, moved, values)
+                if optics is not None:
+                    add_by_parameter(by_motion, by_optics, optics.parameter[rows])
+                of_kind = np.asarray(by_motion)
+            else:
+                of_kind = np.asarray(kind.derivative(measured, predicted, moved))
+            if of_kind.shape == shape:
+                return of_kind  # the only kind, and all columns
             if result is None:
                 result = np.zeros(shape)
-            result[numbers[part.rows], part.columns] = values
+            result[rows, : len(kind.units)] = of_kind
         return np.zeros(shape) if result is None else result
-
-    def _derivative_of(
-        self, part: _KindRows, T_frame_target: Array, twists: Array, optics: Optics | None
-    ) -> Array:
-        """The Jacobian of the prediction of the n rows of one kind, shape (n, s, p); see `derivative`."""
-        measured = self.measured[part.rows, : part.kind.size]
-        predicted = self._at_kind(part, T_frame_target)
-        moved = self._at_kind(part, twists)
-        if not part.kind.optical:
-            return np.asarray(part.kind.derivative(measured, predicted, moved))
-        values = self._optics_at(part, optics)
-        by_motion, by_optics = part.kind.derivative(measured, predicted, moved, values)
-        if optics is not None:
-            add_by_parameter(by_motion, by_optics, optics.parameter[part.rows])
-        return np.asarray(by_motion)
 
     def points(self, T_frame_target: Array) -> Array:
         """Return the measured point of each row: its target's origin, or a corner of the board.
@@ -352,13 +351,13 @@ class Rows:
         on_board = board_points(self.samples.optics)
         return np.asarray(result + np.einsum("nij,nj->ni", T_frame_target[:, :3, :3], on_board))
 
-    def _optics_at(self, part: _KindRows, optics: Optics | None) -> Array | None:
+    def _optics_at(self, kind: Kind, rows: Integers | slice, optics: Optics | None) -> Array | None:
         """Numbers of camera and board at the rows of an optical kind; None for another kind."""
-        if not part.kind.optical:
+        if not kind.optical:
             return None
         values = self.samples.optics if optics is None else optics.values
         assert values is not None
-        return values[part.rows]
+        return values[rows]
 
     def as_measured_at(self, T_frame_target: Array) -> Rows:
         """Return the rows with the readings of a perfect instrument.
@@ -367,18 +366,18 @@ class Rows:
             T_frame_target: shape (N, 4, 4), true pose of each row's target in its frame [m].
         """
         measured = self.measured.copy()
-        for part in self._by_kind:
-            if part.kind.measure is not None:
-                predicted = self._at_kind(part, T_frame_target)
-                readings = part.kind.readings_at(predicted, self._optics_at(part, None))
-                measured[part.rows, : part.kind.size] = readings
+        for kind, rows in self._by_kind:
+            if kind.measure is not None:
+                predicted = self._at_kind(kind, rows, T_frame_target)
+                readings = kind.readings_at(predicted, self._optics_at(kind, rows, None))
+                measured[rows, : kind.size] = readings
         return replace(self, measured=measured)
 
-    def _at_kind(self, part: _KindRows, values: Array) -> Array:
+    def _at_kind(self, kind: Kind, rows: Integers | slice, values: Array) -> Array:
         """Values (N, ...) at the n rows of one kind, (n, ...); of a paired kind at both its rows, (n, 2, ...)."""
-        if not part.kind.paired:
-            return values[part.rows]
-        return np.stack([values[part.rows], values[self.partner[part.rows]]], axis=1)
+        if not kind.paired:
+            return values[rows]
+        return np.stack([values[rows], values[self.partner[rows]]], axis=1)
 
     def with_partners(self, kept: Mask) -> Mask:
         """Extend a mask of rows, (N,), by the second rows of their pairs, shape (N,)."""
@@ -393,13 +392,9 @@ class Rows:
         return bool(np.all(2 * kept_count >= count))
 
     def without(self, outliers: Mask) -> Mask:
-        """Mask of the rows that are no outliers, shape (N,).
+        """Mask of the rows that are not outliers, (N,), given those that are flagged, (N,).
 
-        Args:
-            outliers: shape (N,), flagged rows.
-
-        Returns:
-            All rows where outliers are more than half of a frame's: then it is the frame that is wrong.
+        All rows if outliers are more than half of a frame's: then it is the frame that is wrong.
         """
         kept = self.with_partners(~outliers)
         return kept if self.keeps_frames(kept) else np.ones_like(kept)
@@ -410,7 +405,7 @@ class Rows:
         Drawn at random, with a fixed seed: tables have cycles, and every tenth row may be of one kind of pose.
 
         Returns:
-            Mask of the rows drawn, shape (N,); all where there are no more.
+            Mask of the rows drawn, shape (N,); of all if there are no more.
         """
         if len(self) <= most:
             return np.ones(len(self), dtype=bool)
@@ -422,13 +417,19 @@ class Rows:
         group = group.reshape(-1)
         fewest = min(_FEWEST_OF_EACH, max(most // len(count), 1))
         quota = np.minimum(count, np.maximum(most * count // max(len(self), 1), fewest))
-        drawn = _drawn_of_groups(group, count, quota)
+        random = np.random.default_rng(0).random(len(group))
+        # Sorted by group, and at random within it, the first entries of each group are drawn.
+        order = np.lexsort((random, group))
+        ordered_group = group[order]
+        first_of_group = np.concatenate([[0], np.cumsum(count)[:-1]])
+        rank = np.arange(len(group)) - first_of_group[ordered_group]
+        drawn = order[rank < quota[ordered_group]]
         result = np.zeros(len(self), dtype=bool)
         result[measuring[drawn]] = True
         return self.with_partners(result)
 
     def parts(self, size: int) -> list[slice]:
-        """Split the rows into parts of ``size`` rows; into one part where there are pairs, which stay together."""
+        """Split the rows into parts of ``size`` rows; into one part if there are pairs, which stay together."""
         if np.any(self.partner >= 0):
             size = max(len(self), 1)
         return [slice(k, k + size) for k in range(0, len(self), size)]
@@ -445,58 +446,3 @@ def add_by_parameter(jacobian: Array, by_optics: Array, parameter: Integers) -> 
     for optic in np.flatnonzero(np.any(parameter != FIXED, axis=0)).tolist():
         rows = np.flatnonzero(parameter[:, optic] != FIXED)
         jacobian[rows, :, parameter[rows, optic]] += by_optics[rows, :, optic]
-
-
-def _rows_by_kind(kinds: tuple[Kind, ...], kind_of_row: Integers) -> tuple[_KindRows, ...]:
-    """The rows of each kind that occurs, in the order of ``kinds``.
-
-    Args:
-        kinds: The kinds that rows may have.
-        kind_of_row: shape (N,), index of each row's kind; `NONE` for a row without a measurement.
-    """
-    result = []
-    for k, kind in enumerate(kinds):
-        of_kind = kind_of_row == k
-        if np.any(of_kind):
-            rows = slice(None) if np.all(of_kind) else np.flatnonzero(of_kind)
-            result.append(_KindRows(kind, rows, np.arange(len(kind.units))))
-    return tuple(result)
-
-
-def _correlated_rows(rows: Rows, poses: Mask) -> _CorrelatedRows | None:
-    """Return the rows with a covariance, and their transformations; None if there are none.
-
-    Args:
-        rows: N rows: their stated covariances, and what errors have besides.
-        poses: Rows of kinds that may have one, shape (N,).
-    """
-    stated = rows.covariances
-    if stated is None:
-        return None
-    chosen = np.flatnonzero(np.isfinite(stated[:, 0, 0]) & poses)
-    if not len(chosen):
-        return None
-    by_joints = np.zeros(stated.shape) if rows.by_joints is None else rows.by_joints
-    V = rows.pose_noise.covariances(stated[chosen], by_joints[chosen])
-    W = standardisers(V)
-    return _CorrelatedRows(chosen, V, W, np.asarray(np.linalg.inv(W)))
-
-
-def _drawn_of_groups(group: Integers, count: Integers, quota: Integers) -> Integers:
-    """Draw entries of each group at random, with a fixed seed.
-
-    Args:
-        group: shape (n,), number of each entry's group, from 0.
-        count: shape (G,), number of entries of each group.
-        quota: shape (G,), how many of them are drawn.
-
-    Returns:
-        Indices of the entries drawn, from 0.
-    """
-    random = np.random.default_rng(0).random(len(group))
-    # Sorted by group, and at random within it, the first entries of each group are drawn.
-    order = np.lexsort((random, group))
-    ordered_group = group[order]
-    first_of_group = np.concatenate([[0], np.cumsum(count)[:-1]])
-    rank = np.arange(len(group)) - first_of_group[ordered_group]
-    return np.asarray(order[rank < quota[ordered_group]])

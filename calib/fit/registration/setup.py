@@ -1,7 +1,8 @@
 """Measurement setup: the frames and targets of a table, and what is estimated of them.
 
 A row's prediction is T_frame_target = T_frame_base T_base_tip T_tip_target, with the frame of its station and its
-target. A frame or target is estimated or fixed; if estimated, its pose here is where the estimation starts.
+target. A frame or target is estimated or fixed; if estimated, its pose here is where the estimation starts: as given,
+then as registered.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import numpy as np
 
 from calib.basics.arrays import Array, Mask, read_only
 from calib.basics.values import Value
+from calib.model.error_model import DIRECTIONS
 from calib.model.kinematics import FIXED, Optics, Samples, changed_optics
 from calib.model.parameters import FRAME, TARGET, ErrorModel, Parameter
 
@@ -24,7 +26,7 @@ class OpticalUnknown(Value):
 
     #: The parameter: the change from the number with which images are predicted before the fit
     parameter: Parameter
-    #: Mean of its prior, in its unit: 0 where the fit begins at what was given
+    #: Mean of its prior, in its unit: 0 if the fit begins at what was given
     mean: float
     #: Standard deviation of its prior, in its unit
     sigma: float
@@ -46,11 +48,12 @@ class Setup(Value):
     T_tip_target: Array
     #: For each frame the directions that are estimated: "x" ... "rz"
     unknown: tuple[tuple[str, ...], ...]
-    #: (F,), frames whose pose the user gave: the nominal robot is judged with it, of others it is registered
+    #: (F,), True for frames whose pose was given. The nominal robot is evaluated with it; others are registered for it
     frame_given: Mask
     #: (T,), targets that are estimated
     target_unknown: Mask
-    #: (T,), targets whose place the user gave: kept, or what the nominal robot is judged with and the estimate checked
+    #: (T,), True for targets whose position was given. It is either kept, or used to evaluate the nominal robot and to
+    #: check the estimate
     target_given: Mask
     #: Whether targets have an orientation to estimate, because one was measured; else they are points
     rotation: bool
@@ -89,6 +92,11 @@ class Setup(Value):
         return tuple(compress(self.target_names, self.target_unknown))
 
     @property
+    def wholly_unknown(self) -> Mask:
+        """True for frames that are estimated in all six directions, shape (F,)."""
+        return np.array([len(directions) == len(DIRECTIONS) for directions in self.unknown])
+
+    @property
     def count(self) -> int:
         """Number of unknowns of all frames and targets."""
         of_frames = sum(len(directions) for directions in self.unknown)
@@ -96,7 +104,7 @@ class Setup(Value):
         of_targets = of_each_target * int(np.sum(self.target_unknown))
         return of_targets + of_frames
 
-    def placed(self, T_frame_base: Array, T_tip_target: Array) -> Setup:
+    def with_poses(self, T_frame_base: Array, T_tip_target: Array) -> Setup:
         """Return a copy with other poses of the frames and targets.
 
         Args:
@@ -114,13 +122,11 @@ class Setup(Value):
 
         Args:
             displacement: shape (F + ... + T, 4, 4), of all places of the model, frames first and targets last:
-                `ErrorModel.displacements`. Each applies behind its pose: T_frame_base D and T_tip_target D.
+                `ErrorModel.displacements`. A displacement D makes T_frame_base D or T_tip_target D of a pose.
         """
         of_frames = displacement[: len(self.groups)]
         of_targets = displacement[-len(self.targets) :]
-        T_frame_base = self.T_frame_base @ of_frames
-        T_tip_target = self.T_tip_target @ of_targets
-        return self.placed(T_frame_base, T_tip_target)
+        return self.with_poses(self.T_frame_base @ of_frames, self.T_tip_target @ of_targets)
 
     def target_poses(self, T_base_tip: Array, samples: Samples) -> Array:
         """Predict T_frame_target of samples.
@@ -184,12 +190,12 @@ class Setup(Value):
     def with_estimated_not_given(self) -> Setup:
         """Return a copy with every frame and target that is estimated marked as not given.
 
-        What is not given is registered for the nominal robot, as what is given would not be.
+        What is not given is registered for the nominal robot; what is given would not be.
         """
         frame_known = np.array([not directions for directions in self.unknown])
         return replace(self, frame_given=frame_known, target_given=~self.target_unknown)
 
-    def aligned(self, model: ErrorModel) -> ErrorModel:
+    def turn_directions(self, model: ErrorModel) -> ErrorModel:
         """Turn the directions of frame and target parameters: a plane's to its own axes, positions to the tip's axes.
 
         An error model has the directions of a frame along the base's axes and those of a target along its own. With the
@@ -201,9 +207,14 @@ class Setup(Value):
         Returns:
             The model with parameters of the same names, each still of one metre or radian a unit.
         """
-        R_of_planes, R_of_targets = self._new_axes()
+        frames, targets = self.places
+        R_base_frame = self.T_frame_base[:, :3, :3].swapaxes(1, 2)
+        R_target_tip = self.T_tip_target[:, :3, :3].swapaxes(1, 2)
+        R_of_targets = dict(zip(targets, R_target_tip, strict=True))
+        planes = compress(zip(frames, R_base_frame, strict=True), self.own_axes)
+        R_of_planes = dict(planes)
 
-        def turned(parameter: Parameter) -> Parameter:
+        def turn(parameter: Parameter) -> Parameter:
             """Return a parameter with its direction turned; those of the robot as they are."""
             R = R_of_planes.get(parameter.place)
             if R is None and parameter.unit == "m":
@@ -214,24 +225,8 @@ class Setup(Value):
             direction = (R @ linear_and_angular.T).T
             return replace(parameter, direction=read_only(direction.ravel()))
 
-        parameters = tuple(map(turned, model.parameters))
-        terms = tuple(map(turned, model.terms))
+        parameters = tuple(map(turn, model.parameters))
+        terms = tuple(map(turn, model.terms))
         if parameters == model.parameters and terms == model.terms:
             return model
         return replace(model, parameters=parameters, terms=terms)
-
-    def _new_axes(self) -> tuple[dict[str, Array], dict[str, Array]]:
-        """Rotations by which `aligned` turns directions, by `Parameter.place`.
-
-        Returns:
-            R_base_frame of the frames with axes of their own, and R_target_tip of all targets, of shape (3, 3).
-        """
-        frames, targets = self.places
-        R_frame_base = self.T_frame_base[:, :3, :3]
-        R_of_planes = {}
-        for place, own_axes, R in zip(frames, self.own_axes, R_frame_base, strict=True):
-            if own_axes:
-                R_of_planes[place] = R.T
-        R_tip_target = self.T_tip_target[:, :3, :3]
-        R_of_targets = dict(zip(targets, R_tip_target.swapaxes(1, 2), strict=True))
-        return R_of_planes, R_of_targets

@@ -14,16 +14,15 @@ from calib.data.cell import AUTO, Cell
 from calib.data.kinds import Kind
 from calib.data.measurements import Measurements
 from calib.errors import MeasurementError
-from calib.fit.registration.cameras import optics_of_rows
-from calib.fit.registration.joint_loads import joint_loads
-from calib.fit.registration.labels import joined_labels, numbered
+from calib.fit.registration.labels import joined_labels, numbered, same_poses
 from calib.fit.registration.rows import NONE, Rows
-from calib.fit.registration.same_poses import same_poses
 from calib.fit.registration.setup import Setup
+from calib.fit.registration.table_optics import initial_optics
 from calib.fit.registration.table_setup import measurement_setup
 from calib.model.error_model import split_name
 from calib.model.families import FAMILIES
 from calib.model.kinematics import Samples
+from calib.robot.gravity import gravity_loads
 from calib.robot.robot import Robot
 
 
@@ -43,11 +42,19 @@ def rows_and_setup(robot: Robot, measurements: Measurements, cell: Cell) -> tupl
         ModelError: The cell names a group or target that the table lacks.
     """
     q = measurements.joints_for(robot.joint_names)
-    kinds = _kinds_of(measurements)
-    kind, partner = _kind_and_partner(measurements, kinds)
     pose = same_poses(q)
+    # Kinds in the order in which they were registered.
+    occurring = set(measurements.kinds)
+    kinds = tuple(registry.get(name) for name in registry.names() if name in occurring)
+    kind = numbered(measurements.kinds, [kind.name for kind in kinds])
+    # Of a pair the earlier row has the kind, the measurement and a partner; the later one has `NONE` and no partner.
+    partner = _partners(measurements)
+    later = (partner >= 0) & (partner < np.arange(len(measurements)))
+    kind[later] = NONE
+    partner = np.where(kind == NONE, -1, partner)
+
     setup = measurement_setup(cell, measurements, kinds, kind)
-    optics, unknowns = optics_of_rows(measurements, cell, setup, pose)
+    optics, unknowns = initial_optics(measurements, cell, setup, pose)
     samples = Samples(
         q=q,
         frame=numbered(measurements.groups, setup.groups),
@@ -55,8 +62,7 @@ def rows_and_setup(robot: Robot, measurements: Measurements, cell: Cell) -> tupl
         load=joint_loads(robot, measurements, cell, q) if _needs_loads(cell) else None,
         optics=optics,
     )
-    first_rows = np.flatnonzero(partner >= 0)
-    pairs = [(int(i), int(partner[i])) for i in first_rows]
+    pairs = [(int(i), int(partner[i])) for i in np.flatnonzero(partner >= 0)]
     rows = Rows(
         samples=samples,
         kinds=kinds,
@@ -71,24 +77,26 @@ def rows_and_setup(robot: Robot, measurements: Measurements, cell: Cell) -> tupl
     return rows, replace(setup, optics=unknowns)
 
 
-def _kinds_of(measurements: Measurements) -> tuple[Kind, ...]:
-    """Kinds that occur in a table, in the order in which they were registered."""
-    occurring = set(measurements.kinds)
-    return tuple(registry.get(name) for name in registry.names() if name in occurring)
+def joint_loads(robot: Robot, measurements: Measurements, cell: Cell, q: Array) -> Array:
+    """Return the load on each joint, which bends it: measured torques if there are any, else gravity and payload.
 
+    Args:
+        robot: The nominal robot, with n joints.
+        measurements: Table of N rows; its torques [Nm] are those of the drives, which hold against the load.
+        cell: Payload and gravity.
+        q: shape (N, m), joint values of the rows in the robot's order [rad] or [m].
 
-def _kind_and_partner(
-    measurements: Measurements, kinds: tuple[Kind, ...]
-) -> tuple[Integers, Integers]:
-    """Index of each row's kind, and its partner, both (N,), as `Rows` has them.
-
-    Of a pair the earlier row has the kind, the measurement and a partner; the later one has `NONE` and no partner.
+    Returns:
+        shape (N, n, n + 3), [Nm] or [N]; see `calib.robot.gravity.gravity_loads`.
     """
-    kind = numbered(measurements.kinds, [kind.name for kind in kinds])
-    partner = _partners(measurements)
-    later = (partner >= 0) & (partner < np.arange(len(measurements)))
-    kind[later] = NONE
-    return kind, np.where(kind == NONE, -1, partner)
+    load = gravity_loads(robot, q, cell.payload, cell.gravity)
+    if measurements.torques is None:
+        return load
+    for name, torque in zip(measurements.joint_names, measurements.torques.T, strict=False):
+        for k, joint in enumerate(robot.joints):
+            if joint.name == name:
+                load[:, k, 0] = np.where(np.isfinite(torque), -torque, load[:, k, 0])
+    return load
 
 
 def _needs_loads(cell: Cell) -> bool:
@@ -100,12 +108,7 @@ def _needs_loads(cell: Cell) -> bool:
 
 
 def _sigma_by_unit(measurements: Measurements, cell: Cell) -> dict[str, Array]:
-    """Standard deviation of one scalar of each row, shape (N,) for each unit: the row's, else the cell's, else assumed.
-
-    Args:
-        measurements: Table of N rows, which may state it for some of its rows.
-        cell: May state it for all rows.
-    """
+    """Standard deviation of one scalar of each row, (N,) by unit: the row's, else the cell's, else the assumed one."""
     result = {}
     stated = measurements.stated_sigma
     for symbol, unit in RESIDUAL_UNITS.items():
@@ -118,11 +121,7 @@ def _sigma_by_unit(measurements: Measurements, cell: Cell) -> dict[str, Array]:
 def _repeats(pose: Integers, samples: Samples, kind: Integers, partner: Integers) -> Integers:
     """Number the rows so that repeats, of one pose, frame, target and kind, have one number, shape (N,).
 
-    Args:
-        pose: shape (N,), see `same_poses`.
-        samples: Frames and targets.
-        kind: shape (N,), as `Rows` has it.
-        partner: shape (N,), likewise; repeats of a pair repeat both its rows.
+    Repeats of a pair repeat both its rows.
     """
     poses = int(pose.max(initial=-1)) + 1
     if poses == len(pose):
@@ -156,7 +155,7 @@ def _measured(measurements: Measurements, kinds: tuple[Kind, ...], kind_of_row: 
 
 
 def _partners(measurements: Measurements) -> Integers:
-    """The other row of each pair, at both its rows, shape (N,); -1 elsewhere."""
+    """The other row of each pair, at both its rows, shape (N,); -1 at all other rows."""
     partner = np.full(len(measurements), -1)
     first, second = measurements.pair_rows.T
     partner[first] = second

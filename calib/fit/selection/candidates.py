@@ -1,7 +1,7 @@
 """Candidates: models that were fitted to the same rows with the same weights, and how they compare.
 
 The evidence of a candidate is its restricted log-likelihood less a penalty for what it has to estimate. Without priors
-there is no such likelihood; then it is the logarithm of the error on held-out rows, in steps of `CLEARLY`.
+there is no such likelihood; then it is minus the logarithm of the error on held-out rows, in steps of `CLEARLY`.
 """
 
 from __future__ import annotations
@@ -11,12 +11,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.basics.mappings import keep_read_only
+from calib.basics.values import keep_read_only
 from calib.fit.estimate.fitting import Fitted
 from calib.fit.selection.ladder import LADDER, model_name
 from calib.fit.selection.linear_folds import linear_cross_validation
 from calib.model.families import family_of
-from calib.numerics.errors import CrossValidation, Errors
+from calib.numerics.errors import CrossValidation
 
 #: Penalty of an estimated prior standard deviation, in log-likelihood, which is maximised over it. By Laplace's
 #: approximation it costs the logarithm of its prior range, a few powers of ten, over the factor within which the data
@@ -26,14 +26,14 @@ _PRIOR_STD_COST = 2.5
 #: Penalty of each step up the ladder of geometries, in log-likelihood: the smaller geometry is likelier a priori.
 _RUNG_COST = 1.0
 
-#: Errors on held-out rows are clearly smaller where they are smaller by this share. Without priors each further
-#: geometry or family must lower them by as much.
+#: Errors on held-out rows are clearly smaller if they are smaller by this share. Without priors each further geometry
+#: or family must lower them by as much.
 CLEARLY = 0.05
 
 #: The errors of a family have vanished if their estimated standard deviation is below this share of the prior's.
 _VANISHED = 1e-2
 
-#: The most alternatives that are tried where refits without each fold reject the chosen non-geometric model: each is
+#: The most alternatives that are tried if refits without each fold reject the chosen non-geometric model: each is
 #: another chance for a bad one to pass.
 _MOST_ALTERNATIVES = 3
 
@@ -62,8 +62,13 @@ class Candidate:
         keep_read_only(self, "prior_std")
 
 
-def candidate_of(fitted: Fitted) -> Candidate:
-    """Return the candidate of a fit.
+def assess(fitted: Fitted) -> Candidate:
+    """Cross-validate a model that was fitted, and weigh the evidence for it.
+
+    With priors the evidence is log L - c_k k - c_g g, for k prior standard deviations that are estimated from the data
+    and the geometry's rung g on the ladder, with the penalties c_k and c_g of each. Without priors it is
+    -log(rms) / `CLEARLY` - g - f, where log(rms) of held-out errors is the mean over the units that were measured, and
+    f the number of families.
 
     Args:
         fitted: A named model, fitted with the weights of the reference fit.
@@ -72,12 +77,18 @@ def candidate_of(fitted: Fitted) -> Candidate:
         The candidate, not marked as chosen.
     """
     estimate = fitted.estimate
+    priors = fitted.task.cell.priors.source
     # Rows without weight are the same for all candidates, unlike those that each would flag itself.
     validation = linear_cross_validation(fitted, estimate.weights <= 0.0)
-    if fitted.task.cell.priors.source == "off":
-        evidence = _evidence_of_held_out_errors(fitted, validation)
+    geometry, *families = str(fitted.task.model).split("+")
+    rung = LADDER.index(geometry)
+    if priors == "off":
+        errors = validation.errors_without_outliers
+        mean_log_error = float(np.mean([np.log(errors[unit].rms) for unit in errors.units]))
+        evidence = -mean_log_error / CLEARLY - rung - len(families)
     else:
-        evidence = _evidence_of_likelihood(fitted)
+        cost = _PRIOR_STD_COST * len(estimate.prior_std) if priors == "data" else 0.0
+        evidence = estimate.log_likelihood - cost - _RUNG_COST * rung
     return Candidate(
         name=str(fitted.task.model),
         parameters=len(fitted.kinematics.model),
@@ -88,50 +99,8 @@ def candidate_of(fitted: Fitted) -> Candidate:
     )
 
 
-def _evidence_of_held_out_errors(fitted: Fitted, validation: CrossValidation) -> float:
-    """Return the evidence of a model without priors: the fall of its held-out errors, less a step for each addition.
-
-    Args:
-        fitted: Fit of a named model, without priors.
-        validation: Its cross-validation on the linearised problem.
-
-    Returns:
-        Minus the logarithm of the rms error, in steps of `CLEARLY`; less one step for each rung of the ladder of
-        geometries and for each family of non-geometric errors.
-    """
-    geometry, *families = str(fitted.task.model).split("+")
-    falls = -_mean_log_error(validation.errors_without_outliers) / CLEARLY
-    return falls - LADDER.index(geometry) - len(families)
-
-
-def _evidence_of_likelihood(fitted: Fitted) -> float:
-    """Return the evidence of a model with priors: its log-likelihood, less a penalty.
-
-    The penalty is for each prior standard deviation that is estimated from the data, and for each rung of the ladder
-    of geometries.
-
-    Args:
-        fitted: Fit of a named model, with priors.
-    """
-    estimate = fitted.estimate
-    geometry = str(fitted.task.model).split("+")[0]
-    cost = 0.0
-    if fitted.task.cell.priors.source == "data":
-        cost = _PRIOR_STD_COST * len(estimate.prior_std)
-    return estimate.log_likelihood - cost - _RUNG_COST * LADDER.index(geometry)
-
-
-def _mean_log_error(errors: Errors) -> float:
-    """Return the mean of log(rms) over the units that were measured."""
-    return float(np.mean([np.log(errors[unit].rms) for unit in errors.units]))
-
-
 def held_out_rms(validation: CrossValidation) -> float:
-    """Return the rms error on held-out rows, outliers aside, in the first unit measured: [m] if any length was.
-
-    Args:
-        validation: Errors of a model at rows that were held out.
-    """
+    """Return the rms error on held-out rows, outliers aside, in the first unit measured: [m] if any length was."""
     return validation.errors_without_outliers.leading.rms
 
 
@@ -143,14 +112,14 @@ def mark_chosen(
     Args:
         candidates: All that were fitted.
         geometry: Name of the one for the URDF.
-        non_geometric: Name of the non-geometric model; empty where there is none.
+        non_geometric: Name of the non-geometric model; empty if there is none.
     """
     uses = {geometry: "geometry", non_geometric: "non_geometric"}
     return tuple(replace(c, chosen=uses.get(c.name, "")) for c in candidates)
 
 
 def alternative_models(candidates: Iterable[Candidate]) -> tuple[str, ...]:
-    """List non-geometric models to try where refits reject the chosen one, the highest evidence first.
+    """List non-geometric models to try if refits reject the chosen one, the highest evidence first.
 
     Each has more evidence than the chosen geometry, and smaller errors on held-out rows of the linearised problem. Of
     models that differ only by vanished families, one is taken.
@@ -180,8 +149,8 @@ def without_vanished_families(name: str, prior_std: Mapping[str, float]) -> str:
     """Return the name of a model without the families whose errors the data shrink to nothing.
 
     Args:
-        name: Of the geometry, with families behind it.
-        prior_std: Estimated standard deviation of the errors of each family, in its unit; empty without priors.
+        name: Of the geometry and its families.
+        prior_std: As of a `Candidate`.
     """
     geometry, *families = name.split("+")
     remaining = tuple(family for family in families if not is_vanished(family, prior_std))
@@ -189,12 +158,11 @@ def without_vanished_families(name: str, prior_std: Mapping[str, float]) -> str:
 
 
 def is_vanished(family: str, prior_std: Mapping[str, float]) -> bool:
-    """Tell if the estimated standard deviation of a family's errors is next to nothing.
+    """Return whether the estimated standard deviation of a family's errors is next to nothing.
 
     Args:
         family: Name of the family.
-        prior_std: Estimated standard deviation of the errors of each family, in its unit; a family that is missing has
-            not vanished.
+        prior_std: As of a `Candidate`; a family that is missing has not vanished.
     """
     limit = _VANISHED * family_of(family).prior
     return prior_std.get(family, np.inf) <= limit

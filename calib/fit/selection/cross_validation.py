@@ -23,7 +23,7 @@ def cross_validation(
 ) -> CrossValidation:
     """Cross-validate the calibrated robot: hold out each fold in turn and predict it by a fit to the other rows.
 
-    A fold is fitted on the problem linearised at the fit to all rows where that is accurate, else from the beginning.
+    A fold is fitted on the problem linearised at the fit to all rows if that is accurate, else from the beginning.
 
     Args:
         fitted: Fit to all N rows.
@@ -31,8 +31,8 @@ def cross_validation(
         progress: Called after each fold with the number of folds done and of all; None: nothing is called.
 
     Returns:
-        Residuals of the N rows, measured minus predicted without their fold, shape (N, D), [m] and [rad], and their
-        errors.
+        Residuals of the N rows, measured minus predicted without their fold, shape (N, D), in the units of the rows'
+        channels, and their errors.
 
     Raises:
         MeasurementError: All rows are of one pose, or the others are too few for a fit.
@@ -49,7 +49,7 @@ def cross_validation(
         residuals.append(residual)
         if progress is not None:
             progress(k + 1, len(folds.masks))
-    return folds.joined(rows, residuals, outliers)
+    return folds.join(rows, residuals, outliers)
 
 
 def nominal_cross_validation(task: Task, rows: Rows, outliers: Mask) -> CrossValidation:
@@ -61,8 +61,8 @@ def nominal_cross_validation(task: Task, rows: Rows, outliers: Mask) -> CrossVal
         outliers: True for the rows that have no part in registrations and in the errors without outliers, shape (N,).
 
     Returns:
-        Residuals of the N rows, measured minus predicted by the nominal robot, shape (N, D), [m] and [rad], and their
-        errors.
+        Residuals of the N rows, measured minus predicted by the nominal robot, shape (N, D), in the units of the rows'
+        channels, and their errors.
 
     Raises:
         MeasurementError: All rows are of one pose, or the others are too few for the registration.
@@ -74,8 +74,8 @@ def nominal_cross_validation(task: Task, rows: Rows, outliers: Mask) -> CrossVal
     residuals = []
     for mask in folds.masks:
         used = ~mask & good
-        placed = nominal_setup(T_base_tip[used], setup, rows.select(used))
+        registered = nominal_setup(T_base_tip[used], setup, rows.select(used))
         T_held_out = T_base_tip[mask]
-        residual = residual_after_registration(T_held_out, placed, rows, mask, used, outliers)
+        residual = residual_after_registration(T_held_out, registered, rows, mask, used, outliers)
         residuals.append(residual)
-    return folds.joined(rows, residuals, outliers)
+    return folds.join(rows, residuals, outliers)

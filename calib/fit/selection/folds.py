@@ -1,7 +1,7 @@
 """Folds: the rows that a cross-validation holds out together.
 
-Rows of one pose are never in different folds: they share the error of the pose, so one would tell what the other
-measures. Where there are enough stations, each fold is a whole station instead.
+Rows of one pose are never in different folds: they share the error of the pose, so one would predict what the other
+measures. If there are enough stations, each fold is a whole station instead.
 """
 
 from __future__ import annotations
@@ -16,13 +16,12 @@ from calib.errors import MeasurementError
 from calib.fit.estimate.task import Task
 from calib.fit.registration.known_distances import joined_stations
 from calib.fit.registration.rows import Rows
-from calib.model.error_model import DIRECTIONS
 from calib.numerics.errors import CrossValidation, Errors
 
 #: Largest number of folds: up to as many poses or stations are held out one at a time.
 _MOST_FOLDS = 60
 
-#: Number of folds where there are more poses than that.
+#: Number of folds if there are more poses than that.
 _FEW_FOLDS = 10
 
 #: From this number on whole stations are held out; of two, one half of all rows would be.
@@ -45,55 +44,41 @@ class Folds:
         stations: Integers | None = None,
         measured_rows: int | None = None,
     ) -> Folds:
-        """Divide rows into folds: whole stations, or single poses, or tenths of many poses.
+        """Divide rows into folds: whole stations if at least three are given, else single poses, or tenths of many.
 
         Args:
-            blocks: Number of the block of each row, shape (N,). Rows of one block stay together: those of one pose,
-                and both rows of a pair.
+            blocks: Number of the block of each row, shape (N,), see `Rows`. Rows of one block stay together.
             stations: Number of the station of each row, shape (N,); None: stations are not held out whole.
             measured_rows: Number of rows that hold a measurement themselves, by default all: of a pair one does.
-
-        Returns:
-            Whole stations where at least three are given, else blocks.
         """
-        if stations is not None:
+        if stations is not None and len(np.unique(stations)) >= _FEWEST_STATIONS:
             numbers = np.unique(stations)
-            if len(numbers) >= _FEWEST_STATIONS:
-                return cls._of_stations(stations, numbers)
+            size = -(-len(numbers) // _MOST_FOLDS)  # rounded up
+            masks = []
+            for first in range(0, len(numbers), size):
+                held_out = numbers[first : first + size]
+                masks.append(np.isin(stations, held_out))
+            method = "leave-one-station-out" if size == 1 else "leave-stations-out"
+            return cls(method, tuple(masks))
+
         present, block = np.unique(blocks, return_inverse=True)
         count = len(present)
         if count > _MOST_FOLDS:
-            masks = tuple(block % _FEW_FOLDS == k for k in range(_FEW_FOLDS))
-            return cls(f"{_FEW_FOLDS}-fold", masks)
+            tenths = tuple(block % _FEW_FOLDS == k for k in range(_FEW_FOLDS))
+            return cls(f"{_FEW_FOLDS}-fold", tenths)
         without_repeats = count in (len(blocks), measured_rows)
         method = "leave-one-out" if without_repeats else "leave-one-pose-out"
         return cls(method, tuple(block == k for k in range(count)))
-
-    @classmethod
-    def _of_stations(cls, stations: Integers, numbers: Integers) -> Folds:
-        """Hold out whole stations, several at a time where there are more than `_MOST_FOLDS`.
-
-        Args:
-            stations: Number of the station of each row, shape (N,).
-            numbers: The K numbers that occur, in order, shape (K,).
-        """
-        size = -(-len(numbers) // _MOST_FOLDS)  # rounded up
-        masks = []
-        for first in range(0, len(numbers), size):
-            held_out = numbers[first : first + size]
-            masks.append(np.isin(stations, held_out))
-        method = "leave-one-station-out" if size == 1 else "leave-stations-out"
-        return cls(method, tuple(masks))
 
     @classmethod
     def of_task(cls, task: Task, rows: Rows) -> Folds:
         """Divide the rows of a fit into folds.
 
         Stations are held out whole if there are three or more and the others determine all that is needed to predict
-        one: see `_stations_predict_each_other`.
+        one.
 
         Args:
-            task: The fit, of which the setup and the known distances between stations count.
+            task: The fit; what is estimated of frames, and the known distances between them, decide.
             rows: The N rows that are fitted.
 
         Returns:
@@ -114,7 +99,7 @@ class Folds:
             )
         return folds
 
-    def joined(self, rows: Rows, residuals: Sequence[Array], outliers: Mask) -> CrossValidation:
+    def join(self, rows: Rows, residuals: Sequence[Array], outliers: Mask) -> CrossValidation:
         """Join the held-out residuals of all folds.
 
         Rows of sole postures are left out of the errors: no other row predicts them.
@@ -122,7 +107,7 @@ class Folds:
         Args:
             rows: The N rows that were divided.
             residuals: Of each fold, measured minus predicted at the rows that it holds out, shape (n, d), in
-                the order of the rows; d may be less than D where all of them lack a kind.
+                the order of the rows; d may be less than D if all of them lack a kind.
             outliers: Rows that the fit to all rows flagged, shape (N,).
 
         Returns:
@@ -145,15 +130,10 @@ class Folds:
 
 
 def _stations_predict_each_other(task: Task, rows: Rows, stations: Integers) -> bool:
-    """Tell if the rows of any station can be predicted from those of the others.
+    """Return whether the rows of any station, by their numbers, (N,), can be predicted from those of the others.
 
     The frame of a held-out station is registered to its own rows. It takes from the others the orientation of each
-    target, and the place of the base where its own frame is known.
-
-    Args:
-        task: The fit.
-        rows: The N rows that are fitted.
-        stations: Number of the station of each row, shape (N,).
+    target, and the place of the base if its own frame is known.
     """
     # Each target whose orientation was measured must be so at two stations or more.
     oriented = rows.where(lambda kind: kind.orientation)
@@ -163,7 +143,6 @@ def _stations_predict_each_other(task: Task, rows: Rows, stations: Integers) -> 
         if len(np.unique(stations[of_target])) < 2:
             return False
     # No station, or more than one, must be measured in a known frame: one alone determines where the base stands.
-    known_frames = np.array([len(unknown) < len(DIRECTIONS) for unknown in task.setup.unknown])
     positions = rows.where(lambda kind: kind.position)
-    in_known_frame = positions & known_frames[rows.samples.frame]
+    in_known_frame = positions & ~task.setup.wholly_unknown[rows.samples.frame]
     return len(np.unique(stations[in_known_frame])) != 1

@@ -17,23 +17,23 @@ def held_out_residual(fitted: Fitted, rows: Rows, held_out: Mask, outliers: Mask
     """Return the residual of held-out rows, by a fit to the others.
 
     Args:
-        fitted: Fit to all rows but those that are held out.
+        fitted: Fit to all rows except those that are held out.
         rows: The N rows of all folds.
         held_out: True for the n rows that the fit has not used, shape (N,).
         outliers: True for the rows that have no part in a registration, shape (N,).
 
     Returns:
-        Measured minus predicted at the held-out rows, shape (n, D), [m] and [rad].
+        Measured minus predicted at the held-out rows, shape (n, D), in the units of the rows' channels.
     """
     samples = rows.samples.select(held_out)
     T_base_tip = fitted.tip_poses(samples)
-    placed = fitted.placed()
-    return residual_after_registration(T_base_tip, placed, rows, held_out, ~held_out, outliers)
+    setup = fitted.estimated_setup()
+    return residual_after_registration(T_base_tip, setup, rows, held_out, ~held_out, outliers)
 
 
 def residual_after_registration(
     T_base_tip: Array,
-    placed: Setup,
+    setup: Setup,
     rows: Rows,
     held_out: Mask,
     used: Mask,
@@ -43,25 +43,23 @@ def residual_after_registration(
 
     Args:
         T_base_tip: Predicted poses of the tip in the base at the n held-out rows, shape (n, 4, 4), [m].
-        placed: Frames and targets as estimated from the rows that were used.
+        setup: Frames and targets as estimated from the rows that were used.
         rows: The N rows of all folds.
         held_out: True for the n rows to predict, shape (N,).
         used: True for the rows from which frames and targets were estimated, shape (N,).
         outliers: True for the rows that have no part in the registration, shape (N,).
 
     Returns:
-        Measured minus predicted at the held-out rows, shape (n, D), [m] and [rad].
+        Measured minus predicted at the held-out rows, shape (n, D), in the units of the rows' channels.
     """
     held_out_rows = rows.select(held_out)
-    samples_used = rows.samples.select(used)
-    known_frames, known_targets = placed.seen_by(samples_used)
-    unseen = placed.with_fixed(known_frames, known_targets)
+    known_frames, known_targets = setup.seen_by(rows.samples.select(used))
+    unseen = setup.with_fixed(known_frames, known_targets)
     if unseen.count:
         good = held_out_rows.without(outliers[held_out])
-        good_rows = held_out_rows.select(good)
-        placed = register_all_rows(T_base_tip[good], unseen, good_rows)
-    T_frame_target = placed.target_poses(T_base_tip, held_out_rows.samples)
-    optics = placed.optics_at(held_out_rows.samples)
+        setup = register_all_rows(T_base_tip[good], unseen, held_out_rows.select(good))
+    T_frame_target = setup.target_poses(T_base_tip, held_out_rows.samples)
+    optics = setup.optics_at(held_out_rows.samples)
     return held_out_rows.residual(T_frame_target, optics)
 
 
@@ -73,7 +71,7 @@ def seen_only_by(fitted: Fitted, chosen: Mask) -> Mask:
         chosen: True for the rows in question, shape (N,).
 
     Returns:
-        True for the parameters of places that none of the other rows sees, shape (p,).
+        True for the parameters of frames and targets that none of the other rows sees, shape (p,).
     """
     samples = fitted.estimate.problem.rows.samples
     others = samples.select(~chosen)

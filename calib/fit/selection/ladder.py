@@ -1,6 +1,6 @@
 """The ladder of models: geometries from the smallest to the largest, and the families of errors that may be added.
 
-A model is named by its geometry and, behind plus signs, its families of non-geometric errors: ``"dh+compliance"``.
+A model is named by its geometry and, after plus signs, its families of non-geometric errors: ``"dh+compliance"``.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _NO_MOTION = 1e-6
 
 
 def model_name(geometry: str, families: tuple[str, ...]) -> str:
-    """Return the name of a geometry with families behind it."""
+    """Return the name of a geometry with families."""
     return "+".join((geometry, *families))
 
 
@@ -49,13 +49,16 @@ def geometry_parameters(task: Task) -> dict[str, int]:
 
 
 def determinable_families(task: Task, rows: Rows) -> tuple[str, ...]:
-    """List the families of non-geometric errors that move a joint at some row.
+    """List the families of non-geometric errors that would move at least one joint in at least one row.
 
     Compliances do not, for example, if the URDF states no masses.
 
     Args:
-        task: The fit, of which robot and gravity count.
+        task: The fit, with any model.
         rows: The rows that are fitted.
+
+    Returns:
+        Names of the families, in the order of the registry.
     """
     robot, samples = task.robot, rows.samples
     families = []
@@ -77,8 +80,8 @@ def check_parameter_names(task: Task) -> None:
         ModelError: There are such names; it lists them.
     """
     cell = task.cell
-    others = (other for other, _ in cell.ties.values())
-    named = {*cell.frozen, *cell.bounds, *cell.parameter_priors, *cell.ties, *others}
+    leaders = (leader for leader, _ in cell.ties.values())
+    named = {*cell.frozen, *cell.bounds, *cell.parameter_priors, *cell.ties, *leaders}
     if not named:
         return
     without_frozen = replace(task, cell=replace(cell, frozen=(), ties={}))

@@ -2,12 +2,12 @@
 
 Two uses. Candidates of the search are compared by `linear_cross_validation`, at the weights, noise and prior standard
 deviations of the fit to all rows. The cross-validation that is reported takes from `held_out_residuals_linear` those
-folds for which the linear problem is accurate; there weights, noise and priors are estimated anew in each fold.
+folds for which the linear problem is accurate; there weights, noise and priors are estimated again in each fold.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -17,17 +17,15 @@ from calib.fit.estimate.fitting import Fitted
 from calib.fit.estimate.linear import LinearProblem
 from calib.fit.estimate.prior_terms import PriorTerms
 from calib.fit.estimate.stages import FEWEST_FREEDOM, Stage, Weighting, run_stages
-from calib.fit.estimate.task import PAPER
-from calib.fit.registration.rows import Rows
 from calib.fit.selection.folds import Folds
 from calib.fit.selection.held_out import held_out_residual, seen_only_by
 from calib.numerics.errors import CrossValidation
 from calib.numerics.likelihood import GaussianPriors
 
-#: The linear problem is accurate where its residuals differ from the robot's by less than this share of the noise, rms.
+#: The linear problem is accurate if its residuals differ from the robot's by less than this share of the noise, rms.
 _LINEAR = 1e-3
 
-#: A fold is fitted anew where it leaves a frame with fewer scalars than this: places then move far.
+#: A fold is fitted from the beginning if it leaves a frame with fewer scalars than this: its pose then moves far.
 _FEWEST_SCALARS = 18.0
 
 #: From this number of rows on, a small fold hardly changes weights, noise and priors: those of the fit to all rows do.
@@ -49,8 +47,8 @@ def linear_cross_validation(fitted: Fitted, outliers: Mask | None = None) -> Cro
             flagged.
 
     Returns:
-        Residuals of the N rows, measured minus predicted without their fold, shape (N, D), [m] and [rad], and their
-        errors.
+        Residuals of the N rows, measured minus predicted without their fold, shape (N, D), in the units of the rows'
+        channels, and their errors.
     """
     estimate = fitted.estimate
     problem = estimate.problem
@@ -63,45 +61,33 @@ def linear_cross_validation(fitted: Fitted, outliers: Mask | None = None) -> Cro
     residuals = []
     for mask, x in zip(folds.masks, means, strict=True):
         part = linear.select(mask)
-        own_places = seen_only_by(fitted, mask)
-        if np.any(own_places):
-            x = _with_own_places(part, x, own_places, problem.weights[mask])
-        residuals.append(_in_units(rows.select(mask), part.residual(x)))
-    return folds.joined(rows, residuals, outliers)
+        unseen = seen_only_by(fitted, mask)  # by the rows outside of the fold
+        if np.any(unseen):
+            x = _fit_unseen(part, x, unseen, problem.weights[mask])
+        standardised = part.residual(x)
+        held_out_rows = rows.select(mask)
+        residual = np.zeros(
+            standardised.shape
+        )  # as wide as the table, which may have wider rows than these
+        width = held_out_rows.width
+        residual[:, :width] = held_out_rows.in_units(standardised[:, :width])
+        residuals.append(residual)
+    return folds.join(rows, residuals, outliers)
 
 
-def _in_units(rows: Rows, standardised: Array) -> Array:
-    """Return residuals of some rows of a table, shape (n, D), as wide as the table, in their units.
+def _fit_unseen(part: LinearProblem, x: Array, unseen: Mask, weights: Array) -> Array:
+    """Fit those of the parameters x, (p,), that only the n rows of a part see, ``unseen``, (p,), to these rows.
 
-    Args:
-        rows: These n rows, which may have fewer columns than the table.
-        standardised: shape (n, D), as `Rows.standardised` has them.
-    """
-    result = np.zeros(standardised.shape)
-    result[:, : rows.width] = rows.in_units(standardised[:, : rows.width])
-    return result
-
-
-def _with_own_places(part: LinearProblem, x: Array, own_places: Mask, weights: Array) -> Array:
-    """Return parameters with those of places that only these rows see fitted to these rows.
-
-    Args:
-        part: The linear problem of the n held-out rows alone.
-        x: The p parameters by the other rows, offsets from the registered start [m, rad, ...], shape (p,).
-        own_places: True for the parameters of places (frames and targets) to fit, shape (p,).
-        weights: Weights of the held-out rows, shape (n,). A row without weight must not move the frame of the others.
-
-    Returns:
-        A copy of ``x`` with the fitted entries replaced, shape (p,).
+    A row without weight, (n,), must not move the frame of the others.
     """
     row, _ = np.nonzero(part.used)
     root = np.sqrt(weights)[row]
-    by_others = part.residual(np.where(own_places, 0.0, x))[part.used]
-    columns = part.A[part.used][:, own_places]
+    by_others = part.residual(np.where(unseen, 0.0, x))[part.used]
+    columns = part.A[part.used][:, unseen]
     weighted_columns = columns * root[:, None]
-    own, *_ = np.linalg.lstsq(weighted_columns, by_others * root, rcond=1e-9)
+    solution, *_ = np.linalg.lstsq(weighted_columns, by_others * root, rcond=1e-9)
     result = x.copy()
-    result[own_places] = own
+    result[unseen] = solution
     return np.asarray(result)
 
 
@@ -121,8 +107,8 @@ def fold_posterior_means(
     problem = fitted.estimate.problem
     weights = np.where(np.array(masks), 0.0, problem.weights)
     noise = np.tile(fitted.estimate.noise, (len(masks), 1))
-    priors = GaussianPriors(problem.precision, problem.centre)
-    x, _, _ = linear.fit(weights, problem.rho, noise, priors)
+    priors = GaussianPriors(problem.prior_precision, problem.prior_mean)
+    x, _, _ = linear.fit(weights, problem.stop_shares, noise, priors)
     return np.asarray(x)
 
 
@@ -137,84 +123,41 @@ def held_out_residuals_linear(
         outliers: Rows that have no part in a registration, shape (N,).
 
     Returns:
-        Residuals, shape (n, D), [m] and [rad], by the fold's index from 0. Folds that are not in it must be fitted
-        anew: too few rows are left, a parameter would exceed its bounds, or the robot is not linear that far.
+        Residuals, shape (n, D), in the units of the rows' channels, by the fold's index from 0. Folds that are not in
+        it must be fitted from the beginning: too few rows are left, a parameter would exceed its bounds, or the robot
+        is not linear that far.
     """
     estimate = fitted.estimate
-    if fitted.task.solver == PAPER or estimate.at_bound:
+    if not fitted.task.has_weights_and_priors or estimate.at_bound:
         return {}
-    candidates = {k: mask for k, mask in enumerate(masks) if _leaves_enough_rows(fitted, mask)}
-    if not candidates:
+    numbers = [k for k, mask in enumerate(masks) if _leaves_enough_rows(fitted, mask)]
+    if not numbers:
         return {}
     linear = estimate.problem.linear(estimate.x)
+    prior = PriorTerms.of(fitted.task, fitted.kinematics.model, fitted.setup)
+    held_out = np.array([masks[k] for k in numbers])
+    estimates, freedom = _fit_without_folds(fitted, linear, prior, held_out)
+    low, high = prior.limits.T
+    within_bounds = np.all((estimates >= low) & (estimates <= high), axis=1)
+    admissible = (freedom > FEWEST_FREEDOM) & within_bounds
+
     residuals = {}
-    for k, x in _admissible_estimates(fitted, linear, candidates).items():
-        residual = _residual_without_fold(fitted, linear, x, masks[k], outliers)
-        if residual is not None:
-            residuals[k] = residual
+    for i in np.flatnonzero(admissible).tolist():
+        k = numbers[i]
+        residual = _accurate_residual(fitted, linear, estimates[i], masks[k])
+        if residual is None:
+            continue
+        residuals[k] = residual[masks[k]]
+        if np.any(seen_only_by(fitted, masks[k])):
+            # Frames and targets that only the fold sees are registered to its rows.
+            without_fold = replace(fitted, estimate=replace(estimate, x=estimates[i]))
+            rows = estimate.problem.rows
+            residuals[k] = held_out_residual(without_fold, rows, masks[k], outliers)
     return residuals
 
 
-def _admissible_estimates(
-    fitted: Fitted, linear: LinearProblem, masks: Mapping[int, Mask]
-) -> dict[int, Array]:
-    """Estimate the parameters without each fold; keep estimates within bounds and with enough degrees of freedom.
-
-    Args:
-        fitted: Fit to all N rows with p parameters.
-        linear: Its problem, linearised at its solution.
-        masks: By the index of each of one or more folds, True for the rows that it holds out, shape (N,).
-
-    Returns:
-        Offsets from the registered start like ``fitted.estimate.x``, shape (p,), by the index of the fold.
-    """
-    prior = PriorTerms.of(fitted.task, fitted.kinematics.model, fitted.setup)
-    held_out = np.array(list(masks.values()))
-    x, freedom = _fold_estimates(fitted, linear, prior, held_out)
-    low, high = prior.limits.T
-    within_bounds = np.all((x >= low) & (x <= high), axis=1)
-    admissible = (freedom > FEWEST_FREEDOM) & within_bounds
-    return {k: x[i] for i, k in enumerate(masks) if admissible[i]}
-
-
-def _residual_without_fold(
-    fitted: Fitted,
-    linear: LinearProblem,
-    x: Array,
-    held_out: Mask,
-    outliers: Mask,
-) -> Array | None:
-    """Return the held-out residual of one fold, or None if the linear problem is not accurate at its estimate.
-
-    Frames and targets that only the held-out rows see are registered to these rows.
-
-    Args:
-        fitted: Fit to all N rows with p parameters.
-        linear: Its problem, linearised at its solution.
-        x: Parameters without the fold, offsets like ``fitted.estimate.x``, shape (p,).
-        held_out: True for the n rows of the fold, shape (N,).
-        outliers: True for the rows that have no part in a registration, shape (N,).
-
-    Returns:
-        Measured minus predicted of the held-out rows, shape (n, D), [m] and [rad].
-    """
-    residual = _accurate_residual(fitted, linear, x, held_out)
-    if residual is None:
-        return None
-    if not np.any(seen_only_by(fitted, held_out)):
-        return residual[held_out]
-    estimate = fitted.estimate
-    without_fold = replace(fitted, estimate=replace(estimate, x=x))
-    return held_out_residual(without_fold, estimate.problem.rows, held_out, outliers)
-
-
 def _leaves_enough_rows(fitted: Fitted, mask: Mask) -> bool:
-    """Tell if the rows outside of a fold are many for the parameters, in each frame, and of every kind.
-
-    Args:
-        fitted: Fit to all N rows.
-        mask: True for the rows that are held out, shape (N,).
-    """
+    """Return whether the rows outside of a fold, (N,), are enough for the parameters and frames, and of each kind."""
     rows = fitted.estimate.problem.rows
     kept = rows.used & ~mask[:, None]
     scalars = np.sum(kept, axis=1)
@@ -226,25 +169,16 @@ def _leaves_enough_rows(fitted: Fitted, mask: Mask) -> bool:
     return len(np.unique(rows.kind[~mask])) == len(np.unique(rows.kind))
 
 
-def _fold_estimates(
+def _fit_without_folds(
     fitted: Fitted,
     linear: LinearProblem,
     prior: PriorTerms,
     masks: Mask,
 ) -> tuple[Array, Array]:
-    """Return the parameters by the rows outside of each fold.
+    """Fit the linear problem to the rows outside of each of F folds, (F, N): parameters, (F, p), and freedom, (F,).
 
-    Weights, noise and prior standard deviations are estimated anew, unless the folds are small parts of many rows.
-
-    Args:
-        fitted: Fit to all N rows with p parameters.
-        linear: Its problem, linearised at its solution.
-        prior: Priors of the p parameters as given, before the fit.
-        masks: For each of F folds, True for the rows that it holds out, shape (F, N).
-
-    Returns:
-        Offsets from the registered start like ``fitted.estimate.x``, shape (F, p), and degrees of freedom that each
-        fold leaves for the noise, shape (F,); infinite where they were not counted.
+    Weights, noise and prior standard deviations are estimated again, unless the folds are small parts of many rows;
+    then the degrees of freedom are not counted, but infinite.
     """
     rows = fitted.estimate.problem.rows
     largest_share = masks.mean(axis=1).max()
@@ -264,18 +198,10 @@ def _fold_estimates(
 
 
 def _accurate_residual(fitted: Fitted, linear: LinearProblem, x: Array, mask: Mask) -> Array | None:
-    """Return the residual at parameters of a fold, or None if the linear problem is not accurate there.
+    """Return the residual of all rows, (N, D), at the parameters x, (p,), of a fold that holds out ``mask``, (N,).
 
-    It is compared with the robot itself at the rows that the fold keeps.
-
-    Args:
-        fitted: Fit to all N rows.
-        linear: Its problem, linearised at its solution.
-        x: Parameters without the fold, offsets like ``fitted.estimate.x``, shape (p,).
-        mask: True for the rows that are held out, shape (N,).
-
-    Returns:
-        Measured minus predicted of all rows, shape (N, D), [m] and [rad].
+    None if the linear problem is not accurate there, by comparison with the robot itself at the rows that the fold
+    keeps.
     """
     estimate = fitted.estimate
     problem = estimate.problem

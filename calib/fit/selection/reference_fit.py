@@ -1,8 +1,8 @@
 """Reference fits: fits whose weights and scores decide which rows are outliers for another fit.
 
-Where a model lacks something, its residuals at some good rows may be far larger than at others, and robust weights
-would drop these rows. A larger model explains them. Which of two fits has the better weights is decided by errors on
-held-out rows.
+If a model lacks something, its residuals at some good rows may be far larger than at others, and robust weights would
+drop these rows. A larger model explains them. Which of two fits has the better weights is decided by errors on held-out
+rows.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.basics.arrays import Array, Mask, read_only
+from calib.basics.arrays import Mask, read_only
 from calib.fit.estimate.fitting import Fitted, fit
 from calib.fit.registration.rows import Rows
 from calib.fit.selection.candidates import held_out_rms
@@ -20,9 +20,9 @@ from calib.fit.selection.linear_folds import linear_cross_validation
 
 
 def explains_more_rows(reference: Fitted, fitted: Fitted) -> bool:
-    """Tell if a reference fit explains rows that another fit calls outliers.
+    """Return whether a reference fit explains rows that another fit calls outliers.
 
-    A small model may look good only because it drops them. The reference explains more where its outliers are a proper
+    A small model may look good only because it drops them. The reference explains more if its outliers are a proper
     subset of the other's and, with only these set aside, it predicts held-out rows better.
 
     Args:
@@ -40,15 +40,7 @@ def explains_more_rows(reference: Fitted, fitted: Fitted) -> bool:
 
 
 def _held_out_rms(fitted: Fitted, outliers: Mask) -> float:
-    """Return the rms error of a fit on held-out rows of its linearised problem.
-
-    Args:
-        fitted: Fit to N rows.
-        outliers: True for the rows that are set aside, shape (N,).
-
-    Returns:
-        The error of a length [m], or of an angle [rad] where no length was measured.
-    """
+    """Return the rms error of a fit on held-out rows of its linearised problem, with some rows, (N,), set aside."""
     return held_out_rms(linear_cross_validation(fitted, outliers))
 
 
@@ -56,7 +48,7 @@ def with_better_weights(fitted: Fitted, rows: Rows, reference: Fitted) -> Fitted
     """Return the fit with its own weights or those of a reference fit, whichever predict held-out rows better.
 
     Rows that both fits call outliers are set aside in the comparison. If the reference predicts the others better than
-    the fit does, a row counts as an outlier only where both fits call it one.
+    the fit does, a row counts as an outlier only if both fits call it one.
 
     Args:
         fitted: Fit with its own weights.
@@ -75,16 +67,11 @@ def with_better_weights(fitted: Fitted, rows: Rows, reference: Fitted) -> Fitted
     chosen = refitted if by_refitted < by_fitted else fitted
     scores = chosen.estimate.scores
     if by_reference < by_fitted:
-        scores = np.minimum(scores, _scores_at_limit(reference, chosen.estimate.flag_limit))
+        # Each fit has a limit of its own.
+        scaled = reference.estimate.scores * chosen.estimate.flag_limit
+        scores = np.minimum(scores, scaled / reference.estimate.flag_limit)
     estimate = replace(chosen.estimate, scores=read_only(scores))
     return replace(chosen, estimate=estimate)
-
-
-def _scores_at_limit(fitted: Fitted, limit: float) -> Array:
-    """Rescale the scores of a fit's N rows to another limit, from which on rows are flagged, shape (N,)."""
-    estimate = fitted.estimate
-    scaled = estimate.scores * limit
-    return np.asarray(scaled / estimate.flag_limit)
 
 
 def fit_with_all_families(fitted: Fitted, rows: Rows) -> Fitted:

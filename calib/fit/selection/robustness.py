@@ -1,6 +1,6 @@
 """Robustness: the effect on a fit of lowering the weights of doubtful rows.
 
-Robust weights rest on the belief that a few rows are accidents; the fit with every row in full stands beside.
+Robust weights rest on the belief that a few rows are accidents; the fit with every row in full is shown beside it.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class Robustness:
 
 
 def compare_weights(fitted: Fitted) -> Robustness:
-    """Fit once more with robust weights where there were none, or without where there were, and compare.
+    """Fit once more with robust weights if there were none, or without if there were, and compare.
 
     Args:
         fitted: Fit to the rows that are compared.
@@ -65,13 +65,9 @@ def compare_weights(fitted: Fitted) -> Robustness:
 
 
 def _distances(fitted: Fitted, other: Fitted) -> Array:
-    """Return the distances between the points that two fits predict at the measured poses, shape (N,), [m].
+    """Return the distances between the points that two fits of a model predict at the N measured poses, (N,) [m].
 
-    Where no row determines where the base stands, a motion as one body is left out.
-
-    Args:
-        fitted: The fit whose N rows are compared.
-        other: Fit of the same model to the same rows, with other weights.
+    If no row determines where the base stands, a motion as one body is left out.
     """
     rows = fitted.estimate.problem.rows
     samples = rows.samples

@@ -14,10 +14,9 @@ from calib.errors import MeasurementError
 from calib.fit.estimate.fitting import Fitted, fit
 from calib.fit.estimate.task import Task
 from calib.fit.registration.rows import Rows
-from calib.fit.selection.candidates import Candidate, candidate_of, held_out_rms, is_vanished
-from calib.fit.selection.geometry_choice import preferred_geometry
+from calib.fit.selection.candidates import Candidate, assess, held_out_rms, is_vanished
+from calib.fit.selection.geometry_choice import pose_errors, preferred_geometry
 from calib.fit.selection.ladder import model_name
-from calib.fit.selection.pose_errors import pose_errors
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,11 +42,11 @@ class Search:
         Args:
             start: Name of the model to begin with.
         """
-        best = self._climbed(start)
+        best = self._climb(start)
         geometry = max(self.geometries, key=self.evidence)
         if self.evidence(best) >= self.evidence(geometry):
             return best
-        return self._climbed(geometry)
+        return self._climb(geometry)
 
     def best_geometry(self) -> str:
         """Return the name of the geometry for the URDF, see `preferred_geometry`.
@@ -87,26 +86,22 @@ class Search:
         return best.name
 
     def evidence(self, name: str) -> float:
-        """Return the evidence of a model; minus infinity where the rows are too few for its parameters."""
+        """Return the evidence of a model; minus infinity if the rows are too few for its parameters."""
         return self.tried[name].evidence if self._is_fitted(name) else -np.inf
 
-    def _climbed(self, start: str) -> str:
+    def _climb(self, start: str) -> str:
         """Return the model reached from a start by moving to the best neighbour as long as that has more evidence."""
         best = start
         while True:
-            neighbour = max((best, *self._steps(best)), key=self.evidence)
+            geometry, *families = best.split("+")
+            toggled = [self._name(geometry, {*families} ^ {family}) for family in self.families]
+            others = [self._name(other, families) for other in self.geometries if other != geometry]
+            neighbour = max((best, *toggled, *others), key=self.evidence)
             if neighbour == best:
                 neighbour = max((best, *self._swaps(best)), key=self.evidence)
             if neighbour == best:
                 return best
             best = neighbour
-
-    def _steps(self, name: str) -> list[str]:
-        """List the models with one family less or more, and those with another geometry."""
-        geometry, *families = name.split("+")
-        toggled = [self._named(geometry, {*families} ^ {family}) for family in self.families]
-        others = [self._named(other, families) for other in self.geometries if other != geometry]
-        return toggled + others
 
     def _swaps(self, name: str) -> list[str]:
         """List the models with one family in place of another.
@@ -120,20 +115,20 @@ class Search:
             if new in families:
                 continue
             with_new = {*families, new}
-            beside = self._named(geometry, with_new)
+            beside = self._name(geometry, with_new)
             if not self._is_fitted(beside) or is_vanished(new, self.tried[beside].prior_std):
                 continue
-            swaps += [self._named(geometry, with_new - {old}) for old in families]
+            swaps += [self._name(geometry, with_new - {old}) for old in families]
         return swaps
 
-    def _named(self, geometry: str, families: Iterable[str]) -> str:
+    def _name(self, geometry: str, families: Iterable[str]) -> str:
         """Return the name of a geometry with families, in the order of `families` of the search."""
         chosen = set(families)
         ordered = tuple(family for family in self.families if family in chosen)
         return model_name(geometry, ordered)
 
     def _is_fitted(self, name: str) -> bool:
-        """Fit a model unless it was tried before; False where the rows are too few for it."""
+        """Fit a model unless it was tried before; False if the rows are too few for it."""
         if name in self.tried:
             return True
         task = replace(self.task, model=name)
@@ -141,5 +136,5 @@ class Search:
             fitted = fit(task, self.rows, reference=self.reference)
         except MeasurementError:
             return False
-        self.tried[name] = candidate_of(fitted)
+        self.tried[name] = assess(fitted)
         return True

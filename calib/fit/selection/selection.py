@@ -11,11 +11,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calib.basics.arrays import read_only
+from calib.camera.optics import OFFSET
 from calib.fit.estimate.fitting import Fitted, fit
 from calib.fit.estimate.task import Task
 from calib.fit.registration.rows import Rows
 from calib.fit.selection.candidates import Candidate, mark_chosen, without_vanished_families
-from calib.fit.selection.known_corners import with_known_corners
 from calib.fit.selection.ladder import (
     check_parameter_names,
     determinable_families,
@@ -25,7 +26,7 @@ from calib.fit.selection.ladder import (
 from calib.fit.selection.reference_fit import explains_more_rows
 from calib.fit.selection.search import Search
 
-#: The most searches: after the first, weights are estimated anew with the model that the last ones chose.
+#: The most searches: after the first, weights are estimated again with the model that the last one chose.
 _MOST_SEARCHES = 2
 
 #: About how many rows choose the model; of more a part is drawn.
@@ -38,12 +39,12 @@ class Selection:
 
     #: Name of the geometry that goes into the URDF
     geometry: str
-    #: Name of the non-geometric model; "" where the data support none
+    #: Name of the non-geometric model; "" if the data support none
     non_geometric: str
     #: All that were fitted, in order
     candidates: tuple[Candidate, ...]
-    #: Fit of the non-geometric model, or of the geometry where there is none; with its own weights, or with those of
-    #: the search's reference fit if that explains more rows
+    #: Fit of the non-geometric model, or of the geometry if there is none; with its own weights, or with those of the
+    #: search's reference fit if that explains more rows
     chosen: Fitted
 
 
@@ -57,9 +58,6 @@ def select(task: Task, rows: Rows) -> Selection:
         task: The fit; its model does not count.
         rows: Rows to fit.
 
-    Returns:
-        The chosen models, and all that were fitted.
-
     Raises:
         ModelError: The cell names a parameter that no model has.
         MeasurementError: Too few rows.
@@ -71,51 +69,27 @@ def select(task: Task, rows: Rows) -> Selection:
     families = determinable_families(task, some_rows)
     if task.cell.priors.source == "off":
         # Without priors there must be a number for each parameter.
-        largest = _largest_geometry(geometries, some_rows.count)
+        enough = [name for name, size in geometries.items() if size <= some_rows.count]
+        largest = enough[-1] if enough else next(iter(geometries))
     else:
-        largest_geometry = tuple(geometries)[-1]
-        largest = model_name(largest_geometry, families)
+        largest = model_name(tuple(geometries)[-1], families)
+
     reference = fit(replace(task, model=largest), some_rows)
     start = without_vanished_families(largest, reference.estimate.prior_std)
     # With the rows of sole postures marked.
     marked_rows = reference.estimate.problem.rows
     search_task, search_rows = with_known_corners(task, reference, marked_rows)
     search = Search(search_task, search_rows, reference, tuple(geometries), families)
-    selection = _searched(search, start)
+    selection = _select_by(search, start)
+
     if len(some_rows) == len(rows) and search_task is task:
         return selection
-    chosen = selection.chosen
-    whole_task = replace(chosen.task, setup=task.setup)
-    of_all_rows = fit(whole_task, rows, registered=reference.setup)
-    return replace(selection, chosen=of_all_rows)
+    whole_task = replace(selection.chosen.task, setup=task.setup)
+    return replace(selection, chosen=fit(whole_task, rows, registered=reference.setup))
 
 
-def _largest_geometry(geometries: dict[str, int], count: int) -> str:
-    """Return the largest geometry with no more parameters than there are scalars, or the smallest of all.
-
-    Args:
-        geometries: Number of parameters by the geometry's name, from the smallest to the largest.
-        count: Number of measured scalars.
-
-    Returns:
-        The geometry's name.
-    """
-    enough = [name for name, parameters in geometries.items() if parameters <= count]
-    if enough:
-        return enough[-1]
-    return next(iter(geometries))
-
-
-def _searched(search: Search, start: str) -> Selection:
-    """Search until the weights of the chosen model choose it again, or the reference explains more rows than it does.
-
-    Args:
-        search: The first search, in which nothing was tried; a second one has the weights of the model that it chose.
-        start: Name of the model with which it begins.
-
-    Returns:
-        The models that the last search chose.
-    """
+def _select_by(search: Search, start: str) -> Selection:
+    """Search until the chosen model's weights choose it again, or the reference explains more rows than it does."""
     for number in range(1, _MOST_SEARCHES + 1):
         highest = search.highest_evidence(start)
         geometry = search.best_geometry()
@@ -133,3 +107,31 @@ def _searched(search: Search, start: str) -> Selection:
     non_geometric = best if "+" in best else ""
     candidates = mark_chosen(search.tried.values(), geometry, non_geometric)
     return Selection(geometry, non_geometric, candidates, fitted)
+
+
+def with_known_corners(task: Task, fitted: Fitted, rows: Rows) -> tuple[Task, Rows]:
+    """Return a task and its rows with the corners of boards known, at the places that a fit estimated.
+
+    Every corner of a print has two errors of its own, often more than the robot has parameters. They hardly depend on
+    the robot's model, so candidates are compared with the corners where a first fit has them.
+
+    Args:
+        task: The task of other models.
+        fitted: A fit to these rows.
+        rows: N rows.
+
+    Returns:
+        The same task and rows if no corner's place is estimated.
+    """
+    optics = fitted.kinematics.optics(fitted.estimate.x, rows.samples)
+    if optics is None or rows.samples.optics is None:
+        return task, rows
+    columns = range(OFFSET.start, OFFSET.stop)
+    kept = [unknown for unknown in task.setup.optics if unknown.parameter.optic not in columns]
+    if len(kept) == len(task.setup.optics):
+        return task, rows
+    values = rows.samples.optics.copy()
+    values[:, OFFSET] = optics.values[:, OFFSET]
+    samples = replace(rows.samples, optics=read_only(values))
+    setup = replace(task.setup, optics=tuple(kept))
+    return replace(task, setup=setup), replace(rows, samples=samples)

@@ -1,4 +1,12 @@
-"""The columns of a table of DH rows by their headings, the convention that these state, and the cells as numbers."""
+"""The columns of a table of DH rows by their headings, the convention that these state, and the cells as numbers.
+
+The value that is added to a row is that of its joint, of other joints whose readings are coupled, and a constant,
+
+    direction (reading_i + sum_j coupling_ij reading_j) + offset
+
+in the columns ``direction``, ``offset`` and ``coupling``, or, as calib writes it, in one formula under ``value added``:
+``-1 * joint_3 + joint_2 - 90 deg``.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +15,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from calib.basics.tables import Column, Table
-from calib.basics.units import ANGLE, LENGTH, PLAIN, parse_quantity, split_header
+from calib.basics.units import ANGLE, LENGTH, NUMBER, PLAIN, parse_quantity, split_header
 from calib.errors import CalibError, MeasurementError, choices, did_you_mean
 from calib.robot.dh.rows import CONVENTIONS, HAYATI, MODIFIED, STANDARD
 
@@ -36,13 +44,13 @@ _WORDS = (
     "value added",
 )
 
-#: Columns that are for people.
+#: Columns that are ignored.
 _REMARKS = ("note", "remark", "comment")
 
 #: Other spellings of headings.
 _SPELLINGS = {"θ": "theta", "α": "alpha", "β": "beta", "name": "joint", "sign": "direction"}
 
-#: A heading with the index of the row before: ``a(i-1)``, ``alpha_{i-1}``, ``a_i-1``.
+#: A heading with the index of the previous row: ``a(i-1)``, ``alpha_{i-1}``, ``a_i-1``.
 _BEFORE = re.compile(r"(.+?)\s*_?\s*[({]?\s*i\s*[-−]\s*1\s*[)}]?")
 
 #: The index of a heading's own row: ``a_i``, ``d(i)``.
@@ -59,9 +67,19 @@ _CONVENTIONS = {
 }
 
 
+#: Directions by the text of a cell.
+_DIRECTIONS = {"": 1, "1": 1, "+1": 1, "+": 1, "-1": -1, "-": -1, "1.0": 1, "-1.0": -1}
+
+#: The signs between the terms of a sum.
+_SIGNS = re.compile(r"\s+([+-])\s+")
+
+#: The key of a sum's constant, among the names of joints.
+_CONSTANT = ""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class DHColumns:
-    """The columns of a table of DH rows by name; of ``offset``, ``lower`` and ``upper`` there may be two."""
+    """The columns of a table of DH rows by name; ``offset``, ``lower`` and ``upper`` may have two each."""
 
     #: The table.
     table: Table
@@ -71,12 +89,7 @@ class DHColumns:
     convention: str
 
     def text(self, row: int, name: str) -> str:
-        """Return the text of a cell; empty where there is none.
-
-        Args:
-            row: The row, from 0.
-            name: Name of the column.
-        """
+        """Return the text of a cell, by its row, from 0, and the name of its column; empty if there is none."""
         for column in self.by_name.get(name, ()):
             text = self.table.cells[row][column.index]
             if text:
@@ -102,7 +115,7 @@ class DHColumns:
             return error
 
     def number(self, row: int, name: str, *, slides: bool = False) -> float | None:
-        """Return the number of a cell in SI units; None where it is empty.
+        """Return the number of a cell in SI units; None if it is empty.
 
         Args:
             row: The row, from 0.
@@ -110,11 +123,15 @@ class DHColumns:
             slides: True if the row's joint slides: its offset and limits are lengths.
 
         Raises:
-            MeasurementError: It is no number, has no unit, or that of another quantity.
+            MeasurementError: It is not a number, has no unit or one of another quantity, or two columns have a number.
         """
-        column = self._filled_column(row, name)
-        if column is None:
+        filled = [c for c in self.by_name.get(name, ()) if self.table.cells[row][c.index]]
+        if not filled:
             return None
+        if len(filled) > 1:
+            what = f"the row has a number in '{filled[1].label}', too. Keep one of them."
+            raise self.error(row, name, what)
+        column = filled[0]
         text = self.table.cells[row][column.index]
         if self.table.separator != ",":
             text = text.replace(",", ".")
@@ -123,7 +140,7 @@ class DHColumns:
                 text if column.symbol is None else f"{text} {column.symbol}"
             )
         except CalibError as error:
-            what = f"'{text}' is no number: {error}. Leave the cell empty for 0."
+            what = f"'{text}' is not a number: {error}. Leave the cell empty for 0."
             raise self.error(row, name, what) from error
         if quantity == PLAIN and value == 0.0:
             return value
@@ -141,14 +158,6 @@ class DHColumns:
             raise self.error(row, name, what)
         return value
 
-    def _filled_column(self, row: int, name: str) -> Column | None:
-        """Return the column of a name that has a number in a row, of which there may be one; None if there is none."""
-        filled = [c for c in self.by_name.get(name, ()) if self.table.cells[row][c.index]]
-        if len(filled) > 1:
-            what = f"the row has a number in '{filled[1].label}', too. Keep one of them."
-            raise self.error(row, name, what)
-        return filled[0] if filled else None
-
 
 def is_dh_table(table: Table) -> bool:
     """Return True if the headings of a table are those of DH rows: it has columns of alpha and of d."""
@@ -161,54 +170,32 @@ def dh_columns(table: Table, stated: str | None) -> DHColumns:
 
     Args:
         table: The table.
-        stated: The convention that a comment of the file states; None: none does.
+        stated: The convention that a comment of the file states; None if none does.
 
     Raises:
         MeasurementError: A column is missing, unknown or there twice, its unit is wrong, or the convention is not one.
     """
-    by_name, of_row_before = _columns_by_name(table)
-    missing = [name for name in ("d", "a", "alpha") if name not in by_name]
-    if missing:
-        raise MeasurementError(
-            f"{table.source}: DH rows need columns of theta, d, a and alpha; {choices(missing)} is missing. The "
-            f"headings found: {choices(table.header, 30)}."
-        )
-    by_headings = _by_headings(table, of_row_before, has_beta="beta" in by_name)
-    columns = DHColumns(table, by_name, by_headings or STANDARD)
-    words = _words_for_conventions(columns)
-    if stated:
-        words.add(stated)
-    return replace(columns, convention=_agreed(table, by_headings, words))
-
-
-def _columns_by_name(table: Table) -> tuple[dict[str, tuple[Column, ...]], set[str]]:
-    """Return the columns of each name, and the names of those whose headings have the index i - 1."""
     by_name: dict[str, tuple[Column, ...]] = {}
-    of_row_before = set()
+    of_row_before = set()  # names of columns whose headings have the index i - 1
     for index, label in enumerate(table.header):
         heading, symbol = split_header(label)
         name, is_of_row_before = _name_of(heading)
         if not name or name in _REMARKS:
             continue
         column = Column(index, label, name, symbol)
-        _check_unit(table, column)
-        _check_single(table, column, by_name.get(name, ()))
-        by_name[name] = (*by_name.get(name, ()), column)
+        others = by_name.get(name, ())
+        _check_column(table, column, others)
+        by_name[name] = (*others, column)
         if is_of_row_before:
             of_row_before.add(name)
-    return by_name, of_row_before
-
-
-def _words_for_conventions(columns: DHColumns) -> set[str]:
-    """Return the words, as written, in the column ``convention``; none if the table has no such column."""
-    words = set()
-    for i in range(len(columns.table.cells)):
-        word = columns.text(i, "convention")
-        if word and word.lower() not in _CONVENTIONS:
-            raise columns.error(i, "convention", _no_convention(word))
-        if word:
-            words.add(word)
-    return words
+    missing = [name for name in ("d", "a", "alpha") if name not in by_name]
+    if missing:
+        raise MeasurementError(
+            f"{table.source}: DH rows need columns of theta, d, a and alpha; {choices(missing)} is missing. The "
+            f"headings found: {choices(table.header, 30)}."
+        )
+    columns = DHColumns(table, by_name, STANDARD)
+    return replace(columns, convention=_convention(columns, of_row_before, stated))
 
 
 def _name_of(heading: str) -> tuple[str, bool]:
@@ -220,8 +207,8 @@ def _name_of(heading: str) -> tuple[str, bool]:
     return _SPELLINGS.get(text, text), is_before is not None
 
 
-def _check_unit(table: Table, column: Column) -> None:
-    """Refuse a column that is unknown, or of another unit than it must be."""
+def _check_column(table: Table, column: Column, others: Sequence[Column]) -> None:
+    """Refuse a column that is unknown or has a wrong unit, or is there twice, except `_EITHER` in two units."""
     name = column.name
     known = (*_LENGTHS, *_ANGLES, *_EITHER, *_WORDS)
     place = f"{table.source}, column '{column.label}'"
@@ -230,68 +217,155 @@ def _check_unit(table: Table, column: Column) -> None:
             f"{place}: no column of DH rows has this name{did_you_mean(name, known)}; they are "
             f"{choices((*known, *_REMARKS), 40)}. Rename it, or call it 'remark'."
         )
-    if column.symbol is None:
-        return
-    units = _units_of(name)
-    unit = column.unit
-    if unit is None or unit.quantity not in units:
-        wanted = " or ".join(units.values()) or "no unit"
-        raise MeasurementError(f"{place}: '{column.symbol}' is no unit for it; {wanted} is wanted.")
-
-
-def _units_of(name: str) -> dict[str, str]:
-    """Return the usual unit of each quantity that a column may have; none for a column of words."""
-    units = {}
+    usual_units = {}  # by quantity
     if name in _ANGLES or name in _EITHER:
-        units["angle"] = "[deg]"
+        usual_units["angle"] = "[deg]"
     if name in _LENGTHS or name in _EITHER:
-        units["length"] = "[mm]"
-    return units
-
-
-def _check_single(table: Table, column: Column, others: Sequence[Column]) -> None:
-    """Refuse a second column of one name, but for `_EITHER` in two units, one of lengths and one of angles."""
-    for other in others:
-        has_two_units = (
-            other.unit is not None and column.unit is not None and other.unit is not column.unit
+        usual_units["length"] = "[mm]"
+    unit = column.unit
+    if column.symbol is not None and (unit is None or unit.quantity not in usual_units):
+        wanted = " or ".join(usual_units.values()) or "no unit"
+        raise MeasurementError(
+            f"{place}: '{column.symbol}' is not a unit for it; {wanted} is wanted."
         )
-        if column.name not in _EITHER or not has_two_units:
+    for other in others:
+        has_two_units = other.unit is not None and unit is not None and other.unit is not unit
+        if name not in _EITHER or not has_two_units:
             raise MeasurementError(
-                f"{table.source}, column '{column.label}': there is another column '{other.label}'; keep one of them."
+                f"{place}: there is another column '{other.label}'; keep one of them."
             )
 
 
-def _by_headings(table: Table, of_row_before: set[str], *, has_beta: bool) -> str | None:
-    """Return the convention that the headings state; None where they state none."""
-    if of_row_before and has_beta:
-        raise MeasurementError(
-            f"{table.source}: headings of two conventions: 'beta' is Hayati's, and (i-1) of the modified one. Keep one."
-        )
-    if of_row_before and not {"a", "alpha"} <= of_row_before:
-        raise MeasurementError(
-            f"{table.source}: headings of two conventions: of a and alpha one has the index (i-1) of the modified one, "
-            "the other has not. Give it to both, or to none."
-        )
+def _convention(columns: DHColumns, of_row_before: set[str], stated: str | None) -> str:
+    """Return the convention that headings, the column ``convention`` and a comment state; standard if none does."""
+    table = columns.table
+    by_headings = None
+    has_beta = "beta" in columns.by_name
     if of_row_before:
-        return MODIFIED
-    return HAYATI if has_beta else None
+        if has_beta:
+            raise MeasurementError(
+                f"{table.source}: headings of two conventions: 'beta' is Hayati's, and (i-1) of the modified one. "
+                "Keep one."
+            )
+        if not {"a", "alpha"} <= of_row_before:
+            raise MeasurementError(
+                f"{table.source}: headings of two conventions: of a and alpha one has the index (i-1) of the modified "
+                "one, the other has not. Give it to both, or to none."
+            )
+        by_headings = MODIFIED
+    elif has_beta:
+        by_headings = HAYATI
 
+    words = set()
+    for i in range(len(table.cells)):
+        word = columns.text(i, "convention")
+        if word and word.lower() not in _CONVENTIONS:
+            raise columns.error(i, "convention", _no_convention(word))
+        words.add(word)
+    words.discard("")
+    if stated:
+        if stated.lower() not in _CONVENTIONS:
+            raise MeasurementError(f"{table.source}: {_no_convention(stated)}")
+        words.add(stated)
 
-def _agreed(table: Table, by_headings: str | None, words: set[str]) -> str:
-    """Return the convention that headings and words of a table state; standard where nothing does."""
     conventions = {by_headings} if by_headings else set()
-    for word in sorted(words):
-        if word.lower() not in _CONVENTIONS:
-            raise MeasurementError(f"{table.source}: {_no_convention(word)}")
-        conventions.add(_CONVENTIONS[word.lower()])
+    conventions |= {_CONVENTIONS[word.lower()] for word in words}
     if len(conventions) > 1:
-        stated = f"its headings say '{by_headings}', and " if by_headings else ""
+        says = f"its headings say '{by_headings}', and " if by_headings else ""
         raise MeasurementError(
-            f"{table.source}: two conventions: {stated}it states {choices(sorted(words))}. Keep one."
+            f"{table.source}: two conventions: {says}it states {choices(sorted(words))}. Keep one."
         )
     return conventions.pop() if conventions else STANDARD
 
 
 def _no_convention(word: str) -> str:
-    """Return the fault of a word that is no convention."""
-    return f"'{word}' is no convention of DH rows; it must be one of {choices(CONVENTIONS)}."
+    """Return the fault of a word that is not a convention."""
+    return f"'{word}' is not a convention of DH rows; it must be one of {choices(CONVENTIONS)}."
+
+
+def value_added(
+    columns: DHColumns, i: int, joint: str, *, slides: bool
+) -> tuple[int, float, dict[str, float]]:
+    """Read what is added to a row.
+
+    Args:
+        columns: The columns of the table.
+        i: Index of the row in the table, from 0, the heading not counted.
+        joint: Name of the row's joint.
+        slides: True if the joint slides: constants are lengths.
+
+    Returns:
+        The direction, 1 or -1, by which the joint's value is multiplied; the offset that is added to it [rad], or [m]
+        for a joint that slides; and the factors of other joints' readings in the joint's value, before the direction,
+        by name. They are 1, 0 and none if the cells are empty.
+
+    Raises:
+        MeasurementError: A cell has a fault, or the joint has no value of its own; the text names row and column.
+    """
+    formula = columns.text(i, "value added")
+    if not formula:
+        word = columns.text(i, "direction")
+        if word not in _DIRECTIONS:
+            what = f"'{word}' is not a direction; it must be 1 or -1."
+            raise columns.error(i, "direction", what)
+        stated_offset = columns.number(i, "offset", slides=slides)
+        coupling = {}
+        if columns.text(i, "coupling"):
+            coupling = _factors(columns, i, "coupling", slides=slides)
+        if coupling.pop(_CONSTANT, 0.0):
+            raise columns.error(i, "coupling", "a number without a joint. Write '1 * joint_2'.")
+        return _DIRECTIONS[word], stated_offset or 0.0, coupling
+
+    for other in ("direction", "offset", "coupling"):
+        if columns.text(i, other):
+            what = f"the column 'value added' says it already. Leave '{other}' empty."
+            raise columns.error(i, other, what)
+    factors = _factors(columns, i, "value added", slides=slides)
+    offset = factors.pop(_CONSTANT, 0.0)
+    direction = factors.pop(joint, 0.0)
+    if direction not in (1.0, -1.0):
+        what = (
+            f"'{formula}' is not 1 or -1 times the value of '{joint}': a joint that follows another one, or is held, "
+            "has no row of its own here. Give such a robot as a URDF (calib convert -o robot.urdf)."
+        )
+        raise columns.error(i, "value added", what)
+    coupling = {name: direction * factor for name, factor in factors.items()}
+    return int(direction), offset, coupling
+
+
+def _factors(columns: DHColumns, i: int, column: str, *, slides: bool) -> dict[str, float]:
+    """Return the factors of joints in a sum such as ``-1 * joint_3 + joint_2 - 90 deg``, by name.
+
+    The constant [rad or m] has the key `_CONSTANT`.
+    """
+    text = columns.text(i, column)
+    terms = _SIGNS.split(text)
+    signs = ["+", *terms[1::2]]
+    factors: dict[str, float] = {}
+    for sign, term in zip(signs, terms[::2], strict=True):
+        name, factor = _term(columns, i, column, term.strip(), slides=slides)
+        if name in factors:
+            twice = name or term.strip()
+            raise columns.error(i, column, f"'{text}' names '{twice}' twice. Add them up.")
+        factors[name] = factor if sign == "+" else -factor
+    return factors
+
+
+def _term(columns: DHColumns, i: int, column: str, term: str, *, slides: bool) -> tuple[str, float]:
+    """Return the joint and factor of ``-0.5 * joint_2`` or ``joint_2``, or the constant [rad or m] without a joint."""
+    before_star, star, after_star = (part.strip() for part in term.partition("*"))
+    if star and NUMBER.fullmatch(before_star):
+        return after_star, float(before_star)
+    joints = {columns.text(row, "joint") for row in range(len(columns.table.cells))} - {""}
+    for sign, factor in (("", 1.0), ("-", -1.0), ("+", 1.0)):
+        if term.startswith(sign) and term.removeprefix(sign) in joints:
+            return term.removeprefix(sign), factor
+    try:
+        constant, quantity = parse_quantity(term)
+    except CalibError:
+        return term, 1.0  # to be refused as the name of an unknown joint
+    wanted = LENGTH if slides else ANGLE
+    if quantity != wanted:
+        what = f"'{term}' is {quantity}; {wanted} is wanted, with its unit."
+        raise columns.error(i, column, what)
+    return _CONSTANT, constant

@@ -1,7 +1,7 @@
 """Files of DH rows: a table, one line a joint, or calib's own JSON; docs/dh-rows.md describes them.
 
-A file that ``calib convert --to dh`` wrote has several tables: of these ``after`` is read, the rows after the
-calibration, or ``robot``, the rows of a robot that was not calibrated.
+A file that ``calib convert --to dh`` wrote has several tables: ``after`` is read, the rows after the calibration, or
+``robot``, the rows of a robot that was not calibrated.
 """
 
 from __future__ import annotations
@@ -17,25 +17,23 @@ from calib.basics.arrays import Array, read_only
 from calib.basics.json_files import read_json
 from calib.basics.tables import Table, read_text
 from calib.errors import MeasurementError, ModelError, choices
-from calib.robot.dh.columns import POSE, DHColumns, dh_columns, is_dh_table
-from calib.robot.dh.description import BASE, TIP, DHRobot, coupling_fault, row_fault
+from calib.robot.dh.columns import POSE, DHColumns, dh_columns, is_dh_table, value_added
 from calib.robot.dh.json_file import SCHEMA, robot_of_json
-from calib.robot.dh.rows import DHRow, DHTable
-from calib.robot.dh.value_added import value_added
+from calib.robot.dh.rows import BASE, TIP, DHRobot, DHRow, DHTable, coupling_fault, row_fault
 
 TABLES = (".csv", ".txt", ".tsv")
-"""Endings of tables; a table in the place of a robot holds DH rows."""
+"""Endings of tables; a table given as a robot holds DH rows."""
 
 ENDINGS = (*TABLES, ".json")
 """Endings of files of DH rows."""
 
-#: Tables of a file that calib wrote, of which the first that is there is read.
+#: Tables of a file that calib wrote; the first of these that the file has is read.
 _READ = ("after", "robot")
 
 #: Its other tables.
 _NOT_READ = ("before", "change")
 
-#: A length a of most rows beyond this is in another unit than its heading says [m].
+#: If half of the lengths a are more than this, they are in another unit than their heading says [m].
 _LONGEST = 10.0
 
 #: A comment that states something: ``# base: base_link``.
@@ -69,21 +67,36 @@ def read_dh_robot(path: str | Path) -> DHRobot:
 
     Raises:
         FileError: It does not exist, or is JSON of another kind.
-        MeasurementError: It is no table, or one of something else, or has a fault; the text names row and column.
+        MeasurementError: It is not a table, or one of something else, or has a fault; the text names row and column.
         ModelError: The rows make no robot.
     """
     if Path(path).suffix.lower() == ".json":
-        return _read_json(path)
+        expected = (
+            f"'{SCHEMA}' is wanted: a robot is a URDF, or a file written by calib convert --to dh."
+        )
+        content = read_json(path, "file of DH rows", SCHEMA, expected)
+        return robot_of_json(content, Path(path).name)
     table = Table.read(path)
     if not is_dh_table(table):
         raise MeasurementError(
-            f"'{path}' is in the place of the robot, and is no table of DH rows: it has no columns of d and alpha. The "
+            f"'{path}' is given as the robot, and is not a table of DH rows: it has no columns of d and alpha. The "
             f"robot comes before the table. The headings found: {choices(table.header, 30)}."
         )
-    statements = _statements(path)
+    # The statements of comments by their subjects.
+    _, _, text = read_text(path, "The table")
+    matches = [_STATEMENT.fullmatch(line.strip().rstrip(",;\t")) for line in text.splitlines()]
+    statements = {
+        match[1].lower(): match[2].strip() for match in matches if match and match[2].strip()
+    }
     columns = dh_columns(table, statements.get("convention"))
     dh, coupling = _table_and_coupling(columns)
-    _check_lengths(dh, table.source)
+    # Not d, which may be large between nearly parallel axes.
+    lengths = [abs(row.a) for row in dh.rows if row.a]
+    if lengths and float(np.median(lengths)) > _LONGEST:
+        raise MeasurementError(
+            f"{table.source}, column 'a': half of the lengths are more than {_LONGEST:g} m. If they are millimetres, "
+            "write 'a [mm]' and 'd [mm]' in the header."
+        )
     try:
         return DHRobot(
             dh,
@@ -96,54 +109,24 @@ def read_dh_robot(path: str | Path) -> DHRobot:
         raise ModelError(f"{table.source}: {error}") from error
 
 
-def _check_lengths(table: DHTable, source: str) -> None:
-    """Refuse rows whose lengths a are those of an arm in another unit; d may be large between nearly parallel axes.
-
-    Args:
-        table: The rows.
-        source: The file's name, for the message.
-    """
-    lengths = [abs(row.a) for row in table.rows if row.a]
-    if lengths and float(np.median(lengths)) > _LONGEST:
-        raise MeasurementError(
-            f"{source}, column 'a': half of the lengths are more than {_LONGEST:g} m. If they are millimetres, write "
-            "'a [mm]' and 'd [mm]' in the header."
-        )
-
-
-def _read_json(path: str | Path) -> DHRobot:
-    """Read a robot from calib's own JSON."""
-    expected = (
-        f"'{SCHEMA}' is wanted: a robot is a URDF, or a file written by calib convert --to dh."
-    )
-    return robot_of_json(read_json(path, "file of DH rows", SCHEMA, expected), Path(path).name)
-
-
 def is_other_table(path: str | Path) -> bool:
-    """Return True for a table of something else than DH rows, False for any other file.
+    """Return True for a table of anything but DH rows, False for any other file.
 
     Raises:
-        MeasurementError: It has the ending of a table, and does not exist or is none.
+        MeasurementError: It has the ending of a table, and does not exist or is not a table.
     """
     return Path(path).suffix.lower() in TABLES and not is_dh_table(Table.read(path))
 
 
-def _statements(path: str | Path) -> dict[str, str]:
-    """Return the statements of comments by their subjects: robot, base, tip, convention."""
-    _, _, text = read_text(path, "The table")
-    matches = [_STATEMENT.fullmatch(line.strip().rstrip(",;\t")) for line in text.splitlines()]
-    return {match[1].lower(): match[2].strip() for match in matches if match and match[2].strip()}
-
-
 def _lines(columns: DHColumns) -> list[int]:
-    """Return the lines, from 0, of the table that is read: ``after``, or ``robot``, or all."""
+    """Return the lines, from 0, of the table that is read: ``after`` or ``robot``, or all if there is only one."""
     count = range(len(columns.table.cells))
     if "table" not in columns.by_name:
         return list(count)
     words = [columns.text(i, "table").lower() for i in count]
     for i, word in enumerate(words):
         if word not in (*_READ, *_NOT_READ):
-            what = f"'{word}' is no table; they are {choices((*_NOT_READ, *_READ))}."
+            what = f"'{word}' is not a table; they are {choices((*_NOT_READ, *_READ))}."
             raise columns.error(i, "table", what)
     for name in _READ:
         if name in words:
@@ -155,8 +138,26 @@ def _lines(columns: DHColumns) -> list[int]:
 
 def _table_and_coupling(columns: DHColumns) -> tuple[DHTable, dict[str, dict[str, float]]]:
     """Return the rows with their constant poses, and the factors of other joints' readings by coupled joint."""
-    poses, joint_lines = _divided_lines(columns)
-    names = _names(columns, joint_lines)
+    naming = _naming(columns)
+    poses: dict[str, Array] = {}
+    joint_lines = []
+    for i in _lines(columns):
+        place = columns.text(i, naming).lower()
+        if place in poses:
+            raise columns.error(i, naming, f"a second line '{place}'. Keep one.")
+        if place in _POSES:
+            poses[place] = _pose(columns, i)
+        else:
+            joint_lines.append(i)
+
+    names: list[str] = []
+    for number, i in enumerate(joint_lines, start=1):
+        name = columns.text(i, "joint") or f"joint_{number}"
+        if name in names:
+            column = "joint" if "joint" in columns.by_name else "d"
+            raise columns.error(i, column, f"a second joint '{name}'. Rename one of them.")
+        names.append(name)
+
     rows = []
     coupling = {}
     for i, name in zip(joint_lines, names, strict=True):
@@ -178,32 +179,9 @@ def _table_and_coupling(columns: DHColumns) -> tuple[DHTable, dict[str, dict[str
     return dh, coupling
 
 
-def _divided_lines(columns: DHColumns) -> tuple[dict[str, Array], list[int]]:
-    """Return the constant poses (4, 4) [m] by ``"base"`` and ``"tool"``, and the lines of joints, from 0."""
-    poses = {}
-    joint_lines = []
-    for i in _lines(columns):
-        place = _place(columns, i)
-        if place in poses:
-            raise columns.error(i, _naming(columns), f"a second line '{place}'. Keep one.")
-        if place:
-            poses[place] = _pose(columns, i)
-        else:
-            joint_lines.append(i)
-    return poses, joint_lines
-
-
 def _naming(columns: DHColumns) -> str:
     """Return the name of the column whose words ``base`` and ``tool`` mark the lines of constant poses."""
     return "row" if "row" in columns.by_name else "joint"
-
-
-def _place(columns: DHColumns, i: int) -> str:
-    """Return ``"base"`` or ``"tool"`` for the line of a constant pose, else nothing."""
-    if _naming(columns) not in columns.by_name:
-        return ""
-    word = columns.text(i, _naming(columns)).lower()
-    return word if word in _POSES else ""
 
 
 def _pose(columns: DHColumns, i: int) -> Array:
@@ -222,66 +200,42 @@ def _pose(columns: DHColumns, i: int) -> Array:
     return T
 
 
-def _names(columns: DHColumns, joint_lines: Sequence[int]) -> list[str]:
-    """Return the names of the joints of lines: joint_1, joint_2, ... where the table names none."""
-    names: list[str] = []
-    for number, i in enumerate(joint_lines, start=1):
-        name = columns.text(i, "joint") or f"joint_{number}"
-        if name in names:
-            column = "joint" if "joint" in columns.by_name else "d"
-            raise columns.error(i, column, f"a second joint '{name}'. Rename one of them.")
-        names.append(name)
-    return names
-
-
 def _row(
     columns: DHColumns, i: int, name: str, names: Sequence[str]
 ) -> tuple[DHRow, dict[str, float]]:
-    """Return the row of a line, and the factors of other joints' readings in the joint's value.
-
-    Args:
-        columns: The columns of the table.
-        i: The line, from 0.
-        name: Name of its joint.
-        names: Names of all joints.
-    """
+    """Return the row of line i, from 0, for the joint of this name, and the factors of other joints' readings in it."""
     slides = _slides(columns, i)
     for column in POSE:
         if columns.text(i, column):
             what = "only the lines 'base' and 'tool' have a pose. Leave the cell empty."
             raise columns.error(i, column, what)
-    added = value_added(columns, i, name, slides=slides)
+    direction, offset, coupling = value_added(columns, i, name, slides=slides)
     numbers = {field: columns.number(i, field) or 0.0 for field in _NUMBERS}
     row = DHRow(
         joint=name,
         prismatic=slides,
         **numbers,
-        direction=added.direction,
-        offset=added.offset,
+        direction=direction,
+        offset=offset,
         lower=columns.number(i, "lower", slides=slides),
         upper=columns.number(i, "upper", slides=slides),
     )
     fault = row_fault(row, columns.convention)
     if fault:
-        column = "upper" if "upper" in columns.by_name else _naming_of_row(columns)
+        column = next(c for c in ("upper", "joint", "d") if c in columns.by_name)
         raise columns.error(i, column, f"the row of '{name}' {fault}.")
-    fault = coupling_fault(name, added.coupling, names)
+    fault = coupling_fault(name, coupling, names)
     if fault:
         column = "coupling" if "coupling" in columns.by_name else "value added"
         raise columns.error(i, column, f"the coupling of '{name}' {fault}.")
-    return row, added.coupling
-
-
-def _naming_of_row(columns: DHColumns) -> str:
-    """Return a column that every table of rows has, for messages: that of the names, else d."""
-    return "joint" if "joint" in columns.by_name else "d"
+    return row, coupling
 
 
 def _slides(columns: DHColumns, i: int) -> bool:
-    """Return True if the joint of a line slides."""
+    """Return True if the joint of a line slides, by the columns ``type`` and ``added to``."""
     word = columns.text(i, "type").lower()
     if word not in _TYPES:
-        what = f"'{word}' is no type of joint; it must be 'revolute' or 'prismatic'."
+        what = f"'{word}' is not a type of joint; it must be 'revolute' or 'prismatic'."
         raise columns.error(i, "type", what)
     added_to = columns.text(i, "added to").lower()
     if added_to not in ("", "theta", "d"):

@@ -13,8 +13,7 @@ import numpy as np
 from calib.basics.arrays import read_only
 from calib.basics.json_files import damage
 from calib.errors import CalibError, ModelError
-from calib.robot.dh.description import BASE, TIP, DHRobot
-from calib.robot.dh.rows import EQUATIONS, DHRow, DHTable
+from calib.robot.dh.rows import BASE, EQUATIONS, TIP, DHRobot, DHRow, DHTable
 
 SCHEMA = "dh 1"
 """The schema of the file."""
@@ -22,7 +21,7 @@ SCHEMA = "dh 1"
 NUMBERS = {"theta": "rad", "d": "m", "a": "m", "alpha": "rad", "beta": "rad"}
 """The numbers of a row and their units."""
 
-#: Tables of a file: the rows before and after the calibration, and after minus before; a file may have ``after`` alone.
+#: Tables of a file: rows before and after the calibration, and their difference; a file may have ``after`` alone.
 _STATES = ("before", "after", "change")
 
 
@@ -63,9 +62,9 @@ def joint_json(
 
     Args:
         row: The row.
-        driver: The joint whose value is added; None: none.
-        factor: How many times its value.
-        offset: What is added besides [rad or m].
+        driver: The joint whose value is added; None if there is none.
+        factor: Factor of its value.
+        offset: What else is added [rad or m].
         others: Factors of the values of other joints, by name.
     """
     unit = "m" if row.prismatic else "rad"
@@ -117,7 +116,7 @@ def robot_of_json(table: Mapping[str, Any], source: str) -> DHRobot:
         return DHRobot(dh, names["name"], names.get("base", BASE), names.get("tip", TIP), coupling)
     except (KeyError, TypeError, ValueError, AttributeError, CalibError) as error:
         raise ModelError(
-            f"{source}: DH rows that make no robot: {damage(error)}. Write the file anew with calib convert --to dh."
+            f"{source}: DH rows that make no robot: {damage(error)}. Write the file again with calib convert --to dh."
         ) from error
 
 

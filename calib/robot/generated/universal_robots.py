@@ -16,8 +16,14 @@ from calib.basics.arrays import Array, read_only
 from calib.basics.values import Value
 from calib.errors import ModelError, choices
 from calib.robot.dh.rows import screw
-from calib.robot.generated.cylinders import joint_body, link_radii, rods
-from calib.robot.generated.urdf_text import Cylinder, NewJoint, urdf_bytes
+from calib.robot.generated.cylinder_urdf import (
+    Cylinder,
+    NewJoint,
+    joint_body,
+    link_radii,
+    rods,
+    urdf_bytes,
+)
 
 COLUMNS = ("theta", "a", "d", "alpha")
 """The columns of the rows."""
@@ -58,16 +64,16 @@ _LENGTHS = {
     "UR30": (0.2363, -0.637, -0.5037, 0.201, 0.1593, 0.1543),
 }
 
-#: Rows within this are those of the same type of arm [m and rad].
+#: Rows that differ by less are those of the same type of arm [m and rad].
 _SAME = 1e-6
 
 #: Half of pi as the controllers' own files write it [rad].
 _HALF_PI = 1.570796327
 
-#: The greatest joint value in the URDFs [rad]: a turn.
+#: Limits of the joints in the URDFs [rad].
 _LARGEST_TURN = 2.0 * np.pi
 
-#: That of the elbow [rad]: half a turn.
+#: Limits of the elbow [rad].
 _LARGEST_ELBOW_TURN = np.pi
 
 
@@ -75,7 +81,7 @@ _LARGEST_ELBOW_TURN = np.pi
 class UrModel(Value):
     """One type of arm, with its nominal kinematics."""
 
-    #: ``"UR5e"``; of an arm that calib does not know ``"arm of urcontrol.conf"``.
+    #: ``"UR5e"``; ``"arm of urcontrol.conf"`` for an arm that calib does not know.
     name: str
     #: Nominal DH rows theta, a, d, alpha, shape (6, 4), [rad] and [m].
     rows: Array
@@ -154,7 +160,7 @@ def chain_of_rows(rows: Array) -> Array:
     """
     theta, a, d, alpha = rows.T
     turns = [screw(2, theta[i], 0.0) @ screw(0, alpha[i], a[i]) for i in range(6)]
-    # Each joint's frame is at the end of its d, but for those of parallel axes.
+    # Each joint's frame is at the end of its d, except between parallel axes.
     slides = [screw(2, 0.0, d[i]) for i in range(6)]
     placements = [
         slides[0],
@@ -173,48 +179,15 @@ def ur_urdf(model: UrModel) -> bytes:
 
     Links, joints and origins are those of Universal Robots' description for ROS 2; ``base`` is the controller's base,
     ``tool0`` its flange.
-
-    Args:
-        model: The arm.
     """
-    remark = (
-        f"Kinematics of a Universal Robots {model.name}, by calib: its cylinders are not the robot's shape, and "
-        "efforts and speeds are only there because a URDF must have them."
-    )
-    return urdf_bytes(model.plain, [remark], "base_link", _joints(model))
-
-
-def named_ur_urdf(name: str) -> bytes | None:
-    """Return the URDF of the arm of a name such as ``"ur10e"``, see `ur_model`; None if there is none of that name."""
-    try:
-        return ur_urdf(ur_model(name))
-    except ModelError:
-        return None
-
-
-def _joints(model: UrModel) -> list[NewJoint]:
-    """Return the joints of the URDF, each with the link that it carries."""
     half = np.pi / 2.0
-    radii = link_radii([*model.chain])
+    chain = model.chain
+    radii = link_radii([*chain])
     mount = _fixed("base_link-base_link_inertia", "base_link", _URDF_LINKS[0], (0.0, 0.0, np.pi))
-    return [
-        replace(mount, bodies=_rods_to(model.chain[0], radii[0])),
+    joints = [
+        replace(mount, bodies=_rods_to(chain[0], radii[0])),
         _fixed("base_link-base_fixed_joint", "base_link", "base", (0.0, 0.0, np.pi)),
-        *_moving_joints(model.chain, radii),
-        _fixed("wrist_3_link-ft_frame", _URDF_LINKS[-1], "ft_frame", (np.pi, 0.0, 0.0)),
-        _fixed("wrist_3-flange", _URDF_LINKS[-1], "flange", (0.0, -half, -half)),
-        _fixed("flange-tool0", "flange", "tool0", (half, 0.0, half)),
     ]
-
-
-def _moving_joints(chain: Array, radii: Array) -> list[NewJoint]:
-    """Return the six joints that turn.
-
-    Args:
-        chain: Their origins and the flange's, shape (7, 4, 4), [m].
-        radii: Radius of the link that each carries, shape (6,), [m].
-    """
-    joints = []
     for i, name in enumerate(JOINTS):
         bound = _LARGEST_ELBOW_TURN if name == "elbow_joint" else _LARGEST_TURN
         joint = NewJoint(
@@ -227,7 +200,24 @@ def _moving_joints(chain: Array, radii: Array) -> list[NewJoint]:
             bodies=(joint_body(radii[i]), *_rods_to(chain[i + 1], radii[i])),
         )
         joints.append(joint)
-    return joints
+    joints += [
+        _fixed("wrist_3_link-ft_frame", _URDF_LINKS[-1], "ft_frame", (np.pi, 0.0, 0.0)),
+        _fixed("wrist_3-flange", _URDF_LINKS[-1], "flange", (0.0, -half, -half)),
+        _fixed("flange-tool0", "flange", "tool0", (half, 0.0, half)),
+    ]
+    remark = (
+        f"Kinematics of a Universal Robots {model.name}, by calib: its cylinders are not the robot's shape, and "
+        "efforts and speeds are only there because a URDF must have them."
+    )
+    return urdf_bytes(model.plain, [remark], "base_link", joints)
+
+
+def named_ur_urdf(name: str) -> bytes | None:
+    """Return the URDF of an arm by a name such as ``"ur10e"``, see `ur_model`; None if no arm has it."""
+    try:
+        return ur_urdf(ur_model(name))
+    except ModelError:
+        return None
 
 
 def _rods_to(T_joint_next: Array, radius: float) -> tuple[Cylinder, ...]:

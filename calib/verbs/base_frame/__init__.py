@@ -1,1 +1,1 @@
-"""Circle-point analysis: a base frame and joint axes from sweeps of single joints. Imports result and below."""
+"""Find the robot's base frame in the tracker's from points on its mounting plane and sweeps of joints 1 and 2."""

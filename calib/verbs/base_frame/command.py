@@ -4,41 +4,27 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import typer
 
-from calib.cli.options import Base, ColumnChoice, Force, PointsUnit, Quiet, Tip
+from calib.cli.options import CellOptions, ColumnChoice, Force, PointsUnit, Quiet
 from calib.cli.outputs import check_outputs, written_lines
 from calib.cli.verb import verb
 from calib.errors import CalibError
 
 if TYPE_CHECKING:
-    from calib.robot.robot import Robot
     from calib.verbs.base_frame.survey import Survey
 
 _File = Path | None
 
 
 @dataclass(frozen=True, slots=True)
-class ArmOptions:
-    """The robot whose base frame is wanted."""
+class ChainOptions(CellOptions):
+    """Chain of the robot whose base frame is wanted."""
 
-    robot: Annotated[
-        str | None,
-        typer.Option(
-            help="URDF, or a name such as 'ur3', for the frame of its link --base. Default: z "
-            "along axis 1, y along axis 2.",
-        ),
-    ] = None
-    base: Base = None
-    tip: Tip = None
-
-    def load(self) -> Robot | None:
-        """Load the robot; None without one."""
-        from calib.robot.robot import Robot
-
-        return None if self.robot is None else Robot.load(self.robot, self.base, self.tip)
+    names: ClassVar[tuple[str, ...]] = ("base", "tip")
+    has_file: ClassVar[bool] = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,8 +34,8 @@ class SweepTables(ColumnChoice):
     points: Annotated[
         _File,
         typer.Option(
-            help="List of points, named 'plane_1', 'joint1_01' and so on; or, beside a table, as "
-            "its column 'point' names them.",
+            help="List of the measured points, named 'plane_1', 'joint1_01' and so on, or, with a table, as its column "
+            "'point' names them.",
         ),
     ] = None
     points_unit: PointsUnit = None
@@ -59,8 +45,10 @@ class SweepTables(ColumnChoice):
 class FrameOutputs:
     """Files that are written."""
 
-    cell_out: Annotated[_File, typer.Option(help="Write the frame as a cell file.")] = None
-    json: Annotated[_File, typer.Option(help="Write all of it as JSON.")] = None
+    cell_out: Annotated[_File, typer.Option(help="Write the frame as a cell file (TOML).")] = None
+    json: Annotated[_File, typer.Option(help="Write frame, axes, sweeps and findings as JSON.")] = (
+        None
+    )
     force: Force = False
 
     def write(self, survey: Survey, cell_text: str) -> None:
@@ -85,36 +73,56 @@ The table has a column 'sweep' with 'plane', 'joint 1', 'joint 2' and so on, and
 values the rows of a sweep are in the order of increasing joint angle. See docs/base-frame.md.
 """)
 def base_frame(
-    arm: ArmOptions,
-    tables: SweepTables,
+    cell_options: ChainOptions,
+    table_options: SweepTables,
     outputs: FrameOutputs,
     data: Annotated[
         _File,
-        typer.Argument(metavar="[SWEEPS]", help="CSV table: sweep, x, y, z, perhaps joints."),
+        typer.Argument(
+            metavar="[SWEEPS]",
+            help="Table with the columns sweep, x, y, z, and the joint values if they are known.",
+        ),
+    ] = None,
+    robot: Annotated[
+        str | None,
+        typer.Option(
+            help="URDF, or a name such as 'ur3', of the robot whose link --base is the frame. Default: a frame with z "
+            "along axis 1 and y along axis 2.",
+        ),
     ] = None,
     plane_offset: Annotated[
-        str, typer.Option(help='Probe centre to plane: the radius of the ball, "19.05 mm".')
+        str,
+        typer.Option(
+            help='Distance of the probe centre from the plane: the radius of the ball, such as "19.05 mm".'
+        ),
     ] = "0 mm",
-    robust: Annotated[bool, typer.Option(help="Reject and report outliers.")] = True,
+    robust: Annotated[bool, typer.Option(help="Reject outliers and report them.")] = True,
     quiet: Quiet = False,
 ) -> None:
-    """Run the verb; its help is the text of `verb`."""
+    """Survey the base frame, write the files and print frame, sweeps and findings."""
     from calib.basics.units import LENGTH, parse_amount
+    from calib.robot.robot import Robot
     from calib.verbs.base_frame.survey import base_frame as estimate_base_frame
     from calib.verbs.base_frame.sweeps import read_sweeps
     from calib.verbs.base_frame.text import cell_text, survey_text
 
-    if arm.robot is None and (arm.base or arm.tip):
+    if robot is None and cell_options.given:
         raise CalibError("--base and --tip are links of a robot; name it with --robot.")
     files = (outputs.cell_out, outputs.json)
-    check_outputs(files, [data, tables.points, arm.robot], force=outputs.force)
-    robot = arm.load()
-    joint_names = None if robot is None else robot.joint_names
-    sweeps = read_sweeps(data, joint_names, tables.parsed(), tables.points, tables.points_unit)
+    check_outputs(files, [data, table_options.points, robot], force=outputs.force)
+    chain = cell_options.cell()
+    arm = None if robot is None else Robot.load(robot, chain.base, chain.tip)
+    sweeps = read_sweeps(
+        data,
+        None if arm is None else arm.joint_names,
+        table_options.parsed(),
+        table_options.points,
+        table_options.points_unit,
+    )
     offset = parse_amount(plane_offset, "--plane-offset", LENGTH, "19.05 mm", signed=True)
-    survey = estimate_base_frame(sweeps, robot, plane_offset=offset, robust=robust)
-    lines = survey_text(survey, sweeps.source, robot)
-    base = robot.base if robot else None
-    outputs.write(survey, cell_text(survey.frame, sweeps.source, base=base, tip=arm.tip))
+    survey = estimate_base_frame(sweeps, arm, plane_offset=offset, robust=robust)
+    lines = survey_text(survey, sweeps.source, arm)
+    base = None if arm is None else arm.base
+    outputs.write(survey, cell_text(survey.frame, sweeps.source, base=base, tip=chain.tip))
     if not quiet:
         typer.echo("\n".join([*lines, *written_lines(*files)]))

@@ -1,1 +1,1 @@
-"""``calib board``: a board to print."""
+"""Draw a board to print, true to scale, with its description; or say which board a picture shows."""

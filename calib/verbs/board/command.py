@@ -1,119 +1,59 @@
-"""``calib board``: a board to print, the measured size of a print, and which board a picture shows."""
+"""``calib board``: a board to print, and the measured size of a print."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+import inspect
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Any
 
 import typer
 
-from calib.cli.options import Force, Quiet
+from calib.basics.records import changes
+from calib.boards.board import Board
+from calib.cli.options import Force, Quiet, field_parameters
 from calib.cli.outputs import check_outputs
 from calib.cli.verb import verb
 from calib.errors import CalibError
 
-if TYPE_CHECKING:
-    from calib.boards.board import Board
-    from calib.boards.board_design import Wish
-
-#: Stem of the files where no output is named.
+#: Stem of the files if no output is named.
 _OUTPUT = "board"
 
 
 @dataclass(frozen=True, slots=True)
 class DesignOptions:
-    """Specification of a new board."""
+    """The options that the fields of `Board` declare."""
 
-    pattern: Annotated[
-        Literal["charuco", "chessboard", "apriltag"] | None,
-        typer.Option(
-            help="charuco: a chessboard with markers, found even if partly hidden (default). chessboard: all of it "
-            "must be seen. apriltag: a grid of tags."
-        ),
-    ] = None
-    columns: Annotated[int | None, typer.Option(min=1, help="Squares, or tags, across.")] = None
-    rows: Annotated[int | None, typer.Option(min=1, help="Squares, or tags, down.")] = None
-    square: Annotated[
-        str | None,
-        typer.Option(
-            metavar="LENGTH",
-            help='Side of a square, or distance of tags, "30 mm". Default: as large as fits.',
-        ),
-    ] = None
-    marker: Annotated[
-        str | None,
-        typer.Option(
-            metavar="LENGTH", help="Side of a marker or tag. Default: as large as is found well."
-        ),
-    ] = None
-    dictionary: Annotated[
-        str | None,
-        typer.Option(
-            help="Dictionary of the markers. Default: DICT_5X5_100, or DICT_APRILTAG_36h11."
-        ),
-    ] = None
-    first_marker: Annotated[
-        int | None,
-        typer.Option(
-            min=0,
-            help="Id of the first marker. Default: 0; boards in one picture need ids of their own.",
-        ),
-    ] = None
-    legacy: Annotated[
-        bool,
-        typer.Option("--legacy", help="Lay out an even number of rows as OpenCV before 4.6 did."),
-    ] = False
+    #: What was typed, by the names of the options that were given.
+    given: Mapping[str, Any]
 
-    def given(self) -> bool:
-        """Return whether any of them is given."""
-        return self != DesignOptions()
+    @classmethod
+    def parameters(cls) -> list[inspect.Parameter]:
+        """Return the options as parameters of a function, of which typer makes options."""
+        return field_parameters(Board)
 
-    def without_size(self) -> DesignOptions:
-        """Return the options without the lengths."""
-        return replace(self, square=None, marker=None)
-
-    def wish(self, name: str) -> Wish:
-        """Return what is wanted, in SI units."""
-        from calib.boards.board import CHARUCO
-        from calib.boards.board_design import Wish
-
-        return Wish(
-            name=name,
-            pattern=self.pattern or CHARUCO,
-            columns=self.columns,
-            rows=self.rows,
-            square=_length(self.square, "--square"),
-            marker=_length(self.marker, "--marker"),
-            dictionary=self.dictionary,
-            first_marker=self.first_marker or 0,
-            legacy=self.legacy,
-        )
+    @classmethod
+    def of_typed(cls, typed: Mapping[str, Any]) -> DesignOptions:
+        """Return the options from the values of `parameters`, by name."""
+        return cls({name: value for name, value in typed.items() if value not in (None, False)})
 
 
-def _length(text: str | None, option: str) -> float | None:
-    """Read a length [m]; None stays None."""
-    from calib.basics.units import LENGTH, parse_amount
-
-    return None if text is None else parse_amount(text, option, LENGTH, "30 mm")
-
-
-@verb("""Draw a board to print, true to scale, with its description; or say which board a picture shows.
+@verb("""Draw a board to print, true to scale, with its description.
 
 \b
 Examples:
   calib board                                        board.pdf, board.svg and board.toml, for A4
-  calib board --paper letter -o left                 left.pdf and so on, named 'left'
+  calib board --paper letter -o left                 left.pdf and so on, of a board named 'left'
   calib board --columns 12 --rows 9 --square "40 mm" --paper none
-  calib board board.toml --measured "249.3 mm"       what the print measures, into board.toml
+  calib board board.toml --measured "249.3 mm"       write what the print measures into board.toml
   calib board board.toml                             the PDF and SVG of a description
-  calib board --identify photo.png --square "30 mm" -o board
 """)
 def board(
-    design: DesignOptions,
+    design_options: DesignOptions,
     description: Annotated[
         Path | None,
-        typer.Argument(metavar="BOARD.toml", help="Description of a board that exists."),
+        typer.Argument(metavar="BOARD.toml", help="Description of an existing board."),
     ] = None,
     paper: Annotated[
         str | None,
@@ -131,9 +71,6 @@ def board(
             help="Write NAME.pdf, NAME.svg, NAME.toml. Default: board.",
         ),
     ] = None,
-    name: Annotated[
-        str | None, typer.Option(help="Name of the board. Default: that of its files.")
-    ] = None,
     measured: Annotated[
         str | None,
         typer.Option(
@@ -142,32 +79,22 @@ def board(
             "into BOARD.toml.",
         ),
     ] = None,
-    identify: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="PICTURE", help="Say which board a picture shows, and print its description."
-        ),
-    ] = None,
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
-    """Run the verb; its help is the text of `verb`."""
-    stem = _stem(output)
-    if identify is not None:
-        others = design.without_size().given() or description or paper or measured
-        _refuse(others, "--identify", "--square, --marker, -o, --name and --force")
-        lines = _identified(identify, design, stem, name, force=force)
-    elif measured is not None:
-        _refuse(
-            design.given() or paper or output or name, "--measured", "a description, BOARD.toml"
-        )
-        lines = _measured(description, measured)
+    """Draw a board, new or described, or write what its print measures."""
+    given = design_options.given
+    stem = output
+    if output is not None and output.suffix.lower() in (".pdf", ".svg", ".toml"):
+        stem = output.with_suffix("")
+    if measured is not None:
+        _refuse(given or paper or output, "--measured", "a description, BOARD.toml")
+        lines = _measure(description, measured)
     elif description is not None:
-        _refuse(design.given() or name, "BOARD.toml", "--paper, -o and --measured")
-        lines = _redrawn(description, stem, paper, force=force)
+        _refuse(given, "BOARD.toml", "--paper, -o and --measured")
+        lines = _redraw(description, stem, paper or "a4", force=force)
     else:
-        stem = stem or Path(_OUTPUT)
-        lines = _designed(design.wish(name or stem.name), stem, paper or "a4", force=force)
+        lines = _design(given, stem or Path(_OUTPUT), paper or "a4", force=force)
     if not quiet:
         typer.echo("\n".join(lines))
 
@@ -178,40 +105,33 @@ def _refuse(others: object, option: str, allowed: str) -> None:
         raise CalibError(f"{option} goes with {allowed}, not with the options of a new board.")
 
 
-def _stem(output: Path | None) -> Path | None:
-    """Return the path of the outputs without an ending; 'board.pdf' means 'board'."""
-    if output is not None and output.suffix.lower() in (".pdf", ".svg", ".toml"):
-        return output.with_suffix("")
-    return output
+def _files(stem: Path, *endings: str) -> list[Path]:
+    """Return the files with a stem: 'v1.2' is that of 'v1.2.pdf'."""
+    return [stem.with_name(f"{stem.name}.{ending}") for ending in endings]
 
 
-def _with_ending(stem: Path, ending: str) -> Path:
-    """Append an ending to a path: 'v1.2' becomes 'v1.2.pdf'."""
-    return stem.with_name(f"{stem.name}.{ending}")
+def _design(given: Mapping[str, Any], stem: Path, paper: str, *, force: bool) -> list[str]:
+    """Draw a new board and write its description; ``given`` are the options as typed."""
+    from calib.boards.board_design import design
 
-
-def _designed(wish: Wish, stem: Path, paper: str, *, force: bool) -> list[str]:
-    """Draw a new board and write its description."""
-    from calib.boards.board_design import designed
-
-    files = [_with_ending(stem, ending) for ending in ("pdf", "svg", "toml")]
+    values = {"name": stem.name, **changes(Board, given)}
+    files = _files(stem, "pdf", "svg", "toml")
     check_outputs(files, [], force=force)
-    return _drawn(designed(wish, paper), files, paper, force=force)
+    return _draw(design(paper, **values), files, paper, force=force)
 
 
-def _redrawn(description: Path, stem: Path | None, paper: str | None, *, force: bool) -> list[str]:
-    """Draw a board that is described, beside its description."""
+def _redraw(description: Path, stem: Path | None, paper: str, *, force: bool) -> list[str]:
+    """Draw a board that is described."""
     from calib.boards.board_file import read_board
 
-    stem = stem or description.with_suffix("")
-    files = [_with_ending(stem, ending) for ending in ("pdf", "svg")]
+    files = _files(stem or description.with_suffix(""), "pdf", "svg")
     board = read_board(description)
     check_outputs(files, [description], force=force)
-    return _drawn(board, files, paper or "a4", force=force)
+    return _draw(board, files, paper, force=force)
 
 
-def _drawn(board: Board, files: list[Path], paper: str, *, force: bool) -> list[str]:
-    """Draw a board on a paper and write the files."""
+def _draw(board: Board, files: list[Path], paper: str, *, force: bool) -> list[str]:
+    """Draw a board on a paper, write the files, and return what to print."""
     from calib.basics.files import write_atomically
     from calib.boards.board_design import fitting_sheet
     from calib.boards.board_file import board_toml
@@ -228,11 +148,11 @@ def _drawn(board: Board, files: list[Path], paper: str, *, force: bool) -> list[
     return drawn_text(board, sheet, paper, files)
 
 
-def _measured(description: Path | None, measured: str) -> list[str]:
+def _measure(description: Path | None, measured: str) -> list[str]:
     """Write what a print measures into its description."""
     from calib.basics.files import read_bytes, write_atomically
-    from calib.boards.board_file import read_board
-    from calib.boards.print_scale import corrected_toml, print_scale, rescaled
+    from calib.boards.board_file import correct_toml, read_board
+    from calib.boards.print_scale import print_scale, rescaled
     from calib.verbs.board.text import measured_text
 
     if description is None:
@@ -243,36 +163,5 @@ def _measured(description: Path | None, measured: str) -> list[str]:
     scale = print_scale(board, measured)
     corrected = rescaled(board, scale)
     text = read_bytes(description, "description of a board").decode("utf-8-sig")
-    write_atomically(description, corrected_toml(text, corrected).encode(), overwrite=True)
+    write_atomically(description, correct_toml(text, corrected).encode(), overwrite=True)
     return measured_text(board, corrected, scale, description)
-
-
-def _identified(
-    picture: Path, size: DesignOptions, stem: Path | None, name: str | None, *, force: bool
-) -> list[str]:
-    """Say which board a picture shows, and write its description if an output is named."""
-    from calib.basics.files import write_atomically
-    from calib.boards.board_file import board_toml
-    from calib.boards.identify import identify, read_image, sized
-    from calib.verbs.board.identified_text import (
-        described,
-        identified_text,
-        next_lines,
-        nothing_text,
-    )
-
-    path = None if stem is None else _with_ending(stem, "toml")
-    check_outputs([path], [picture], force=force)
-    square = _length(size.square, "--square")
-    marker = _length(size.marker, "--marker")
-    identified = identify(read_image(picture))
-    if identified.board is None:
-        raise CalibError(nothing_text(identified, str(picture)))
-    board = sized(identified.board, square, marker)
-    board = replace(board, name=name or (_OUTPUT if stem is None else stem.name))
-    lines = identified_text(identified, board, str(picture), is_sized=square is not None)
-    if path is None:
-        return [*lines, *described(board)]
-    write_atomically(path, board_toml(board).encode(), overwrite=force)
-    lines.append(f"Written: {path}")
-    return lines if square is not None else [*lines, *next_lines(board, str(path))]

@@ -1,4 +1,4 @@
-"""Boards in words: on the page that is printed, on the console, and what to do with the print."""
+"""What `calib board` says: the text on the printed page, what was drawn or measured, and what to do next."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from calib.show.lines import fill, plural
 #: Names of the patterns.
 _PATTERNS = {CHARUCO: "ChArUco board", CHESSBOARD: "Chessboard", APRILTAG: "Grid of AprilTags"}
 
-#: Longest name of a board on the page [characters].
+#: Maximum length of a board's name on the page [characters].
 _LONGEST_NAME = 20
 
 #: What each output is for, by the ending of the file.
@@ -24,25 +24,30 @@ _OUTPUTS = {
     "toml": "the description, which calib reads",
 }
 
-#: A print that is further off was scaled on purpose [%].
+#: Deviations above this mean that the printer scaled the page [%].
 _FAR_PERCENT = 1.0
 
-#: A length that is further off was not drawn by calib, but assumed [%].
+#: Deviations above this mean that the description was only a guess [%].
 _RESIZED_PERCENT = 10.0
 
 _NEW_LAYOUT = (
-    "Note: OpenCV before 4.6 lays an even number of rows out in another way; programs that use it see the markers but "
-    "no corners. An odd number of rows is the same for all."
+    "Note: OpenCV before 4.6 lays out an even number of rows differently; programs that use it see the markers but no "
+    "corners. With an odd number of rows all versions agree."
 )
 
 _LEGACY_LAYOUT = (
     "Note: with an even number of rows in the legacy layout, programs with OpenCV 4.6 or newer see the markers but no "
-    "corners, unless they are set to it. calib reads the layout from the description."
+    "corners, unless they are set to that layout. calib reads the layout from the description."
+)
+
+_AMBIGUOUS = (
+    "Note: with columns and rows both even, or both odd, this chessboard looks the same after half a turn, so its "
+    "corners may be numbered from either end. Use one column more or less."
 )
 
 _FITTED_TO_PAGE = (
     "Note: the print is more than 1 % off; was it printed to fit the page? It can be used as it is if width and height "
-    "are off alike: measure both."
+    "are off by the same percentage: measure both."
 )
 
 
@@ -63,7 +68,7 @@ def _squares(board: Board) -> str:
 
 
 def _markers(board: Board) -> str:
-    """Describe the markers; empty for a chessboard."""
+    """Describe the markers; an empty text for a chessboard."""
     if board.pattern == CHESSBOARD:
         return ""
     last = board.first_marker + board.markers - 1
@@ -74,13 +79,13 @@ def _markers(board: Board) -> str:
 
 
 def description(board: Board) -> str:
-    """Describe a board in a line, without its name."""
+    """Describe a board in one line, without its name."""
     parts = [_squares(board), _markers(board)]
     return f"{_PATTERNS[board.pattern]}: {'; '.join(part for part in parts if part)}"
 
 
 def page_lines(board: Board) -> list[str]:
-    """Return the lines of text that are printed beside the pattern."""
+    """Return the lines of text that are printed below the pattern."""
     name = textwrap.shorten(board.name, _LONGEST_NAME, placeholder="...")
     lines = [f"{name}: {_squares(board)}", _markers(board)]
     lines.append("Print at 100 %: both rulers must be true. Then measure the print.")
@@ -88,7 +93,7 @@ def page_lines(board: Board) -> list[str]:
 
 
 def drawn_text(board: Board, sheet: Sheet, paper: str, files: Iterable[Path]) -> list[str]:
-    """Say what was drawn and written, and what to do with it.
+    """Say what was drawn and written, and what to do next.
 
     Args:
         board: The board.
@@ -102,41 +107,26 @@ def drawn_text(board: Board, sheet: Sheet, paper: str, files: Iterable[Path]) ->
     files = list(files)
     width, height = board.size
     lines = [fill(f"{description(board)}.")]
-    lines.append(
-        fill(
-            f"{plural(len(board.corners), 'corner')}; {_mm(width)} wide and {_mm(height)} high, {_on(sheet, paper)}."
-        )
-    )
-    lines += _notes(board)
+    if paper == NO_PAPER:
+        where = f"on a sheet of {_mm(sheet.width)} x {_mm(sheet.height)}"
+    else:
+        name = paper.upper() if paper in ("a4", "a3") else paper
+        is_portrait = sheet.width <= PAPERS[paper][0]
+        where = f"on {name} paper, {'portrait' if is_portrait else 'landscape'}"
+    corners = plural(len(board.corners), "corner")
+    lines.append(fill(f"{corners}; {_mm(width)} wide and {_mm(height)} high, {where}."))
+    note = ""
+    if board.pattern == CHESSBOARD and (board.columns + board.rows) % 2 == 0:
+        note = _AMBIGUOUS
+    elif board.pattern == CHARUCO and board.rows % 2 == 0:
+        note = _LEGACY_LAYOUT if board.legacy else _NEW_LAYOUT
+    lines += [fill(note)] if note else []
     lines.append("")
     longest = max(len(str(path)) for path in files)
     for path in files:
         lines.append(f"Written: {str(path).ljust(longest)}  {_OUTPUTS[path.suffix[1:]]}")
     toml = next((path for path in files if path.suffix == ".toml"), files[0].with_suffix(".toml"))
     return [*lines, "", *_next_steps(board, files[0], toml)]
-
-
-def _on(sheet: Sheet, paper: str) -> str:
-    """Say what sheet a board was drawn on."""
-    if paper == NO_PAPER:
-        return f"on a sheet of {_mm(sheet.width)} x {_mm(sheet.height)}"
-    name = paper.upper() if len(paper) == len("a4") else paper
-    is_portrait = sheet.width <= PAPERS[paper][0]
-    return f"on {name} paper, {'portrait' if is_portrait else 'landscape'}"
-
-
-def _notes(board: Board) -> list[str]:
-    """Say what to know about a board whose description is not unique."""
-    if board.pattern == CHESSBOARD and (board.columns + board.rows) % 2 == 0:
-        return [
-            fill(
-                "Note: with columns and rows both even, or both odd, this chessboard looks the same after half a turn, "
-                "so its corners may be numbered from either end. Take one column more or less."
-            )
-        ]
-    if board.pattern == CHARUCO and board.rows % 2 == 0:
-        return [fill(_LEGACY_LAYOUT if board.legacy else _NEW_LAYOUT)]
-    return []
 
 
 def _next_steps(board: Board, pdf: Path, toml: Path) -> list[str]:
@@ -146,22 +136,17 @@ def _next_steps(board: Board, pdf: Path, toml: Path) -> list[str]:
     if board.pattern == APRILTAG:
         over = f"{board.columns} tags, from edge to edge"
     steps = [
-        f"Print {pdf} at 100 % ('actual size', not 'fit to page'). Check its rulers: they must be as long as they say.",
+        f"Print {pdf} at 100 % ('actual size', not 'fit to page'). Check that its rulers are as long as they say.",
         "Glue the print onto something flat and stiff, such as glass or an aluminium panel; cardboard bends.",
-        f"Measure the pattern across with a ruler or a caliper: {over}, drawn {_mm(width)}. Give calib what you read, "
-        "for every length that the camera finds depends on it:",
+        f"Measure the pattern across with a ruler or a caliper: {over}, drawn {_mm(width)} wide. Give calib what you "
+        "read, because every length that the camera finds depends on it:",
     ]
     lines = ["Next:"]
     for number, step in enumerate(steps, 1):
         lines.append(fill(f"{number}. {step}", "", "   "))
-    lines.append(f'     calib board {_quoted(toml)} --measured "{_mm(width)}"')
+    word = f'"{toml}"' if " " in str(toml) else str(toml)
+    lines.append(f'     calib board {word} --measured "{_mm(width)}"')
     return lines
-
-
-def _quoted(path: Path) -> str:
-    """Write a path as a word of a command."""
-    text = str(path)
-    return f'"{text}"' if " " in text else text
 
 
 def measured_text(drawn: Board, measured: Board, scale: PrintScale, path: Path) -> list[str]:
@@ -178,7 +163,7 @@ def measured_text(drawn: Board, measured: Board, scale: PrintScale, path: Path) 
     """
     over = "the whole pattern" if scale.squares is None else plural(scale.squares, "square")
     change = 100.0 * (scale.scale - 1.0)
-    what = "distances of tags" if drawn.pattern == APRILTAG else "squares"
+    what = "distances between tags" if drawn.pattern == APRILTAG else "squares"
     text = (
         f"{_mm(scale.measured)} over {over}: {what} of {_mm(measured.square)}, {change:+.2f} % from the "
         f"{_mm(drawn.square)} in {path}."
@@ -187,7 +172,7 @@ def measured_text(drawn: Board, measured: Board, scale: PrintScale, path: Path) 
     lines.append(
         fill(
             f"Their standard deviation is {100.0 * measured.sigma_scale:g} %, for a length read to {_mm(READING)}; if "
-            "you measured better, write it into the file."
+            "you measured more precisely, correct it in the file."
         )
     )
     if _FAR_PERCENT < abs(change) < _RESIZED_PERCENT:

@@ -1,1 +1,1 @@
-"""``calib calibrate``: a robot and measurements in, a corrected robot out."""
+"""Calibrate a robot from measurements."""

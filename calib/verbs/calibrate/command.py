@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import typer
 
 from calib.cli.executor import executor_of
+from calib.cli.loading import load_with_data
 from calib.cli.notices import say_accepted, say_ignored, say_unused_camera
 from calib.cli.options import (
     DataFile,
@@ -19,7 +19,6 @@ from calib.cli.options import (
     SolverOptions,
     TableOptions,
 )
-from calib.cli.setup import load_with_data, read_cell
 from calib.cli.terminal import progress_bar, say
 from calib.cli.verb import verb
 from calib.errors import VerdictError
@@ -50,21 +49,21 @@ docs/data-format.md. An optional column "set" says which rows are for estimation
 def calibrate(
     robot: RobotFile,
     data: DataFile,
-    setup: FitOptions,
-    table: TableOptions,
+    cell_options: FitOptions,
+    table_options: TableOptions,
     outputs: Outputs,
     intervals: Intervals,
-    estimation: SolverOptions,
+    solver_options: SolverOptions,
     quiet: Quiet = False,
 ) -> None:
-    """Run the verb; its help is the text of `verb`."""
+    """Load, fit, write the files and print the summary; exit status 3 if the verdict withheld the URDF."""
     intervals.check()
-    outputs.check([robot, data, setup.cell, table.points])
+    outputs.check([robot, data, cell_options.file, table_options.points])
     samples = intervals.bootstrap
     with executor_of(intervals.workers, intervals.dask, samples, default=1) as executor:
-        cell = read_cell(**asdict(setup))
-        estimation.check()
-        arm, measurements = load_with_data(robot, cell, data, table)
+        cell = cell_options.cell()
+        solver_options.check()
+        arm, measurements = load_with_data(robot, cell, data, table_options)
 
         from calib.result.calibrate import calibrate as calibrate_robot
 
@@ -73,9 +72,9 @@ def calibrate(
                 arm,
                 measurements,
                 cell=cell,
-                solver=estimation.solver,
-                robust=estimation.robust,
-                validate=estimation.validate,
+                solver=solver_options.solver,
+                robust=solver_options.robust,
+                validate=solver_options.validate,
                 progress=progress,
             )
         interval_texts, tables = intervals.compute(result, executor, quiet=quiet)

@@ -39,7 +39,7 @@ def checked_urdf(c: Calibration, *, target_link: bool = False) -> Urdf:
     robot = replace(robot, urdf=robot.urdf.with_verdict(against(c.verdict)))
     q = random_joint_values(robot)
     # Straight from the parameters, by the path that the fit took, not through the corrected robot.
-    T_base_tip = c.tips(Samples.at(q))
+    T_base_tip = c.geometry.tips(Samples.at(q))
     check_written(robot, T_base_tip, q)
     return robot.urdf
 

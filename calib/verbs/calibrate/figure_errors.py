@@ -40,8 +40,8 @@ def sizes(c: Calibration, unit: str) -> tuple[Array, Array]:
         Norms of residuals in the unit that is shown, shapes (N,); NaN where a row measures none.
     """
     scale = RESIDUAL_UNITS[unit].to_shown
-    before = scale * c.channels.norms(c.residual_nominal, unit)
-    after = scale * c.channels.norms(c.residual_calibrated, unit)
+    before = scale * c.rows.channels.norms(c.rows.residual_nominal, unit)
+    after = scale * c.rows.channels.norms(c.rows.residual_calibrated, unit)
     return before, after
 
 
@@ -65,7 +65,7 @@ def has_axes(c: Calibration, rows: Mask | slice = slice(None)) -> bool:
         c: The result.
         rows: The rows looked at; all by default.
     """
-    _, are_vectors = c.channels.vector_columns("m")
+    _, are_vectors = c.rows.channels.vector_columns("m")
     return bool(np.any(are_vectors[rows]))
 
 
@@ -75,23 +75,25 @@ def curve_rows(c: Calibration) -> CurveRows:
     The validation rows if there are any, else the estimation rows with held-out predictions if the result was
     cross-validated, else the estimation rows with the fit's own predictions.
     """
-    m = c.measurements
-    measured = np.any(c.channels.where("m"), axis=1)
+    m = c.fit.measurements
+    measured = np.any(c.rows.channels.where("m"), axis=1)
     validation = m.validation & measured
     estimation = m.estimation & measured
     if np.any(validation):
-        return CurveRows("validation", validation, c.residual_nominal, c.residual_calibrated)
-    before = c.nominal_cross_validation
+        return CurveRows(
+            "validation", validation, c.rows.residual_nominal, c.rows.residual_calibrated
+        )
+    before = c.trust.nominal_cross_validation
     after = c.cross_validation
     if before is not None and after is not None:
         return CurveRows("held-out", estimation, _held_out(c, before), _held_out(c, after))
-    return CurveRows("estimation", estimation, c.residual_nominal, c.residual_calibrated)
+    return CurveRows("estimation", estimation, c.rows.residual_nominal, c.rows.residual_calibrated)
 
 
 def _held_out(c: Calibration, validated: CrossValidation) -> Array:
     """Return the residuals (N, D) of a cross-validation, NaN for validation rows [m, rad]."""
-    residual = np.full(c.residual_calibrated.shape, np.nan)
-    residual[c.measurements.estimation] = validated.residual
+    residual = np.full(c.rows.residual_calibrated.shape, np.nan)
+    residual[c.fit.measurements.estimation] = validated.residual
     return residual
 
 
@@ -105,9 +107,9 @@ def curves(c: Calibration) -> Figure:
     figure = base.new_figure(4.9 if with_axes else 2.8)
     shape = (2, 2) if with_axes else (1, 1)
     panels = figure.subplots(*shape, sharex=True, squeeze=False)
-    numbers = np.array(c.measurements.rows)[shown.mask]
+    numbers = np.array(c.fit.measurements.rows)[shown.mask]
     for style, residual in ((base.BEFORE, shown.before), (base.AFTER, shown.after)):
-        errors = 1e3 * _curve_values(residual, c.channels, with_axes=with_axes)[shown.mask]
+        errors = 1e3 * _curve_values(residual, c.rows.channels, with_axes=with_axes)[shown.mask]
         for ax, values in zip(panels.ravel(), errors.T, strict=True):
             _curve(ax, numbers, values, style)
     titles = ["Δx", "Δy", "Δz", "Size of the error"] if with_axes else ["Error of the length"]
@@ -161,7 +163,7 @@ def by_row(c: Calibration, unit: str = "m") -> Figure:
         c: The result.
         unit: Symbol of the unit: ``"m"`` for lengths, ``"rad"`` for orientations.
     """
-    rows = np.array(c.measurements.rows)
+    rows = np.array(c.fit.measurements.rows)
     before, after = sizes(c, unit)
     figure = base.new_figure(4.6)
     top, below = figure.subplots(2, 1, sharex=True)
@@ -196,7 +198,7 @@ def _draw_calibrated_errors(
     Returns:
         The largest error drawn of rows that are not flagged.
     """
-    rows = np.array(c.measurements.rows)
+    rows = np.array(c.fit.measurements.rows)
     flagged = flagged_rows(c)
     reach = float(np.nanmax(errors[~flagged], initial=1e-3))
     kinds = [kind for kind in base.row_kinds(c) if np.any(np.isfinite(errors[kind.mask]))]
@@ -222,14 +224,14 @@ def _draw_calibrated_errors(
         if len(rows) <= _MOST_MARKERS:
             ax.vlines(rows[at], 0.0, shown[at], color=kind.colour, lw=0.9, alpha=0.6)
         ax.plot(rows[at], shown[at], **kind.style())
-    base.number_points(ax, c.measurements.rows, np.stack([rows, shown], axis=1), flagged)
+    base.number_points(ax, c.fit.measurements.rows, np.stack([rows, shown], axis=1), flagged)
     return reach
 
 
 def _held_out_sizes(c: Calibration, validated: CrossValidation, unit: str) -> Array:
     """Return each row's held-out error in the unit that is shown, shape (N,), NaN for validation rows."""
     held_out = _held_out(c, validated)
-    norms = RESIDUAL_UNITS[unit].to_shown * c.channels.norms(held_out, unit)
+    norms = RESIDUAL_UNITS[unit].to_shown * c.rows.channels.norms(held_out, unit)
     return np.where(np.isnan(held_out).any(axis=1), np.nan, norms)
 
 
@@ -262,8 +264,8 @@ def by_axis(c: Calibration, unit: str = "m") -> Figure:
 
 def _sets_with_axes(c: Calibration, unit: str) -> list[tuple[str, Mask]]:
     """Return name and mask (N,) of the sets that have rows with errors along or about all axes."""
-    m = c.measurements
-    _, complete = c.channels.vector_columns(unit)
+    m = c.fit.measurements
+    _, complete = c.rows.channels.vector_columns(unit)
     sets = [("estimation", m.estimation & complete), ("validation", m.validation & complete)]
     return [(name, mask) for name, mask in sets if np.any(mask)]
 
@@ -276,10 +278,10 @@ def _draw_boxes(
     mask: Mask,
 ) -> None:
     """Draw the boxes of the rows of a mask (N,): both robots above, the calibrated one without outliers below."""
-    columns, _ = c.channels.vector_columns(unit)
+    columns, _ = c.rows.channels.vector_columns(unit)
     scale = RESIDUAL_UNITS[unit].to_shown
-    before = scale * c.residual_nominal[:, columns]
-    after = scale * c.residual_calibrated[:, columns]
+    before = scale * c.rows.residual_nominal[:, columns]
+    after = scale * c.rows.residual_calibrated[:, columns]
     flagged = flagged_rows(c)
     _boxes(upper, before[mask], -0.19, base.BEFORE)
     _boxes(upper, after[mask], 0.19, base.AFTER)
@@ -302,7 +304,7 @@ def histograms(c: Calibration) -> Figure:
 
 def _size_histogram(ax: Axes, c: Calibration) -> None:
     """Draw the sizes of all rows' errors before and after, on a logarithmic scale."""
-    unit = c.channels.present[0]
+    unit = c.rows.channels.present[0]
     before, after = sizes(c, unit)
     before = before[np.isfinite(before)]
     after = after[np.isfinite(after)]
@@ -339,8 +341,8 @@ def _noise_histogram(ax: Axes, c: Calibration) -> None:
 
 def scaled_residuals(c: Calibration) -> Array:
     """Return the calibrated residual of each measured scalar of the estimation rows over its estimated noise, (K,)."""
-    problem = c.fitted.estimate.problem
-    residual = c.residual_calibrated[c.measurements.estimation]
+    problem = c.fit.geometry.estimate.problem
+    residual = c.rows.residual_calibrated[c.fit.measurements.estimation]
     return np.asarray((residual / problem.scales)[problem.rows.used])
 
 

@@ -36,8 +36,8 @@ def has_joint_parts(c: Calibration) -> Mask:
 
     A length between two rows belongs to both poses, so it has none.
     """
-    measures_length = np.any(c.channels.where("m"), axis=1)
-    return np.asarray(measures_length & ~c.measurements.of_kind("pair"))
+    measures_length = np.any(c.rows.channels.where("m"), axis=1)
+    return np.asarray(measures_length & ~c.fit.measurements.of_kind("pair"))
 
 
 def residuals_by_joint(c: Calibration) -> Figure:
@@ -78,7 +78,7 @@ def _joint_panel(ax: Axes, c: Calibration, j: int, parts: Array, reach: float) -
     """
     is_prismatic = c.nominal.inputs[j].type == "prismatic"
     scale, unit = (1e3, "mm") if is_prismatic else (np.degrees(1.0), "deg")
-    readings = c.measurements.joints_for(c.nominal.joint_names)
+    readings = c.fit.measurements.joints_for(c.nominal.joint_names)
     values = scale * c.nominal.input_values(readings)[:, j]
     as_pixels = len(values) > base.MOST_SHAPES
     ax.axhline(0.0, color=base.INK, lw=0.7, zorder=1.5)
@@ -86,7 +86,7 @@ def _joint_panel(ax: Axes, c: Calibration, j: int, parts: Array, reach: float) -
         if np.any(kind.mask & has_joint_parts(c)):
             shown = np.clip(parts[kind.mask], -reach, reach)
             ax.plot(values[kind.mask], shown, rasterized=as_pixels, zorder=2, **kind.style(0.8))
-    fitted = c.measurements.estimation & has_joint_parts(c) & ~flagged_rows(c)
+    fitted = c.fit.measurements.estimation & has_joint_parts(c) & ~flagged_rows(c)
     has_part = np.isfinite(parts[fitted])
     if np.count_nonzero(has_part) >= _FEWEST_ROWS:
         _running_mean(ax, values[fitted], parts[fitted])
@@ -109,9 +109,9 @@ def along_joints(c: Calibration) -> Array:
     Returns:
         shape (N, m), [m], signed; NaN where the joint changes the lengths by less than 2 mm/rad.
     """
-    rows, _ = rows_and_setup(c.nominal, c.measurements, c.cell)
-    T_frame_base, T_tip_target = setup_of_rows(c.setup, c.measurements)
-    are_lengths = c.channels.where("m")
+    rows, _ = rows_and_setup(c.nominal, c.fit.measurements, c.fit.cell)
+    T_frame_base, T_tip_target = setup_of_rows(c.setup, c.fit.measurements)
+    are_lengths = c.rows.channels.where("m")
 
     def lengths(values: Array) -> Array:
         """Residual lengths, shape (N, D), at joint values (N, m); 0 of the other scalars."""
@@ -120,7 +120,7 @@ def along_joints(c: Calibration) -> Array:
         return np.where(are_lengths, residual, 0.0)
 
     q = c.robot.input_values(rows.joints)
-    residual = np.where(are_lengths, c.residual_calibrated, 0.0)
+    residual = np.where(are_lengths, c.rows.residual_calibrated, 0.0)
     parts = np.full(q.shape, np.nan)
     for j, step in enumerate(_STEP * np.eye(q.shape[1])):
         # What is predicted enters the residual with a minus.

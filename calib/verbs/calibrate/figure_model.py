@@ -15,6 +15,7 @@ from calib.basics.arrays import Array, Mask
 from calib.basics.channels import RESIDUAL_UNITS
 from calib.camera.optics import CORNER
 from calib.model.families import unit_of
+from calib.numerics.solvers import has_weights_and_priors
 from calib.result.calibration import Calibration
 from calib.result.prediction import ParameterEstimate
 from calib.show.figure_base import CALIBRATED, INK, NOMINAL, OUTLIER, SOFT
@@ -72,12 +73,13 @@ _MANY_NAMES = 40
 
 def convergence(c: Calibration) -> Figure:
     """Draw cost, length of the step and damping over the solver's iterations."""
-    history = c.solution.history
-    cost = np.array([*(iteration.cost for iteration in history), c.solution.cost])
+    history = c.method.solution.history
+    cost = np.array([*(iteration.cost for iteration in history), c.method.solution.cost])
     step = np.array([iteration.step for iteration in history])
     damping = np.array([iteration.mu for iteration in history])
     accepted = np.array([iteration.accepted for iteration in history], dtype=np.bool_)
-    step_label = "step" if c.solver == "paper" else "step\n[mm, mrad]"
+    # The paper's steps are in units of their own.
+    step_label = "step\n[mm, mrad]" if has_weights_and_priors(c.method.solver) else "step"
     series = [("cost E", cost, np.append(accepted, [True])), (step_label, step, accepted)]
     if np.any(damping > 0.0):
         series.append(("damping μ", damping, accepted))
@@ -222,7 +224,7 @@ def _room_for_names(names: Sequence[str], font_size: float) -> float:
 
 def singular_values(c: Calibration) -> Figure:
     """Draw the singular values of the scaled Jacobian [mm], and the numerical rank."""
-    o = c.observability
+    o = c.trust.observability
     values = 1e3 * o.singular_values
     largest = float(values.max(initial=0.0))
     shown = np.maximum(values, max(largest * _LEAST_SINGULAR_VALUE, 1e-15))
@@ -252,13 +254,13 @@ def singular_values(c: Calibration) -> Figure:
 def candidates(c: Calibration) -> Figure:
     """Draw the models that were tried: their errors on held-out rows, and their evidence relative to the best."""
     rms, unit = _held_out_rms(c)
-    evidence = np.array([candidate.evidence for candidate in c.candidates])
-    figure = base.new_figure(0.24 * len(c.candidates) + 1.35)
+    evidence = np.array([candidate.evidence for candidate in c.method.candidates])
+    figure = base.new_figure(0.24 * len(c.method.candidates) + 1.35)
     left, right = figure.subplots(1, 2, sharey=True)
-    names = [f"{candidate.name} ({candidate.parameters})" for candidate in c.candidates]
+    names = [f"{candidate.name} ({candidate.parameters})" for candidate in c.method.candidates]
     left.set_yticks(np.arange(len(names)), names)
     left.invert_yaxis()
-    chosen_for = [candidate.chosen for candidate in c.candidates]
+    chosen_for = [candidate.chosen for candidate in c.method.candidates]
     _bars(left, rms, chosen_for, "{:.3f}")
     _bars(right, evidence - evidence.max(), chosen_for, "{:.1f}")
     left.set(title="Error on held-out rows", xlabel=f"rms [{unit}]")
@@ -269,7 +271,9 @@ def candidates(c: Calibration) -> Figure:
 
 def _held_out_rms(c: Calibration) -> tuple[Array, str]:
     """Return the rms held-out error of each model in the first unit measured, as shown, and that unit."""
-    errors = [candidate.cross_validation.errors_without_outliers for candidate in c.candidates]
+    errors = [
+        candidate.cross_validation.errors_without_outliers for candidate in c.method.candidates
+    ]
     unit = RESIDUAL_UNITS[errors[0].leading.unit]
     rms = np.array([e[unit.symbol].rms for e in errors])
     return unit.to_shown * rms, unit.shown

@@ -37,7 +37,7 @@ def measured_places(c: Calibration) -> Array:
 
     Measured ones; of rows that measure no position, those that the calibrated robot predicts.
     """
-    m = c.measurements
+    m = c.fit.measurements
     T_frame_base, T_tip_target = setup_of_rows(c.setup, m)
     places = measured_in_base(m, T_frame_base)
     T_base_target = c.robot.poses(m.joints_for(c.nominal.joint_names)) @ T_tip_target
@@ -49,7 +49,7 @@ def points(c: Calibration) -> Figure:
     places = 1e3 * measured_places(c)
     limits = limits_of(places)
     figure, panels = _panels_of_space(limits)
-    numbered = c.measurements.validation | flagged_rows(c)
+    numbered = c.fit.measurements.validation | flagged_rows(c)
     pixels = len(places) > base.MOST_SHAPES
     kinds = base.row_kinds(c)
     for i, j, name in VIEWS:
@@ -59,7 +59,7 @@ def points(c: Calibration) -> Figure:
             at = places[kind.mask][:, [i, j]].T
             ax.plot(*at, rasterized=pixels, zorder=order, **kind.style(0.85))
         flat(ax, limits, (i, j))
-        base.number_points(ax, c.measurements.rows, places[:, [i, j]], numbered)
+        base.number_points(ax, c.fit.measurements.rows, places[:, [i, j]], numbered)
     _draw_space(panels["space"], places, kinds, limits)
     base.legend_above(figure)
     return figure
@@ -199,9 +199,9 @@ def _distribution(ax: Axes, std: Array, c: Calibration) -> None:
         c: The result.
     """
     ax.ecdf(std, color=base.INK, lw=1.4)
-    measured = 1e3 * c.expected_measured
+    measured = 1e3 * c.geometry.expected_measured
     # That of the report, not of the poses drawn, which are more: one number for one thing.
-    everywhere = 1e3 * c.expected_everywhere
+    everywhere = 1e3 * c.geometry.expected_everywhere
     lines = (
         (measured, ":", "rms, measured poses"),
         (everywhere, "--", "rms, joint limits"),

@@ -58,22 +58,22 @@ def _always(c: Calibration) -> bool:  # noqa: ARG001
 
 def _has_lengths(c: Calibration) -> bool:
     """Tell if any row measures a length or a position."""
-    return "m" in c.channels.present
+    return "m" in c.rows.channels.present
 
 
 def _has_angles(c: Calibration) -> bool:
     """Tell if any row measures an orientation or another angle."""
-    return "rad" in c.channels.present
+    return "rad" in c.rows.channels.present
 
 
 def _has_pixels(c: Calibration) -> bool:
     """Tell if any row measures image coordinates."""
-    return "px" in c.channels.present
+    return "px" in c.rows.channels.present
 
 
 def _has_orientations(c: Calibration) -> bool:
     """Tell if any row measures a whole orientation."""
-    _, are_vectors = c.channels.vector_columns("rad")
+    _, are_vectors = c.rows.channels.vector_columns("rad")
     return bool(np.any(are_vectors))
 
 
@@ -84,7 +84,7 @@ def _has_joint_parts(c: Calibration) -> bool:
 
 def _has_iterations(c: Calibration) -> bool:
     """Tell if the solver made any step."""
-    return bool(c.solution.history)
+    return bool(c.method.solution.history)
 
 
 def _has_changes(c: Calibration) -> bool:
@@ -99,12 +99,12 @@ def _has_correlations(c: Calibration) -> bool:
 
 def _has_singular_values(c: Calibration) -> bool:
     """Tell if the Jacobian has any column."""
-    return c.observability.columns > 0
+    return c.trust.observability.columns > 0
 
 
 def _has_candidates(c: Calibration) -> bool:
     """Tell if several models were tried."""
-    return bool(c.candidates)
+    return bool(c.method.candidates)
 
 
 def _of_cameras(draw: Callable[[Sequence[SeenCorners]], Figure]) -> FigureKind:
@@ -225,7 +225,7 @@ def figure_files(
 
 def _caption_words(c: Calibration) -> dict[str, str]:
     """Return the texts that captions name in braces."""
-    m = c.measurements
+    m = c.fit.measurements
     estimation = rows_text(m.estimation, "estimation")
     rows = estimation
     if np.any(m.validation):
@@ -239,7 +239,7 @@ def _caption_words(c: Calibration) -> dict[str, str]:
         "spread": str(SPREAD),
         "curve_rows": f"the {rows_text(shown.mask, kind)}, {relation}",
     }
-    if c.candidates:
-        held_out = c.candidates[0].cross_validation.errors_without_outliers
+    if c.method.candidates:
+        held_out = c.method.candidates[0].cross_validation.errors_without_outliers
         words["compared"] = f"{held_out.leading.n:,}"
     return words

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from calib.cli.options import Dask, SampleWorkers
+from calib.cli.options import Dask
 from calib.cli.terminal import progress_bar
 from calib.errors import CalibError
 
@@ -26,21 +26,32 @@ class Intervals:
         typer.Option(
             min=40,
             metavar="N",
-            help="Fit again to N random samples of the poses, and print the intervals that follow; "
-            "1000 is a good number.",
+            help="Fit to this number of random samples of the poses, and print the resulting intervals; 1000 is a good "
+            "number.",
         ),
     ] = None
-    workers: SampleWorkers = None
+    workers: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            metavar="N",
+            help="Number of processes that share the samples of --bootstrap. Default: one.",
+        ),
+    ] = None
     dask: Dask = None
     seed: Annotated[
         int | None,
-        typer.Option(min=0, metavar="S", help="Seed of --bootstrap; the same S, the same samples."),
+        typer.Option(
+            min=0,
+            metavar="S",
+            help="Seed of the samples of --bootstrap; the same seed gives the same samples.",
+        ),
     ] = None
     profile: Annotated[
         list[str] | None,
         typer.Option(
             metavar="PARAMETER",
-            help="Print the interval of a parameter by the profile of the cost. Can be repeated.",
+            help="Print the profile-likelihood interval of this parameter. Can be repeated.",
         ),
     ] = None
 

@@ -44,8 +44,8 @@ def bootstrap_text(result: Calibration, bootstrap: Bootstrap) -> str:
         *_interval_table(rows, "bootstrap"),
         f"Predicted positions spread by {mm(bootstrap.measured_rms)} mm rms at the measured poses and "
         f"{mm(bootstrap.everywhere_rms)} mm",
-        f"over the joint limits; by the covariance {mm(result.expected_measured)} mm and "
-        f"{mm(result.expected_everywhere)} mm.",
+        f"over the joint limits; by the covariance {mm(result.geometry.expected_measured)} mm and "
+        f"{mm(result.geometry.expected_everywhere)} mm.",
     ]
     if bootstrap.stopped:
         lines.append(f"The solver did not converge on {bootstrap.stopped} of the samples.")

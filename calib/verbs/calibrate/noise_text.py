@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from calib.basics.channels import RESIDUAL_UNITS, Channels
 from calib.fit.registration.rows import USUAL_POSE_NOISE
-from calib.numerics.pose_noise import PoseNoise
+from calib.numerics.correlated_noise import PoseNoise
 from calib.result.calibration import Calibration
 from calib.show.errors import measured_lengths
 from calib.show.lines import listed
@@ -17,11 +17,12 @@ ENOUGH_FREEDOM = 6.0
 def noise_text(c: Calibration) -> str:
     """Word the estimated noise in each unit, and its source."""
     noise = [
-        f"{with_unit(std, unit)} {per_scalar(c.channels, unit)}" for unit, std in c.sigma.items()
+        f"{with_unit(std, unit)} {per_scalar(c.rows.channels, unit)}"
+        for unit, std in c.noise.sigma.items()
     ]
     source = "mostly assumed: too few rows"
-    if c.freedom >= ENOUGH_FREEDOM:
-        source = f"from residuals, {c.freedom:.0f} d.o.f."
+    if c.noise.freedom >= ENOUGH_FREEDOM:
+        source = f"from residuals, {c.noise.freedom:.0f} d.o.f."
     return f"{listed(noise)} (1 sigma, {source})."
 
 

@@ -45,13 +45,12 @@ class Outputs:
         typer.Option(
             "--figures",
             metavar="FOLDER",
-            help="Write every figure into a folder, and their captions as captions.md; the folder "
-            "is made if missing.",
+            help="Write every figure into this folder, and the captions as captions.md; the folder is made if missing.",
         ),
     ] = None
     figure_format: Annotated[
         Literal["png", "svg", "pdf"] | None,
-        typer.Option("--figure-format", help="The kind of file of --figures. Default: png."),
+        typer.Option("--figure-format", help="File format of --figures. Default: png."),
     ] = None
     target_link: TargetLink = False
     accept: Accept = False

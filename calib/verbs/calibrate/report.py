@@ -17,7 +17,7 @@ from calib.basics.files import write_atomically
 from calib.data.forms.orientations import find_convention
 from calib.data.measurements import Measurements
 from calib.diagnosis.reasons import Why
-from calib.numerics.intervals import interval_factor
+from calib.numerics.errors import interval_factor
 from calib.result.calibration import Calibration
 from calib.result.calibration_file import versions
 from calib.show.doubtful_rows import outside_text, robustness_text
@@ -101,12 +101,12 @@ def _content(c: Calibration) -> dict[str, Any]:
         "texts": texts,
         "tables": tables,
         "known": texts.facts(c),
-        "source": c.measurements.source or "from memory",
-        "rows_text": _rows_text(c.measurements),
+        "source": c.fit.measurements.source or "from memory",
+        "rows_text": _rows_text(c.fit.measurements),
         "reasons": reasons,
-        "robustness": robustness_text(c.robustness) if c.robustness else "",
-        "unweighted": int(np.sum(c.weights[c.measurements.estimation] <= 0.0)),
-        "factor": f"{interval_factor(c.fitted.estimate.freedom):.2f}",
+        "robustness": robustness_text(c.trust.robustness) if c.trust.robustness else "",
+        "unweighted": int(np.sum(c.rows.weights[c.fit.measurements.estimation] <= 0.0)),
+        "factor": f"{interval_factor(c.fit.geometry.estimate.freedom):.2f}",
         "places": [
             *target_sentences(c, MOST_LISTED),
             *frame_sentences(c, MOST_LISTED),
@@ -115,7 +115,7 @@ def _content(c: Calibration) -> dict[str, Any]:
         "combinations": _combinations(c),
         "image_errors": image_errors(c),
         "units": units_of_tables(c),
-        "kinds": kinds_text(c.measurements),
+        "kinds": kinds_text(c.fit.measurements),
         "outside": _outside(c),
         "versions": ", ".join(f"{name} {version}" for name, version in versions().items()),
         **_measurement_setup(c),
@@ -142,7 +142,7 @@ def _first_page(c: Calibration, reasons: list[str]) -> FirstPage:
         note=c.record.note,
         table=with_errors_at_board(tables.before_and_after(c), c),
         rule=[
-            f"Rows: {_rows_text(c.measurements)}; {_estimated_from(c)}.",
+            f"Rows: {_rows_text(c.fit.measurements)}; {_estimated_from(c)}.",
             "The verdict rests on rows that took no part in the fit, not on a tolerance: 'calib evaluate --tolerance' "
             "tests one, on rows measured afterwards.",
         ],
@@ -156,14 +156,16 @@ def _estimated_from(c: Calibration) -> str:
     if images:
         corners = int(np.sum(c.rows.estimation))
         return f"the estimate is from {plural(corners, 'corner')} in {plural(images, 'image')}"
-    _, repeats = np.unique(c.fitted.estimate.problem.rows.poses, return_counts=True)
+    _, repeats = np.unique(c.fit.geometry.estimate.problem.rows.poses, return_counts=True)
     often = times(int(repeats.min()), int(repeats.max()))
     return f"the estimate is from {plural(len(repeats), 'pose')}, each measured {often}"
 
 
 def _combinations(c: Calibration) -> list[str]:
     """Word the unidentifiable combinations of parameters; beyond `MOST_LISTED` they are counted."""
-    combinations = [combination_text(combination) for combination in c.observability.unidentifiable]
+    combinations = [
+        combination_text(combination) for combination in c.trust.observability.unidentifiable
+    ]
     listed = combinations[:MOST_LISTED]
     more = len(combinations) - len(listed)
     if more:
@@ -175,15 +177,15 @@ def _outside(c: Calibration) -> str:
     """Word the validation rows outside of the fitted joint ranges; empty where the verdict names them already."""
     if c.verdict and any(reason.why == Why.OUTSIDE for reason in c.verdict.reasons):
         return ""
-    m = c.measurements
-    return outside_text(c.outside, np.array(m.rows)[m.validation].tolist())
+    m = c.fit.measurements
+    return outside_text(c.rows.outside, np.array(m.rows)[m.validation].tolist())
 
 
 def _measurement_setup(c: Calibration) -> dict[str, str]:
     """Write the base's position [mm] and rpy angles [deg] in the measurement frame, held joints, coupled readings."""
     T_frame_base = c.T_frame_base
     rpy = pin.rpy.matrixToRpy(T_frame_base[:3, :3])
-    held = [f"{name} at {value:.6g}" for name, value in c.cell.held.items()]
+    held = [f"{name} at {value:.6g}" for name, value in c.fit.cell.held.items()]
     return {
         "at": ", ".join(mm(value) for value in T_frame_base[:3, 3]),
         "rpy": ", ".join(deg(angle) for angle in rpy),

@@ -75,7 +75,7 @@ def errors(c: Calibration, unit: str) -> Table:
         head += ["x", "y", "z"]
         groups.append(("span", 3))
     shown_unit = RESIDUAL_UNITS[unit].shown
-    title = f"{error_title(unit, c.channels)} by set of rows [{shown_unit}]"
+    title = f"{error_title(unit, c.rows.channels)} by set of rows [{shown_unit}]"
     align = "l" + "r" * (len(head) - 1)
     return Table(title, head, rows, align, " ".join(notes), groups, strong)
 
@@ -87,7 +87,7 @@ def before_and_after(c: Calibration) -> Table:
     """
     sets = _sets_before_and_after(c)
     rows = []
-    for unit in c.channels.present:
+    for unit in c.rows.channels.present:
         name = f"{RESIDUAL_UNITS[unit].measured} [{RESIDUAL_UNITS[unit].shown}]"
         for label, nominal, calibrated in sets:
             count = calibrated[unit].n
@@ -111,10 +111,10 @@ def _sets_before_and_after(c: Calibration) -> list[tuple[str, Errors, Errors]]:
     """
     before, after = c.errors["nominal"], c.errors["calibrated"]
     sets = [("validation rows", before["validation"], after["validation"])]
-    if c.cross_validation is not None and c.nominal_cross_validation is not None:
-        nominal, fitted = c.nominal_cross_validation, c.cross_validation
+    if c.cross_validation is not None and c.trust.nominal_cross_validation is not None:
+        nominal, fitted = c.trust.nominal_cross_validation, c.cross_validation
         sets.append(("held-out rows", nominal.errors, fitted.errors))
-        if c.outliers:
+        if c.rows.outliers:
             without = (nominal.errors_without_outliers, fitted.errors_without_outliers)
             sets.append(("held-out, without outliers", *without))
     if any(calibrated.leading.n for _, _, calibrated in sets):
@@ -163,14 +163,14 @@ def validation_rows(c: Calibration) -> Table:
     the angle [deg]. Of more than `MOST_LISTED` rows the `MOST_WORST` with the largest errors after calibration are
     listed, in the order of the table of measurements.
     """
-    indices = np.flatnonzero(c.measurements.validation & np.any(c.used, axis=1))
+    indices = np.flatnonzero(c.fit.measurements.validation & np.any(c.rows.channels.used, axis=1))
     subject = f"the {len(indices):,} validation rows"
     if len(indices) > MOST_LISTED:
         subject = f"the {MOST_WORST} of {len(indices):,} validation rows with the largest error after calibration"
         indices = _worst_rows(c, indices)
     names, cells = _row_columns(c, indices)
     first = _Columns([("", len(names))], list(names), cells)
-    errors = [_error_columns(c, indices, unit) for unit in c.channels.select(indices).present]
+    errors = [_error_columns(c, indices, unit) for unit in c.rows.channels.select(indices).present]
     columns = _side_by_side([first, *errors])
     note = ""
     if "dx" in columns.head:
@@ -182,8 +182,8 @@ def validation_rows(c: Calibration) -> Table:
 
 def _worst_rows(c: Calibration, indices: NDArray[np.int_]) -> NDArray[np.int_]:
     """Return the `MOST_WORST` of some rows with the largest calibrated errors in the first unit, in ascending order."""
-    unit = c.channels.present[0]
-    sizes = c.channels.norms(c.residual_calibrated, unit)[indices]
+    unit = c.rows.channels.present[0]
+    sizes = c.rows.channels.norms(c.rows.residual_calibrated, unit)[indices]
     order = np.argsort(-np.nan_to_num(sizes), kind="stable")
     return indices[np.sort(order[:MOST_WORST])]
 
@@ -196,8 +196,8 @@ def _has_vectors(channels: Channels, indices: NDArray[np.int_], unit: str) -> bo
 
 def _residuals(c: Calibration) -> tuple[tuple[str, Array], tuple[str, Array]]:
     """Return the residuals (N, D) of the nominal and of the calibrated robot with the labels of their columns."""
-    before = ("before: nominal", c.residual_nominal)
-    after = ("after: calibrated", c.residual_calibrated)
+    before = ("before: nominal", c.rows.residual_nominal)
+    after = ("after: calibrated", c.rows.residual_calibrated)
     return before, after
 
 
@@ -248,46 +248,46 @@ def _sizes_before_and_after(
         indices: Indices of the K rows.
         unit: Symbol of the unit.
     """
-    sizes = [c.channels.norms(residual, unit)[indices] for _, residual in _residuals(c)]
+    sizes = [c.rows.channels.norms(residual, unit)[indices] for _, residual in _residuals(c)]
     return [[shown(size, unit) for size in sizes_of_row] for sizes_of_row in np.transpose(sizes)]
 
 
 def _length_columns(c: Calibration, indices: NDArray[np.int_]) -> _Columns:
     """Write the errors of rows in lengths, see `_error_columns`."""
-    with_axes = _has_vectors(c.channels, indices, "m")
+    with_axes = _has_vectors(c.rows.channels, indices, "m")
     head = ["dx", "dy", "dz", "size"] if with_axes else ["size"]
     groups, values = [], []
     for label, residual in _residuals(c):
         groups.append((f"{label} [{RESIDUAL_UNITS['m'].shown}]", len(head)))
         if with_axes:
             values.append(_along_axes(c, residual)[indices])
-        values.append(c.channels.norms(residual, "m")[indices, None])
+        values.append(c.rows.channels.norms(residual, "m")[indices, None])
     cells = [[shown(value, "m") for value in row] for row in np.hstack(values)]
     return _Columns(groups, 2 * head, cells)
 
 
 def _along_axes(c: Calibration, residual: Array) -> Array:
     """Return the residuals of positions along x, y, z, shape (N, 3) [m]; NaN where no position was measured."""
-    columns, are_vectors = c.channels.vector_columns("m")
+    columns, are_vectors = c.rows.channels.vector_columns("m")
     return np.where(are_vectors[:, None], residual[:, columns], np.nan)
 
 
 def flagged(c: Calibration) -> Table:
     """Tabulate the flagged rows of either set: errors before and after, score, and weight in the fit."""
-    m = c.measurements
-    outliers = [*c.outliers, *c.suspects]
+    m = c.fit.measurements
+    outliers = [*c.rows.outliers, *c.rows.suspects]
     listed = outliers[:MOST_LISTED]
     indices = np.array([m.rows.index(outlier.row) for outlier in listed], dtype=np.int_)
     names, rows = _row_columns(c, indices)
-    unit = c.channels.present[0]
+    unit = c.rows.channels.present[0]
     shown_unit = RESIDUAL_UNITS[unit].shown
     for outlier, i, cells, sizes in zip(
         listed, indices, rows, _sizes_before_and_after(c, indices, unit), strict=True
     ):
-        cells += [m.sets[i], *sizes, number(outlier.score, 1), f"{c.weights[i]:.2f}"]
+        cells += [m.sets[i], *sizes, number(outlier.score, 1), f"{c.rows.weights[i]:.2f}"]
     note = (
         "Score: distance from what the other rows predict, in standard deviations. Estimation rows are flagged "
-        f"beyond {c.flag_limit:.1f}."
+        f"beyond {c.rows.flag_limit:.1f}."
     )
     unlisted = len(outliers) - len(listed)
     if unlisted:
@@ -429,7 +429,7 @@ def origins(c: Calibration) -> Table:
 
 def ranges(c: Calibration) -> Table:
     """Tabulate the joint values of the estimation rows beside the joint limits, [deg] or [mm]."""
-    m = c.measurements
+    m = c.fit.measurements
     q = m.joints_for(c.nominal.joint_names)[m.estimation]
     values_of_joints = c.nominal.input_values(q).T
     rows = []
@@ -470,7 +470,7 @@ def _row_columns(c: Calibration, indices: NDArray[np.int_]) -> tuple[list[str], 
     Returns:
         The heads, and a list of cells for each of the K rows.
     """
-    m = c.measurements
+    m = c.fit.measurements
     columns: list[tuple[str, Sequence[object]]] = [("row", m.rows)]
     optional = (("kind", m.kinds), ("target", m.targets), ("station", m.groups))
     for name, values in optional:

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from calib.basics.short import one_line
+from calib.basics.values import one_line
 from calib.model.families import FAMILIES, unit_of
 from calib.model.parameters import FRAME, TARGET
 from calib.numerics.errors import Errors
@@ -103,7 +103,7 @@ def _verdict(c: Calibration) -> str:
 def _facts(c: Calibration) -> str:
     """Write the facts, and the unidentifiable combinations below the rank."""
     lines = [wrap(f"{label}: {text}") for label, text in facts(c).items()]
-    combinations = c.observability.unidentifiable
+    combinations = c.trust.observability.unidentifiable
     if combinations:
         lines.append(f"{unidentifiable_text(c)}:")
     lines += [wrap(combination_text(one), "  ") for one in combinations[:_MOST_ROWS]]
@@ -125,8 +125,8 @@ def _non_geometric(c: Calibration) -> str:
 
 def _solver(c: Calibration) -> str:
     """Write how the solver ended, and its time, if it is known."""
-    time = "" if math.isnan(c.seconds) else f", {1e3 * c.seconds:.0f} ms"
-    return wrap(f"{solver_text(c)}{time}. {c.solution.message}")
+    time = "" if math.isnan(c.method.seconds) else f", {1e3 * c.method.seconds:.0f} ms"
+    return wrap(f"{solver_text(c)}{time}. {c.method.solution.message}")
 
 
 def facts(c: Calibration) -> dict[str, str]:
@@ -140,18 +140,18 @@ def facts(c: Calibration) -> dict[str, str]:
         point, prior standard deviations, rank.
     """
     result = {"Noise": noise_text(c)}
-    if c.pose_noise is not None:
-        result[POSE_NOISE] = pose_noise_text(c.pose_noise)
-    if c.repeats is not None:
-        unit = next(iter(c.repeats.within))
-        scatter, freedom = c.repeats.within[unit], c.repeats.freedoms[unit]
+    if c.noise.pose_noise is not None:
+        result[POSE_NOISE] = pose_noise_text(c.noise.pose_noise)
+    if c.noise.repeats is not None:
+        unit = next(iter(c.noise.repeats.within))
+        scatter, freedom = c.noise.repeats.within[unit], c.noise.repeats.freedoms[unit]
         if np.isfinite(scatter):
-            per = per_scalar(c.channels, unit)
+            per = per_scalar(c.rows.channels, unit)
             result[SCATTER] = f"{with_unit(scatter, unit)} {per} ({freedom:.0f} d.o.f.)."
     result[EXPECTED] = _expected(c)
-    if c.prior_std:
+    if c.geometry.prior_std:
         result[PRIOR_STD] = _prior_std(c)
-    o = c.observability
+    o = c.trust.observability
     result["Rank"] = f"{o.rank} of {o.columns} parameters, condition number {o.condition:.0f}."
     return result
 
@@ -161,7 +161,7 @@ def _expected(c: Calibration) -> str:
     if c.cross_validation is None and c.verdict is not None:
         # A usual mistake explains the rows, or a frame was not found: this fit is of something that is not there.
         return "not known: see the verdict."
-    if c.cross_validation is None and c.freedom < ENOUGH_FREEDOM:
+    if c.cross_validation is None and c.noise.freedom < ENOUGH_FREEDOM:
         # Prior standard deviations estimated from nothing shrink to nothing, and the expected error with them.
         return "not known: too few rows."
     near, everywhere = c.new_point
@@ -171,11 +171,11 @@ def _expected(c: Calibration) -> str:
 def _prior_std(c: Calibration) -> str:
     """List the prior standard deviation of each family, and its source."""
     sizes = []
-    for family, std in c.prior_std.items():
+    for family, std in c.geometry.prior_std.items():
         factor, unit = FAMILIES[family].unit.shown
         size = factor * std
         sizes.append(f"{family} {size:.3g} {unit}" if size > _NOTHING else f"{family} none")
-    source = "estimated from the data" if c.prior_std_from == "data" else "as given"
+    source = "estimated from the data" if c.method.prior_std_from == "data" else "as given"
     return f"{', '.join(sizes)} ({source})."
 
 
@@ -187,19 +187,38 @@ def error_rows(c: Calibration) -> list[tuple[str, Errors]]:
     rows = []
     for name in ("estimation", "validation"):
         for who, errors in c.errors.items():
-            if who == "nominal" and not c.nominal_is_judged:
+            if who == "nominal" and not c.rows.nominal_is_judged:
                 continue
             rows.append((f"{name} rows, {who}", errors[name]))
-    validated = {"nominal": c.nominal_cross_validation, "calibrated": c.cross_validation}
+    validated = {"nominal": c.trust.nominal_cross_validation, "calibrated": c.cross_validation}
     if c.non_geometric is not None:
         validated["non_geometric"] = c.non_geometric.cross_validation
     for who, cross_validation in validated.items():
         if cross_validation is None:
             continue
         rows.append((f"held-out rows*, {who}", cross_validation.errors))
-        if c.outliers:
+        if c.rows.outliers:
             without = cross_validation.errors_without_outliers
             rows.append(("  the same without outliers", without))
+    return rows
+
+
+def errors_at_board(c: Calibration) -> dict[str, Errors]:
+    """Return errors of images as lengths at the board [m], by the labels of `error_rows`; empty without images."""
+    rows = {}
+    by_robot = c.rows.errors_at_board
+    for name in ("estimation", "validation"):
+        for who, sets in by_robot.items():
+            if name in sets:
+                rows[f"{name} rows, {who}"] = sets[name]
+    validations = {
+        "nominal": c.trust.nominal_cross_validation,
+        "calibrated": c.cross_validation,
+    }
+    for who, validation in validations.items():
+        errors = c.rows.held_out_errors_at_board(validation)
+        if errors is not None:
+            rows[f"held-out rows*, {who}"] = errors
     return rows
 
 
@@ -213,8 +232,8 @@ def held_out_text(c: Calibration) -> str:
 
 def weights_text(c: Calibration) -> str:
     """Word the weight of the outliers in the fit."""
-    weights = dict(zip(c.rows.numbers, c.weights, strict=True))
-    unused = not any(weights.get(outlier.row) for outlier in c.outliers)
+    weights = dict(zip(c.rows.numbers, c.rows.weights, strict=True))
+    unused = not any(weights.get(outlier.row) for outlier in c.rows.outliers)
     return "no weight in the fit" if unused else "full weight in the fit"
 
 
@@ -224,24 +243,24 @@ def errorless(c: Calibration) -> frozenset[str]:
     Their family's estimated prior standard deviation is zero to the digits shown: they stay nominal, and their
     interval, which is zero too, is not shown, since it is no knowledge of them.
     """
-    if c.prior_std_from != "data":
+    if c.method.prior_std_from != "data":
         return frozenset()
     names = []
     for parameter, estimate in zip(c.model.parameters, c.parameters, strict=True):
-        if parameter.family not in c.prior_std:
+        if parameter.family not in c.geometry.prior_std:
             continue
         limit = _NOTHING / FAMILIES[parameter.family].unit.shown[0]
         # A parameter with a prior of its own does not share the family's.
-        if c.prior_std[parameter.family] <= limit and estimate.prior_std <= limit:
+        if c.geometry.prior_std[parameter.family] <= limit and estimate.prior_std <= limit:
             names.append(parameter.name)
     return frozenset(names)
 
 
 def unidentifiable_text(c: Calibration) -> str:
     """Heading of the unidentifiable combinations; empty if there are none."""
-    if not c.observability.unidentifiable:
+    if not c.trust.observability.unidentifiable:
         return ""
-    resolved = " (resolved by the priors only)" if c.prior_std else ""
+    resolved = " (resolved by the priors only)" if c.geometry.prior_std else ""
     return f"Unidentifiable combinations{resolved}"
 
 
@@ -272,19 +291,19 @@ def non_geometric_parameters(c: Calibration) -> Sequence[tuple[str, str, str, st
 
 def solver_text(c: Calibration) -> str:
     """Word the end of the solver's iterations, without the time that they took."""
-    s = c.solution
-    return f"Solver '{c.solver}': {s.status} after {s.iterations} iterations, {s.evaluations} evaluations"
+    s = c.method.solution
+    return f"Solver '{c.method.solver}': {s.status} after {s.iterations} iterations, {s.evaluations} evaluations"
 
 
 def _errors(c: Calibration) -> str:
     """Write a table of errors for each unit that was measured."""
     rows = error_rows(c)
     tables = []
-    for unit in c.channels.present:
+    for unit in c.rows.channels.present:
         of_unit = [row for row in rows if row[1][unit].n]
-        table = error_table(error_title(unit, c.channels), unit, of_unit)
+        table = error_table(error_title(unit, c.rows.channels), unit, of_unit)
         tables.append("\n".join(table))
-    at_board = list(c.errors_at_board.items())
+    at_board = list(errors_at_board(c).items())
     if at_board:
         tables.append("\n".join(error_table("Error at the board", "m", at_board)))
     note = held_out_text(c)
@@ -295,18 +314,20 @@ def _errors(c: Calibration) -> str:
 def _flagged(c: Calibration) -> str:
     """List the outliers, the first dozen of each set, and the effect of their weights."""
     lines = ["Outliers: none."]
-    if c.outliers:
-        lines = [wrap(f"Outliers ({weights_text(c)}): {outliers_text(c, c.outliers)}")]
-        if c.robustness is not None:
-            lines.append(wrap(robustness_text(c.robustness), "  "))
-    if c.suspects:
-        lines.append(wrap(f"Outliers among the validation rows: {outliers_text(c, c.suspects)}"))
+    if c.rows.outliers:
+        lines = [wrap(f"Outliers ({weights_text(c)}): {outliers_text(c, c.rows.outliers)}")]
+        if c.trust.robustness is not None:
+            lines.append(wrap(robustness_text(c.trust.robustness), "  "))
+    if c.rows.suspects:
+        lines.append(
+            wrap(f"Outliers among the validation rows: {outliers_text(c, c.rows.suspects)}")
+        )
     return "\n".join(lines)
 
 
 def _models(c: Calibration) -> str:
     """Write the table of the models that were tried, and which of them were chosen."""
-    if not c.candidates:
+    if not c.method.candidates:
         return ""
     columns = [
         name_column("Models tried", 35),
@@ -315,10 +336,10 @@ def _models(c: Calibration) -> str:
         Column("held-out rms", 15),
         Column("chosen for", left=True, gap=2),
     ]
-    best = max(candidate.evidence for candidate in c.candidates)
+    best = max(candidate.evidence for candidate in c.method.candidates)
     uses = {"geometry": "the URDF", "non_geometric": "predict()"}
     rows = []
-    for candidate in c.candidates:
+    for candidate in c.method.candidates:
         figures = candidate.cross_validation.errors_without_outliers.leading
         rms = with_unit(figures.rms, figures.unit)
         evidence = f"{candidate.evidence - best:.1f}"
@@ -376,7 +397,7 @@ def calibration_html(c: Calibration) -> str:
         errors = other.cross_validation.errors_without_outliers
         rows.append((f"rms error, model '{other.name}' ({where} rows)", rms_text(errors)))
     rows.append(("model", c.model.name))
-    rows.append(("rows", f"{len(c.rows)}, {len(c.outliers)} of them outliers"))
+    rows.append(("rows", f"{len(c.rows)}, {len(c.rows.outliers)} of them outliers"))
     return html_table(f"Calibration of {chain_name(c.nominal)}", rows)
 
 

@@ -21,13 +21,11 @@ from scipy.special import fdtri, gammaincinv
 
 from calib.basics.arguments import check_callable, check_executor, check_type
 from calib.basics.arrays import Array, Integers, read_only
-from calib.basics.blas import one_blas_thread
-from calib.basics.jobs import Progress, batch_size, run
+from calib.basics.jobs import Progress, batch_size, one_blas_thread, run
 from calib.basics.values import Value
 from calib.errors import CalibError, ModelError
 from calib.fit.estimate.fitting import Fitted
 from calib.fit.estimate.problem import Problem
-from calib.fit.estimate.task import PAPER
 from calib.model.kinematics import Samples, SamplesOrValues
 from calib.model.observability import steps
 from calib.numerics.errors import rms
@@ -207,7 +205,7 @@ def bootstrap(
             f"A bootstrap of {count} samples with seed {seed} was asked for; it takes {FEWEST_SAMPLES} to "
             f"{MOST_SAMPLES} samples, 1000 for intervals to be trusted, and a seed of 0 or more."
         )
-    fitted = calibration.fitted
+    fitted = calibration.fit.geometry
     _check_solver(fitted)
     draws = _draws(fitted.estimate.problem, count, seed)
     x, stopped = np.empty((count, len(fitted.estimate.x))), 0
@@ -302,8 +300,8 @@ def _fit_sample(fitted: Fitted, drawn: tuple[Array, Array]) -> tuple[Array, bool
     """
     problem, start = fitted.estimate.problem, fitted.estimate.x
     counts, normal = drawn
-    is_drawn = problem.precision > 1.0 / _WIDEST_DRAWN**2
-    precision = np.where(is_drawn, problem.precision, 1.0)
+    is_drawn = problem.prior_precision > 1.0 / _WIDEST_DRAWN**2
+    precision = np.where(is_drawn, problem.prior_precision, 1.0)
     prior_std = np.where(is_drawn, 1.0 / np.sqrt(precision), 0.0)
     distances = []
     for known, by in zip(problem.distances, normal[len(start) :].tolist(), strict=True):
@@ -312,7 +310,7 @@ def _fit_sample(fitted: Fitted, drawn: tuple[Array, Array]) -> tuple[Array, bool
         problem,
         weights=problem.weights * counts,
         stops=None if problem.stops is None else problem.stops.drawn(counts),
-        centre=problem.centre + prior_std * normal[: len(start)],
+        prior_mean=problem.prior_mean + prior_std * normal[: len(start)],
         distances=tuple(distances),
     )
     size = steps(fitted.kinematics.model.units)
@@ -352,8 +350,8 @@ def profile_interval(calibration: Calibration, name: str, level: float = 0.95) -
         CalibError: The level is not between 0 and 1.
     """
     parameter = calibration.parameter(name)
-    fitted = calibration.fitted
-    non_geometric = calibration.fit_in_memory.non_geometric
+    fitted = calibration.fit.geometry
+    non_geometric = calibration.fit.non_geometric
     if non_geometric is not None and name not in calibration.model.names:
         fitted = non_geometric
     _check_solver(fitted)
@@ -514,7 +512,7 @@ def _check_solver(fitted: Fitted) -> None:
     Raises:
         ModelError: It is the paper's.
     """
-    if fitted.task.solver == PAPER:
+    if not fitted.task.has_weights_and_priors:
         raise ModelError("The solver 'paper' has neither bootstrap nor profile. Choose 'lm'.")
 
 

@@ -1,1 +1,1 @@
-"""``calib compare``: two calibrations of one robot, and its drift."""
+"""Compare two calibrations of one robot: did it drift?"""

@@ -19,11 +19,12 @@ Examples:
   calib compare january.json june.json
   calib compare january.json june.json --robot robot.urdf --json compared.json --view both.html
 
-A tracker that stands elsewhere and a target mounted anew are no drift.
+A relocated tracker or a remounted target does not count as drift.
 """)
 def compare(
     a: Annotated[
-        Path, typer.Argument(metavar="A", help="First result, of 'calib calibrate --json'.")
+        Path,
+        typer.Argument(metavar="A", help="First result, as 'calib calibrate --json' writes it."),
     ],
     b: Annotated[Path, typer.Argument(metavar="B", help="Second, later result.")],
     robot: Annotated[
@@ -31,17 +32,20 @@ def compare(
         typer.Option(
             "--robot",
             metavar="ROBOT",
-            help="URDF with the meshes for --view. Default: that of A.",
+            help="URDF with the meshes for --view. Default: the URDF in A.",
         ),
     ] = None,
-    json: Annotated[Path | None, typer.Option("--json", help="Write JSON.")] = None,
+    json: Annotated[
+        Path | None, typer.Option("--json", help="Write the comparison as JSON.")
+    ] = None,
     view: Annotated[
-        Path | None, typer.Option("--view", help="Write a page of both robots.")
+        Path | None,
+        typer.Option("--view", help="Write a page that shows both robots, to open in a browser."),
     ] = None,
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
-    """Run the verb; its help is the text of `verb`."""
+    """Compare the results, write the files and print the comparison."""
     from calib.verbs.compare.comparison import compare as compare_results
 
     check_outputs([json, view], [a, b, robot], force=force)

@@ -12,9 +12,7 @@ from typing import Any, Literal
 import numpy as np
 
 from calib.basics.arguments import check_path, check_type
-from calib.basics.short import one_line
-from calib.basics.shown import shown_by
-from calib.basics.values import Value
+from calib.basics.values import Value, one_line, shown_by
 from calib.data.inputs import ROBOT, RobotInput, chain_of, robot_of
 from calib.diagnosis.reasons import NO
 from calib.errors import ModelError

@@ -154,9 +154,9 @@ def unknown_frame(result: Calibration) -> tuple[str, ...]:
         order: those that were estimated for at least one frame. All six where no row determines where the base stands;
         none where the measurement frames were taken as known.
     """
-    if not result.tells_place:
+    if not result.rows.tells_place:
         return DIRECTIONS  # sockets, planes, anchors and pairs never do
-    if not result.frame_estimated:
+    if not result.method.frame_estimated:
         return ()
     estimated = {direction for unknown in result.setup.unknown for direction in unknown}
     return tuple(direction for direction in DIRECTIONS if direction in estimated)
@@ -217,13 +217,13 @@ def _estimate(result: Calibration, other: Calibration) -> Estimate:
     of_own = C[np.ix_(indices, indices)]
     noise = C - (C * common) @ C
     data_gradient = np.array([result.parameters[k].data_gradient for k in indices])
-    pull_to_data = data_gradient - common[indices] * result.x[indices]
+    pull_to_data = data_gradient - common[indices] * result.geometry.x[indices]
     return Estimate(
         covariance=of_own,
         noise=noise[np.ix_(indices, indices)],
         pull=of_own * common[indices],
         prior=1.0 / shared,
-        freedom=result.freedom,
+        freedom=result.noise.freedom,
         shift=of_own @ pull_to_data,
     )
 
@@ -396,7 +396,7 @@ def _prediction(result: Calibration, first: Calibration, q: Array) -> _Predictio
     # that would look like combinations of their own.
     # Poses, (N, 4, 4), and their derivatives, (N, 6, k).
     nominal, effect = kinematics.twists(np.zeros(len(indices)), q)
-    calibrated, slope = kinematics.twists(result.x[indices], q)
+    calibrated, slope = kinematics.twists(result.geometry.x[indices], q)
     return _Prediction(nominal, calibrated, effect, slope)
 
 
@@ -609,7 +609,7 @@ def _compensation(first: Calibration, second: Calibration, *, same_start: bool) 
     alike = same_start and _same_parameters(first, second)
     # Covariance of the parameters of both results together, (p_a + p_b, p_a + p_b).
     joint = joint_covariance(*estimates, alike=alike)
-    ranges = _common_ranges(first.ranges, second.ranges)
+    ranges = _common_ranges(first.rows.ranges, second.rows.ranges)
     inside = _predictions(first, second, spread_between(ranges, _POSES))
     return _Compensation.of(inside, estimates, joint)
 
@@ -741,7 +741,7 @@ def _same_parameters(first: Calibration, second: Calibration) -> bool:
         True if names, in their order, parameter set and ties are equal; parameters of frames and targets do not count.
     """
     same_names = own_names(first) == own_names(second)
-    same_ties = dict(first.ties) == dict(second.ties)
+    same_ties = dict(first.method.ties) == dict(second.method.ties)
     return same_names and same_ties and first.model.name == second.model.name
 
 

@@ -215,7 +215,7 @@ def _result_table(name: str, result: Calibration) -> dict[str, Any]:
         "name": name,
         "set": result.model.name,
         "verdict": None if result.verdict is None else result.verdict.use,
-        "sigma": result.sigma,
+        "sigma": result.noise.sigma,
         "urdf_sha256": result.nominal.urdf.sha256,
         "measurements_sha256": result.source.sha256,
     }

@@ -1,1 +1,1 @@
-"""Commands for a controller that keeps the nominal model. Imports result and below."""
+"""Compute compensated commands so that the real robot reaches the programmed poses."""

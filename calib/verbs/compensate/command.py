@@ -2,24 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import typer
 
+from calib.cli.loading import coupling_of_result, load
 from calib.cli.notices import say_accepted
-from calib.cli.options import Accept, ColumnChoice, Force, Hold, PayloadMass, Quiet, RobotFile
+from calib.cli.options import Accept, CellOptions, ColumnChoice, Force, Quiet, RobotFile
 from calib.cli.outputs import check_outputs
-from calib.cli.setup import coupling_of_result, load, read_cell
 from calib.cli.verb import verb
-from calib.cli.words import parse_held, parse_pair, parse_payload, parse_tool
 from calib.errors import CalibError, VerdictError
 
 if TYPE_CHECKING:
+    from calib.basics.arrays import Array
     from calib.data.cell import Cell
+    from calib.data.forms.column_options import ColumnOptions
     from calib.result.calibration import Calibration
-    from calib.robot.payload import Payload
+    from calib.robot.gravity import Payload
     from calib.robot.robot import Robot
     from calib.verbs.compensate.commands import Commands
     from calib.verbs.compensate.program import Program
@@ -36,14 +38,23 @@ _TOLERANCE = 1e-8
 class ModelChoice:
     """The model of the real robot."""
 
-    calibration: Annotated[Path | None, typer.Option(help="Result JSON of a calibration.")] = None
+    calibration: Annotated[
+        Path | None,
+        typer.Option(help="Result of a calibration, as 'calib calibrate --json' writes it."),
+    ] = None
     corrected: Annotated[
         str | None, typer.Option(help="Corrected URDF, in place of --calibration.")
     ] = None
     geometry: Annotated[
-        bool, typer.Option("--geometry", help="Without the non-geometric model.")
+        bool, typer.Option("--geometry", help="Leave out the non-geometric model.")
     ] = False
-    payload: PayloadMass = None
+    payload: Annotated[
+        str | None,
+        typer.Option(
+            metavar='"MASS UNIT"',
+            help='Mass that the tip carries, such as "5 kg", if it is another one than at the calibration.',
+        ),
+    ] = None
     accept: Accept = False
 
     @property
@@ -73,20 +84,21 @@ class GoalOptions:
         str | None,
         typer.Option(
             metavar='"X Y Z UNIT [RX RY RZ UNIT]"|target[:NAME]',
-            help="Tool in the tip, such as '0 0 150 mm', or the calibrated target. Default: the tip.",
+            help="Pose of the tool in the tip, such as '0 0 150 mm', or the calibrated target. Default: the tip.",
         ),
     ] = None
     poses_in: Annotated[
         str,
         typer.Option(
             metavar="base|measured|GROUP",
-            help="Frame of the poses: the base, the one that was measured in, or that of a group.",
+            help="Frame of the poses: the robot's base, the measurement frame, or the measurement frame of a group.",
         ),
     ] = _BASE
     match: Annotated[
         Literal["pose", "position", "axis"] | None,
         typer.Option(
-            help="What is to be reached; axis: position and direction of the tool's z. Default: pose."
+            help="What is to be reached: pose (the default), position, or axis, the position and the direction of the "
+            "tool's z axis."
         ),
     ] = None
     start: Annotated[
@@ -99,32 +111,36 @@ class GoalOptions:
     ] = None
     tolerance: Annotated[
         str,
-        typer.Option(metavar='"LENGTH [ANGLE]"', help="Error that a row may keep."),
+        typer.Option(metavar='"LENGTH [ANGLE]"', help="Error that is allowed to remain in a row."),
     ] = "1e-8 m 1e-8 rad"
-    skip: Annotated[bool, typer.Option("--skip", help="Rows out of reach stay empty.")] = False
+    skip: Annotated[
+        bool, typer.Option("--skip", help="Leave rows empty whose pose cannot be reached.")
+    ] = False
 
 
 @dataclass(frozen=True, slots=True)
-class ChainOptions(ColumnChoice):
-    """Chain of the robot, and the names of the program's columns."""
+class ChainOptions(CellOptions):
+    """Chain of the robot; it is the result's unless the options say otherwise."""
 
-    cell: Annotated[
-        Path | None,
-        typer.Option(
-            "--cell",
-            help="Cell file, for --corrected: base, tip, held joints and coupled readings.",
-        ),
-    ] = None
-    base: Annotated[str | None, typer.Option(help="Base link. Default: the result's.")] = None
-    tip: Annotated[str | None, typer.Option(help="Tip link. Default: the result's.")] = None
-    hold: Hold = None
+    names: ClassVar[tuple[str, ...]] = ("base", "tip", "hold")
+    helps: ClassVar[Mapping[str, str]] = {
+        "cell": "Cell file (TOML), for --corrected: its base, tip, held joints and coupled readings.",
+        "base": "Link in whose frame the chain starts. Default: that of the result.",
+        "tip": "Link that the tool is mounted on. Default: that of the result.",
+    }
+
+
+@dataclass(frozen=True, slots=True)
+class ProgramColumns(ColumnChoice):
+    """Names and units of the program's columns."""
+
     orientation: Annotated[
         str | None,
         typer.Option(
             metavar="CONVENTION",
             help="Convention of the orientations that are written, and of the program's if it has such columns: "
-            "{conventions}. Default: as the program's columns are named; without orientations that of the brand, else "
-            "rotation-vector.",
+            "{conventions}. Default: as the program's columns are named; for a program without orientations that of "
+            "the brand, else rotation-vector.",
         ),
     ] = None
 
@@ -133,10 +149,14 @@ class ChainOptions(ColumnChoice):
 class CommandOutputs:
     """The table of commands."""
 
-    output: Annotated[Path | None, typer.Option("-o", "--output", help="CSV to write.")] = None
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="Write the commands as CSV.")
+    ] = None
     send: Annotated[
         Literal["both", "joints", "poses"],
-        typer.Option(help="What is written: joint values to command, poses to send, or both."),
+        typer.Option(
+            help="What is written: the joint values to command, the poses to send, or both."
+        ),
     ] = "both"
     force: Force = False
 
@@ -157,6 +177,59 @@ class _Models:
     remedy: str = ""
 
 
+def parse_tool(text: str) -> Array | str:
+    """Parse ``--tool``: ``X Y Z UNIT [RX RY RZ UNIT]``, or ``target[:NAME]``.
+
+    Args:
+        text: As typed; the rotation is a rotation vector.
+
+    Returns:
+        T_tip_tool, shape (4, 4) [m]; or the name of a target, empty for the only one.
+
+    Raises:
+        CalibError: It is neither.
+    """
+    import numpy as np
+    from scipy.spatial.transform import Rotation
+
+    from calib.basics.units import ANGLE, LENGTH, parse_quantities
+
+    word, _, name = text.strip().partition(":")
+    if word == "target":
+        return name.strip()
+    example = "0 0 100 mm 0 0 90 deg"
+    if not any(character.isdigit() for character in text):
+        raise CalibError(f'--tool "{text}": it must be a pose, "{example}", or target[:NAME].')
+    values = parse_quantities(text, "--tool", {LENGTH: 3, ANGLE: 3}, example)
+    zero = [0.0, 0.0, 0.0]
+    T_tip_tool = np.eye(4)
+    T_tip_tool[:3, 3] = values.get(LENGTH, zero)
+    T_tip_tool[:3, :3] = Rotation.from_rotvec(values.get(ANGLE, zero)).as_matrix()
+    return T_tip_tool
+
+
+def parse_pair(text: str, option: str, example: str) -> tuple[float | None, float | None]:
+    """Parse a length, an angle, or both, such as ``10 mm 2 deg``.
+
+    Args:
+        text: As typed.
+        option: The option that it was given with, for messages.
+        example: A text that would be right, for messages.
+
+    Returns:
+        Length [m] and angle [rad]; None for one that is not given.
+
+    Raises:
+        CalibError: It is neither, or negative.
+    """
+    from calib.basics.units import ANGLE, LENGTH, parse_quantities
+
+    values = parse_quantities(text, option, {LENGTH: 1, ANGLE: 1}, example, signed=False)
+    length = values.get(LENGTH, [None])[0]
+    angle = values.get(ANGLE, [None])[0]
+    return length, angle
+
+
 @verb("""Compute compensated commands so that the real robot reaches the programmed poses.
 
 \b
@@ -175,59 +248,64 @@ def compensate(
         Path,
         typer.Argument(metavar="PROGRAM", help="Table (CSV, .xlsx): joint values, poses, or both."),
     ],
-    model: ModelChoice,
-    goal: GoalOptions,
-    chain: ChainOptions,
+    model_options: ModelChoice,
+    goal_options: GoalOptions,
+    cell_options: ChainOptions,
+    column_options: ProgramColumns,
     outputs: CommandOutputs,
     quiet: Quiet = False,
 ) -> None:
-    """Run the verb; its help is the text of `verb`."""
+    """Load both models, compute the commands and write them; a verdict 'do not use' must have been accepted."""
     from calib.show.verdict import refusal
     from calib.verbs.compensate.text import no_commands, text
 
-    source = model.source
-    check_outputs([outputs.output], [robot, program, source, chain.cell], force=outputs.force)
-    models = _load_models(robot, program, model, chain)
-    if models.stated and not model.accept:
+    source = model_options.source
+    inputs: list[str | Path | None] = [robot, program, source, cell_options.file]
+    check_outputs([outputs.output], inputs, force=outputs.force)
+    cell = cell_options.cell()
+    columns = column_options.parsed()
+    models = _load_models(robot, program, model_options, cell, columns)
+    if models.stated and not model_options.accept:
         raise VerdictError(refusal(f"'{source}'", models.stated) + models.remedy)
-    commands = _compute(models, _read_program(program, models.nominal, goal, chain), model, goal)
+    commands = _compute(
+        models,
+        _read_program(program, models.nominal, goal_options, columns),
+        model_options,
+        goal_options,
+    )
     none_reached = not commands.reached.any()
-    if not commands.reached.all() and (none_reached or not goal.skip):
+    if not commands.reached.all() and (none_reached or not goal_options.skip):
         raise CalibError(no_commands(commands))
-    convention = chain.orientation or commands.program.form or chain.parsed().brand
+    convention = column_options.orientation or commands.program.form or columns.brand
     _write(commands, outputs, convention)
     if not quiet:
         typer.echo(text(commands, Path(source).name, outputs.output))
     say_accepted(f"'{source}'", models.stated)
 
 
-def _load_models(robot: str, program: Path, model: ModelChoice, chain: ChainOptions) -> _Models:
+def _load_models(
+    robot: str, program: Path, model_options: ModelChoice, cell: Cell, columns: ColumnOptions
+) -> _Models:
     """Load the nominal robot and the model of the real one."""
-    if model.calibration is not None:
-        return _models_of_result(robot, model.calibration, model, chain)
+    if model_options.calibration is not None:
+        return _models_of_result(robot, model_options.calibration, model_options, cell)
     from calib.basics.tables import Table
     from calib.data.columns import column_names
     from calib.data.inputs import chain_of
 
-    joints = column_names(Table.read(program), chain.parsed())
-    nominal = load(robot, _cell(chain), joints)
-    actual = load(str(model.corrected), chain_of(nominal))
+    joints = column_names(Table.read(program), columns)
+    nominal = load(robot, cell, joints)
+    actual = load(str(model_options.corrected), chain_of(nominal))
     return _Models(nominal, actual, payload=None, stated=actual.urdf.verdict)
 
 
-def _cell(chain: ChainOptions) -> Cell:
-    """Return the cell of the chain's options: the cell file's, with the options on top."""
-    return read_cell(chain.cell, base=chain.base, tip=chain.tip, hold=chain.hold)
-
-
-def _models_of_result(robot: str, path: Path, model: ModelChoice, chain: ChainOptions) -> _Models:
+def _models_of_result(robot: str, path: Path, model_options: ModelChoice, given: Cell) -> _Models:
     """Load a result, and the nominal robot with its chain unless the options name another."""
     from calib.result.calibration_file import read_result
     from calib.show.verdict import against
 
     result = read_result(path)
     calibrated_chain = result.nominal
-    given = _cell(chain)
     cell = replace(
         given,
         base=given.base or calibrated_chain.base,
@@ -237,43 +315,53 @@ def _models_of_result(robot: str, path: Path, model: ModelChoice, chain: ChainOp
     )
     nominal = load(robot, cell)
     payload = result.non_geometric.payload if result.non_geometric else None
-    stated = against(result.verdict_on(non_geometric=not model.geometry))
+    stated = against(result.verdict_on(non_geometric=not model_options.geometry))
     remedy = ""
     if stated and not against(result.verdict):
         remedy = " --geometry leaves out the non-geometric model, which this verdict is on."
     return _Models(nominal, result, payload, stated, remedy)
 
 
-def _read_program(path: Path, nominal: Robot, goal: GoalOptions, chain: ChainOptions) -> Program:
+def _read_program(
+    path: Path, nominal: Robot, goal_options: GoalOptions, columns: ColumnOptions
+) -> Program:
     """Read the program for the nominal robot."""
+    from calib.basics.units import parse_joint_values
     from calib.verbs.compensate.program_file import read_program
 
     return read_program(
         path,
         nominal,
-        columns=chain.parsed(),
-        match=goal.match,
-        start=parse_held(goal.start or [], "--start"),
+        columns=columns,
+        match=goal_options.match,
+        start=parse_joint_values(goal_options.start or [], "--start"),
     )
 
 
-def _compute(models: _Models, program: Program, model: ModelChoice, goal: GoalOptions) -> Commands:
+def _compute(
+    models: _Models, program: Program, model_options: ModelChoice, goal_options: GoalOptions
+) -> Commands:
     """Compute the commands."""
+    from calib.basics.units import MASS, parse_amount
+    from calib.robot.gravity import Payload
     from calib.verbs.compensate.commands import compensate as compute_commands
 
-    length, angle = parse_pair(goal.tolerance, "--tolerance", "0.05 mm 0.01 deg")
-    non_geometric: bool | Payload = not model.geometry
-    if model.payload:
-        non_geometric = parse_payload(model.payload, models.payload)
+    length, angle = parse_pair(goal_options.tolerance, "--tolerance", "0.05 mm 0.01 deg")
+    non_geometric: bool | Payload = not model_options.geometry
+    if model_options.payload:
+        mass = parse_amount(model_options.payload, "--payload", MASS, "5 kg")
+        # The centre of mass is that of the calibration, or else the tip.
+        known = models.payload
+        non_geometric = Payload(mass) if known is None else replace(known, mass=mass)
     return compute_commands(
         models.actual,
         program,
         nominal=models.nominal,
-        tool=parse_tool(goal.tool) if goal.tool else None,
-        frame={_BASE: None, _MEASURED: ""}.get(goal.poses_in, goal.poses_in),
+        tool=parse_tool(goal_options.tool) if goal_options.tool else None,
+        frame={_BASE: None, _MEASURED: ""}.get(goal_options.poses_in, goal_options.poses_in),
         tolerance=(length or _TOLERANCE, angle or _TOLERANCE),
         non_geometric=non_geometric,
-        accept=model.accept,
+        accept=model_options.accept,
     )
 
 

@@ -22,14 +22,13 @@ from numpy.typing import ArrayLike
 
 from calib.basics.arguments import check_type, finite_numbers
 from calib.basics.arrays import Array, Mask, read_only, rigid_inverse
-from calib.basics.short import one_line
-from calib.basics.values import Value
+from calib.basics.values import Value, one_line
 from calib.data.inputs import ROBOT, RobotInput, chain_of, robot_of
 from calib.diagnosis.reasons import NO
 from calib.errors import VerdictError
 from calib.result.calibration import Calibration
 from calib.result.result_input import RESULT, is_result_file, result_of
-from calib.robot.payload import Payload
+from calib.robot.gravity import Payload
 from calib.robot.ranges import column_limits
 from calib.robot.robot import Robot
 from calib.verbs.compensate.expected import ExpectedErrors, expected_errors

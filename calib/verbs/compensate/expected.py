@@ -186,8 +186,8 @@ def _views(
     known = np.zeros((6, 6))
     base = unmodelled_base(result, part) if in_base and unknown else known
     # Where no positions were measured, what the measurements tell is the base but for its motion as one body.
-    as_base = not result.tells_place or (in_base and not unknown)
-    gauge = known if result.tells_place else None
+    as_base = not result.rows.tells_place or (in_base and not unknown)
+    gauge = known if result.rows.tells_place else None
     return (
         View(samples, None, as_base, gauge),
         View(samples, T_tip_tool, as_base, gauge),
@@ -247,8 +247,8 @@ def _freedom(
     shared = float(np.sum(arrived.shared))
     by_priors = min(arrived.by_priors, shared)
     spread = lacking**2 / rows + float(np.sum(arrived.shared**2))
-    spread += (shared - by_priors) ** 2 / max(result.freedom, 1.0)
-    if result.prior_std_from == "data":
+    spread += (shared - by_priors) ** 2 / max(result.noise.freedom, 1.0)
+    if result.method.prior_std_from == "data":
         spread += by_priors**2 / len(result.nominal.inputs)
     return (lacking + shared) ** 2 / spread if spread > 0.0 else np.inf
 
@@ -315,15 +315,15 @@ def _lacking_in_images(result: Calibration, part: FittedModel) -> float:
         part: Its geometry or its non-geometric model.
     """
     held_out = part.cross_validation
-    sigma = result.sigma_given.get("px")
-    if held_out is None or result.metres_per_pixel is None or sigma is None:
+    sigma = result.noise.sigma_given.get("px")
+    if held_out is None or result.rows.metres_per_pixel is None or sigma is None:
         return 0.0
     variance = held_out.errors_without_outliers["px"].rms ** 2 / _AXES_OF_IMAGE
     scalars = _AXES_OF_IMAGE * held_out.folds
     chance = float(chdtri(scalars, _CHANCE)) / scalars
     if variance <= chance * sigma**2:
         return 0.0
-    pixel = float(np.nanmean(np.square(result.metres_per_pixel)))
+    pixel = float(np.nanmean(np.square(result.rows.metres_per_pixel)))
     return 3.0 * (variance - sigma**2) * pixel
 
 
@@ -378,23 +378,23 @@ def _instrument(
     """
     sigma = dict.fromkeys(_POSE_UNITS, np.nan)
     freedom = dict.fromkeys(_POSE_UNITS, 0.0)
-    if result.repeats is not None:
+    if result.noise.repeats is not None:
         for unit in _POSE_UNITS:
-            freedom[unit] = result.repeats.freedoms.get(unit, 0.0)
+            freedom[unit] = result.noise.repeats.freedoms.get(unit, 0.0)
             if freedom[unit] >= _TELLING_REPEATS:
-                sigma[unit] = result.repeats.within[unit]
+                sigma[unit] = result.noise.repeats.within[unit]
     for unit in _POSE_UNITS:
-        if unit in result.sigma_given:
-            sigma[unit] = result.sigma_given[unit]
+        if unit in result.noise.sigma_given:
+            sigma[unit] = result.noise.sigma_given[unit]
             freedom[unit] = np.inf
-    source: NoiseSource = "stated" if "m" in result.sigma_given else "repeats"
+    source: NoiseSource = "stated" if "m" in result.noise.sigma_given else "repeats"
     source = source if np.isfinite(sigma["m"]) else "unknown"
     return source, sigma, freedom
 
 
 def _scalars_per_row(result: Calibration) -> dict[str, float]:
     """Return the mean number of lengths and of angles of the fitted rows that measure any, by unit."""
-    channels = result.channels.select(result.rows.estimation)
+    channels = result.rows.channels.select(result.rows.estimation)
     result_by_unit = {}
     for unit in _POSE_UNITS:
         counts = channels.where(unit).sum(axis=1)

@@ -162,12 +162,12 @@ def _frozen(result: Calibration, part: FittedModel) -> list[Parameter]:
         sets.add(split_name(part.model.name)[0])
     models = [error_model(result.nominal, name, target=False) for name in sets]
     parameters = [parameter for model in models for parameter in model.parameters]
-    return [parameter for parameter in parameters if parameter.name in result.frozen]
+    return [parameter for parameter in parameters if parameter.name in result.method.frozen]
 
 
 def _prior_std(result: Calibration, part: FittedModel, family: str) -> float:
     """Return the standard deviation of a family's errors: the model's, else the largest candidate's, else typical."""
-    largest_first = sorted(result.candidates, key=lambda candidate: -candidate.parameters)
+    largest_first = sorted(result.method.candidates, key=lambda candidate: -candidate.parameters)
     for prior_std in (part.prior_std, *(candidate.prior_std for candidate in largest_first)):
         if family in prior_std:
             return float(prior_std[family])

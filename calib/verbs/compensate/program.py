@@ -10,9 +10,7 @@ from numpy.typing import ArrayLike
 
 from calib.basics.arguments import check_mapping, check_names, check_type, finite_numbers, numbers
 from calib.basics.arrays import Array, read_only
-from calib.basics.mappings import keep_read_only
-from calib.basics.short import one_line
-from calib.basics.values import Value
+from calib.basics.values import Value, keep_read_only, one_line
 from calib.errors import ModelError, choices
 from calib.numerics.geometry import not_rotations
 from calib.verbs.compensate.inverse import MATCHES, POSITION

@@ -1,1 +1,1 @@
-"""``calib convert``: a result in the files of controllers, ROS, and tables."""
+"""Write a calibrated robot in the formats that controllers and ROS take."""

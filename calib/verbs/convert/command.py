@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import typer
 
 from calib.cli.notices import say_accepted
-from calib.cli.options import Accept, Base, Force, Hold, Quiet
+from calib.cli.options import Accept, CellOptions, Force, Quiet
 from calib.cli.outputs import check_outputs
 from calib.cli.verb import verb
-from calib.cli.words import parse_held
 
 if TYPE_CHECKING:
     from calib.verbs.convert.camera.options import CameraOptions
@@ -20,26 +20,31 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class ArmOptions:
-    """Nominal robot and chain."""
+    """Nominal robot."""
 
     robot: Annotated[
         str | None,
         typer.Option(
             metavar="ROBOT",
-            help="Nominal URDF, xacro or name. Default: the one in a result; a bare arm for "
+            help="Nominal URDF or xacro, or the name of a robot. Default: the one in a result, or a bare arm for "
             "--ur-model.",
         ),
     ] = None
     ur_model: Annotated[
         str | None,
-        typer.Option(metavar="NAME", help="Arm of Universal Robots, such as 'UR5e'."),
+        typer.Option(metavar="NAME", help="Model of an arm of Universal Robots, such as 'UR5e'."),
     ] = None
-    base: Base = None
-    tip: Annotated[
-        str | None,
-        typer.Option(help="Link that the chain ends at. Default: that of SOURCE."),
-    ] = None
-    hold: Hold = None
+
+
+@dataclass(frozen=True, slots=True)
+class ChainOptions(CellOptions):
+    """Chain of the robot."""
+
+    names: ClassVar[tuple[str, ...]] = ("base", "tip", "hold")
+    has_file: ClassVar[bool] = False
+    helps: ClassVar[Mapping[str, str]] = {
+        "tip": "Link that the chain ends at. Default: that of SOURCE."
+    }
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +53,7 @@ class ControllerFiles:
 
     urcontrol: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="urcontrol.conf with the nominal rows."),
+        typer.Option(metavar="FILE", help="The robot's urcontrol.conf, with the nominal DH rows."),
     ] = None
     hash_from: Annotated[
         Path | None,
@@ -68,7 +73,9 @@ class ControllerFiles:
     ] = None
     ticks: Annotated[
         int,
-        typer.Option(metavar="N", help="Ticks a turn of the servos, for --to lerobot."),
+        typer.Option(
+            metavar="N", help="Number of ticks in a turn of the servos, for --to lerobot."
+        ),
     ] = 4096
 
 
@@ -78,11 +85,13 @@ class CameraNames:
 
     camera: Annotated[
         str | None,
-        typer.Option(metavar="NAME", help="Which camera, where the table has several (group)."),
+        typer.Option(
+            metavar="NAME", help="Name of the camera (column group), if the table has several."
+        ),
     ] = None
     camera_frame: Annotated[
         str | None,
-        typer.Option(metavar="LINK", help="Link of the camera's optical frame in the URDF."),
+        typer.Option(metavar="LINK", help="Link of the URDF that is the camera's optical frame."),
     ] = None
     move: Annotated[
         str | None,
@@ -96,15 +105,17 @@ class CameraNames:
         str | None,
         typer.Option(
             metavar="NAME",
-            help="Link to add at the optical frame, where the URDF has no camera.",
+            help="Name of a link to add at the optical frame, if the URDF has no camera.",
         ),
     ] = None
     board: Annotated[
         str | None,
-        typer.Option(metavar="NAME", help="Which board, where the table has several (target)."),
+        typer.Option(
+            metavar="NAME", help="Name of the board (column target), if the table has several."
+        ),
     ] = None
     new_board_frame: Annotated[
-        str | None, typer.Option(metavar="NAME", help="Link to add at the board.")
+        str | None, typer.Option(metavar="NAME", help="Name of a link to add at the board.")
     ] = None
 
     def options(self) -> CameraOptions:
@@ -159,9 +170,10 @@ def convert(
         ),
     ],
     output: Annotated[Path, typer.Option("-o", "--output", metavar="FILE", help="File to write.")],
-    arm: ArmOptions,
-    files: ControllerFiles,
-    camera: CameraNames,
+    arm_options: ArmOptions,
+    cell_options: ChainOptions,
+    file_options: ControllerFiles,
+    camera_options: CameraNames,
     to: Annotated[
         str | None,
         typer.Option(
@@ -173,25 +185,32 @@ def convert(
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
-    """Run the verb; its help is the text of `verb`."""
+    """Convert SOURCE into the file and print what the format does not hold."""
     from calib.verbs.convert.conversion import convert as convert_robot
     from calib.verbs.convert.convert import Options
     from calib.verbs.convert.text import text
 
-    inputs = [source, arm.robot, files.urcontrol, files.hash_from, files.update]
+    inputs = [
+        source,
+        arm_options.robot,
+        file_options.urcontrol,
+        file_options.hash_from,
+        file_options.update,
+    ]
     check_outputs([output], inputs, force=force)
+    chain = cell_options.cell()
     options = Options(
         to=to,
-        robot=arm.robot,
-        ur_model=arm.ur_model,
-        urcontrol=files.urcontrol,
-        hash_from=files.hash_from,
-        update=files.update,
-        ticks=files.ticks,
-        base=arm.base,
-        tip=arm.tip,
-        held=parse_held(arm.hold or []),
-        camera=camera.options(),
+        robot=arm_options.robot,
+        ur_model=arm_options.ur_model,
+        urcontrol=file_options.urcontrol,
+        hash_from=file_options.hash_from,
+        update=file_options.update,
+        ticks=file_options.ticks,
+        base=chain.base,
+        tip=chain.tip,
+        held=dict(chain.held),
+        camera=camera_options.options(),
         overwrite=force,
     )
     conversion = convert_robot(source, output, options=options, accept=accept)

@@ -16,10 +16,10 @@ from calib.basics.values import Value
 from calib.data.inputs import RobotInput
 from calib.errors import CalibError, choices, did_you_mean
 from calib.result.calibration import Calibration
+from calib.robot.coupled_readings import coupling_lines
 from calib.robot.dh.rows import EQUATIONS, HAYATI, MODIFIED, STANDARD
 from calib.robot.ranges import random_joint_values
 from calib.robot.readback import check_written
-from calib.robot.readings import coupling_lines
 from calib.robot.robot import Robot
 from calib.verbs.convert.camera.intrinsics import write_intrinsics
 from calib.verbs.convert.camera.static_transform import LAUNCH

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from calib.basics.arrays import Array
-from calib.basics.mappings import keep_read_only
-from calib.basics.values import Value
+from calib.basics.values import Value, keep_read_only
 from calib.data.cell import Cell
 from calib.data.inputs import RobotInput, chain_of, robot_of
 from calib.diagnosis.reasons import Verdict

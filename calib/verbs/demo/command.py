@@ -60,7 +60,7 @@ def demo(
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
-    """Run the verb; its help is the text of `verb`."""
+    """Calibrate the example, write the files and print the summary."""
     from calib.basics.files import make_folder
 
     make_folder(out)

@@ -1,1 +1,1 @@
-"""``calib detect``: corners of boards in pictures, as a table."""
+"""Find the corners of printed boards in pictures, and write them beside the joint values of each picture."""

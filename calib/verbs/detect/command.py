@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from calib.cli.executor import executor_of
-from calib.cli.options import Columns, Force, Quiet, Workers
+from calib.cli.options import ColumnChoice, Columns, Force, Quiet, Workers
 from calib.cli.outputs import check_outputs, written_lines
 from calib.cli.terminal import progress_bar
 from calib.cli.verb import verb
@@ -25,13 +25,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class JointRows:
-    """The table of joint values, and how its rows belong to pictures."""
+    """The table of joint values, and how its rows are matched with pictures."""
 
     joints: Annotated[
         Path,
         typer.Option(
             metavar="TABLE",
-            help="Table of joint values, a row a picture: its column 'image' has the pictures' names.",
+            help="Table of joint values with a row for each picture, named in its column 'image'.",
         ),
     ]
     columns: Columns = None
@@ -39,20 +39,18 @@ class JointRows:
         str | None,
         typer.Option(
             metavar="COLUMN",
-            help="Column with the numbers of the pictures, the last number in a name, in place of "
-            "'image'.",
+            help="Column with the numbers of the pictures (the last number in a file's name), instead of 'image'.",
         ),
     ] = None
 
     def read(self) -> JointTable:
         """Read the table; raises `CalibError`."""
-        from calib.cli.words import parse_columns
         from calib.verbs.detect.matching import read_joint_table
 
-        options = parse_columns(self.columns, None, None)
+        options = ColumnChoice(self.columns).parsed()
         if options.brand is not None:
             raise CalibError(
-                f"--columns {options.brand}: columns are kept as they are; name the brand to calib calibrate."
+                f"--columns {options.brand}: columns are copied as they are; name the brand to calib calibrate."
             )
         return read_joint_table(self.joints, options.names, self.index)
 
@@ -64,22 +62,20 @@ class BoardsAndCameras:
     board: Annotated[
         list[Path],
         typer.Option(
-            metavar="FILE", help="Description of a board, of calib board. Can be repeated."
+            metavar="FILE", help="Description of a board, from calib board. Can be repeated."
         ),
     ]
     camera_name: Annotated[
         list[str] | None,
         typer.Option(
             metavar="NAME[=FOLDER]",
-            help="The camera that took the pictures, or those in a folder; needless where the table "
-            "has a column 'group' or 'camera'. Can be repeated.",
+            help="Name of the camera that took the pictures, or those in FOLDER; not needed if the table has a column "
+            "'group' or 'camera'. Can be repeated.",
         ),
     ] = None
     fewest: Annotated[
         int,
-        typer.Option(
-            min=4, metavar="N", help="Pictures with fewer corners of a board are not used."
-        ),
+        typer.Option(min=4, metavar="N", help="Use no pictures with fewer corners of a board."),
     ] = 12
 
     def boards(self) -> list[Board]:
@@ -112,8 +108,8 @@ class DetectOutputs:
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="Write the contact sheet, a page with all pictures and their corners. Default: "
-            "beside the table, .html.",
+            help="Write the contact sheet, a page with all pictures and their corners. Default: beside the table, as "
+            ".html.",
         ),
     ] = None
     no_sheet: Annotated[bool, typer.Option("--no-sheet", help="Write no contact sheet.")] = False
@@ -121,33 +117,25 @@ class DetectOutputs:
 
     @property
     def page(self) -> Path | None:
-        """The file of the contact sheet; None where none is wanted."""
+        """The file of the contact sheet; None if none is wanted."""
         if self.no_sheet:
             return None
         return self.sheet or self.output.with_suffix(".html")
 
     def check(self, inputs: list[Path]) -> None:
-        """Refuse outputs that cannot be written before the work begins; raises `CalibError`."""
+        """Refuse, before the work begins, outputs that cannot be written; raises `CalibError`."""
         from calib.show.page import check_ending
 
         if self.no_sheet and self.sheet is not None:
             raise CalibError(
-                "--sheet names the contact sheet and --no-sheet wants none; leave one out."
+                "--sheet names a contact sheet, and --no-sheet asks for none; leave one out."
             )
         if self.page is not None:
             check_ending(self.page)
         check_outputs((self.output, self.page), inputs, force=self.force)
 
     def write(self, detection: Detection, joints: JointTable, matches: Matches) -> list[str]:
-        """Write the contact sheet, then the table.
-
-        Args:
-            detection: What was detected.
-            joints: The table of joint values.
-            matches: The row of each picture.
-
-        Returns:
-            The lines to print.
+        """Write the contact sheet, then the table, and return the lines to print.
 
         Raises:
             CalibError: No corner can be used: the sheet is written, the table is not.
@@ -175,9 +163,9 @@ Examples:
   calib detect images --board board.toml --joints joints.csv -o corners.csv
   calib detect "run/*.png" --board board.toml --joints joints.csv --columns part=target -o corners.csv
 
-Pictures belong to rows by their names, in the column 'image', or by their numbers, --index. Pictures that are not used
-are listed with the reason; see the contact sheet too. Where the board was put elsewhere between pictures, the table of
-joints names the place in a column 'target'.
+Pictures are matched with rows by their names (column 'image') or their numbers (--index). Pictures that are not used
+are listed with the reason; see also the contact sheet. If the board was moved between pictures, name its places in a
+column 'target' of the table of joints.
 """)
 def detect(
     images: Annotated[

@@ -1,4 +1,4 @@
-"""A folder of pictures in place of a table: its corners are found, and joined with the joint values beside them."""
+"""A folder of pictures instead of a table: its corners are found, and joined with the joint values in the folder."""
 
 from __future__ import annotations
 
@@ -12,10 +12,9 @@ from calib.errors import CalibError
 
 if TYPE_CHECKING:
     from calib.boards.board import Board
-    from calib.boards.detection.detect import Detection
     from calib.camera.camera import Camera
 
-#: The table of joint values that a folder of pictures holds.
+#: The table of joint values in a folder of pictures.
 JOINTS = "joints.csv"
 
 
@@ -23,7 +22,7 @@ JOINTS = "joints.csv"
 def table_of(
     data: Path, boards: Sequence[Board], cameras: Sequence[Camera], *, quiet: bool
 ) -> Iterator[Path]:
-    """Yield a table: as given, or of the corners in the pictures of a folder.
+    """Yield a table: the one given, or that of the corners in the pictures of a folder.
 
     Args:
         data: A table, or a folder with pictures and a table of joint values, `JOINTS`.
@@ -32,26 +31,26 @@ def table_of(
         quiet: True to print nothing.
 
     Yields:
-        Path of a table; one of corners is there only until the context ends.
+        Path of a table; a table of corners exists only until the context ends.
 
     Raises:
-        CalibError: The folder has no joint values, no board is described, no corner was found, or a picture is of
-            another size than those of the cameras.
+        CalibError: The folder has no joint values, no board is described, no corner was found, or a picture does not
+            have the image size of any of the cameras.
     """
     if not data.is_dir():
         yield data
         return
-    table = _corners(data, boards, cameras, quiet=quiet)
+    table = _find_corners(data, boards, cameras, quiet=quiet)
     with TemporaryDirectory() as folder:
         path = Path(folder) / f"{data.name}.csv"
         path.write_bytes(table)
         yield path
 
 
-def _corners(
+def _find_corners(
     folder: Path, boards: Sequence[Board], cameras: Sequence[Camera], *, quiet: bool
 ) -> bytes:
-    """Find the corners in the pictures of a folder, and return their table; see `table_of`."""
+    """Find the corners in the pictures of a folder, and return their table."""
     from calib.boards.detection.detect import detect
     from calib.boards.detection.image_files import find_images
     from calib.cli.executor import executor_of
@@ -62,14 +61,14 @@ def _corners(
 
     if not (folder / JOINTS).exists():
         raise CalibError(
-            f"'{folder}' is a folder of pictures, and has no table of joint values '{JOINTS}' with a column 'image'. "
+            f"'{folder}' is a folder of pictures without a table of joint values, '{JOINTS}' with a column 'image'. "
             "Put it there, or give the table that calib detect wrote."
         )
     if not boards:
         raise CalibError(
-            f"'{folder}' is a folder of pictures, and nothing says which board they show: give --board board.toml."
+            f"'{folder}' is a folder of pictures: state which board they show, --board board.toml."
         )
-    # All pictures of the folder are judged, those that were taken to validate with too.
+    # All pictures of the folder are used, those marked for validation too.
     joints = read_joint_table(folder / JOINTS, {}, None).without("set")
     files = find_images([str(folder)], {})
     matches = match(joints, files)
@@ -82,19 +81,14 @@ def _corners(
     lines = detection_text(detection, joints, matches)
     if not detection.corner_count:
         raise CalibError("\n".join([f"No corner can be used in '{folder}'.", *lines]))
-    _check_sizes(detection, cameras)
-    if not quiet:
-        say("\n".join([*lines, ""]))
-    return corner_table(detection, joints, matches)
-
-
-def _check_sizes(detection: Detection, cameras: Sequence[Camera]) -> None:
-    """Refuse pictures whose size is that of none of the cameras; without a camera there is nothing to check."""
     sizes = {(camera.width, camera.height) for camera in cameras}
     for picture in detection.used:
         if sizes and picture.size not in sizes:
             given = " or ".join(f"{width} x {height}" for width, height in sorted(sizes))
             raise CalibError(
                 f"'{picture.file.path}' has {picture.size[0]} x {picture.size[1]} pixels, and the camera's images have "
-                f"{given}. Give pictures of this size, as the camera took them: intrinsics are of one resolution."
+                f"{given}. Give pictures of this size, as the camera took them: intrinsics hold for one resolution."
             )
+    if not quiet:
+        say("\n".join([*lines, ""]))
+    return corner_table(detection, joints, matches)

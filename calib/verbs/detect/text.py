@@ -1,4 +1,4 @@
-"""What `calib detect` says: corners found, pictures that are not used and why, findings about boards and pictures."""
+"""What `calib detect` prints: corners found, pictures that are not used and why, findings about boards and pictures."""
 
 from __future__ import annotations
 
@@ -7,20 +7,19 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from calib.boards.board import CHARUCO, Board
-from calib.boards.detection.board_search import BoardView
 from calib.boards.detection.detect import Detection
 from calib.boards.detection.findings import Finding
 from calib.boards.detection.picture import Picture
 from calib.show.lines import fill, number, plural
 from calib.verbs.detect.matching import JointTable, Matches
 
-#: Names that a line lists at most; the others are counted.
+#: Largest number of names in a line; the others are counted.
 _MOST_NAMES = 6
 
-#: Why nothing of a picture is used, where the picture says it.
+#: Why nothing of a picture is used, if the picture itself is the reason.
 _REASONS = {
-    "unreadable": "the file is no picture, or is damaged",
-    "other_size": "{width} x {height} pixels, unlike most pictures of this camera: the intrinsics are others",
+    "unreadable": "the file is not a picture, or is damaged",
+    "other_size": "{width} x {height} pixels, unlike most pictures of this camera; its intrinsics do not apply",
     "no_row": "no row of the table of joints belongs to it",
 }
 
@@ -28,10 +27,10 @@ _REASONS = {
 _VIEW_REASONS = {
     "no_board": "no board in it",
     "blurred": "blurred; wait until the arm stands still, focus, or add light",
-    "mirrored": "a mirror image: a board is found in the flipped picture only",
-    "cut": "{count} of the {wanted} corners that are needed; the board reaches out of the picture",
-    "few_corners": "{count} of the {wanted} corners that are needed; the others are hidden, too small, or badly lit",
-    "layout": "it is another board than the description's",
+    "mirrored": "a mirror image: the board is found only if the picture is flipped",
+    "cut": "{count} of the {wanted} corners needed; the board extends beyond the picture",
+    "few_corners": "{count} of the {wanted} corners needed; the others are hidden, too small, or badly lit",
+    "layout": "not the board that is described",
     "two_boards": "two boards with the same markers are in it; cover one, or print other markers",
 }
 
@@ -39,31 +38,31 @@ _VIEW_REASONS = {
 _FINDINGS = {
     "swapped": "{Board}columns and rows are swapped: the print has {columns} columns and {rows} rows{layout}. Correct "
     "the description.",
-    "legacy": "{Board}the print has the {layout_name} layout of ChArUco boards, the description says the other. "
-    'Write layout = "{layout_name}".',
-    "size": "{Board}the print has {columns} columns and {rows} rows or more{layout}, not {old_columns} and {old_rows}. "
-    "Correct the description.",
+    "legacy": "{Board}the print has the {layout_name} layout of ChArUco boards, not the one described. Write "
+    'layout = "{layout_name}" in the description.',
+    "size": "{Board}the print has {columns} columns and at least {rows} rows{layout}, not {old_columns} and "
+    "{old_rows}. Correct the description.",
     "ratio": "{Board}the markers measure {value} of a square, the description says {old_value}. Measure square and "
     "marker on the print: is it this board?",
     "first_marker": "{Board}the first marker has the id {first}, the description says {old_first}. Correct the "
     "description.",
-    "dictionary": "{Board}the markers are of {dictionary}, or of a larger dictionary of as many bits, not of "
+    "dictionary": "{Board}the markers are from {dictionary}, or a larger dictionary with as many bits, not from "
     "{old_dictionary}. Correct the description.",
-    "mirrored": "{Board}it is found in the mirrored picture only: the print is a mirror image, or the camera's driver "
+    "mirrored": "{Board}it is found only in mirrored pictures: the print is a mirror image, or the camera's driver "
     "flips its pictures. Turn that off, or print the board again.",
     "two_boards": "{Board}two boards with the same markers are in one picture. Cover one, or print it with other "
     "markers.",
-    "unexplained": "{Board}the markers are not where the description has them, and neither swapped sides, the other "
-    "layout, another size nor another ratio explains it. Is it a flat print of this board?",
-    "ambiguous": "{Board}a chessboard whose columns and rows make an even number together ({columns} + {rows}) looks "
-    "the same after half a turn. Its x axis is taken to point to the right of each picture, which is one pose of the "
-    "board only if the camera never rolls by 90 deg. Take one column less, or a ChArUco board.",
-    "more_markers": "{Board}the print has more rows than the description's {old_rows}. Correct the description: the "
-    "further corners count too.",
-    "unseen_row": "{Board}no picture shows a marker of the last row that the description has: has the print "
-    "{old_rows} rows?",
-    "other_size": "Pictures of another size than most of their camera's are not used: take all with one resolution.",
-    "same_picture": "Some pictures are the same to the last bit: did the camera deliver an old frame?",
+    "unexplained": "{Board}the markers are not where the description has them, and neither swapped columns and rows "
+    "nor another layout, size or ratio of marker and square explains it. Is it a flat print of this board?",
+    "ambiguous": "{Board}a chessboard whose columns and rows add up to an even number ({columns} + {rows}) looks the "
+    "same after half a turn. Its x axis is assumed to point to the right in each picture, which is the same pose of "
+    "the board in all of them only if the camera never rolls by 90 deg. Use one column less, or a ChArUco board.",
+    "more_markers": "{Board}the print has more rows than the {old_rows} described. Correct the description, so that "
+    "the other corners are used too.",
+    "unseen_row": "{Board}no picture shows a marker of the last row described: does the print have {old_rows} rows?",
+    "other_size": "Pictures whose size differs from that of most pictures of their camera are not used: take all at "
+    "one resolution.",
+    "same_picture": "Some pictures are identical to the last bit: did the camera deliver an old frame?",
 }
 
 
@@ -71,12 +70,12 @@ def detection_text(detection: Detection, joints: JointTable, matches: Matches) -
     """Write what was detected.
 
     Args:
-        detection: The boards in the pictures.
+        detection: What was detected.
         joints: The table of joints.
         matches: The row of each picture.
 
     Returns:
-        Lines of at most 100 columns, but for long names.
+        Lines of at most 100 columns, except for long names.
     """
     lines = [fill(summary(detection))]
     lines += [fill(line, "  ", "  ") for line in _boards_text(detection)]
@@ -85,7 +84,12 @@ def detection_text(detection: Detection, joints: JointTable, matches: Matches) -
         lines += ["", "Not used:"]
         lines += [fill(f"- {name}: {reason}.", "", "  ") for name, reason in left_out]
     if matches.unmatched:
-        lines += ["", fill(_unmatched_text(joints, matches))]
+        names = []
+        for row in matches.unmatched:
+            cell = joints.cell(row, joints.image or joints.index)
+            names.append(f"{cell} (line {joints.table.lines[row]})")
+        rows = f"{plural(len(names), 'row')} of {joints.table.source}"
+        lines += ["", fill(f"Without a picture: {rows}: {_first_names(names)}.")]
     if detection.findings:
         lines += ["", "Findings:"]
         lines += [fill(f"- {text}", "", "  ") for text in findings_text(detection)]
@@ -100,7 +104,7 @@ def summary(detection: Detection) -> str:
 
 
 def not_used(detection: Detection) -> list[tuple[str, str]]:
-    """Return the names of the pictures of which nothing is used, each with the reason."""
+    """Return the names of the pictures that are not used, each with the reason."""
     return [
         (picture.file.name, reason_text(picture, detection.fewest))
         for picture in detection.pictures
@@ -113,7 +117,7 @@ def reason_text(picture: Picture, fewest: int) -> str:
 
     Args:
         picture: The picture.
-        fewest: Fewest corners that are used.
+        fewest: Fewest corners with which a picture is used.
     """
     if picture.reason:
         width, height = picture.size
@@ -121,7 +125,7 @@ def reason_text(picture: Picture, fewest: int) -> str:
     reasons = []
     several = len(picture.views) > 1
     for view in picture.views:
-        text = _view_reason(view, fewest)
+        text = _VIEW_REASONS[view.reason].format(count=len(view.ids), wanted=fewest)
         reasons.append(f"{view.board}: {text}" if several else text)
     return "; ".join(reasons)
 
@@ -137,13 +141,8 @@ def findings_text(detection: Detection) -> list[str]:
     return texts
 
 
-def _view_reason(view: BoardView, fewest: int) -> str:
-    """Write why a board is not used in a picture."""
-    return _VIEW_REASONS[view.reason].format(count=len(view.ids), wanted=fewest)
-
-
 def _boards_text(detection: Detection) -> Iterator[str]:
-    """Write for each board how many corners a picture shows, and how well."""
+    """Write for each board how many corners the pictures show, and how precisely."""
     for board in detection.boards:
         views = []
         for picture in detection.used:
@@ -152,32 +151,18 @@ def _boards_text(detection: Detection) -> Iterator[str]:
             yield f"{board.name}: not found."
             continue
         counts = [len(view.ids) for view in views]
+        fewest, most = min(counts), max(counts)
+        found = str(most) if fewest == most else f"{fewest} to {most}"
         sigma = float(np.median(np.concatenate([view.sigma for view in views])))
         total = len(board.corners)
         yield (
-            f"{board.name}: {_range(counts)} of {total} corners in {plural(len(views), 'picture')}, "
+            f"{board.name}: {found} of {total} corners in {plural(len(views), 'picture')}, "
             f"sigma {number(sigma)} px (median)."
         )
 
 
-def _range(counts: Sequence[int]) -> str:
-    """Write the smallest and the largest of some numbers."""
-    fewest, most = min(counts), max(counts)
-    return str(most) if fewest == most else f"{fewest} to {most}"
-
-
-def _unmatched_text(joints: JointTable, matches: Matches) -> str:
-    """Write which rows have no picture."""
-    names = []
-    for row in matches.unmatched:
-        cell = joints.cell(row, joints.image or joints.index)
-        names.append(f"{cell} (line {joints.table.lines[row]})")
-    count = plural(len(names), "row")
-    return f"Without a picture: {count} of {joints.table.source}: {_first_names(names)}."
-
-
 def _first_names(names: Sequence[str]) -> str:
-    """List names, the first of many."""
+    """List names; of many the first."""
     shown = ", ".join(names[:_MOST_NAMES])
     more = len(names) - _MOST_NAMES
     return f"{shown} and {more} more" if more > 0 else shown

@@ -1,1 +1,1 @@
-"""``calib evaluate``: a robot on fresh rows, and acceptance by ISO 9283."""
+"""Compare a robot with measurements, and judge its accuracy by a tolerance."""

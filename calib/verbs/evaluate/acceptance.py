@@ -22,10 +22,8 @@ from scipy.special import betaincinv
 from calib.basics.arguments import check_mapping, check_type
 from calib.basics.arrays import Array, Mask
 from calib.basics.channels import RESIDUAL_UNITS, residual_unit
-from calib.basics.mappings import ReadOnlyMapping, keep_read_only
-from calib.basics.short import one_line
 from calib.basics.units import split_header
-from calib.basics.values import Value
+from calib.basics.values import ReadOnlyMapping, Value, keep_read_only, one_line
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.diagnosis.coverage import OutsideRow
@@ -391,7 +389,7 @@ def assess(
     """
     _refuse_commands(robot, table, calibration)
     if calibration is not None:
-        cell = calibration.with_optics(cell)
+        cell = calibration.optics.given_to(cell)
     evaluations = _evaluations(robot, table, cell, calibration, which)
     seen = np.zeros(len(table), dtype=bool)
     if calibration is not None:
@@ -443,7 +441,7 @@ def _evaluations(
     nominal, corrected = calibration.uncorrected(robot), calibration.corrected(robot)
     setup = calibration.setup
     evaluations = {}
-    if calibration.nominal_is_judged:
+    if calibration.rows.nominal_is_judged:
         known = calibration.nominal_setup
         evaluations["nominal"] = evaluate(nominal, table, cell, known=known, which=which)
     evaluations["urdf"] = evaluate(robot, table, cell, known=setup, which=which)

@@ -25,8 +25,7 @@ from scipy.spatial import KDTree
 
 from calib.basics.arrays import Array, Integers, Mask, read_only
 from calib.basics.channels import RESIDUAL_UNITS, Channels
-from calib.basics.mappings import ReadOnlyMapping
-from calib.basics.values import Value
+from calib.basics.values import ReadOnlyMapping, Value
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.errors import CalibError, MeasurementError
@@ -567,15 +566,17 @@ def _recognised(c: Calibration, robot: Robot, measurements: Measurements, cell: 
     """
     nominal = evaluate(c.uncorrected(robot), measurements, cell, known=c.nominal_setup)
     corrected = evaluate(c.corrected(robot), measurements, cell, known=c.setup)
-    by_nominal, stored_by_nominal = nominal.residual, c.residual_nominal
+    by_nominal, stored_by_nominal = nominal.residual, c.rows.residual_nominal
     if (
-        not c.nominal_is_judged
+        not c.rows.nominal_is_judged
     ):  # none are stored: those by the calibrated robot alone have to tell the rows
         by_nominal, stored_by_nominal = np.zeros_like(by_nominal), np.zeros_like(stored_by_nominal)
     of_table = _KnownResiduals.of(by_nominal, corrected.residual, corrected.channels)
     fitted = c.rows.estimation
     stored = _KnownResiduals.of(
-        stored_by_nominal[fitted], c.residual_calibrated[fitted], c.channels.select(fitted)
+        stored_by_nominal[fitted],
+        c.rows.residual_calibrated[fitted],
+        c.rows.channels.select(fitted),
     )
     recognised = np.zeros(len(measurements), dtype=bool)
     for scalars in range(1, of_table.counts.shape[1] + 1):

@@ -3,30 +3,29 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable
-from dataclasses import asdict, dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import typer
 
 from calib.basics.files import read_bytes
 from calib.cli.exit_status import ExitStatus
+from calib.cli.loading import load_with_data, with_chain_of_result, with_target_link
 from calib.cli.notices import say_coupled, say_ignored
 from calib.cli.options import (
+    TARGET_OF_RESULT,
     CellOptions,
     DataFile,
     Force,
     Quiet,
-    ResultTarget,
     RobotFile,
     TableOptions,
 )
 from calib.cli.outputs import check_outputs, written_lines
-from calib.cli.setup import load_with_data, read_cell, with_chain_of_result, with_target_link
 from calib.cli.terminal import command_line, say
 from calib.cli.verb import verb
-from calib.cli.words import parse_by_unit
 from calib.errors import CalibError
 from calib.verbs.detect.picture_folder import table_of
 
@@ -41,11 +40,26 @@ _EXAMPLE = "0.5 mm 0.1 deg"
 _METAVAR = '"LENGTH [ANGLE] [PIXELS]"'
 
 
-@dataclass(frozen=True, slots=True)
-class SetupOptions(CellOptions):
-    """Measurement setup; targets are those of the result where it has them."""
+def parse_by_unit(text: str, option: str) -> dict[str, float]:
+    """Return sizes in one or more units of residuals, such as ``0.5 mm 0.1 deg``, in SI units by the symbol.
 
-    target: ResultTarget = None
+    Raises:
+        CalibError: It is no such text, or a size is negative.
+    """
+    from calib.basics.channels import RESIDUAL_UNITS
+    from calib.basics.units import parse_quantities, quantity_name
+
+    names = {symbol: quantity_name(unit.quantity) for symbol, unit in RESIDUAL_UNITS.items()}
+    counts = dict.fromkeys(names.values(), 1)
+    values = parse_quantities(text, option, counts, _EXAMPLE, signed=False)
+    return {symbol: values[name][0] for symbol, name in names.items() if name in values}
+
+
+@dataclass(frozen=True, slots=True)
+class EvaluateOptions(CellOptions):
+    """Options of the cell; targets are those of the result, if it has any."""
+
+    helps: ClassVar[Mapping[str, str]] = TARGET_OF_RESULT
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,19 +68,31 @@ class AcceptanceOptions:
 
     tolerance: Annotated[
         str | None,
-        typer.Option(metavar=_METAVAR, help="Tolerance of the pose accuracy."),
+        typer.Option(
+            metavar=_METAVAR,
+            help='Tolerance of the pose accuracy, such as "0.5 mm 0.1 deg", for an acceptance test by ISO 9283.',
+        ),
     ] = None
     uncertainty: Annotated[
         str | None,
-        typer.Option(metavar=_METAVAR, help="Expanded measuring uncertainty (k = 2)."),
+        typer.Option(
+            metavar=_METAVAR,
+            help="Expanded measuring uncertainty U (k = 2): AP + U must be within the tolerance. Default: 0.",
+        ),
     ] = None
     criterion: Annotated[
         Literal["max", "mean", "single"] | None,
-        typer.Option(help="What must be within: every AP, their mean, or every single row."),
+        typer.Option(
+            help="What must be within the tolerance: the pose accuracy AP of every pose (max, the default), the "
+            "mean of the AP "
+            "(mean), or the error of every row (single)."
+        ),
     ] = None
     judge: Annotated[
         Literal["nominal", "urdf", "calibration", "non_geometric"] | None,
-        typer.Option(help="Robot to judge. Default: calibration, or else urdf."),
+        typer.Option(
+            help="Robot that the tolerance is applied to. Default: that of the calibration, or without one the URDF."
+        ),
     ] = None
 
     def limits(self) -> dict[str, Any]:
@@ -80,8 +106,8 @@ class AcceptanceOptions:
                 raise CalibError("--uncertainty, --criterion and --judge need a --tolerance.")
             return {}
         return {
-            "tolerance": parse_by_unit(self.tolerance, "--tolerance", _EXAMPLE),
-            "uncertainty": parse_by_unit(self.uncertainty or "0 mm", "--uncertainty", _EXAMPLE),
+            "tolerance": parse_by_unit(self.tolerance, "--tolerance"),
+            "uncertainty": parse_by_unit(self.uncertainty or "0 mm", "--uncertainty"),
             "criterion": self.criterion or "max",
         }
 
@@ -153,34 +179,44 @@ be within the tolerance, and 3 if not.
 def evaluate(
     robot: RobotFile,
     data: DataFile,
-    setup: SetupOptions,
-    table: TableOptions,
-    test: AcceptanceOptions,
+    cell_options: EvaluateOptions,
+    table_options: TableOptions,
+    acceptance_options: AcceptanceOptions,
     outputs: EvaluationOutputs,
     calibration: Annotated[
         Path | None,
-        typer.Option("--calibration", help="Result that 'calib calibrate --json' wrote."),
+        typer.Option(
+            "--calibration", help="Result of a calibration, as 'calib calibrate --json' writes it."
+        ),
     ] = None,
     quiet: Quiet = False,
 ) -> None:
-    """Run the verb; its help is the text of `verb`."""
+    """Evaluate, write the files and print the errors; exit status 3 if a tolerance is not shown to be kept."""
     from calib.result.calibration_file import read_result
     from calib.verbs.evaluate.acceptance import assess
 
-    outputs.check([robot, data, setup.cell, calibration, table.points])
-    limits = test.limits()
-    cell = read_cell(**asdict(setup))
+    outputs.check([robot, data, cell_options.file, calibration, table_options.points])
+    limits = acceptance_options.limits()
+    cell = cell_options.cell()
     result = None
     if calibration is not None:
         result = read_result(calibration)
         cell = with_chain_of_result(cell, result, str(calibration))
-    boards = cell.boards or ({} if result is None else result.nominal_boards)
-    cameras = cell.cameras or ({} if result is None else result.nominal_cameras)
+    boards = cell.boards or ({} if result is None else result.optics.nominal_boards)
+    cameras = cell.cameras or ({} if result is None else result.optics.nominal_cameras)
     with table_of(data, list(boards.values()), list(cameras.values()), quiet=quiet) as path:
-        arm, measurements = load_with_data(robot, cell, path, table)
-    cell, target_source = _with_target(arm, cell, setup, result)
+        arm, measurements = load_with_data(robot, cell, path, table_options)
+    cell, target_source = _with_target(arm, cell, cell_options, result)
+    # Where the options give no frame or target, those of the result are taken.
+    of_result = tuple(name for name in ("frame", "target") if name not in cell_options.given)
     assessment = assess(
-        arm, measurements, cell, result, which=_not_given(setup), judge=test.judge, limits=limits
+        arm,
+        measurements,
+        cell,
+        result,
+        which=of_result,
+        judge=acceptance_options.judge,
+        limits=limits,
     )
     outputs.write(assessment, calibration, target_source)
     if not quiet:
@@ -189,11 +225,6 @@ def evaluate(
         _say_assessment(assessment, calibration, target_source, outputs)
     if assessment.accepted is not None and assessment.accepted.outcome != "pass":
         raise typer.Exit(ExitStatus.NOT_ACCEPTED)
-
-
-def _not_given(setup: SetupOptions) -> tuple[str, ...]:
-    """Return which of ``"frame"`` and ``"target"`` the options do not give, so that a result's are taken."""
-    return tuple(name for name in ("frame", "target") if getattr(setup, name) is None)
 
 
 def _say_assessment(
@@ -222,12 +253,12 @@ def _say_assessment(
 def _with_target(
     arm: Robot,
     cell: Cell,
-    setup: SetupOptions,
+    cell_options: EvaluateOptions,
     result: Calibration | None,
 ) -> tuple[Cell, str]:
     """Return the cell with the URDF's target where nothing else gives one, and words for where targets are from."""
     if result is not None:
-        words = "as the result has it" if setup.target is None else "as given"
+        words = "as given" if "target" in cell_options.given else "as the result has it"
         return cell, words
     if cell.target is None and not cell.targets:
         return with_target_link(arm, cell), "as the URDF's link 'calib_target' has it"

@@ -10,11 +10,9 @@ import numpy as np
 
 from calib.basics.arguments import check_names, check_path, check_type
 from calib.basics.arrays import Array, Mask, read_only
-from calib.basics.blas import one_blas_thread
 from calib.basics.channels import Channels
-from calib.basics.mappings import ReadOnlyMapping
-from calib.basics.shown import shown_by
-from calib.basics.values import Value
+from calib.basics.jobs import one_blas_thread
+from calib.basics.values import ReadOnlyMapping, Value, shown_by
 from calib.boards.board import Board
 from calib.camera.camera import Camera
 from calib.data.cell import Cell
@@ -319,7 +317,7 @@ def _with_known(setup: Setup, known: Setup, which: tuple[str, ...]) -> Setup:
     whole = known.oriented or not setup.rotation
     fixed = target_known if whole else np.zeros_like(target_known)
     return replace(
-        setup.with_fixed(frame_known, fixed).placed(frames, targets),
+        setup.with_fixed(frame_known, fixed).with_poses(frames, targets),
         frame_given=setup.frame_given | frame_known,
         target_given=np.where(target_known, fixed, setup.target_given),
     )

@@ -9,7 +9,7 @@ import numpy as np
 
 import calib.data.kinds as registry
 from calib.basics.channels import RESIDUAL_UNITS
-from calib.basics.short import one_line
+from calib.basics.values import one_line
 from calib.errors import choices
 from calib.numerics.errors import Errors
 from calib.show.doubtful_rows import outside_text

@@ -1,1 +1,1 @@
-"""Many robots at once. Imports report and below."""
+"""Calibrate a batch of robots and flag outliers."""

@@ -50,7 +50,7 @@ class FleetOutputs:
     ] = True
     accept: Accept = False
     force: Annotated[
-        bool, typer.Option("--force", help="Calibrate all robots anew, finished ones too.")
+        bool, typer.Option("--force", help="Calibrate all robots again, finished ones too.")
     ] = False
 
 
@@ -71,40 +71,40 @@ if one got no corrected.urdf because its verdict is 'do not use', which --accept
 """)
 def fleet(
     manifest: Annotated[
-        Path, typer.Argument(metavar="MANIFEST", help="CSV table of the robots, one a row.")
+        Path, typer.Argument(metavar="MANIFEST", help="CSV table of the robots, one in each row.")
     ],
     out: Annotated[
         Path,
         typer.Option(
-            "--out", metavar="FOLDER", help="The folder for the results; made if missing."
+            "--out", metavar="FOLDER", help="Folder for the results; it is made if missing."
         ),
     ],
-    setup: FitOptions,
-    estimation: SolverOptions,
-    tables: FleetTables,
+    cell_options: FitOptions,
+    solver_options: SolverOptions,
+    table_options: FleetTables,
     outputs: FleetOutputs,
-    jobs: JobOptions,
+    job_options: JobOptions,
     quiet: Quiet = False,
 ) -> None:
-    """Run the verb; its help is the text of `verb`."""
+    """Calibrate the robots of the manifest into the folder and print their table."""
     from calib.verbs.fleet.fleet import CSV
     from calib.verbs.fleet.job import FleetOptions
     from calib.verbs.fleet.manifest import read_manifest
 
     if manifest.resolve() == (out / CSV).resolve():
         raise FileError(f"{manifest} would be the table of results too; choose another --out.")
-    robots = read_manifest(manifest, setup, tables, tables.points_unit)
-    estimation.check()
+    robots = read_manifest(manifest, cell_options, table_options, table_options.points_unit)
+    solver_options.check()
     options = FleetOptions(
-        solver=estimation.solver,
-        robust=estimation.robust,
-        validate=estimation.validate,
+        solver=solver_options.solver,
+        robust=solver_options.robust,
+        validate=solver_options.validate,
         reports=outputs.reports,
         target_link=outputs.target_link,
         accept=outputs.accept,
         command=command_line(),
     )
-    calibrated = _calibrate(robots, out, options, jobs, force=outputs.force, quiet=quiet)
+    calibrated = _calibrate(robots, out, options, job_options, force=outputs.force, quiet=quiet)
     if not quiet:
         _say_results(calibrated, out)
     _say_failed_and_withheld(calibrated)
@@ -118,7 +118,7 @@ def _calibrate(
     robots: tuple[FleetRobot, ...],
     folder: Path,
     options: FleetOptions,
-    jobs: JobOptions,
+    job_options: JobOptions,
     *,
     force: bool,
     quiet: bool,
@@ -128,7 +128,7 @@ def _calibrate(
 
     try:
         with (
-            executor_of(jobs.workers, jobs.dask, len(robots)) as executor,
+            executor_of(job_options.workers, job_options.dask, len(robots)) as executor,
             progress_bar("robots", quiet=quiet) as progress,
         ):
             return run_fleet(

@@ -18,7 +18,7 @@ from typing import Any
 from calib.basics.files import make_folder, write_atomically
 from calib.basics.jobs import Progress, run
 from calib.basics.json_files import json_bytes, plain
-from calib.basics.short import one_line
+from calib.basics.values import one_line
 from calib.errors import CalibError
 from calib.robot.urdf import read_urdf
 from calib.verbs.fleet.fleet_robot import FleetRobot, check_names

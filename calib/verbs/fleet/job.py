@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 
 import calib.basics.plugins as plugins
-from calib.basics.mappings import keep_read_only
+from calib.basics.values import keep_read_only
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.errors import CalibError

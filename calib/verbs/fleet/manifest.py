@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from calib.cli.options import ColumnChoice, FitOptions, ModelOptions
-from calib.cli.setup import read_cell
+from calib.cli.options import ColumnChoice, FitOptions, ModelOptions, is_list
 from calib.errors import CalibError, choices
 
 if TYPE_CHECKING:
@@ -20,25 +19,25 @@ if TYPE_CHECKING:
 #: Columns that a manifest must have.
 NEEDED = ("name", "robot", "data")
 
-#: Columns with options of the measurement setup and the model.
-_SETUP = tuple(f.name for f in fields(ModelOptions))
 
-#: Columns that a manifest may have: those options, and how the data are read.
-OPTIONAL = (*_SETUP, "points", "points_unit", *(f.name for f in fields(ColumnChoice)))
+def optional_columns() -> tuple[str, ...]:
+    """Return the columns that a manifest may have: options of the cell and of the errors, and how the data are read."""
+    of_cell = [parameter.name for parameter in ModelOptions.parameters()]
+    return (*of_cell, "points", "points_unit", *(f.name for f in fields(ColumnChoice)))
 
 
 def read_manifest(
     path: Path,
-    setup: FitOptions,
-    columns: ColumnChoice,
+    cell_options: FitOptions,
+    column_options: ColumnChoice,
     points_unit: str | None,
 ) -> tuple[FleetRobot, ...]:
     """Read a manifest; the robots themselves are read later, where they are calibrated.
 
     Args:
         path: The manifest, a CSV table.
-        setup: Options of the command line, for all robots; the cells of a row win.
-        columns: Names, orientations and units of the tables' columns, for all robots.
+        cell_options: Options of the command line, for all robots; the cells of a row override them.
+        column_options: Names, orientations and units of the tables' columns, for all robots.
         points_unit: ``--points-unit``, for all robots; None: not given.
 
     Returns:
@@ -51,11 +50,11 @@ def read_manifest(
     from calib.verbs.fleet.fleet_robot import FleetRobot, check_names
 
     # Options that are wrong for every robot are refused before the work.
-    columns.parsed()
-    read_cell(**asdict(setup))
+    column_options.parsed()
+    cell_options.cell()
     table = Table.read(path)
     header = _checked_header(path, table.header)
-    defaults = _Defaults(path.parent, setup, columns, points_unit)
+    defaults = _Defaults(path.parent, cell_options, column_options, points_unit)
     robots, places = [], []
     for line, row in zip(table.lines, table.cells, strict=True):
         where = f"{path.name}, line {line}"
@@ -74,14 +73,15 @@ def _checked_header(path: Path, labels: Sequence[str]) -> list[str]:
     """Return the names of the columns in lower case, ``""`` for an empty one; raises `CalibError`."""
     header = [label.strip().lower() for label in labels]
     missing = [name for name in NEEDED if name not in header]
-    allowed = {*NEEDED, *OPTIONAL, ""}
+    optional = optional_columns()
+    allowed = {*NEEDED, *optional, ""}
     wrong = {name for name in header if name not in allowed}
     wrong |= {name for name in header if name and header.count(name) > 1}
     if missing or wrong:
         problem = "is missing" if missing else "is not known, or there twice"
         raise CalibError(
             f"{path.name}: of its columns {choices(missing or wrong)} {problem}. A manifest has "
-            f"{choices(NEEDED)}, and may have {choices(OPTIONAL)}."
+            f"{choices(NEEDED)}, and may have {choices(optional, len(optional))}."
         )
     return header
 
@@ -92,8 +92,8 @@ class _Defaults:
 
     #: The manifest's, where relative paths begin
     folder: Path
-    setup: FitOptions
-    columns: ColumnChoice
+    cell_options: FitOptions
+    column_options: ColumnChoice
     points_unit: str | None
 
 
@@ -114,15 +114,11 @@ def _load(
     from calib.verbs.fleet.fleet_robot import FleetRobot
 
     folder = defaults.folder
-    options: dict[str, Any] = {name: cells[name] for name in _SETUP if name in cells}
-    if "hold" in cells:
-        options["hold"] = _split(cells["hold"])
-    if "cell" in cells:
-        options["cell"] = folder / cells["cell"]
+    cell_options = options_of_row(cells, folder, defaults.cell_options)
     changes: dict[str, Any] = {n: cells[n] for n in ("orientation", "joint_unit") if n in cells}
     if "columns" in cells:
         changes["columns"] = _split(cells["columns"])
-    columns = replace(defaults.columns, **changes)
+    columns = replace(defaults.column_options, **changes)
     points, points_unit = None, None
     if "points" in cells:
         points = folder / cells["points"]
@@ -132,7 +128,7 @@ def _load(
             cells["name"],
             _source(cells["robot"], folder),
             folder / cells["data"],
-            read_cell(**asdict(replace(defaults.setup, **options))),
+            cell_options.cell(),
             columns=columns.parsed(),
             points=points,
             points_unit=points_unit,
@@ -140,6 +136,22 @@ def _load(
         return robot.load(urdf_of)
     except CalibError as error:
         raise CalibError(f"{where}: {error}") from error
+
+
+def options_of_row(cells: Mapping[str, str], folder: Path, line: FitOptions) -> FitOptions:
+    """Return the options of the cell and of the errors for a robot.
+
+    Args:
+        cells: The cells of its row that are not empty, by column; several words of one are separated by semicolons.
+        folder: Where the path of a cell file begins.
+        line: The options of the command line, which hold for what the row does not give.
+    """
+    given = dict(line.given)
+    for parameter in ModelOptions.parameters():
+        name = parameter.name
+        if name in cells and name != "cell":
+            given[name] = _split(cells[name]) if is_list(parameter) else cells[name]
+    return FitOptions(folder / cells["cell"] if "cell" in cells else line.file, given)
 
 
 def _split(cell: str) -> list[str]:

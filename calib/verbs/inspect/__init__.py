@@ -1,1 +1,1 @@
-"""``calib inspect``: a chain, its DH rows, and what can be identified."""
+"""Show a robot's chain, its DH rows, the parameters of a model and which of them can be identified."""

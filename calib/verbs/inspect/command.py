@@ -2,37 +2,29 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import typer
 
+from calib.cli.loading import load, load_with_data
 from calib.cli.notices import say_ignored
 from calib.cli.options import ModelOptions, RobotFile, TableOptions
-from calib.cli.setup import load, load_with_data, read_cell
 from calib.cli.verb import verb
 
 
 @dataclass(frozen=True, slots=True)
-class SetupOptions(ModelOptions):
-    """Measurement setup; what is given of tip and target holds without a table too."""
+class InspectOptions(ModelOptions):
+    """Options of the cell; tip and target hold without a table too."""
 
-    tip: Annotated[
-        str | None,
-        typer.Option(
-            help="Link that the target is mounted on. Default: the end of the longest chain, with "
-            "DATA of joints that are in it, before a gripper or hand."
-        ),
-    ] = None
-    target: Annotated[
-        str | None,
-        typer.Option(
-            metavar='"X Y Z UNIT"',
-            help='Target in the tip, such as "70 -70 22.5 mm". Default: estimated from DATA; '
-            "without it 50, 70, 30 mm off the tip.",
-        ),
-    ] = None
+    helps: ClassVar[Mapping[str, str]] = {
+        "tip": "Link that the target is mounted on. Default: the end of the longest chain, with DATA of the longest "
+        "one whose joints all have a column, before a gripper or hand.",
+        "target": 'Position of the target in the tip, such as "70 -70 22.5 mm". Default: it is estimated from DATA; '
+        "without DATA it is 50, 70, 30 mm off the tip.",
+    }
 
 
 @verb("""Show a robot's chain, its DH rows, the parameters of a model and which of them can be identified.
@@ -46,23 +38,26 @@ With a table, identifiability is that of its poses; without one, of 200 poses sp
 """)
 def inspect(
     robot: RobotFile,
-    setup: SetupOptions,
-    table: TableOptions,
+    cell_options: InspectOptions,
+    table_options: TableOptions,
     data: Annotated[
-        Path | None, typer.Argument(metavar="[DATA]", help="CSV table, to judge its poses.")
+        Path | None,
+        typer.Argument(
+            metavar="[DATA]", help="Table whose poses are used in place of random ones."
+        ),
     ] = None,
 ) -> None:
-    """Run the verb; its help is the text of `verb`."""
+    """Load the robot, and the table if there is one, and print what can be identified."""
     from calib.verbs.inspect.inspection import inspect as inspect_robot
     from calib.verbs.inspect.text import inspection_text
     from calib.verbs.plan.forecast import forecast_of_table
 
-    cell = read_cell(**asdict(setup))
+    cell = cell_options.cell()
     measurements, forecast = None, None
     if data is None:
         arm = load(robot, cell)
     else:
-        arm, measurements = load_with_data(robot, cell, data, table)
+        arm, measurements = load_with_data(robot, cell, data, table_options)
         say_ignored(measurements, arm)
         forecast = forecast_of_table(arm, cell, measurements)
     inspection = inspect_robot(arm, cell, measurements)

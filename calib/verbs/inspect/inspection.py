@@ -77,7 +77,7 @@ def inspect(
         setup = register(arm.poses(rows.joints), setup, rows)
         source = table.source
     name = _MODEL if known.model == AUTO else known.model
-    model = setup.aligned(Task(arm, known, setup, name).error_model())
+    model = setup.turn_directions(Task(arm, known, setup, name).error_model())
     kinematics = Kinematics(arm, model, setup.T_frame_base, setup.T_tip_target)
     problem = Problem.initial(kinematics, rows, known_distances(known, setup))
     return Inspection(
@@ -122,6 +122,6 @@ def _rows_over_joint_limits(robot: Robot, cell: Cell) -> tuple[Rows, Setup, tupl
     if has_anchor and not np.all(setup.frame_given):
         T_frame_base[:, :3, 3] = np.negative(GENERIC_ANCHOR)
         assumed.append("anchor")
-    setup = setup.placed(T_frame_base, T_tip_target)
+    setup = setup.with_poses(T_frame_base, T_tip_target)
     T_frame_target = setup.target_poses(robot.poses(rows.joints), rows.samples)
     return rows.as_measured_at(T_frame_target), setup, tuple(assumed)

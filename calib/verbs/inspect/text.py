@@ -13,7 +13,7 @@ from calib.data.generic import GENERIC_ANCHOR, GENERIC_TARGET
 from calib.model.dh_table import dh_table
 from calib.robot.dh.rows import DHRow
 from calib.robot.robot import Robot
-from calib.robot.urdf import UrdfJoint
+from calib.robot.urdf_tree import UrdfJoint
 from calib.show.lines import fill, listed, number, wrap
 from calib.show.readings import coupling_sentence, rows_sentence
 from calib.show.sizes import with_unit

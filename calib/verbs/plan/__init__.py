@@ -1,1 +1,1 @@
-"""Where to measure: workspace, region, collisions, optimal poses, forecasts. Imports result and below."""
+"""Plan the poses of a calibration: which to measure, in which order, and how accurate the robot will be."""

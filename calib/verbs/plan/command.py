@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import typer
 
-from calib.cli.options import Force, ModelOptions, Quiet, RobotFile, Seed
+from calib.cli.loading import load
+from calib.cli.options import CellOptions, Force, Quiet, RobotFile, Seed
 from calib.cli.outputs import check_outputs, written_lines
-from calib.cli.setup import load, read_cell
 from calib.cli.terminal import stages_bar
 from calib.cli.verb import verb
-from calib.cli.words import parse_held, parse_tracker
 
 if TYPE_CHECKING:
     from calib.basics.arrays import Array
@@ -30,33 +29,61 @@ _POSE = '"X Y Z UNIT RX RY RZ UNIT"'
 
 
 @dataclass(frozen=True, slots=True)
+class PlanCellOptions(CellOptions):
+    """Options of the cell, with those of the errors of the robot and of the tracker."""
+
+    groups: ClassVar[tuple[str, ...]] = ("model", "tracker")
+
+
+@dataclass(frozen=True, slots=True)
 class PoseOptions:
     """Poses that are wanted."""
 
-    count: Annotated[int, typer.Option(metavar="N", help="Poses to calibrate with.")] = 30
-    validation: Annotated[int, typer.Option(metavar="N", help="Random validation poses.")] = 5
-    criterion: Annotated[str, typer.Option(metavar="V|D|A", help="Optimality criterion.")] = "V"
+    count: Annotated[int, typer.Option(metavar="N", help="Number of poses to calibrate with.")] = 30
+    validation: Annotated[
+        int, typer.Option(metavar="N", help="Number of random poses for validation.")
+    ] = 5
+    criterion: Annotated[
+        str,
+        typer.Option(
+            metavar="V|D|A",
+            help="Optimality criterion. V: the predicted errors of position in the workspace; D: the volume of the "
+            "parameters' covariance; A: the sum of the parameters' variances.",
+        ),
+    ] = "V"
     candidates: Annotated[
         int | None,
-        typer.Option(metavar="N", help="Poses to choose from. Default: 20000, of images 600."),
+        typer.Option(
+            metavar="N",
+            help="Number of random poses to choose from. Default: 20000, or 600 for images.",
+        ),
     ] = None
     seed: Seed = 0
-    margin: Annotated[str, typer.Option(metavar="ANGLE", help="Margin to joint limits.")] = "5 deg"
-    taken: Annotated[_File, typer.Option(help="Table of poses measured already, to add to.")] = None
+    margin: Annotated[
+        str, typer.Option(metavar="ANGLE", help="Margin that is kept to the limits of the joints.")
+    ] = "5 deg"
+    taken: Annotated[
+        _File,
+        typer.Option(help="Table of poses that were measured already and that the plan adds to."),
+    ] = None
     start: Annotated[
         list[str] | None,
-        typer.Option(metavar='"JOINT=VALUE UNIT"', help="Start pose; other joints are at 0."),
+        typer.Option(
+            metavar='"JOINT=VALUE UNIT"',
+            help="Joint value of the pose that the robot starts from; joints that are not named are at 0. Can be "
+            "repeated.",
+        ),
     ] = None
 
     def request(self, arm: Robot, sight: SightLimits) -> PlanRequest:
         """Return the request for the poses that are wanted; raises `CalibError` for a text that an option refuses."""
-        from calib.basics.units import ANGLE, parse_amount
+        from calib.basics.units import ANGLE, parse_amount, parse_joint_values
         from calib.verbs.compensate.inverse import start_values
         from calib.verbs.plan.choice import PlanRequest
 
         start = None
         if self.start:
-            start = start_values(arm, parse_held(self.start, "--start"), 0.0)
+            start = start_values(arm, parse_joint_values(self.start, "--start"), 0.0)
         return PlanRequest(
             self.count,
             self.validation,
@@ -77,7 +104,8 @@ class ImageOptions:
         str | None,
         typer.Option(
             metavar=_POSE,
-            help="Rough pose of the camera in its link, rotation vector; z is the line of sight, y "
+            help="Approximate pose of the camera in its link, with a rotation vector; z is the line of sight, "
+            "and y points "
             "down in the image. Default: the link is the camera's optical frame.",
         ),
     ] = None
@@ -85,22 +113,31 @@ class ImageOptions:
         str | None,
         typer.Option(
             metavar=_POSE,
-            help="Rough pose of the board in its link, rotation vector; x along its columns, z into the page.",
+            help="Approximate pose of the board in its link, with a rotation vector; x points along its columns, z "
+            "into the page.",
         ),
     ] = None
     distance: Annotated[
         str | None,
         typer.Option(
             metavar='"NEAREST FARTHEST UNIT"',
-            help="Distances at which the camera is sharp. Default: the board fills 15 to 80 % of the image.",
+            help="Distances between which the camera is in focus. Default: those at which the board fills 15 to "
+            "80 % of "
+            "the image.",
         ),
     ] = None
     tilt: Annotated[
-        str, typer.Option(metavar="ANGLE", help="Largest tilt of the board to the line of sight.")
+        str,
+        typer.Option(
+            metavar="ANGLE", help="Largest angle between the board's normal and the line of sight."
+        ),
     ] = "55 deg"
     share: Annotated[
         float,
-        typer.Option(metavar="SHARE", help="Share of the board's corners that an image must show."),
+        typer.Option(
+            metavar="SHARE",
+            help="Share of the board's corners that each image must show, from 0 to 1.",
+        ),
     ] = 1.0
 
     def in_cell(self, cell: Cell) -> Cell:
@@ -132,21 +169,25 @@ class ImageOptions:
 
 @dataclass(frozen=True, slots=True)
 class SceneOptions:
-    """Tracker, region and obstacles."""
+    """Region and obstacles."""
 
-    tracker: Annotated[
-        str | None,
-        typer.Option(metavar='"X Y Z UNIT"', help="Position of the tracker, in the base."),
+    region: Annotated[
+        _File,
+        typer.Option(help="Region that the target is to stay in, as 'calib workspace' writes it."),
     ] = None
-    region: Annotated[_File, typer.Option(help="Region for the target, of calib workspace.")] = None
-    clearance: Annotated[str, typer.Option(metavar="LENGTH", help="Least distance of bodies.")] = (
-        "0 mm"
-    )
-    collisions: Annotated[bool, typer.Option(help="Check poses and moves for collisions.")] = True
-    floor: Annotated[bool, typer.Option(help="Keep above the robot's mounting plane.")] = True
+    clearance: Annotated[
+        str,
+        typer.Option(metavar="LENGTH", help="Smallest distance that is kept between two bodies."),
+    ] = "0 mm"
+    collisions: Annotated[
+        bool, typer.Option(help="Check poses and the moves between them for collisions.")
+    ] = True
+    floor: Annotated[bool, typer.Option(help="Keep the robot above its mounting plane.")] = True
     package_dir: Annotated[
         list[Path] | None,
-        typer.Option(metavar="FOLDER", help="Folder with packages of meshes."),
+        typer.Option(
+            metavar="FOLDER", help="Folder with the ROS packages of the meshes. Can be repeated."
+        ),
     ] = None
 
     def check(self) -> CollisionCheck | None:
@@ -162,11 +203,15 @@ class SceneOptions:
 
 @dataclass(frozen=True, slots=True)
 class PlanOutputs:
-    """Output options of ``calib plan``."""
+    """Files that are written."""
 
-    output: Annotated[_File, typer.Option("-o", "--output", help="Table of poses.")] = None
-    json: Annotated[_File, typer.Option(help="Plan and forecast as JSON.")] = None
-    view: Annotated[_File, typer.Option(help="3D page of the plan.")] = None
+    output: Annotated[
+        _File, typer.Option("-o", "--output", help="Write the plan as a table of poses.")
+    ] = None
+    json: Annotated[_File, typer.Option(help="Write the plan and the forecast as JSON.")] = None
+    view: Annotated[
+        _File, typer.Option(help="Write a page that shows the plan in 3D, to open in a browser.")
+    ] = None
     force: Force = False
 
 
@@ -187,7 +232,7 @@ measured into the empty columns, and give the table to calib calibrate, which le
 """)
 def plan(
     robot: RobotFile,
-    setup: ModelOptions,
+    cell_options: PlanCellOptions,
     poses: PoseOptions,
     images: ImageOptions,
     scene: SceneOptions,
@@ -205,9 +250,8 @@ def plan(
     from calib.verbs.workspace.region_file import read_region
 
     files = (outputs.output, outputs.json, outputs.view)
-    check_outputs(files, [robot, setup.cell, scene.region, poses.taken], force=outputs.force)
-    cell = images.in_cell(read_cell(**asdict(setup)))
-    cell = replace(cell, tracker=parse_tracker(scene.tracker, cell.tracker))
+    check_outputs(files, [robot, cell_options.file, scene.region, poses.taken], force=outputs.force)
+    cell = images.in_cell(cell_options.cell())
     # Without a tip the chain is that of the joints in the table of poses already measured.
     joints = None if poses.taken is None else column_names(Table.read(poses.taken))
     arm = load(robot, cell, joints)

@@ -22,8 +22,7 @@ from scipy.linalg import solve_triangular
 
 import calib.data.kinds as registry
 from calib.basics.arrays import Array, read_only
-from calib.basics.mappings import keep_read_only
-from calib.basics.values import Value
+from calib.basics.values import Value, keep_read_only
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.fit.registration.registration import register

@@ -16,9 +16,7 @@ from numpy.typing import ArrayLike
 
 from calib.basics.arguments import check_callable, check_type
 from calib.basics.arrays import Array, read_only
-from calib.basics.mappings import keep_read_only
-from calib.basics.shown import shown_by
-from calib.basics.values import Value
+from calib.basics.values import Value, keep_read_only, shown_by
 from calib.data.cell import Cell
 from calib.data.inputs import CellInput, RobotInput, cell_of, robot_of
 from calib.errors import CalibError

@@ -32,7 +32,7 @@ from calib.data.values import read_values
 from calib.errors import MeasurementError
 from calib.instruments.camera import CameraInstrument
 from calib.instruments.instrument import Instrument
-from calib.robot.readings import coupling_table
+from calib.robot.coupled_readings import coupling_table
 from calib.robot.robot import Robot
 from calib.verbs.plan.forecast import Forecast
 from calib.verbs.plan.plan import Plan

@@ -16,8 +16,8 @@ from calib.data.cell import AUTO, Cell
 from calib.data.columns import DEFAULT_TARGET
 from calib.data.generic import GENERIC_TARGET
 from calib.fit.estimate.task import Task
-from calib.fit.registration.cameras import optics_of_rows
 from calib.fit.registration.setup import Setup
+from calib.fit.registration.table_optics import initial_optics
 from calib.fit.registration.table_setup import measurement_setup
 from calib.instruments.camera import USUAL_LIMITS, CameraInstrument, SightLimits, is_image
 from calib.instruments.instrument import Instrument, Sightline, transform
@@ -93,18 +93,20 @@ class Sensitivity:
         table = instrument.stop_rows(robot, targets, next(iter(cell.frames), ""))
         stop = np.zeros(len(table), dtype=np.int_)
         setup = measurement_setup(cell, table, (instrument.kind,), stop)
-        _, unknowns = optics_of_rows(table, cell, setup, stop)
+        _, unknowns = initial_optics(table, cell, setup, stop)
         setup = replace(setup, optics=unknowns)
         notes = [Note(code, values) for code, values in instrument.assumed]
         if not np.all(setup.target_given):
             T_tip_target = setup.T_tip_target.copy()
             T_tip_target[~setup.target_given, :3, 3] = GENERIC_TARGET
-            setup = setup.placed(setup.T_frame_base, T_tip_target)
+            setup = setup.with_poses(setup.T_frame_base, T_tip_target)
             notes.insert(0, Note("generic_target", tuple(GENERIC_TARGET)))
 
         is_auto = cell.model == AUTO
         name = PLANNED_FOR_AUTO if is_auto else cell.model
-        model = setup.aligned(Task(robot, cell, setup, name, allow_absent=is_auto).error_model())
+        model = setup.turn_directions(
+            Task(robot, cell, setup, name, allow_absent=is_auto).error_model()
+        )
         if not is_auto:
             for given in (*cell.parameter_priors, *cell.bounds):
                 model.index(given)  # refuses one that the model does not have

@@ -22,7 +22,8 @@ from calib.robot.full_model import full_model, link_frame
 from calib.robot.kernel import turns_to
 from calib.robot.meshes import LinkShape, find_mesh, link_shapes, load_mesh, mesh_folders
 from calib.robot.robot import Robot
-from calib.robot.urdf import Urdf, UrdfJoint
+from calib.robot.urdf import Urdf
+from calib.robot.urdf_tree import UrdfJoint
 
 #: Thickness of the box that stands for all below the mounting plane; it is twice as wide [m].
 _GROUND = 20.0

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from calib.basics.channels import RESIDUAL_UNITS
-from calib.basics.short import one_line
+from calib.basics.values import one_line
 from calib.instruments.camera import CameraInstrument
 from calib.instruments.instrument import Instrument
 from calib.show.lines import mm, paragraphs, plural, wrap

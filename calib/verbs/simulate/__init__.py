@@ -1,1 +1,1 @@
-"""Virtual cells with a known truth."""
+"""Simulate measurements of a robot whose errors are known."""

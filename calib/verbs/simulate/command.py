@@ -2,84 +2,65 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from calib.cli.loading import load
 from calib.cli.options import ColumnChoice, Force, ModelOptions, Quiet, RobotFile
 from calib.cli.outputs import check_outputs, written_lines
-from calib.cli.setup import load, read_cell
 from calib.cli.terminal import progress_bar
 from calib.cli.verb import verb
 from calib.errors import CalibError
+from calib.verbs.simulate.scenario_words import ScenarioWords
 
 if TYPE_CHECKING:
     from calib.basics.arrays import Array
 
-_Text = str | None
 _File = Path | None
-
-
-@dataclass(frozen=True, slots=True)
-class ScenarioOptions:
-    """Errors of the robot, and disturbances of the measurements."""
-
-    sizes: Annotated[
-        _Text,
-        typer.Option(
-            metavar='"FAMILY VALUE, ..."',
-            help='Standard deviations of the errors, "length 0.5 mm, angle 3 mrad", or none. '
-            "Default: typical; none with --error.",
-        ),
-    ] = None
-    error: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NAME=VALUE", help='One error, "elbow_joint.rx=2 mrad". Can be repeated.'
-        ),
-    ] = None
-    truth_robot: Annotated[_File, typer.Option(help="URDF of the true robot.")] = None
-    target_error: Annotated[
-        _Text,
-        typer.Option(help="Standard deviation of the targets' places. Default: 1 mm."),
-    ] = None
-    noise: Annotated[
-        _Text,
-        typer.Option(
-            help='Of a coordinate: "0.05 mm", "15 um + 6 um/m", or none; of a corner in a picture "0.3 px". '
-            "Default: the cell's, or a tracker's."
-        ),
-    ] = None
-    outliers: Annotated[_Text, typer.Option(metavar='N|"P %"', help="Outliers.")] = None
 
 
 @dataclass(frozen=True, slots=True)
 class PoseOptions(ColumnChoice):
     """Poses of a table, and the seed of all random numbers."""
 
-    poses: Annotated[_File, typer.Option(help="Poses, from this plan or table.")] = None
-    count: Annotated[int, typer.Option(min=1, metavar="N", help="Random poses.")] = 30
+    poses: Annotated[_File, typer.Option(help="Plan or table whose poses are simulated.")] = None
+    count: Annotated[
+        int, typer.Option(min=1, metavar="N", help="Number of random poses to calibrate with.")
+    ] = 30
     validation: Annotated[
         int | None,
-        typer.Option(min=0, help="Random poses for validation. Default: 10; 0 with --poses."),
+        typer.Option(
+            min=0, help="Number of random poses for validation. Default: 10, or 0 with --poses."
+        ),
     ] = None
-    seed: Annotated[int, typer.Option(min=0, help="Of all random numbers.")] = 0
+    seed: Annotated[
+        int,
+        typer.Option(min=0, help="Seed of all random numbers; the same seed gives the same files."),
+    ] = 0
 
 
 @dataclass(frozen=True, slots=True)
 class SimulateOutputs:
-    """Output options of ``calib simulate``."""
+    """Files that are written."""
 
     output: Annotated[_File, typer.Option("-o", "--output", help="Write the table.")] = None
-    truth: Annotated[_File, typer.Option(help="Default: TABLE_truth.json.")] = None
-    truth_urdf: Annotated[_File, typer.Option(help="Write the URDF of the true robot.")] = None
+    truth: Annotated[
+        _File,
+        typer.Option(
+            help="Write the truth to this file. Default: TABLE_truth.json, next to the table."
+        ),
+    ] = None
+    truth_urdf: Annotated[
+        _File, typer.Option(help="Write the URDF of the true robot to this file.")
+    ] = None
     images: Annotated[
         _File,
         typer.Option(
             metavar="FOLDER",
-            help="Of the kind pixel: draw the pictures into this folder, with joints.csv, board.toml and camera.yaml.",
+            help="With --kind pixel: draw the pictures into this folder, with joints.csv, board.toml and camera.yaml.",
         ),
     ] = None
     force: Force = False
@@ -122,8 +103,8 @@ pictures at poses from which the whole board is seen; --images draws them, for c
 """)
 def simulate(
     robot: RobotFile,
-    setup: ModelOptions,
-    errors: ScenarioOptions,
+    cell_options: ModelOptions,
+    errors: ScenarioWords,
     poses: PoseOptions,
     outputs: SimulateOutputs,
     quiet: Quiet = False,
@@ -133,17 +114,17 @@ def simulate(
     from calib.verbs.plan.plan_file import read_poses
     from calib.verbs.simulate.picture_files import write_pictures
     from calib.verbs.simulate.scenario import simulate as simulate_rows
-    from calib.verbs.simulate.scenario_words import ScenarioWords, read_scenario
+    from calib.verbs.simulate.scenario_words import read_scenario
     from calib.verbs.simulate.text import simulated_text
     from calib.verbs.simulate.truth_file import write_truth
 
     if outputs.truth_path is None or (outputs.output is None and outputs.images is None):
         raise CalibError("Name the table to write: -o table.csv.")
-    inputs = [robot, poses.poses, setup.cell, errors.truth_robot]
+    inputs = [robot, poses.poses, cell_options.file, errors.truth_robot]
     check_outputs(outputs.files, inputs, force=outputs.force)
-    cell = read_cell(**asdict(setup))
+    cell = cell_options.cell()
     arm = load(robot, cell)
-    scenario = read_scenario(arm, cell, setup.cell, ScenarioWords(**asdict(errors)))
+    scenario = read_scenario(arm, cell, cell_options.file, errors)
     if outputs.images is not None and not is_image(scenario.kind):
         raise CalibError(
             "--images draws what a camera sees of a printed board: add --kind pixel, with --camera-on and --board-on."

@@ -22,8 +22,7 @@ from scipy.spatial.transform import Rotation
 
 from calib.basics.arrays import Array, Integers, read_only
 from calib.basics.channels import RESIDUAL_UNITS, VECTOR
-from calib.basics.short import one_line
-from calib.basics.values import Value
+from calib.basics.values import Value, one_line
 from calib.boards.project import Sight, corner_pixels
 from calib.data.columns import SETS
 from calib.data.kinds import Kind

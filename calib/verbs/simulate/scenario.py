@@ -19,9 +19,7 @@ import calib.data.kinds as registry
 from calib.basics.arguments import check_mapping, check_names, check_number, check_type, check_whole
 from calib.basics.arrays import Array, Mask, read_only
 from calib.basics.channels import residual_unit
-from calib.basics.mappings import keep_read_only
-from calib.basics.short import one_line
-from calib.basics.values import Value
+from calib.basics.values import Value, keep_read_only, one_line
 from calib.data.cell import Cell, TrackerNoise
 from calib.data.columns import SETS
 from calib.data.inputs import ROBOT, RobotInput, cell_of, robot_of

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated
 
 import numpy as np
+import typer
 
 import calib.data.kinds as registry
+from calib.basics.arrays import Array
 from calib.basics.channels import RESIDUAL_UNITS
+from calib.basics.records import key, read_record
 from calib.basics.units import LENGTH, parse_amount, parse_noise, quantity_name
-from calib.data.cell import Cell, TrackerNoise
-from calib.data.cell_file import DEGREES, MM, POINT, TEXT, Field, numbers, read_table, read_toml
+from calib.basics.value_forms import DEGREES, MM, NUMBER, POINT_MM, Place, text
+from calib.data.cell import Cell, TrackerNoise, read_toml
 from calib.data.inputs import chain_of, robot_of
 from calib.instruments.camera import is_image
 from calib.instruments.tracker import noise_of_lengths
@@ -25,17 +28,47 @@ from calib.verbs.simulate.disturbances import Encoder, MovedTarget, Outliers
 from calib.verbs.simulate.scenario import DEFAULT_MODEL, Scenario
 from calib.verbs.simulate.truth import NONE, TARGET_ERROR, parse_error_sizes
 
-#: Keys of ``[simulation]`` in a cell file.
-FIELDS: Mapping[str, Field] = {
-    "visits": Field("visits", numbers(1)),
-    "encoder_deg": Field("angle", DEGREES),
-    "encoder_mm": Field("length", MM),
-    "outlier_size_mm": Field("size", MM),
-    "drift_mm": Field("drift", POINT),
-    "moved_row": Field("row", numbers(1)),
-    "moved_mm": Field("by", POINT),
-    "moved_target": Field("target", TEXT),
-}
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Disturbances:
+    """The table ``[simulation]`` of a cell file."""
+
+    visits: float = key("visits", NUMBER, "Number of times that all poses are visited.", default=1)
+    #: [rad]
+    encoder_angle: float = key(
+        "encoder_deg", DEGREES, "Resolution of the encoders of revolute joints.", default=0.0
+    )
+    #: [m]
+    encoder_length: float = key(
+        "encoder_mm", MM, "Resolution of the encoders of prismatic joints.", default=0.0
+    )
+    #: [m]
+    outlier_size: float = key(
+        "outlier_size_mm", MM, "Displacement of an outlier.", default=Outliers().size
+    )
+    #: shape (3,) [m]
+    drift: Array = key(
+        "drift_mm",
+        POINT_MM,
+        "Drift of the instrument from the first to the last row, in the measurement frame.",
+        default_factory=lambda: np.zeros(3),
+        absent="none",
+    )
+    moved_row: float | None = key(
+        "moved_row", NUMBER, "First row that finds the target displaced.", default=None
+    )
+    #: shape (3,) [m]
+    moved_by: Array | None = key(
+        "moved_mm", POINT_MM, "Displacement of the target, along the axes of the tip.", default=None
+    )
+    moved_target: str | None = key(
+        "moved_target",
+        text("the name of a target"),
+        "Target that is displaced.",
+        default=None,
+        absent="all targets",
+    )
+
 
 #: Noise of an orientation about each axis, of a tracker's 6D probe [rad].
 _PROBE = float(np.radians(0.01))
@@ -43,20 +76,44 @@ _PROBE = float(np.radians(0.01))
 
 @dataclass(frozen=True, slots=True)
 class ScenarioWords:
-    """Options of a scenario, as typed on the command line; None: not given."""
+    """Errors of the robot and disturbances of the measurements, as typed on the command line; None: not given."""
 
-    #: Standard deviations of errors, see `parse_error_sizes`.
-    sizes: str | None = None
-    #: Single errors, ``elbow_joint.rx=2 mrad`` each.
-    error: Iterable[str] | None = None
-    #: See `parse_tracker_noise`.
-    noise: str | None = None
-    #: A number of rows or a share, see `Outliers.parse`.
-    outliers: str | None = None
-    #: URDF of the true robot.
-    truth_robot: Path | None = None
-    #: Standard deviation of the targets' positions, a length.
-    target_error: str | None = None
+    sizes: Annotated[
+        str | None,
+        typer.Option(
+            metavar='"FAMILY VALUE, ..."',
+            help='Standard deviations of the errors, such as "length 0.5 mm, angle 3 mrad", or none. Default: typical '
+            "ones, or none with --error.",
+        ),
+    ] = None
+    error: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=VALUE",
+            help='A single error, such as "elbow_joint.rx=2 mrad". Can be repeated.',
+        ),
+    ] = None
+    truth_robot: Annotated[
+        Path | None, typer.Option(help="URDF with the true geometry of the robot.")
+    ] = None
+    target_error: Annotated[
+        str | None,
+        typer.Option(
+            metavar="LENGTH",
+            help="Standard deviation of the stated positions of the targets. Default: 1 mm.",
+        ),
+    ] = None
+    noise: Annotated[
+        str | None,
+        typer.Option(
+            help='Noise of a coordinate, such as "0.05 mm" or "15 um + 6 um/m", or none; for pictures that of a '
+            'corner, such as "0.3 px". Default: that of the cell, or else of a usual tracker.'
+        ),
+    ] = None
+    outliers: Annotated[
+        str | None,
+        typer.Option(metavar='N|"P %"', help="Number of outliers, or their share of the rows."),
+    ] = None
 
 
 def read_scenario(
@@ -80,11 +137,14 @@ def read_scenario(
         CalibError: A text that an option does not take, or a fault of the file.
     """
     words = words or ScenarioWords()
-    events = _simulation_table(path)
+    disturbances = _disturbances(path)
     model = DEFAULT_MODEL if cell.model == "auto" else cell.model
     all_errors = error_model(robot, model, target=False, gravity=cell.gravity)
     errors = tuple(_named_errors(words.error or (), all_errors))
     noise, sigma = _noise(cell, words.noise)
+    outliers = None
+    if words.outliers is not None:
+        outliers = Outliers.parse(words.outliers, disturbances.outlier_size)
     return Scenario(
         robot=robot,
         cell=cell,
@@ -95,20 +155,18 @@ def read_scenario(
         target_error=_target_error(words.target_error),
         noise=noise,
         sigma=sigma,
-        encoder=Encoder(events.get("angle", 0.0), events.get("length", 0.0)),
-        outliers=_outliers(words.outliers, events),
-        moved=_moved_target(events),
-        drift=events.get("drift", np.zeros(3)),
-        visits=int(events.get("visits", 1)),
+        encoder=Encoder(disturbances.encoder_angle, disturbances.encoder_length),
+        outliers=outliers,
+        moved=_moved_target(disturbances),
+        drift=disturbances.drift,
+        visits=int(disturbances.visits),
     )
 
 
-def _simulation_table(path: Path | None) -> dict[str, Any]:
-    """Read the table ``[simulation]`` of a cell file, SI units, by the names of `FIELDS`."""
-    if path is None:
-        return {}
-    table = read_toml(path).get("simulation", {})
-    return read_table(table, FIELDS, f"[simulation] of {path}")
+def _disturbances(path: Path | None) -> Disturbances:
+    """Read the table ``[simulation]`` of a cell file; None: there is no file."""
+    table = {} if path is None else read_toml(path).get("simulation", {})
+    return read_record(Disturbances, table, Place(heading=f"[simulation] of {path}"))
 
 
 def _true_robot(robot: Robot, path: Path | None) -> Robot | None:
@@ -154,19 +212,13 @@ def _further_noise(cell: Cell, noise: TrackerNoise | None) -> dict[str, float]:
     return usual | {"rad": _PROBE} | of_cell
 
 
-def _outliers(text: str | None, events: Mapping[str, Any]) -> Outliers | None:
-    """Parse ``--outliers``, with their size from ``[simulation]``; None without it."""
-    if text is None:
+def _moved_target(disturbances: Disturbances) -> MovedTarget | None:
+    """Return the target that moves; None if none does."""
+    row, by = disturbances.moved_row, disturbances.moved_by
+    if row is None and by is None:
         return None
-    return Outliers.parse(text, events.get("size", Outliers().size))
-
-
-def _moved_target(events: Mapping[str, Any]) -> MovedTarget | None:
-    """Return the target that moves, from ``[simulation]``; None if none does."""
-    if "row" not in events and "by" not in events:
-        return None
-    displacement = events.get("by", np.zeros(3))
-    return MovedTarget(int(events.get("row", 1)), displacement, events.get("target"))
+    displacement = np.zeros(3) if by is None else by
+    return MovedTarget(int(1 if row is None else row), displacement, disturbances.moved_target)
 
 
 def _named_errors(pairs: Iterable[str], model: ErrorModel) -> Iterator[tuple[str, float]]:

@@ -19,9 +19,8 @@ from scipy.spatial.transform import Rotation
 
 import calib.data.kinds as registry
 from calib.basics.arrays import Array, read_only, rigid_inverse
-from calib.basics.mappings import ReadOnlyMapping
 from calib.basics.units import parse_amount
-from calib.basics.values import Value
+from calib.basics.values import ReadOnlyMapping, Value
 from calib.data.cell import Cell
 from calib.data.columns import DEFAULT_TARGET
 from calib.errors import CalibError, ModelError, choices
@@ -29,8 +28,7 @@ from calib.model.error_model import error_model, split_name
 from calib.model.families import FAMILIES, unit_of
 from calib.model.kinematics import Kinematics, Samples
 from calib.model.parameters import ErrorModel, Parameter
-from calib.robot.gravity import gravity_loads
-from calib.robot.payload import Payload
+from calib.robot.gravity import Payload, gravity_loads
 from calib.robot.ranges import random_joint_values
 from calib.robot.readback import check_written
 from calib.robot.robot import Robot

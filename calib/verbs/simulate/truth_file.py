@@ -17,7 +17,7 @@ from calib.basics.arrays import Array
 from calib.basics.files import write_atomically
 from calib.basics.json_files import json_bytes
 from calib.camera.lenses import LENSES
-from calib.robot.readings import coupling_table
+from calib.robot.coupled_readings import coupling_table
 from calib.verbs.simulate.equipment import Equipment
 from calib.verbs.simulate.readings import Pictures
 from calib.verbs.simulate.scenario import Scenario, Simulated

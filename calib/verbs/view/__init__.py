@@ -1,1 +1,1 @@
-"""Pages that show robots in 3-D, each one file. Imports report and below."""
+"""Show robots, and what was measured, in the browser."""

@@ -2,23 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import typer
 
-from calib.cli.options import CellOptions, Force, Quiet, ResultTarget, RobotFile, TableOptions
-from calib.cli.outputs import check_outputs
-from calib.cli.setup import (
+from calib.cli.loading import (
     load,
     load_with_data,
-    read_cell,
     with_chain_of_result,
     with_target_link,
 )
+from calib.cli.options import (
+    TARGET_OF_RESULT,
+    CellOptions,
+    Force,
+    Quiet,
+    RobotFile,
+    TableOptions,
+)
+from calib.cli.outputs import check_outputs
 from calib.cli.verb import verb
 from calib.errors import CalibError
 
@@ -30,10 +36,10 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True)
-class SetupOptions(CellOptions):
-    """Measurement setup; targets are those of the result or of the URDF where it has them."""
+class ViewOptions(CellOptions):
+    """Options of the cell; targets are those of the result or of the URDF, if it has any."""
 
-    target: ResultTarget = None
+    helps: ClassVar[Mapping[str, str]] = TARGET_OF_RESULT
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,10 +47,17 @@ class PageOptions:
     """The page: served to this computer, or written as a file."""
 
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", help="Write the page as a file.")
+        Path | None,
+        typer.Option("-o", "--output", help="Write the page as a file in place of serving it."),
     ] = None
     port: Annotated[
-        int, typer.Option(min=0, max=65535, metavar="N", help="Port of 127.0.0.1; 0: any.")
+        int,
+        typer.Option(
+            min=0,
+            max=65535,
+            metavar="N",
+            help="Port of 127.0.0.1 at which the page is served; 0: any free one.",
+        ),
     ] = 0
     no_browser: Annotated[bool, typer.Option("--no-browser", help="Do not open the browser.")] = (
         False
@@ -85,54 +98,57 @@ it as a file, which opens without calib.
 """)
 def view(
     robot: RobotFile,
-    setup: SetupOptions,
-    table: TableOptions,
-    page: PageOptions,
+    cell_options: ViewOptions,
+    table_options: TableOptions,
+    page_options: PageOptions,
     other: Annotated[
         str | None, typer.Argument(metavar="[OTHER]", help="The calibrated robot's URDF.")
     ] = None,
     data: Annotated[
-        Path | None, typer.Option(help="CSV table of joint values and measured points.")
+        Path | None, typer.Option(help="Table of joint values and measured points to show.")
     ] = None,
     calibration: Annotated[
-        Path | None, typer.Option(help="Result that 'calib calibrate --json' wrote.")
+        Path | None,
+        typer.Option(help="Result of a calibration, as 'calib calibrate --json' writes it."),
     ] = None,
     quiet: Quiet = False,
 ) -> None:
-    """Run the verb; its help is the text of `verb`."""
+    """Load what is shown, and serve the page or write it."""
     if other is not None and calibration is not None:
         raise CalibError("OTHER and --calibration are both the second robot; leave out one.")
-    if data is None and any((*asdict(table).values(), setup.kind, setup.frame)):
+    if data is None and (
+        any(asdict(table_options).values()) or {*cell_options.given} & {"kind", "frame"}
+    ):
         raise CalibError("--points, --columns, --kind, --frame: name the table with --data.")
-    inputs = [robot, other, data, setup.cell, calibration, table.points]
-    check_outputs([page.output], inputs, force=page.force)
-    cell = read_cell(**asdict(setup))
+    inputs = [robot, other, data, cell_options.file, calibration, table_options.points]
+    check_outputs([page_options.output], inputs, force=page_options.force)
+    cell = cell_options.cell()
     if calibration is None:
-        arm, measurements = _load(robot, cell, data, table)
+        arm, measurements = _load(robot, cell, data, table_options)
         shown = _view_of_robots(arm, other, measurements, cell)
     else:
-        shown = _view_of_result(robot, cell, setup, data, table, calibration)
-    page.show(shown, _no_text if quiet else partial(print, flush=True))
+        shown = _view_of_result(robot, cell, cell_options, data, table_options, calibration)
+    page_options.show(shown, _no_text if quiet else partial(print, flush=True))
 
 
 def _load(
     robot: str,
     cell: Cell,
     data: Path | None,
-    table: TableOptions,
+    table_options: TableOptions,
 ) -> tuple[Robot, Measurements | None]:
     """Load the robot, and the table if there is one."""
     if data is None:
         return load(robot, cell), None
-    return load_with_data(robot, cell, data, table)
+    return load_with_data(robot, cell, data, table_options)
 
 
 def _view_of_result(
     robot: str,
     cell: Cell,
-    setup: SetupOptions,
+    cell_options: ViewOptions,
     data: Path | None,
-    table: TableOptions,
+    table_options: TableOptions,
     calibration: Path,
 ) -> View:
     """Return the view of a result: the robot with the joint origins before and after it."""
@@ -141,8 +157,8 @@ def _view_of_result(
 
     result = read_result(calibration)
     cell = with_chain_of_result(cell, result, str(calibration))
-    arm, measurements = _load(robot, cell, data, table)
-    from_result = [name for name in ("frame", "target") if getattr(setup, name) is None]
+    arm, measurements = _load(robot, cell, data, table_options)
+    from_result = [name for name in ("frame", "target") if name not in cell_options.given]
     return view_of_result(
         result, arm, measurements, cell, known=from_result, source=calibration.name
     )

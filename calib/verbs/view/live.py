@@ -350,7 +350,9 @@ def _content(shown: Shown, other: RobotInput | None) -> View:
     check_type("shown", shown, (Calibration, Robot, str, Path), allowed)
     if isinstance(shown, Calibration) or is_result_file(shown):
         result = result_of(shown, "shown")
-        return view_of_result(result, result.nominal) if result.fit is None else view_of(result)
+        if result.fit_in_memory is None:
+            return view_of_result(result, result.nominal)
+        return view_of(result)
     first = robot_of(shown, argument="shown")
     second = None
     if other is not None:

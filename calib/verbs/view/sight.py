@@ -184,7 +184,7 @@ def _rays(camera: Camera, pixels: Array) -> Array:
         middle = 0.5 * np.array([camera.width, camera.height]) - 0.5
         return np.column_stack([(pixels - middle) / focal, np.ones(len(pixels))])
     lens = LENSES[camera.lens]
-    rays = lens.rays(pixels, camera.values)
+    rays = lens.undistort(pixels, camera.values)
     # Far from what was measured a distortion may have no inverse; a fisheye lens sees there beside the camera.
     missing = np.linalg.norm(lens.project(rays, camera.values) - pixels, axis=1) > 1.0
     straight = (pixels - camera.values[2:4]) / camera.values[:2]

@@ -9,7 +9,7 @@ import numpy as np
 
 from calib.basics.arrays import Array, Integers, Mask
 from calib.data.measurements import Measurements
-from calib.fit.registration.same_poses import same_poses
+from calib.fit.registration.labels import same_poses
 from calib.verbs.evaluate.evaluation import Evaluation
 
 #: Rows that are shown at most: the page stays quick.

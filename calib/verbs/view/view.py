@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from calib.basics.arrays import Array, Integers, Mask, rigid_inverse
-from calib.basics.mappings import ReadOnlyMapping
+from calib.basics.values import ReadOnlyMapping
 from calib.camera.camera import Camera
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
@@ -162,10 +162,10 @@ def view_of(calibration: Calibration, *, accepted: bool = False) -> View:
         accepted: The corrected URDF is used whatever the verdict says.
     """
     c = calibration
-    m = c.measurements
-    before = Evaluation(c.nominal, m, c.nominal_setup, (), c.residual_nominal, c.channels)
-    after = Evaluation(c.robot, m, c.setup, (), c.residual_calibrated, c.channels)
-    view = _at_rows(before, after, flagged_rows(c), c.cameras)
+    m = c.fit.measurements
+    before = Evaluation(c.nominal, m, c.nominal_setup, (), c.rows.residual_nominal, c.rows.channels)
+    after = Evaluation(c.robot, m, c.setup, (), c.rows.residual_calibrated, c.rows.channels)
+    view = _at_rows(before, after, flagged_rows(c), c.optics.cameras)
     names = (view.names[0], ("Calibrated", _calibrated_is(c, accepted=accepted)))
     view = replace(view, title=f"{c.nominal.name or 'Robot'}: nominal and calibrated", names=names)
     return _with_verdict(view, c)
@@ -210,7 +210,7 @@ def view_of_result(
     Returns:
         The view; its errors are those of `calib.evaluate`.
     """
-    cell = result.with_optics(cell or Cell())
+    cell = result.optics.given_to(cell or Cell())
     before = result.uncorrected(robot)
     after = result.corrected(robot)
     if table is None:
@@ -223,7 +223,9 @@ def view_of_result(
         which = tuple(known)
         first = evaluate(before, table, cell, known=result.nominal_setup, which=which)
         second = evaluate(after, table, cell, known=result.setup, which=which)
-        view = _at_rows(first, second, _flagged_by(result, table), result.cameras or cell.cameras)
+        view = _at_rows(
+            first, second, _flagged_by(result, table), result.optics.cameras or cell.cameras
+        )
     origins = f"joint origins of {source}"
     if np.array_equal(before.placements, after.placements):
         origins = "unchanged: no joint origin was corrected"
@@ -233,7 +235,7 @@ def view_of_result(
 
 def _flagged_by(result: Calibration, table: Measurements) -> Mask:
     """Return the rows of a table (N,) that a result flagged; none if it is not the table that was fitted."""
-    numbers = [outlier.row for outlier in (*result.outliers, *result.suspects)]
+    numbers = [outlier.row for outlier in (*result.rows.outliers, *result.rows.suspects)]
     is_same_table = result.source.sha256 == table.sha256
     return np.isin(table.rows, numbers) & is_same_table
 

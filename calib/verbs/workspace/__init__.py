@@ -1,1 +1,1 @@
-"""Workspace and region: where the target can be, how often, and the part of space to measure in."""
+"""Sample the reachable workspace of the target, and find the region to measure in."""

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from calib.cli.loading import load
 from calib.cli.options import CellOptions, ColumnChoice, Force, Quiet, RobotFile, Seed
 from calib.cli.outputs import check_outputs, written_lines
-from calib.cli.setup import load, read_cell
 from calib.cli.terminal import progress_bar
 from calib.cli.verb import verb
 
@@ -29,25 +29,40 @@ _File = Path | None
 class RangeOptions(ColumnChoice):
     """Ranges of the joints, and a table whose rows are checked."""
 
-    like: Annotated[_File, typer.Option(help="Table whose estimation rows give the ranges.")] = None
+    like: Annotated[
+        _File, typer.Option(help="Table whose rows for estimation give the ranges of the joints.")
+    ] = None
     margin: Annotated[
         str,
-        typer.Option(metavar="ANGLE", help="Margin around --like (5 mm for prismatic joints)."),
+        typer.Option(
+            metavar="ANGLE",
+            help="Margin added to the ranges of --like at both ends; it is 5 mm for prismatic joints.",
+        ),
     ] = "0 deg"
-    check: Annotated[_File, typer.Option(help="Table: which of its rows lie in the region.")] = None
+    check: Annotated[
+        _File, typer.Option(help="Table whose rows are checked: which of them lie in the region.")
+    ] = None
 
 
 @dataclass(frozen=True, slots=True)
 class SamplingOptions:
     """Samples of the joint values, and the region that is made of them."""
 
-    share: Annotated[float, typer.Option(metavar="P", help="Probability in the region.")] = 0.95
+    share: Annotated[
+        float, typer.Option(metavar="P", help="Probability that the target is in the region.")
+    ] = 0.95
     samples: Annotated[
-        int, typer.Option(min=1000, max=2**24, metavar="N", help="Samples of the joint values.")
+        int,
+        typer.Option(
+            min=1000, max=2**24, metavar="N", help="Number of samples of the joint values."
+        ),
     ] = 2**19
     voxel: Annotated[
         str | None,
-        typer.Option(metavar="LENGTH", help="Edge of a voxel. Default: by the samples."),
+        typer.Option(
+            metavar="LENGTH",
+            help="Length of the edge of a voxel. Default: chosen by the number of samples.",
+        ),
     ] = None
     seed: Seed = 0
 
@@ -58,10 +73,18 @@ class WorkspaceOutputs:
 
     output: Annotated[
         _File,
-        typer.Option("-o", "--output", help="Region file, for 'calib plan --region'."),
+        typer.Option(
+            "-o", "--output", help="Write the region as a file, for 'calib plan --region'."
+        ),
     ] = None
-    picture: Annotated[_File, typer.Option(help="Density and region: .png, .svg or .pdf.")] = None
-    view: Annotated[_File, typer.Option(help="3D page of robot and region.")] = None
+    picture: Annotated[
+        _File,
+        typer.Option(help="Write a figure of the density and the region: .png, .svg or .pdf."),
+    ] = None
+    view: Annotated[
+        _File,
+        typer.Option(help="Write a page that shows robot and region in 3D, to open in a browser."),
+    ] = None
     force: Force = False
 
     def check(self, inputs: list[str | Path | None]) -> None:
@@ -102,33 +125,35 @@ poses inside it. Collisions are not checked here.
 """)
 def workspace(
     robot: RobotFile,
-    setup: CellOptions,
-    ranges: RangeOptions,
-    sampling: SamplingOptions,
+    cell_options: CellOptions,
+    range_options: RangeOptions,
+    sampling_options: SamplingOptions,
     outputs: WorkspaceOutputs,
     quiet: Quiet = False,
 ) -> None:
-    """Run the verb; its help is the text of `verb`."""
+    """Sample the workspace, write the files and print the region."""
     from calib.verbs.workspace.text import workspace_text
 
-    outputs.check([robot, ranges.like, ranges.check, setup.cell])
-    cell = read_cell(**asdict(setup))
-    view = _region_view(robot, cell, ranges, sampling, quiet=quiet)
-    lines = outputs.write(view, sampling.seed)
+    outputs.check([robot, range_options.like, range_options.check, cell_options.file])
+    cell = cell_options.cell()
+    view = _region_view(robot, cell, range_options, sampling_options, quiet=quiet)
+    lines = outputs.write(view, sampling_options.seed)
     if quiet:
         return
     origin = ""
-    if ranges.like is not None:
-        origin = f"the estimation rows of {ranges.like.name}, {ranges.margin} wider"
-    text = workspace_text(view, origin, sampling.seed, every_row=ranges.check is not None)
+    if range_options.like is not None:
+        origin = f"the estimation rows of {range_options.like.name}, {range_options.margin} wider"
+    text = workspace_text(
+        view, origin, sampling_options.seed, every_row=range_options.check is not None
+    )
     typer.echo("\n".join([text, "", *lines]))
 
 
 def _region_view(
     robot: str,
     cell: Cell,
-    ranges: RangeOptions,
-    sampling: SamplingOptions,
+    range_options: RangeOptions,
+    sampling_options: SamplingOptions,
     *,
     quiet: bool,
 ) -> RegionView:
@@ -139,29 +164,31 @@ def _region_view(
     from calib.verbs.workspace.workspace import workspace_points
 
     voxel = None
-    if sampling.voxel is not None:
-        voxel = parse_amount(sampling.voxel, "--voxel", LENGTH, "20 mm")
-    arm, tables = _load_with_tables(robot, cell, ranges)
-    limits = _joint_ranges(arm, cell, ranges, tables)
+    if sampling_options.voxel is not None:
+        voxel = parse_amount(sampling_options.voxel, "--voxel", LENGTH, "20 mm")
+    arm, tables = _load_with_tables(robot, cell, range_options)
+    limits = _joint_ranges(arm, cell, range_options, tables)
     target = _target(cell)
     with progress_bar("workspace", quiet=quiet) as progress:
-        points = workspace_points(arm, target, limits, sampling.samples, sampling.seed, progress)
+        points = workspace_points(
+            arm, target, limits, sampling_options.samples, sampling_options.seed, progress
+        )
     density = Density.of(points, voxel)
-    checked = _checked_rows(arm, cell, ranges, tables)
-    region = density.region(sampling.share)
+    checked = _checked_rows(arm, cell, range_options, tables)
+    region = density.region(sampling_options.share)
     return RegionView(arm, target, limits, density, region, checked)
 
 
 def _load_with_tables(
-    robot: str, cell: Cell, ranges: RangeOptions
+    robot: str, cell: Cell, range_options: RangeOptions
 ) -> tuple[Robot, Mapping[Path, Measurements]]:
     """Load the robot and the tables of ``--like`` and ``--check``, whose common joints tell the chain."""
     from calib.basics.tables import Table
     from calib.data.columns import column_names
     from calib.verbs.workspace.region_rows import read_rows
 
-    paths = [path for path in (ranges.like, ranges.check) if path is not None]
-    renamed = ranges.parsed()
+    paths = [path for path in (range_options.like, range_options.check) if path is not None]
+    renamed = range_options.parsed()
     columns = [column_names(Table.read(path), renamed) for path in paths]
     known = [names for names in columns if names is not None]
     common = set.intersection(*known) if known else None
@@ -173,17 +200,17 @@ def _load_with_tables(
 def _joint_ranges(
     arm: Robot,
     cell: Cell,
-    ranges: RangeOptions,
+    range_options: RangeOptions,
     tables: Mapping[Path, Measurements],
 ) -> Array:
     """Return the lowest and highest value of each joint, shape (m, 2), [rad] or [m]."""
     from calib.basics.units import ANGLE, parse_amount
     from calib.robot.ranges import joint_ranges, margins_by_joint
 
-    margin = parse_amount(ranges.margin, "--margin", ANGLE, "5 deg")
+    margin = parse_amount(range_options.margin, "--margin", ANGLE, "5 deg")
     measured = None
-    if ranges.like is not None:
-        rows = tables[ranges.like]
+    if range_options.like is not None:
+        rows = tables[range_options.like]
         measured = rows.joints_for(arm.joint_names)[rows.estimation]
     return joint_ranges(arm, cell.ranges, measured, margins_by_joint(arm, margin))
 
@@ -202,13 +229,13 @@ def _target(cell: Cell) -> Array:
 def _checked_rows(
     arm: Robot,
     cell: Cell,
-    ranges: RangeOptions,
+    range_options: RangeOptions,
     tables: Mapping[Path, Measurements],
 ) -> Checked | None:
     """Return the points of the table that is checked; None without a table."""
     from calib.verbs.workspace.region_rows import Checked, row_points
 
-    path = ranges.check or ranges.like
+    path = range_options.check or range_options.like
     if path is None:
         return None
     points, measured = row_points(arm, tables[path], cell, _target(cell))

@@ -23,8 +23,7 @@ from scipy import ndimage
 
 from calib.basics.arguments import check_number, check_type, finite_numbers, numbers, wrong_type
 from calib.basics.arrays import Array, Mask
-from calib.basics.short import one_line
-from calib.basics.values import Value
+from calib.basics.values import Value, one_line
 from calib.errors import CalibError, ModelError
 from calib.numerics.geometry import vector
 

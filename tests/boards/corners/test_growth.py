@@ -10,10 +10,10 @@ import pytest
 from calib.basics.arrays import Array
 from calib.boards.board import Board
 from calib.boards.corners.growth import grow, visible_corners, window_size
-from calib.boards.corners.layouts import marker_outlines
 from calib.boards.corners.markers import find_markers
 from calib.boards.corners.placing import place
 from calib.boards.corners.saddles import Saddles
+from calib.boards.layout import marker_outlines
 from tests.boards.board_views import CHARUCO_BOARD, CHESS_BOARD, View, render
 
 #: Sixty degrees, noise and a slight blur, from all sides, near and far.

@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from calib.boards.corners.layouts import marker_outlines
 from calib.boards.corners.markers import Markers, _without_doubles, find_markers, no_markers
+from calib.boards.layout import marker_outlines
 from calib.errors import CalibError
 from tests.boards.board_views import CHARUCO_BOARD, View, render
 

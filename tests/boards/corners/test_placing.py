@@ -8,9 +8,9 @@ import numpy as np
 
 from calib.basics.arrays import Array
 from calib.boards.board import Board
-from calib.boards.corners.layouts import marker_outlines
 from calib.boards.corners.markers import Markers
-from calib.boards.corners.placing import _agreeing, place
+from calib.boards.corners.placing import _agree_with_map, place
+from calib.boards.layout import marker_outlines
 from tests.boards.board_views import CHARUCO_BOARD, View
 
 SIZE = (640, 480)
@@ -75,7 +75,7 @@ def test_markers_that_a_lens_moves_agree_with_their_neighbours():
     layout = marker_outlines(CHARUCO_BOARD)
     placement = place(Markers(right.ids, bent), layout, SIZE)
     assert placement is not None
-    by_map = _agreeing(placement.map, layout[right.ids], bent)
+    by_map = _agree_with_map(placement.map, layout[right.ids], Markers(right.ids, bent))
     assert (~by_map).sum() == 3
     assert placement.misread == 1
     assert placement.is_sound

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.boards.corners.planar_map import fit_planar_map, in_image
+from calib.boards.corners.planar_map import fit_planar_map
 from calib.camera.lenses import LENSES
 from tests.boards.board_views import CHARUCO_BOARD, View
 
@@ -67,11 +67,6 @@ def test_what_is_behind_the_camera_has_no_pixel():
     planar_map = fit_planar_map(POINTS, view.corners(CHARUCO_BOARD), SIZE)
     far = np.array([[5.0, 0.0], [-5.0, 0.0]])
     assert np.isnan(planar_map.project(far)).any(axis=1).sum() == 1
-
-
-def test_pixels_inside():
-    pixels = np.array([[2.0, 2.0], [1.9, 5.0], [637.0, 477.0], [637.1, 3.0]])
-    assert in_image(pixels, SIZE, 2.0).tolist() == [True, False, True, False]
 
 
 def fisheye_pixels(focal=150.0):

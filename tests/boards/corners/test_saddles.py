@@ -1,17 +1,32 @@
-"""Corners of squares to a hundredth of a pixel, and none where the colours are others."""
+"""Corners of squares to a hundredth of a pixel, as uncertain as many pictures show; none in other colours."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+import calib.boards.corners.saddles as saddles_module
 from calib.basics.arrays import Array
 from calib.boards.board import Board
 from calib.boards.corners.growth import window_size
-from calib.boards.corners.layouts import corner_signs
 from calib.boards.corners.planar_map import fit_planar_map
-from calib.boards.corners.saddles import Saddles, find_saddles
+from calib.boards.corners.saddles import (
+    Saddles,
+    find_saddles,
+    interpolate,
+    patch_at,
+    window_weights,
+)
+from calib.boards.layout import corner_signs
 from tests.boards.board_views import CHARUCO_BOARD, CHESS_BOARD, View, render
+
+#: A window that is sheared and narrow.
+WINDOW = np.array([[3.0, 0.5], [0.8, 1.5]])
+
+#: Pictures that differ in their noise.
+PICTURES = 12
 
 
 def windows(board: Board, view: View) -> Array:
@@ -71,3 +86,92 @@ def test_a_corner_at_the_image_s_edge_is_none():
     inside[:20, 30:] = 50.0
     found = find_saddles(inside, np.array([[29.0, 23.0]]), window, sign)
     np.testing.assert_allclose(found.pixels, [[29.5, 22.5]], atol=0.01)
+
+
+def test_across_an_edge_the_weights_are_even():
+    for axis in (0, 1):
+        along = WINDOW[:, axis] / np.hypot(*WINDOW[:, axis])
+        across = np.array([-along[1], along[0]])
+        for distance in (1.0, 2.5):
+            offsets = distance * along + np.array([[-0.05], [0.05]]) * across
+            before, behind = window_weights(offsets[None], WINDOW)[0]
+            assert before == pytest.approx(behind, rel=1e-3)
+
+
+def test_weights_end_where_the_window_does():
+    along_x = WINDOW[:, 0]
+    offsets = np.array([[0.0 * along_x, 2.79 * along_x, 2.81 * along_x]])
+    weights = window_weights(offsets, WINDOW)[0]
+    assert weights[0] == 1.0
+    assert weights[1] > 0.0
+    assert weights[2] == 0.0
+
+
+def test_a_patch_has_central_differences():
+    u, v = np.meshgrid(np.arange(40.0), np.arange(30.0))
+    patch = patch_at(3.0 * u - 2.0 * v, np.array([20.3, 14.8]), WINDOW)
+    assert patch is not None
+    np.testing.assert_allclose(patch.gradients, np.broadcast_to([3.0, -2.0], patch.gradients.shape))
+    total = patch.weights.sum()
+    np.testing.assert_allclose(patch.normal_matrix, total * np.array([[9, -6], [-6, 4]]))
+    # Offsets are from the place to the pixels.
+    np.testing.assert_allclose((patch.offsets + np.array([20.3, 14.8])) % 1.0, 0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("place", [(2.0, 15.0), (38.0, 15.0), (20.0, 1.0), (np.nan, 3.0)])
+def test_a_patch_that_leaves_the_image_is_none(place: tuple[float, float]):
+    assert patch_at(np.zeros((30, 40)), np.array(place), WINDOW) is None
+
+
+def test_interpolation_is_exact_for_a_parabola_and_averages_noise():
+    u, v = np.meshgrid(np.arange(40.0), np.arange(30.0))
+    places = np.array([[10.3, 12.9], [20.0, 7.5]])
+    values, gain = interpolate(u**2 + u * v, places)
+    np.testing.assert_allclose(values, places[:, 0] ** 2 + places[:, 0] * places[:, 1])
+    noise = np.random.default_rng(0).normal(size=(400, 400))
+    rows = np.arange(5.0, 390.0, 5.0)
+    many = np.stack(np.meshgrid(rows + 0.5, rows), axis=-1).reshape(-1, 2)
+    values, gain = interpolate(noise, many)
+    assert np.var(values) == pytest.approx(gain[0], rel=0.1)
+    assert gain[0] == pytest.approx(0.6406, abs=1e-3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("board", "view"),
+    [
+        (CHESS_BOARD, View(tilt=(5, 3, 20), blur=1.5)),
+        (CHESS_BOARD, View(tilt=(5, 3, 20), blur=2.5)),
+        (CHARUCO_BOARD, View(tilt=(0, 60, 20), blur=0.8, noise=4)),
+        (CHARUCO_BOARD, View(tilt=(20, -30, 0), noise=8)),
+        (CHARUCO_BOARD, View(tilt=(5, 3, 20), middle=(0, 0, 0.9), noise=6)),
+    ],
+    ids=["blurred", "very blurred", "steep", "noisy", "small"],
+)
+def test_as_many_pictures_say(board: Board, view: View, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(saddles_module, "FLOOR", 0.0)
+    clean = np.asarray(render(board, replace(view, noise=0.0)), dtype=float)
+    random = np.random.default_rng(1)
+    pixels, sigmas = [], []
+    for _ in range(PICTURES):
+        image = np.clip(np.rint(clean + view.noise * random.normal(size=clean.shape)), 0, 255)
+        found = find_saddles(image, view.corners(board), windows(board, view), corner_signs(board))
+        assert found.exist.all()
+        pixels.append(found.pixels)
+        sigmas.append(found.sigma)
+    scatter = np.sqrt(np.var(pixels, axis=0, ddof=1).mean())
+    stated = np.sqrt(np.mean(np.square(sigmas)))
+    assert stated == pytest.approx(scatter, rel=0.2)
+
+
+def test_a_speck_beside_a_corner_makes_it_doubtful():
+    view = View(tilt=(5, 3, 20), noise=1.0)
+    image = np.array(render(CHARUCO_BOARD, view), dtype=float)
+    corners = view.corners(CHARUCO_BOARD)
+    arguments = (corners, windows(CHARUCO_BOARD, view), corner_signs(CHARUCO_BOARD))
+    clean = find_saddles(image, *arguments)
+    u, v = np.rint(corners[7]).astype(int)
+    image[v + 2 : v + 5, u + 2 : u + 5] = 120.0
+    dirty = find_saddles(image, *arguments)
+    assert dirty.sigma[7] > 3.0 * clean.sigma[7]
+    assert dirty.sigma[8] == clean.sigma[8]

@@ -52,8 +52,8 @@ def seen(board: Board) -> Sequence[tuple[Markers, tuple[int, int]]]:
 def test_a_mistake_by_name(code: str, described: Board, printed: Board):
     mistake = explanation(described, seen(printed))
     assert mistake is not None
-    assert mistake.code == code
-    right = mistake.board
+    found, right = mistake
+    assert found == code
     assert (right.columns, right.rows) == (printed.columns, printed.rows)
     assert (right.legacy, right.first_marker) == (printed.legacy, printed.first_marker)
 
@@ -79,8 +79,9 @@ def test_markers_of_another_size_altogether():
     described = replace(CHARUCO_BOARD, marker=0.9 * CHARUCO_BOARD.square)
     mistake = explanation(described, seen(printed))
     assert mistake is not None
-    assert mistake.code == "ratio"
-    assert measured_ratio(mistake.board, seen(printed)) == pytest.approx(0.5, abs=0.005)
+    code, right = mistake
+    assert code == "ratio"
+    assert measured_ratio(right, seen(printed)) == pytest.approx(0.5, abs=0.005)
 
 
 def test_too_few_markers_tell_nothing():

@@ -28,5 +28,7 @@ def problem_of(virtual, rng, precision):
     problem = Problem.initial(virtual.kinematics, rows)
     weights = rng.uniform(0, 1, 12)
     noise = np.full(len(problem.noise), 1.3)
-    found = replace(problem, weights=weights, noise=noise, precision=precision, centre=centre)
+    found = replace(
+        problem, weights=weights, noise=noise, prior_precision=precision, prior_mean=centre
+    )
     return found, x

@@ -26,5 +26,5 @@ def prior_terms(virtual, model, **given):
     cell = Cell(target=virtual.kinematics.T_tip_target[0, :3, 3], estimate_frame=True, **given)
     table = Measurements(robot.joint_names, rows.joints, rows.measured)
     _, setup = rows_and_setup(robot, table, cell)
-    started = setup.placed(setup.T_frame_base, virtual.kinematics.T_tip_target + OFF)
+    started = setup.with_poses(setup.T_frame_base, virtual.kinematics.T_tip_target + OFF)
     return PriorTerms.of(Task(robot, cell, setup, "dh"), model, started)

@@ -34,11 +34,11 @@ def errors(scene, found, *, placed=True, target=0):
     q = random_joint_values(scene.robot, 60, 77)
     samples = scene.samples(60, q=q)
     number = found.setup.targets.index(f"t{target}")
-    mine = found.tip_poses(samples) @ found.placed().T_tip_target[number]
+    mine = found.tip_poses(samples) @ found.estimated_setup().T_tip_target[number]
     true = scene.tip(q) @ scene.kinematics.T_tip_target[target]
     if placed:
         group = int(found.setup.groups[0])
-        mine = found.placed().T_frame_base[0] @ mine
+        mine = found.estimated_setup().T_frame_base[0] @ mine
         true = scene.kinematics.T_frame_base[group] @ true
         return mine[:, :3, 3] - true[:, :3, 3]
     a, b = (T[:, :3, 3] - T[:, :3, 3].mean(axis=0) for T in (mine, true))

@@ -54,10 +54,10 @@ def test_bounds_hold_and_let_go_of_what_they_no_longer_hold(make_scene):
         stopped += len(e.at_bound)
         for k in chosen:
             assert abs(e.x[model.index(names[k])]) <= 1e-3 * (1 + 1e-9)
-        precision, centre = e.problem.precision.copy(), e.problem.centre.copy()
+        precision, centre = e.problem.prior_precision.copy(), e.problem.prior_mean.copy()
         for k in e.at_bound:
             precision[k], centre[k] = prior_std[model.parameters[k].family] ** -2, 0.0
-        free = replace(e.problem, precision=precision, centre=centre)
+        free = replace(e.problem, prior_precision=precision, prior_mean=centre)
         r, J = free.system(e.x)
         slope, bend = J.T @ r, np.sum(J**2, axis=0)
         for k in e.at_bound:
@@ -73,10 +73,12 @@ def test_without_holds_each_parameter_has_its_usual_prior(make_scene):
     prior = PriorTerms.of(found.task, model, found.setup)
     k = model.index("d1")
     held = prior.at_bounds({k: 1e-3})
-    problem = replace(estimate.problem, precision=held.precision, centre=held.centre)
+    problem = replace(estimate.problem, prior_precision=held.precision, prior_mean=held.mean)
     released = _without_holds(replace(estimate, problem=problem), prior)
-    np.testing.assert_allclose(released.precision, estimate.problem.precision)
-    assert released.centre[k] == 0.0
+    np.testing.assert_allclose(released.prior_precision, estimate.problem.prior_precision)
+    assert released.prior_mean[k] == 0.0
     without_length = {name: std for name, std in estimate.prior_std.items() if name != "length"}
     released = _without_holds(replace(estimate, prior_std=without_length), prior)
-    assert released.precision[k] == pytest.approx(prior.start[prior.names.index("length")] ** -2)
+    assert released.prior_precision[k] == pytest.approx(
+        prior.start[prior.names.index("length")] ** -2
+    )

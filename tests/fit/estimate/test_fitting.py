@@ -10,7 +10,7 @@ from scipy.special import stdtrit
 
 from calib.data.cell import Cell, GroupDistance
 from calib.errors import MeasurementError, ModelError
-from calib.fit.estimate.fitting import _with_new_places, fit
+from calib.fit.estimate.fitting import _with_new_poses, fit
 from calib.model.error_model import MODELS, error_model
 from calib.model.kinematics import Kinematics
 from calib.model.parameters import Parameter
@@ -66,7 +66,7 @@ def test_sockets_have_no_scale_until_a_distance_is_known(make_scene, join, seed)
 
 
 @pytest.mark.slow
-def test_the_noise_of_every_instrument_is_found(make_scene, join):
+def test_the_noise_of_every_channel_is_found(make_scene, join):
     found = []
     for seed in range(12):
         scene = make_scene(seed, frames=2, noise=5e-5, noise_angle=4e-4, length=4e-4, angle=2e-3)
@@ -117,7 +117,7 @@ def test_a_target_with_a_prior_or_a_bound_stays_near_where_it_was_said_to_be(mak
         {"bounds": {"target_x": (-1e-6, 1e-6)}},
     ):
         found, _ = fitted(scene, table, Cell(target=said, **options))
-        assert abs(found.placed().T_tip_target[0, 0, 3] - said[0]) < 2e-6
+        assert abs(found.estimated_setup().T_tip_target[0, 0, 3] - said[0]) < 2e-6
         assert np.linalg.norm(found.setup.T_tip_target[0, :3, 3] - said) > 3e-3
 
 
@@ -187,10 +187,12 @@ def test_a_parameter_set_and_a_solver_of_ones_own(ur3, monkeypatch, make_scene):
     found = calibrate(ur3, table, model="shoulder", solver="gauss-newton")
     assert calls
     assert found.model.names == model.names
-    assert np.all(np.abs(found.x - true)[:2] < 5.0 * np.sqrt(np.diag(found.covariance))[:2])
-    assert found.solver == "gauss-newton"
+    assert np.all(
+        np.abs(found.geometry.x - true)[:2] < 5.0 * np.sqrt(np.diag(found.covariance))[:2]
+    )
+    assert found.method.solver == "gauss-newton"
     other = calibrate(ur3, table, model="shoulder")
-    np.testing.assert_allclose(found.x, other.x, atol=1e-9)
+    np.testing.assert_allclose(found.geometry.x, other.geometry.x, atol=1e-9)
 
 
 @pytest.mark.parametrize("model", ["dh", "placement"])
@@ -209,7 +211,7 @@ def test_what_an_estimated_frame_takes_leaves_no_trace_on_the_first_joint(
     monkeypatch.setattr("calib.fit.estimate.estimate._TRACE", 0.0)
     traced = calibrate(ur3, paper_table, cell=cell, validate=False)
     assert any(1e-8 < abs(p.delta) < 1e-7 for p in traced.parameters if p.name in own)
-    apart = np.abs(traced.residual_calibrated - result.residual_calibrated).max()
+    apart = np.abs(traced.rows.residual_calibrated - result.rows.residual_calibrated).max()
     assert apart < 1e-9
 
 
@@ -223,7 +225,7 @@ def test_places_that_a_fit_did_not_see_are_those_of_the_held_out_rows(make_scene
     T_frame_base = np.tile(2.0 * np.eye(4), (3, 1, 1))
     T_tip_target = np.tile(np.eye(4), (2, 1, 1))
     T_tip_target[:, 0, 3] = 0.7
-    both = _with_new_places(fitted_setup, held_out, held_out.placed(T_frame_base, T_tip_target))
+    both = _with_new_poses(fitted_setup, held_out, held_out.with_poses(T_frame_base, T_tip_target))
     np.testing.assert_array_equal(both.T_frame_base[:2], fitted_setup.T_frame_base[:2])
     np.testing.assert_array_equal(both.T_frame_base[2], T_frame_base[2])
     np.testing.assert_array_equal(both.T_tip_target[0], fitted_setup.T_tip_target[0])

@@ -77,15 +77,15 @@ def test_corners_of_one_image_share_the_errors_of_the_robot():
     rows, setup = rows_and_setup(robot, m, cell())
     fitted = fit(Task(robot, cell(), setup, "frames"), rows)
     # Of what joints do to each image, which is larger than the noise of a corner.
-    assert fitted.estimate.problem.rho.sum() > 0.5
-    assert fitted.estimate.problem.rho[0, 2] > 0.5
+    assert fitted.estimate.problem.stop_shares.sum() > 0.5
+    assert fitted.estimate.problem.stop_shares[0, 2] > 0.5
     linear = fitted.estimate.problem.linear(fitted.estimate.x)
     stage = fitted.estimate
     none = np.zeros((1, 1, 3))
     weights = stage.weights[None]
     priors = GaussianPriors(np.full(len(stage.x), 1.0), np.zeros(len(stage.x)))
     noise = np.array([stage.noise])
-    _, shared, _ = linear.fit(weights, stage.problem.rho[None], noise, priors)
+    _, shared, _ = linear.fit(weights, stage.problem.stop_shares[None], noise, priors)
     _, independent, _ = linear.fit(weights, none, noise, priors)
     assert shared[0, 0, 0] > 3.0 * independent[0, 0, 0]
 
@@ -121,6 +121,6 @@ def test_the_order_of_images_and_corners_does_not_matter():
     assert first.kinematics.model.names == second.kinematics.model.names
     scale = np.where(np.array(first.kinematics.model.units) == "px", 700.0, 1.0)
     np.testing.assert_allclose(second.estimate.x / scale, first.estimate.x / scale, atol=1e-10)
-    placed, again = first.placed(), second.placed()
+    placed, again = first.estimated_setup(), second.estimated_setup()
     np.testing.assert_allclose(again.T_frame_base, placed.T_frame_base, atol=1e-11)
     np.testing.assert_allclose(again.T_tip_target, placed.T_tip_target, atol=1e-11)

@@ -101,8 +101,8 @@ def test_parts_and_blocks_do_not_matter(ur3, table, monkeypatch):
     monkeypatch.setattr(problem, "PART", 300)
     parts = calibrate(ur3, table, model="dh")
     std = np.sqrt(np.diag(whole.covariance))
-    np.testing.assert_allclose(parts.x, whole.x, atol=1e-6 * std.min())
-    np.testing.assert_allclose(parts.scores, whole.scores, rtol=1e-6)
+    np.testing.assert_allclose(parts.geometry.x, whole.geometry.x, atol=1e-6 * std.min())
+    np.testing.assert_allclose(parts.rows.scores, whole.rows.scores, rtol=1e-6)
     assert parts.cross_validation.errors["m"].rms == pytest.approx(
         whole.cross_validation.errors["m"].rms, rel=1e-9
     )
@@ -139,8 +139,8 @@ def test_a_fit_without_priors_spends_a_scalar_for_each_parameter(ur3, factor):
     kinematics, rows = rows_of_kinds(ur3, KINDS["pose"])
     p = len(kinematics.model)
     linear = problem.Problem.initial(kinematics, rows).linear(np.zeros(p))
-    instruments = len(linear.smallest_noise)
-    rho, noise = np.zeros((instruments, 2)), np.full((1, instruments), factor)
+    channels = len(linear.smallest_noise)
+    rho, noise = np.zeros((channels, 2)), np.full((1, channels), factor)
     # Loads and gains are far from one unit each: a prior of a millionth of what the rows tell.
     equations = linear.normal_equations(np.ones((1, len(rows))), rho)
     precision = 1e-6 * np.diag(equations.H.sum(axis=(0, 1))) / factor**2

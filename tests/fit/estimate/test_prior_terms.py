@@ -25,7 +25,7 @@ def test_each_family_has_a_size_and_frame_and_target_a_weak_hold(virtual, model)
     np.testing.assert_array_equal(holds.flat, placed)
     np.testing.assert_array_equal(holds.precision, np.where(placed, 1.0, 0.0))
     np.testing.assert_array_equal(sum(holds.families) + placed, 1)
-    assert not np.any(holds.centre)
+    assert not np.any(holds.mean)
 
 
 def test_a_prior_of_its_own_takes_a_parameter_out_of_its_family(virtual, model):
@@ -35,14 +35,14 @@ def test_a_prior_of_its_own_takes_a_parameter_out_of_its_family(virtual, model):
     assert not holds.families[holds.names.index(ZERO)][k]
     assert holds.precision[[k, t]] == pytest.approx([1e8, 2.5e7])
     assert not holds.flat[t]
-    assert holds.centre[t] == pytest.approx(-1e-3)  # where it was said to be, from where it starts
-    assert np.flatnonzero(holds.centre).tolist() == [t]
+    assert holds.mean[t] == pytest.approx(-1e-3)  # where it was said to be, from where it starts
+    assert np.flatnonzero(holds.mean).tolist() == [t]
 
 
 def test_a_parameter_at_its_bound_stays_there(virtual, model):
     k = model.index("d1")
     holds = prior_terms(virtual, model).at_bounds({k: 2e-3})
-    assert holds.centre[k] == 2e-3
+    assert holds.mean[k] == 2e-3
     assert holds.precision[k] > 1e15
     assert not any(members[k] for members in holds.families)
 

@@ -30,7 +30,7 @@ def test_system_is_weighted_residual_over_sigma_with_a_row_for_each_prior(virtua
         measured_minus_predicted * (np.sqrt(problem.weights) / (1.3 * rows.sigma["m"]))[:, None]
     )
     np.testing.assert_allclose(r[:36], by_hand.T.ravel())
-    from_mean = x - problem.centre
+    from_mean = x - problem.prior_mean
     np.testing.assert_allclose(r[36:], [-2e3 * from_mean[2], -1e2 * from_mean[5]])
 
 
@@ -73,8 +73,8 @@ def test_jacobian_of_a_mixed_system_with_known_distances_against_differences(mak
     problem = replace(
         problem,
         weights=rng.uniform(0, 1, len(problem.rows)),
-        precision=rng.uniform(0, 1e5, p),
-        centre=1e-3 * rng.normal(size=p),
+        prior_precision=rng.uniform(0, 1e5, p),
+        prior_mean=1e-3 * rng.normal(size=p),
     )
     x = 3e-3 * rng.normal(size=p)
     r, J = problem.system(x)

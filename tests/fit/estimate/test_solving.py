@@ -10,7 +10,8 @@ import pytest
 from calib.data.cell import Cell
 from calib.fit.estimate.prior_terms import PriorTerms
 from calib.fit.estimate.problem import Problem
-from calib.fit.estimate.solving import StageSolver, mark_sole_postures
+from calib.fit.estimate.solving import StageSolver
+from calib.fit.estimate.special_cases.sole_postures import mark_sole_postures
 from calib.fit.estimate.stages import Stage
 from calib.numerics.solvers import levenberg_marquardt
 from tests.fit.estimate.scene_fits import task_of
@@ -39,10 +40,10 @@ def setting(make_scene):
 
 def test_a_solve_begins_where_the_last_one_stopped(setting):
     problem, task, prior, stage, starts = setting
-    solver = StageSolver(problem, task, prior.centre)
+    solver = StageSolver(problem, task, prior.mean)
     first = solver.solve(stage, 0.1)
     second = solver.solve(stage, 1e-9)
-    np.testing.assert_array_equal(starts[0], prior.centre)
+    np.testing.assert_array_equal(starts[0], prior.mean)
     np.testing.assert_array_equal(starts[1], first.x)
     # The history and the number of evaluations are those of both.
     assert second.history[: len(first.history)] == first.history
@@ -51,7 +52,7 @@ def test_a_solve_begins_where_the_last_one_stopped(setting):
 
 def test_a_stage_that_does_not_move_the_solution_needs_no_solve(setting):
     problem, task, prior, stage, starts = setting
-    solver = StageSolver(problem, task, prior.centre)
+    solver = StageSolver(problem, task, prior.mean)
     linear = solver.linear_at(stage)
     assert len(starts) == 1
     assert solver.linear_at(stage) is linear

@@ -69,9 +69,9 @@ def test_repeats_count_for_what_they_do_not_share(virtual, mode, shared, own, rh
             prior_terms(virtual, virtual.kinematics.model), np.ones((1, len(rows)), dtype=bool), 1
         )
         linear = problem.linear(np.zeros(27))
-        stage = stage.sharing(linear, rows.poses, mode)
-        np.testing.assert_array_equal(stage.share, stage.share[0, 0])
-        shares.append(stage.share[0, 0])
+        stage = stage.by_repeats(linear, rows.poses, mode)
+        np.testing.assert_array_equal(stage.repeat_factor, stage.repeat_factor[0, 0])
+        shares.append(stage.repeat_factor[0, 0])
     assert np.mean(shares) == pytest.approx(1.0 / (1.0 + 3.0 * rho), abs=0.06)
 
 
@@ -103,7 +103,7 @@ def test_the_noise_is_kept_near_the_given_one_by_a_prior_of_a_factor_of_ten(virt
     stage = replace(stage, prior=replace(stage.prior, source="given"))
 
     def loss(log_noise):
-        data = linear.normal_equations(stage.effective, stage.rho)
+        data = linear.normal_equations(stage.effective, stage.stop_shares)
         noise = np.full((1, 1), np.exp(log_noise))
         likelihood = data.log_likelihood(noise, stage.priors, stage.priors.precision)
         return 0.5 * (log_noise / np.log(10.0)) ** 2 - likelihood[0]
@@ -156,7 +156,7 @@ def test_targets_of_a_stop_share_what_their_body_is_off_by(make_scene):
     prior = PriorTerms.of(found.task, found.kinematics.model, found.setup)
     stage = Stage.initial(prior, np.ones((1, len(rows)), dtype=bool), 1)
     stage = replace(stage, noise=np.array([found.estimate.noise]))
-    shares = stage.by_stops(linear).rho[0, 0]
+    shares = stage.by_stops(linear).stop_shares[0, 0]
     assert shares.sum() == pytest.approx(1.0 / 1.01, abs=0.05)
     exact = replace(stage, noise=1.5 * np.array([linear.smallest_noise]))
-    assert not np.any(exact.by_stops(linear).rho)
+    assert not np.any(exact.by_stops(linear).stop_shares)

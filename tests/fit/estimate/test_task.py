@@ -10,6 +10,7 @@ from calib.data.cell import Cell
 from calib.errors import ModelError
 from calib.fit.estimate.task import Task
 from calib.fit.registration.table_rows import rows_and_setup
+from calib.numerics.solvers import SOLVERS, levenberg_marquardt
 
 
 @pytest.fixture(scope="module")
@@ -63,3 +64,9 @@ def test_a_solver_has_a_name_or_is_a_function(task):
         replace(task, solver=solver).check_solver()
     with pytest.raises(ModelError, match="'bfgs'"):
         replace(task, solver="bfgs").check_solver()
+
+
+def test_of_calibs_own_solvers_the_papers_alone_has_neither_weights_nor_priors(task):
+    without = [name for name in SOLVERS if not replace(task, solver=name).has_weights_and_priors]
+    assert without == ["paper"]
+    assert replace(task, solver=levenberg_marquardt).has_weights_and_priors

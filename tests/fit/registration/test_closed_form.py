@@ -31,7 +31,7 @@ def test_a_target_and_a_translation_are_the_least_squares_solution(make_scene):
     T_base_tip, setup, rows = measured(scene, scene.points(12), cell)
     T_frame_base = scene.kinematics.T_frame_base.copy()
     T_frame_base[0, :3, 3] += (0.3, -0.2, 0.1)
-    found = linear_setup(setup.placed(T_frame_base, setup.T_tip_target), T_base_tip, rows)
+    found = linear_setup(setup.with_poses(T_frame_base, setup.T_tip_target), T_base_tip, rows)
     assert found is not None
     np.testing.assert_allclose(found.T_frame_base, scene.kinematics.T_frame_base, atol=1e-10)
     target = scene.kinematics.T_tip_target[0, :3, 3]
@@ -72,7 +72,7 @@ def test_orientations_of_a_known_frame_or_target_need_no_start(make_scene, frame
 def test_a_frame_is_fitted_to_points_of_known_targets(make_scene):
     scene = make_scene(3)
     T_base_tip, setup, rows = measured(scene, scene.points(3), Cell(estimate_frame=True))
-    start = setup.placed(setup.T_frame_base, scene.kinematics.T_tip_target)
+    start = setup.with_poses(setup.T_frame_base, scene.kinematics.T_tip_target)
     found = with_frames_fitted(start, T_base_tip, rows)
     np.testing.assert_allclose(found.T_frame_base, scene.kinematics.T_frame_base, atol=1e-9)
     # Of a frame that is estimated along one axis only that coordinate changes.
@@ -87,7 +87,7 @@ def test_a_frame_is_fitted_to_points_of_known_targets(make_scene):
 def test_targets_turn_as_they_were_measured(make_scene):
     scene = make_scene(4)
     T_base_tip, setup, rows = measured(scene, scene.poses(5), Cell())
-    start = setup.placed(scene.kinematics.T_frame_base, setup.T_tip_target)
+    start = setup.with_poses(scene.kinematics.T_frame_base, setup.T_tip_target)
     found = with_measured_target_rotations(start, T_base_tip, rows)
     true = scene.kinematics.T_tip_target[0, :3, :3]
     np.testing.assert_allclose(found.T_tip_target[0, :3, :3], true, atol=1e-9)

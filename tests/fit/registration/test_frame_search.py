@@ -11,15 +11,15 @@ from scipy.spatial.transform import Rotation
 from calib.data.cell import Cell
 from calib.data.kinds import get
 from calib.fit.registration.frame_search import (
-    _agreed,
+    _agree,
     _random_pose,
     _rows_of_search,
     _starts,
+    find_frame,
+    frames_to_search,
     is_plausible,
-    sought_frames,
-    with_frame_found,
 )
-from calib.fit.registration.registration import _with_frames_found, register
+from calib.fit.registration.registration import _search_frames, register
 from calib.fit.registration.rows import NONE
 from calib.fit.registration.table_rows import rows_and_setup
 from tests.sought_frames import KINDS, TARGET, measured, sought_kinds, unstated
@@ -91,7 +91,7 @@ def test_a_long_tool_and_a_distant_frame_are_found_too(panda):
     T_tip_target, T_frame_base = np.eye(4)[None].copy(), np.eye(4)[None].copy()
     T_tip_target[0, :3, 3] = 0.3, 0.1, 0.4
     T_frame_base[0, :3, 3] = 3.0, -2.0, 1.0
-    truth = setup.placed(T_frame_base, T_tip_target)
+    truth = setup.with_poses(T_frame_base, T_tip_target)
     exact = rows.as_measured_at(truth.target_poses(T_base_tip, rows.samples))
     found = register(T_base_tip, setup, exact)
     np.testing.assert_allclose(found.T_frame_base, T_frame_base, atol=1e-5)
@@ -134,37 +134,37 @@ def test_each_target_of_a_search_has_rows(ur3):
 
 def test_a_frame_is_sought_only_where_nothing_tells_its_pose(ur3, make_scene):
     rows, setup, *_ = scene(ur3)
-    assert sought_frames(setup, rows) == [0]
+    assert frames_to_search(setup, rows) == [0]
     moved = np.eye(4)[None].copy()
     moved[0, 0, 3] = 1e-9
-    assert sought_frames(setup.placed(moved, setup.T_tip_target), rows) == []
-    assert sought_frames(setup.with_fixed(np.array([True]), np.array([False])), rows) == []
+    assert frames_to_search(setup.with_poses(moved, setup.T_tip_target), rows) == []
+    assert frames_to_search(setup.with_fixed(np.array([True]), np.array([False])), rows) == []
     for known in ("point", "distance", "plane"):
         kind = rows.kind.copy()
         kind[0] = 1
         mixed = replace(rows, kinds=(*rows.kinds, get(known)), kind=kind)
-        assert sought_frames(setup, mixed) == []
+        assert frames_to_search(setup, mixed) == []
         one_more = replace(mixed, samples=replace(rows.samples, frame=1 - kind))
-        two = replace(setup.placed(np.tile(np.eye(4), (2, 1, 1)), setup.T_tip_target))
+        two = replace(setup.with_poses(np.tile(np.eye(4), (2, 1, 1)), setup.T_tip_target))
         two = replace(two, groups=("b", "a"), unknown=setup.unknown * 2)
-        assert sought_frames(two, one_more) == [1]  # where the rows of the line are
+        assert frames_to_search(two, one_more) == [1]  # where the rows of the line are
     built_in = make_scene(0)
     points, of_points = rows_and_setup(
         built_in.robot, built_in.points(8), Cell(estimate_frame=True)
     )
-    assert sought_frames(of_points, points) == []
+    assert frames_to_search(of_points, points) == []
 
 
 def test_frames_are_sought_in_the_order_of_their_stations_names(ur3):
     rows, setup, *_ = scene(ur3)
     samples = replace(rows.samples, frame=np.arange(len(rows)) % 3)
     three = replace(
-        setup.placed(np.tile(np.eye(4), (3, 1, 1)), setup.T_tip_target),
+        setup.with_poses(np.tile(np.eye(4), (3, 1, 1)), setup.T_tip_target),
         groups=("c", "a", "b"),
         unknown=setup.unknown * 3,
     )
-    assert sought_frames(three, replace(rows, samples=samples)) == [1, 2, 0]
-    assert sought_frames(three, rows) == [0]  # the others are not seen
+    assert frames_to_search(three, replace(rows, samples=samples)) == [1, 2, 0]
+    assert frames_to_search(three, rows) == [0]  # the others are not seen
 
 
 def test_several_frames_are_found_beside_one_that_is_located(ur3):
@@ -181,7 +181,7 @@ def test_several_frames_are_found_beside_one_that_is_located(ur3):
     T_frame_base = np.array([measured(ur3, "line", seed, 60)[1].T_frame_base for seed in range(3)])
     T_frame_base[2, :3, :3] = np.eye(3)
     setup = replace(
-        setup.placed(np.tile(np.eye(4), (3, 1, 1)), np.eye(4)[None]),
+        setup.with_poses(np.tile(np.eye(4), (3, 1, 1)), np.eye(4)[None]),
         groups=("edge", "wire", "anchor"),
         unknown=(*setup.unknown * 2, ("x", "y", "z")),
         frame_given=np.zeros(3, dtype=bool),
@@ -190,7 +190,7 @@ def test_several_frames_are_found_beside_one_that_is_located(ur3):
     T_base_tip = ur3.poses(rows.joints)
     T_tip_target = np.eye(4)[None].copy()
     T_tip_target[0, :3, 3] = 0.1, -0.2, 0.1
-    truth = setup.placed(T_frame_base, T_tip_target)
+    truth = setup.with_poses(T_frame_base, T_tip_target)
     exact = rows.as_measured_at(truth.target_poses(T_base_tip, rows.samples))
     found = register(T_base_tip, setup, exact)
     assert rms(found, T_base_tip, exact) < 1e-8
@@ -210,7 +210,7 @@ def test_what_other_rows_tell_of_a_target_is_kept(ur3):
         samples=replace(rows.samples, frame=np.where(of_line, 0, 1)),
     )
     setup = replace(
-        setup.placed(np.tile(np.eye(4), (2, 1, 1)), setup.T_tip_target),
+        setup.with_poses(np.tile(np.eye(4), (2, 1, 1)), setup.T_tip_target),
         groups=("edge", "anchor"),
         unknown=(*setup.unknown, ("x", "y", "z")),
         frame_given=np.zeros(2, dtype=bool),
@@ -221,9 +221,9 @@ def test_what_other_rows_tell_of_a_target_is_kept(ur3):
     T_frame_base[1, :3, :3] = np.eye(3)
     T_tip_target = np.eye(4)[None].copy()
     T_tip_target[0, :3, 3] = 0.1, -0.2, 0.1
-    truth = setup.placed(T_frame_base, T_tip_target)
+    truth = setup.with_poses(T_frame_base, T_tip_target)
     exact = rows.as_measured_at(truth.target_poses(T_base_tip, rows.samples))
-    found = _with_frames_found(setup, T_base_tip, exact, 1e-12)
+    found = _search_frames(setup, T_base_tip, exact, 1e-12)
     np.testing.assert_allclose(found.T_tip_target, T_tip_target, atol=1e-9)
     assert rms(found, T_base_tip, exact) < 1e-4
 
@@ -234,17 +234,17 @@ def test_pairs_in_a_sought_frame_tell_nothing_of_it_and_stay_whole(ur3):
     kind[:100:2], kind[1:100:2] = 1, NONE
     partner[:100:2] = np.arange(1, 100, 2)
     mixed = replace(rows, kinds=(*rows.kinds, get("pair")), kind=kind, partner=partner)
-    assert sought_frames(setup, mixed) == [0]
+    assert frames_to_search(setup, mixed) == [0]
     chosen = _rows_of_search(mixed)
     assert np.sum(chosen & (kind != NONE)) == 60
     np.testing.assert_array_equal(chosen[:100:2], chosen[1:100:2])
     apart = replace(mixed, samples=replace(mixed.samples, frame=1 * (np.arange(150) < 100)))
     two = replace(
-        setup.placed(np.tile(np.eye(4), (2, 1, 1)), setup.T_tip_target),
+        setup.with_poses(np.tile(np.eye(4), (2, 1, 1)), setup.T_tip_target),
         groups=("edge", "nothing"),
         unknown=setup.unknown * 2,
     )
-    assert sought_frames(two, apart) == [0]
+    assert frames_to_search(two, apart) == [0]
 
 
 def test_few_starts_are_enough_where_they_agree(ur3):
@@ -256,7 +256,7 @@ def test_few_starts_are_enough_where_they_agree(ur3):
 
     rows, setup, T_base_tip, _ = scene(ur3)
     counted = replace(rows, kinds=(replace(line, measure=counting),))
-    with_frame_found(setup, 0, T_base_tip, counted)
+    find_frame(setup, 0, T_base_tip, counted)
     assert len(calls) < 150
     assert set(calls) == {60}
 
@@ -330,14 +330,14 @@ def test_residuals_of_most_rows_have_to_be_those_of_an_arm(ur3):
 def test_three_starts_have_to_agree_on_the_lowest_minimum(ur3):
     rows, setup, T_base_tip, good = scene(ur3)
     bad = setup  # far off, at the identity
-    assert _agreed([(1e3, good), (1.009e3, bad), (1e3, bad)], T_base_tip, rows)
-    assert not _agreed([(1e3, good), (1.011e3, bad), (1e3, bad)], T_base_tip, rows)
-    assert not _agreed([(1e3, good), (1e3, good)], T_base_tip, rows)
-    assert not _agreed([(1e3, good)] * 3 + [(1.0, good)], T_base_tip, rows)
-    assert not _agreed([(1e3, bad)] * 3, T_base_tip, rows)
+    assert _agree([(1e3, good), (1.009e3, bad), (1e3, bad)], T_base_tip, rows)
+    assert not _agree([(1e3, good), (1.011e3, bad), (1e3, bad)], T_base_tip, rows)
+    assert not _agree([(1e3, good), (1e3, good)], T_base_tip, rows)
+    assert not _agree([(1e3, good)] * 3 + [(1.0, good)], T_base_tip, rows)
+    assert not _agree([(1e3, bad)] * 3, T_base_tip, rows)
     nothing = 0.9e-6 * len(rows)
-    assert _agreed([(0.0, good), (nothing, good), (nothing, good)], T_base_tip, rows)
-    assert not _agreed([(0.0, good), (nothing, good), (1.2 * nothing, good)], T_base_tip, rows)
+    assert _agree([(0.0, good), (nothing, good), (nothing, good)], T_base_tip, rows)
+    assert not _agree([(0.0, good), (nothing, good), (1.2 * nothing, good)], T_base_tip, rows)
 
 
 def test_starts_at_which_a_residual_is_not_finite_are_left_out(ur3):
@@ -352,5 +352,5 @@ def test_starts_at_which_a_residual_is_not_finite_are_left_out(ur3):
     found = register(T_base_tip, setup, rows)
     assert rms(found, T_base_tip, rows) == pytest.approx(rms(registered, T_base_tip, rows))
     nowhere = replace(camera, measure=lambda T: np.full((len(T), 2), np.nan))
-    kept = with_frame_found(setup, 0, T_base_tip, replace(rows, kinds=(nowhere,)))
+    kept = find_frame(setup, 0, T_base_tip, replace(rows, kinds=(nowhere,)))
     np.testing.assert_array_equal(kept.T_frame_base, setup.T_frame_base)

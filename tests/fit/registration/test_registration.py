@@ -17,7 +17,7 @@ from calib.errors import MeasurementError
 from calib.fit.registration.refinement import _system
 from calib.fit.registration.registration import (
     _near_rows,
-    _settled,
+    _settle,
     _subsample,
     nominal_setup,
     register,
@@ -204,7 +204,7 @@ def test_the_derivative_in_every_frame_and_target_against_differences(make_scene
     scene = make_scene(11, frames=3, targets=2, reach=1.0)
     table = join(scene.poses(4, 0, 0), scene.points(4, 1, 1), scene.distances(4, 2, 0))
     rows, setup = rows_and_setup(scene.robot, table, FREE)
-    setup = setup.placed(scene.kinematics.T_frame_base, scene.kinematics.T_tip_target)
+    setup = setup.with_poses(scene.kinematics.T_frame_base, scene.kinematics.T_tip_target)
     model = frame_and_target_model(
         setup.frame_unknowns, setup.unknown_targets, setup.targets, rotation=True
     )
@@ -236,12 +236,12 @@ def test_only_planes_that_rows_touch_and_that_are_wholly_unknown_are_settled(mak
     rows, setup = rows_and_setup(scene.robot, replace(table, kinds=kinds), FREE)
     plane = ("z", "rx", "ry")
     setup = replace(
-        setup.placed(np.array(places), setup.T_tip_target),
+        setup.with_poses(np.array(places), setup.T_tip_target),
         unknown=(plane, ("z", "rx"), plane, plane, plane),
         own_axes=np.array([True, True, False, True, True]),
     )
     touched = rows.select(rows.samples.frame != 3)
-    found = _settled(setup, touched)
+    found = _settle(setup, touched)
     np.testing.assert_array_equal(found.T_frame_base[1:], setup.T_frame_base[1:])
     # The same plane up to its side, with its origin where the base's is nearest.
     assert np.abs(found.T_frame_base[0, 2] @ places[0][2]) == pytest.approx(1.0 + 0.3**2)
@@ -310,7 +310,7 @@ def test_no_rows_are_outliers_where_they_are_too_many(make_scene, join, counts, 
     scene = make_scene(4, frames=2, **RIGHT, noise=1e-4)
     table = join(*(scene.points(count, f) for f, count in enumerate(counts)))
     rows, setup = rows_and_setup(scene.robot, table, FREE)
-    setup = setup.placed(
+    setup = setup.with_poses(
         scene.kinematics.T_frame_base[: len(counts)], scene.kinematics.T_tip_target
     )
     measured = rows.measured.copy()
@@ -327,7 +327,7 @@ def test_what_was_given_stays_in_the_nominal_setup(make_scene):
     scene = make_scene(5, **RIGHT)
     rows, setup = rows_and_setup(scene.robot, scene.points(8), FREE)
     T_base_tip = scene.robot.poses(rows.joints)
-    given = setup.placed(scene.kinematics.T_frame_base, setup.T_tip_target)
+    given = setup.with_poses(scene.kinematics.T_frame_base, setup.T_tip_target)
     given = replace(given, frame_given=np.array([True]))
     found = nominal_setup(T_base_tip, given, rows)
     np.testing.assert_array_equal(found.T_frame_base, given.T_frame_base)
@@ -350,7 +350,7 @@ def test_a_frame_that_only_held_out_rows_see_is_added_to_the_fitted_ones(make_sc
     moved = scene.kinematics.T_frame_base.copy()
     moved[0, :3, 3] += 0.1
     moved[1] = np.eye(4)
-    fitted = setup.placed(moved, scene.kinematics.T_tip_target)
+    fitted = setup.with_poses(moved, scene.kinematics.T_tip_target)
     held_out = replace(
         setup.with_fixed(np.array([True, False]), np.array([True])),
         unknown=((), setup.unknown[1]),
@@ -381,7 +381,7 @@ def test_with_too_many_outliers_every_row_counts(make_scene):
     scene = make_scene(7, frames=[frame], **RIGHT)
     cell = Cell(estimate_frame=True, frame_directions=("x", "y", "z"))
     rows, setup = rows_and_setup(scene.robot, scene.points(9), cell)
-    setup = setup.placed(setup.T_frame_base, scene.kinematics.T_tip_target)
+    setup = setup.with_poses(setup.T_frame_base, scene.kinematics.T_tip_target)
     setup = setup.with_fixed(np.array([False]), np.array([True]))
     measured = rows.measured.copy()
     measured[:4] += np.array([0.5, -0.5, 0.3, -0.3])[:, None]
@@ -409,7 +409,7 @@ def test_a_row_is_far_from_the_others_in_units_of_its_own_noise(make_scene):
     """Two rows are 3 cm off; the instrument is that coarse in one of them."""
     scene = make_scene(4, **RIGHT, noise=1e-4)
     rows, setup = rows_and_setup(scene.robot, scene.points(20), FREE)
-    setup = setup.placed(scene.kinematics.T_frame_base, scene.kinematics.T_tip_target)
+    setup = setup.with_poses(scene.kinematics.T_frame_base, scene.kinematics.T_tip_target)
     measured, sigma = rows.measured.copy(), rows.sigma["m"].copy()
     measured[[5, 6], 0] += 0.03
     sigma[6] *= 1e3

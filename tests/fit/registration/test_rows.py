@@ -1,4 +1,4 @@
-"""What each kind of row says of a pose: residuals by hand, derivatives against differences, pairs and instruments."""
+"""What each kind of row says of a pose: residuals by hand, derivatives against differences, pairs and channels."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from calib.fit.registration.rows import NONE, Rows
 from calib.fit.registration.table_rows import rows_and_setup
 from calib.model.error_model import DIRECTIONS, error_model
 from calib.model.kinematics import Kinematics, Samples
-from calib.numerics.pose_noise import PoseNoise
+from calib.numerics.correlated_noise import PoseNoise
 from tests.covariances import random_covariances
 
 #: Numbers of kinds in the registry.
@@ -261,19 +261,19 @@ def test_only_poses_are_correlated():
 def test_standardised_values_come_back():
     rows = correlated_rows()
     values = np.random.default_rng(21).normal(size=(6, 6, 3))
-    np.testing.assert_allclose(rows.in_units(rows.standardised(values)), values, rtol=1e-9)
+    np.testing.assert_allclose(rows.in_units(rows.standardise(values)), values, rtol=1e-9)
     column = values[:, :, 0]
-    of_column = rows.standardised(values)[:, :, 0]
-    np.testing.assert_allclose(rows.standardised(column), of_column, rtol=1e-12)
+    of_column = rows.standardise(values)[:, :, 0]
+    np.testing.assert_allclose(rows.standardise(column), of_column, rtol=1e-12)
     # A row without a covariance is divided by its sigma.
     expected = values[3] / np.repeat([rows.sigma["m"][3], rows.sigma["rad"][3]], 3)[:, None]
-    np.testing.assert_allclose(rows.standardised(values)[3], expected)
+    np.testing.assert_allclose(rows.standardise(values)[3], expected)
 
 
 def test_standardised_errors_are_independent():
     rows = correlated_rows()
     V = rows.pose_noise.covariances(rows.covariances, rows.by_joints)
-    W = rows.standardised(np.tile(np.eye(6), (6, 1, 1)))
+    W = rows.standardise(np.tile(np.eye(6), (6, 1, 1)))
     for k in (1, 5):
         np.testing.assert_allclose(W[k] @ V[k] @ W[k].T, np.eye(6), atol=1e-9)
         np.testing.assert_allclose(rows.scales[k], np.sqrt(np.diag(V[k])))
@@ -284,7 +284,7 @@ def test_scales_at_a_noise_are_those_of_the_scaled_independent_errors():
     names = list(zip([kind.name for kind in rows.channel_kinds], rows.channels.units, strict=True))
     noise = np.arange(1.0, 1.0 + len(names))
     of_lengths, of_angles = (noise[names.index(("pose", unit))] for unit in ("m", "rad"))
-    W = rows.standardised(np.tile(np.eye(6), (6, 1, 1)))
+    W = rows.standardise(np.tile(np.eye(6), (6, 1, 1)))
     for k in (1, 5):
         root = np.linalg.inv(W[k]) * np.repeat([of_lengths, of_angles], 3)
         np.testing.assert_allclose(rows.scales_at(noise)[k], np.sqrt(np.diag(root @ root.T)))
@@ -298,6 +298,6 @@ def test_some_of_the_rows_keep_their_covariances():
     some = rows.select(np.array([False, False, False, True, True, True]))
     np.testing.assert_array_equal(np.flatnonzero(some.correlated), [2])
     values = np.random.default_rng(22).normal(size=(6, 6))
-    of_all = rows.standardised(values)
-    np.testing.assert_allclose(some.standardised(values[3:])[2], of_all[5], rtol=1e-12)
+    of_all = rows.standardise(values)
+    np.testing.assert_allclose(some.standardise(values[3:])[2], of_all[5], rtol=1e-12)
     assert not rows.select(np.arange(6) < 1).correlated.any()

@@ -24,9 +24,9 @@ def test_a_planes_directions_move_it_wherever_it_faces(scene, ur3, axis):
     T = np.eye(4)
     T[:3, :3] = Rotation.from_euler(*quarter, degrees=True).as_matrix()
     _, setup = rows_and_setup(ur3, as_kind(scene.points(4), "plane"), Cell())
-    setup = setup.placed(T[None], setup.T_tip_target)
+    setup = setup.with_poses(T[None], setup.T_tip_target)
     plain = frame_and_target_model(setup.frame_unknowns, (), setup.target_names, rotation=False)
-    model = setup.aligned(plain)
+    model = setup.turn_directions(plain)
     assert model.names == plain.names == ("frame_z", "frame_rx", "frame_ry")
     names = tuple(joint.name for joint in scene.robot.joints)
     places = (model.places[0], *names, *model.places[1:])
@@ -108,7 +108,7 @@ def test_a_target_is_predicted_in_the_frame_of_its_sample():
 def test_parameters_move_targets_along_the_tip_and_turn_them_about_their_own_axes():
     """Frames that are no planes move along the base's axes."""
     setup = two_frames_and_targets(rotation=True)
-    model = setup.aligned(
+    model = setup.turn_directions(
         frame_and_target_model(
             setup.frame_unknowns, setup.unknown_targets, setup.target_names, rotation=True
         )
@@ -138,7 +138,7 @@ def test_directions_are_turned_of_parameters_that_follow_others_too():
         setup.frame_unknowns, setup.unknown_targets, setup.target_names, rotation=False
     )
     tied = plain.tied({"frame_z[plane]": ("target_x[a]", 1.0)})
-    turned = setup.aligned(tied)
+    turned = setup.turn_directions(tied)
     assert turned.parameters == tied.parameters
     (height,) = [term for term in turned.terms if term.name == "frame_z[plane]"]
     np.testing.assert_allclose(height.direction[:3], TURNS[1].as_matrix().T[:, 2], atol=1e-12)

@@ -36,7 +36,7 @@ def task_of(scene: Any, table: Measurements, cell: Cell, model: str = "dh") -> t
 def task_of_case(case: tuple[Any, Any]) -> tuple[Task, Rows]:
     """The fit of a calibrated scene, and its rows."""
     scene, c = case
-    return task_of(scene, c.measurements, c.cell, c.model.name)
+    return task_of(scene, c.fit.measurements, c.fit.cell, c.model.name)
 
 
 def fitted_to(scene: Any, table: Measurements, cell: Cell, model: str = "dh") -> Fitted:

@@ -13,7 +13,7 @@ from calib.fit.estimate.fitting import fit
 from calib.fit.selection.candidates import (
     CLEARLY,
     alternative_models,
-    candidate_of,
+    assess,
     held_out_rms,
     is_vanished,
     mark_chosen,
@@ -36,18 +36,18 @@ def test_evidence_is_the_likelihood_less_what_the_model_costs(make_scene):
     fitted = fitted_with(make_scene, "data")
     estimate = fitted.estimate
     assert len(estimate.prior_std) == 4  # lengths, angles, zeros, gains
-    candidate = candidate_of(fitted)
+    candidate = assess(fitted)
     assert candidate.evidence == pytest.approx(estimate.log_likelihood - 4 * 2.5 - 2.0, rel=1e-12)
     assert (candidate.name, candidate.parameters) == ("dh+gain", len(fitted.kinematics.model))
     given = fitted_with(make_scene, "given")
-    assert candidate_of(given).evidence == given.estimate.log_likelihood - 2.0
+    assert assess(given).evidence == given.estimate.log_likelihood - 2.0
 
 
 def test_without_priors_evidence_is_the_fall_of_held_out_errors_in_steps(make_scene):
     fitted = fitted_with(make_scene, "off")
     errors = linear_cross_validation(fitted).errors_without_outliers
     expected = -np.log(errors["m"].rms) / CLEARLY - 2.0 - 1.0
-    assert candidate_of(fitted).evidence == pytest.approx(expected, rel=1e-12)
+    assert assess(fitted).evidence == pytest.approx(expected, rel=1e-12)
 
 
 def test_errors_are_angles_where_no_length_was_measured():

@@ -33,10 +33,10 @@ def test_the_nominal_robot_is_given_what_the_calibrated_one_is(calibrated):
     """Its frames and targets are registered without the fold, and its errors are those of the robot as it is."""
     scene, c = calibrated("set-ups")
     task, rows = task_of_case((scene, c))
-    found = nominal_cross_validation(task, rows, c.fitted.estimate.outliers)
+    found = nominal_cross_validation(task, rows, c.fit.geometry.estimate.outliers)
     assert found.method == c.cross_validation.method
     assert found.errors["m"].rms > 20 * c.cross_validation.errors["m"].rms
-    frames = fit(Task(scene.robot, c.cell, task.setup, "frames"), rows)
+    frames = fit(Task(scene.robot, c.fit.cell, task.setup, "frames"), rows)
     assert found.errors["m"].rms >= frames.residual(rows).std() * 0.9
 
 

@@ -113,7 +113,7 @@ def test_residuals_of_folds_are_joined(make_scene):
     folds = Folds("2-fold", (np.array([True, False, True, False]), np.array([0, 1, 0, 1]) > 0))
     residuals = [np.full((2, 3), 1e-3), np.array([[0.0, 3e-3, 4e-3], [0.0, 0.0, 0.0]])]
     outliers = np.array([False, True, False, False])
-    joined = folds.joined(rows, residuals, outliers)
+    joined = folds.join(rows, residuals, outliers)
     expected = np.array([[1e-3] * 3, [0.0, 3e-3, 4e-3], [1e-3] * 3, [0.0] * 3])
     np.testing.assert_array_equal(joined.residual, expected)
     assert (joined.method, joined.folds) == ("2-fold", 2)
@@ -123,4 +123,4 @@ def test_residuals_of_folds_are_joined(make_scene):
     assert joined.errors_without_outliers["m"].max == pytest.approx(np.sqrt(3.0) * 1e-3)
     # Nothing predicts the rows of a sole posture.
     sole = replace(rows, sole=np.array([True, False, False, False]))
-    assert folds.joined(sole, residuals, outliers).errors["m"].n == 3
+    assert folds.join(sole, residuals, outliers).errors["m"].n == 3

@@ -44,15 +44,15 @@ def test_a_station_that_was_not_seen_is_registered_without_its_outliers(make_sce
 
 def test_parameters_that_only_some_rows_see(calibrated):
     _, c = calibrated("set-ups")
-    rows = c.fitted.estimate.problem.rows
+    rows = c.fit.geometry.estimate.problem.rows
     station = rows.samples.frame == 1
-    own = seen_only_by(c.fitted, station)
+    own = seen_only_by(c.fit.geometry, station)
     names = {name for name, is_own in zip(c.model.names, own, strict=True) if is_own}
     assert names == {f"frame_{d}[1]" for d in ("x", "y", "z", "rx", "ry", "rz")}
     half = station & (np.arange(len(rows)) % 2 == 0)
-    assert not np.any(seen_only_by(c.fitted, half))
+    assert not np.any(seen_only_by(c.fit.geometry, half))
     _, two = calibrated("targets")
-    rows = two.fitted.estimate.problem.rows
-    own = seen_only_by(two.fitted, rows.samples.target == 0)
+    rows = two.fit.geometry.estimate.problem.rows
+    own = seen_only_by(two.fit.geometry, rows.samples.target == 0)
     names = {name for name, is_own in zip(two.model.names, own, strict=True) if is_own}
     assert names == {"target_x[t0]", "target_y[t0]", "target_z[t0]"}

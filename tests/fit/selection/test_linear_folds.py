@@ -115,6 +115,6 @@ def test_without_a_fold_the_mean_is_that_of_the_normal_equations_of_the_others(m
     A = linear.A[~mask] * np.sqrt(problem.weights[~mask])[:, None, None] / noise
     r = linear.residual(np.zeros(len(x)))[~mask] * np.sqrt(problem.weights[~mask])[:, None] / noise
     A, r = A.reshape(-1, len(x)), r.ravel()
-    information = A.T @ A + linear.C.T @ linear.C + np.diag(problem.precision)
-    right = A.T @ r + linear.C.T @ linear.z + problem.precision * problem.centre
+    information = A.T @ A + linear.C.T @ linear.C + np.diag(problem.prior_precision)
+    right = A.T @ r + linear.C.T @ linear.z + problem.prior_precision * problem.prior_mean
     np.testing.assert_allclose(x, np.linalg.solve(information, right), rtol=1e-5, atol=1e-9)

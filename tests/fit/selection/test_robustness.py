@@ -41,29 +41,29 @@ def plain(ur3: Robot, table: Measurements) -> Calibration:
 
 
 def test_it_is_the_difference_of_the_two_calibrations(robust, plain, table):
-    found = robust.robustness
+    found = robust.trust.robustness
     q = table.joints[table.estimation]
     moved = np.linalg.norm(robust.predict(q) - plain.predict(q), axis=1)
     assert found.lowered
     assert found.moved_rms == pytest.approx(np.sqrt(np.mean(moved**2)), rel=1e-6)
     assert found.moved_max == pytest.approx(np.max(moved), rel=1e-6)
     # Two rows of thirty, a hundred times the noise: worse by far on the rows that nobody doubts.
-    assert found.moved_rms > 3.0 * robust.expected_measured
+    assert found.moved_rms > 3.0 * robust.geometry.expected_measured
     assert found.errors_lowered["m"].n == found.errors_full["m"].n == 28
     assert found.errors_lowered["m"].rms < 2.5e-4 < 4e-4 < found.errors_full["m"].rms
 
 
 def test_of_a_fit_with_every_row_in_full_it_is_the_other_way_round(robust, plain):
-    found = compare_weights(plain.fitted)
+    found = compare_weights(plain.fit.geometry)
     assert not found.lowered
-    assert found.moved_rms == pytest.approx(robust.robustness.moved_rms, rel=1e-6)
+    assert found.moved_rms == pytest.approx(robust.trust.robustness.moved_rms, rel=1e-6)
     assert found.errors_lowered["m"].rms < 2.5e-4 < 4e-4 < found.errors_full["m"].rms
 
 
 def test_a_motion_as_one_body_is_no_difference_where_no_row_determines_the_base(calibrated):
     _, c = calibrated("distances")
-    found = compare_weights(c.fitted)
-    assert found.moved_rms < 3.0 * c.expected_measured
+    found = compare_weights(c.fit.geometry)
+    assert found.moved_rms < 3.0 * c.geometry.expected_measured
 
 
 @pytest.mark.parametrize(
@@ -85,7 +85,7 @@ def test_auto_chooses_as_if_gross_rows_were_not_there(ur3, seed: int, size: floa
         calibrate(ur3, Measurements(ur3.joint_names, q[k:], points[k:]), validate=False)
         for k in (0, 8)
     )
-    assert [o.row for o in spoilt.outliers][:8] == list(range(1, 9))
+    assert [o.row for o in spoilt.rows.outliers][:8] == list(range(1, 9))
     assert spoilt.model.name == clean.model.name == "dh"
     assert spoilt.non_geometric is None
     assert np.abs(spoilt.predict(q) - clean.predict(q)).max() < 2e-5

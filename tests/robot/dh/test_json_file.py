@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 from calib.errors import ModelError
-from calib.robot.dh.description import DHRobot
 from calib.robot.dh.json_file import robot_json, robot_of_json
-from calib.robot.dh.rows import DHRow, DHTable
+from calib.robot.dh.rows import DHRobot, DHRow, DHTable
 
 ROWS = (
     DHRow("j1", False, 0.1, 0.2, 0.3, 0.4, 0.05, -1, 0.5, -1.0, 2.0),
@@ -44,7 +43,7 @@ def test_a_robot_comes_back():
         (("joints", 0, "driver"), "j2", "'j1' has no value of its own"),
         (("joints", 0, "factor"), 2.0, "'j1' has no value of its own"),
         (("after", "rows", 0, "d_m"), None, "another kind"),
-        (("convention",), "denavit", "no convention"),
+        (("convention",), "denavit", "not a convention"),
         (("after",), None, "another kind"),
     ],
 )

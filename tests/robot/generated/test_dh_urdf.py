@@ -10,8 +10,7 @@ import pytest
 import yourdfpy
 
 from calib.errors import UrdfError
-from calib.robot.dh.description import DHRobot
-from calib.robot.dh.rows import DHRow, DHTable
+from calib.robot.dh.rows import DHRobot, DHRow, DHTable
 from calib.robot.generated.dh_urdf import dh_urdf
 from calib.robot.readback import check_written
 from calib.robot.robot import Robot

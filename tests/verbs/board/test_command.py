@@ -1,14 +1,12 @@
-"""`calib board`: files that are read back, the measured print, and pictures of boards."""
+"""`calib board`: files that are read back, and the measured print."""
 
 from __future__ import annotations
 
 import re
 
-import cv2
 import pytest
 
 from calib.boards.board_file import read_board
-from tests.boards.rendered import photo
 
 
 def test_a_board_without_any_option(call, tmp_path):
@@ -70,32 +68,6 @@ def test_a_description_is_drawn(call, tmp_path):
     assert not (tmp_path / "board.toml").exists()
 
 
-def test_a_picture_becomes_a_description(call, tmp_path):
-    call(tmp_path, "board", "--columns", "6", "--rows", "5", "-o", "drawn")
-    board = read_board(tmp_path / "drawn.toml")
-    cv2.imwrite(str(tmp_path / "photo.png"), photo(board, size=(720, 540))[0])
-    done = call(tmp_path, "board", "--identify", "photo.png")
-    assert done.code == 0
-    assert "columns = 6" in done.lines
-    assert "square_mm = 30.0" in done.lines
-    done = call(
-        tmp_path, "board", "--identify", "photo.png", "--square", "27 mm", "-o", "found.toml"
-    )
-    assert done.code == 0
-    described = read_board(tmp_path / "found.toml")
-    assert (described.name, described.columns, described.rows) == ("found", 6, 5)
-    assert described.square == 0.027
-    assert described.marker == pytest.approx(board.marker * 27 / (1e3 * board.square), abs=5e-4)
-
-
-def test_a_picture_without_a_board(call, tmp_path):
-    cv2.imwrite(str(tmp_path / "photo.png"), cv2.UMat(60, 80, cv2.CV_8U).get())
-    done = call(tmp_path, "board", "--identify", "photo.png", "-o", "found")
-    assert done.code == 1
-    assert "no board is found" in done.err
-    assert not (tmp_path / "found.toml").exists()
-
-
 @pytest.mark.parametrize(
     ("words", "text"),
     [
@@ -107,8 +79,6 @@ def test_a_picture_without_a_board(call, tmp_path):
         (("none.toml",), "does not exist"),
         (("none.toml", "--rows", "3"), "BOARD.toml goes with"),
         (("b.toml", "--measured", "1 mm", "--rows", "3"), "--measured goes with"),
-        (("--identify", "p.png", "--rows", "3"), "--identify goes with"),
-        (("--identify", "p.png"), "does not exist"),
     ],
 )
 def test_calls_that_are_refused(call, tmp_path, words, text):

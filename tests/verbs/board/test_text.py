@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from calib.boards.board_design import Wish, designed
+from calib.boards.board_design import design
 from calib.boards.paper import sheet_for
 from calib.boards.print_scale import print_scale, rescaled
 from calib.verbs.board.text import description, drawn_text, measured_text, page_lines
 
-BOARD = designed(Wish(), "a4")
+BOARD = design("a4")
 
 
 def printed(paragraphs):
@@ -35,14 +35,14 @@ def test_a_board_is_described_with_its_markers():
     assert "legacy" in legacy
     assert "ids 5 to 34" in legacy
     assert "legacy" not in description(replace(BOARD, legacy=True))
-    tags = designed(Wish(pattern="apriltag"), "a4")
+    tags = design("a4", pattern="apriltag")
     assert "6 x 4 tags of 36 mm every 46 mm" in description(tags)
-    assert "marker" not in description(designed(Wish(pattern="chessboard"), "a4"))
+    assert "marker" not in description(design("a4", pattern="chessboard"))
 
 
 @pytest.mark.parametrize("pattern", ["charuco", "chessboard", "apriltag"])
 def test_the_page_has_at_most_three_short_lines(pattern):
-    board = replace(designed(Wish(pattern=pattern), "a4"), name="a long name " * 5)
+    board = replace(design("a4", pattern=pattern), name="a long name " * 5)
     lines = page_lines(board)
     assert len(lines) <= 3
     assert max(map(len, lines)) <= 66
@@ -50,7 +50,7 @@ def test_the_page_has_at_most_three_short_lines(pattern):
 
 @pytest.mark.parametrize("pattern", ["charuco", "chessboard", "apriltag"])
 def test_the_console_says_what_to_print_and_to_measure(pattern):
-    board = designed(Wish(pattern=pattern), "a4")
+    board = design("a4", pattern=pattern)
     lines, text = drawn(board)
     assert "Written: b/left.svg" in text
     assert "100 %" in text
@@ -62,15 +62,15 @@ def test_the_console_says_what_to_print_and_to_measure(pattern):
 
 
 def test_boards_that_are_not_unique_come_with_a_note():
-    assert "half a turn" in drawn(designed(Wish(pattern="chessboard", rows=8), "a4"))[1]
-    assert "before 4.6" in drawn(designed(Wish(rows=6), "a4"))[1]
-    assert "4.6 or newer" in drawn(designed(Wish(rows=6, legacy=True), "a4"))[1]
+    assert "half a turn" in drawn(design("a4", pattern="chessboard", rows=8))[1]
+    assert "before 4.6" in drawn(design("a4", rows=6))[1]
+    assert "4.6 or newer" in drawn(design("a4", rows=6, legacy=True))[1]
 
 
 def test_other_papers():
-    upright = designed(Wish(columns=5, rows=7), "letter")
+    upright = design("letter", columns=5, rows=7)
     assert "letter paper, portrait" in drawn(upright, "letter")[1]
-    assert "on a sheet of" in drawn(designed(Wish(), "none"), "none")[1]
+    assert "on a sheet of" in drawn(design("none"), "none")[1]
 
 
 @pytest.mark.parametrize(

@@ -31,11 +31,11 @@ def lines(ax):
 def test_the_papers_figure_8_shows_the_validation_rows(calibrations):
     c = calibrations.made("paper")
     figure = curves(c)
-    v = c.measurements.validation
+    v = c.fit.measurements.validation
     for k, ax in enumerate(figure.axes[:3]):
         before, after = lines(ax).values()
-        np.testing.assert_allclose(before, 1e3 * c.residual_nominal[v, k])
-        np.testing.assert_allclose(after, 1e3 * c.residual_calibrated[v, k])
+        np.testing.assert_allclose(before, 1e3 * c.rows.residual_nominal[v, k])
+        np.testing.assert_allclose(after, 1e3 * c.rows.residual_calibrated[v, k])
         assert ax.get_title(loc="left") == f"Δ{'xyz'[k]}"
     assert len({ax.get_ylim() for ax in figure.axes[:3]}) == 1
     _, after = lines(figure.axes[3]).values()
@@ -50,10 +50,10 @@ def test_without_validation_rows_held_out_ones_are_shown_else_estimation_rows(ca
     name, mask, before, after = curve_rows(c)
     assert (name, int(mask.sum())) == ("held-out", 3)
     np.testing.assert_array_equal(after[mask], c.cross_validation.residual)
-    np.testing.assert_array_equal(before[mask], c.nominal_cross_validation.residual)
+    np.testing.assert_array_equal(before[mask], c.trust.nominal_cross_validation.residual)
     name, mask, before, after = curve_rows(calibrations.made("one_row"))
     assert name == "estimation"
-    np.testing.assert_array_equal(before, calibrations.made("one_row").residual_nominal)
+    np.testing.assert_array_equal(before, calibrations.made("one_row").rows.residual_nominal)
 
 
 def test_lengths_have_one_panel_and_their_signs(calibrations):
@@ -61,9 +61,9 @@ def test_lengths_have_one_panel_and_their_signs(calibrations):
     figure = curves(c)
     assert len(figure.axes) == 1
     before, after = lines(figure.axes[0]).values()
-    v = c.measurements.validation
-    np.testing.assert_allclose(before, 1e3 * c.residual_nominal[v, 0])
-    np.testing.assert_allclose(after, 1e3 * c.residual_calibrated[v, 0])
+    v = c.fit.measurements.validation
+    np.testing.assert_allclose(before, 1e3 * c.rows.residual_nominal[v, 0])
+    np.testing.assert_allclose(after, 1e3 * c.rows.residual_calibrated[v, 0])
     assert before.min() < 0.0 < before.max()
     low, high = figure.axes[0].get_ylim()
     assert low < before.min() < before.max() < high
@@ -91,7 +91,7 @@ def test_boxes_are_of_the_rows(calibrations):
     boxes = [patch.get_path().vertices for patch in upper.patches]
     assert len(boxes) == 6
     for k in range(3):
-        low, high = np.quantile(1e3 * c.residual_nominal[:30, k], [0.25, 0.75])
+        low, high = np.quantile(1e3 * c.rows.residual_nominal[:30, k], [0.25, 0.75])
         np.testing.assert_allclose([boxes[k][:, 1].min(), boxes[k][:, 1].max()], [low, high])
 
 
@@ -101,7 +101,7 @@ def test_every_row_is_in_the_histogram(calibrations):
         left, right = histograms(c).axes
         for patch in left.patches:
             y = patch.get_xy()[:, 1]  # up and down along the tops, then back along the foot
-            assert y[1 : len(y) // 2 : 2].sum() == len(c.measurements)
+            assert y[1 : len(y) // 2 : 2].sum() == len(c.fit.measurements)
         assert (
             right.get_title(loc="left") == f"{len(scaled_residuals(c))} scalars of estimation rows"
         )

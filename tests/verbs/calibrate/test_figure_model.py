@@ -68,8 +68,8 @@ def test_the_cost_of_each_iteration_is_drawn(calibrations):
     figure = convergence(c)
     panels = figure.axes
     drawn = next(line for line in panels[0].lines if line.get_marker() == "o")
-    history = c.solution.history
-    expected = [step.cost for step in history if step.accepted] + [c.solution.cost]
+    history = c.method.solution.history
+    expected = [step.cost for step in history if step.accepted] + [c.method.solution.cost]
     np.testing.assert_allclose(drawn.get_ydata(), expected)
     assert [ax.get_ylabel() for ax in panels] == [
         "cost E",
@@ -81,17 +81,21 @@ def test_the_cost_of_each_iteration_is_drawn(calibrations):
 @pytest.mark.parametrize(("solver", "panels"), [("paper", 3), ("scipy", 2)])
 def test_other_solvers_have_figures_too_with_the_steps_not_taken(calibrations, solver, panels):
     c = calibrations.made("paper")
-    solved = calibrate(c.nominal, c.measurements, cell=c.cell, solver=solver, validate=False)
+    solved = calibrate(
+        c.nominal, c.fit.measurements, cell=c.fit.cell, solver=solver, validate=False
+    )
     figure = convergence(solved)
     assert len(figure.axes) == panels
     crosses = next(line for line in figure.axes[0].lines if line.get_marker() == "x")
-    assert len(crosses.get_ydata()) == sum(not step.accepted for step in solved.solution.history)
+    assert len(crosses.get_ydata()) == sum(
+        not step.accepted for step in solved.method.solution.history
+    )
 
 
 def test_singular_values_tell_the_rank(calibrations):
     c = calibrations.made("paper")
     ax = singular_values(c).axes[0]
-    o = c.observability
+    o = c.trust.observability
     determined = next(line for line in ax.lines if line.get_marker() == "o")
     unobservable = next(line for line in ax.lines if line.get_marker() == "x")
     np.testing.assert_allclose(determined.get_ydata(), 1e3 * o.singular_values[: o.rank])
@@ -111,11 +115,13 @@ def test_the_ladder_names_every_model_and_marks_the_chosen(calibrations):
     figure = candidates(c)
     left, right = figure.axes
     names = [text.get_text() for text in left.get_yticklabels()]
-    assert names == [f"{one.name} ({one.parameters})" for one in c.candidates]
-    rms = [1e3 * one.cross_validation.errors_without_outliers["m"].rms for one in c.candidates]
+    assert names == [f"{one.name} ({one.parameters})" for one in c.method.candidates]
+    rms = [
+        1e3 * one.cross_validation.errors_without_outliers["m"].rms for one in c.method.candidates
+    ]
     assert sorted(patch.get_width() for patch in left.patches) == pytest.approx(sorted(rms))
-    best = max(one.evidence for one in c.candidates)
-    gains = [one.evidence - best for one in c.candidates]
+    best = max(one.evidence for one in c.method.candidates)
+    gains = [one.evidence - best for one in c.method.candidates]
     assert sorted(patch.get_width() for patch in right.patches) == pytest.approx(sorted(gains))
     assert {text.get_text() for text in left.texts} == {f"{value:.3f}" for value in rms}
     labels = [text.get_text() for text in figure.legends[0].get_texts()]

@@ -38,7 +38,7 @@ def test_the_papers_figure_7_shows_every_point_from_three_sides(calibrations):
     for ax, pair in zip(views, [(0, 1), (0, 2), (1, 2)], strict=True):
         marks = dots(ax)
         assert sorted(marks) == ["D", "o", "x"]
-        np.testing.assert_allclose(marks["D"], 1e3 * c.measurements.points[30:][:, pair])
+        np.testing.assert_allclose(marks["D"], 1e3 * c.fit.measurements.points[30:][:, pair])
         assert sum(map(len, marks.values())) == 35
         low, high = np.array([ax.get_xlim(), ax.get_ylim()]).T
         every = np.concatenate(list(marks.values()))
@@ -60,33 +60,35 @@ def test_cells_show_the_uncertainty_of_their_poses(calibrations, case):
     share = next(ax for ax in figure.axes if ax.get_ylabel() == "poses below [%]")
     labels = [text.get_text() for text in share.get_legend().get_texts()]
     # The report's numbers, in its digits.
-    assert labels[0] == f"{1e3 * c.expected_measured:.3f} mm: rms, measured poses"
-    assert labels[1] == f"{1e3 * c.expected_everywhere:.3f} mm: rms, joint limits"
-    assert np.sqrt(np.mean(std[:SPREAD] ** 2)) == pytest.approx(1e3 * c.expected_everywhere)
+    assert labels[0] == f"{1e3 * c.geometry.expected_measured:.3f} mm: rms, measured poses"
+    assert labels[1] == f"{1e3 * c.geometry.expected_everywhere:.3f} mm: rms, joint limits"
+    assert np.sqrt(np.mean(std[:SPREAD] ** 2)) == pytest.approx(
+        1e3 * c.geometry.expected_everywhere
+    )
     x, y = share.lines[0].get_data()
     assert x[np.searchsorted(y, 0.5)] == pytest.approx(np.median(std), rel=0.02)
 
 
 def test_places_are_in_the_base(calibrations):
     c = calibrations.made("paper")
-    np.testing.assert_allclose(measured_places(c), c.measurements.points)
+    np.testing.assert_allclose(measured_places(c), c.fit.measurements.points)
     # Measured in a tracker's frame: the calibrated robot is where it was measured, but for its errors.
     tracker = calibrations.made("poses")
     places = measured_places(tracker)
-    T = tracker.robot.poses(tracker.measurements.joints)
+    T = tracker.robot.poses(tracker.fit.measurements.joints)
     expected = T[:, :3, :3] @ tracker.target + T[:, :3, 3]
     np.testing.assert_allclose(places, expected, atol=2e-4)
-    assert np.abs(places - tracker.measurements.points).max() > 0.5
+    assert np.abs(places - tracker.fit.measurements.points).max() > 0.5
 
 
 def test_places_that_nobody_measured_are_predicted(calibrations):
     c = calibrations.made("distances")
-    T = c.robot.poses(c.measurements.joints)
+    T = c.robot.poses(c.fit.measurements.joints)
     np.testing.assert_allclose(measured_places(c), T[:, :3, :3] @ c.target + T[:, :3, 3])
 
 
 def test_predicted_places_are_those_of_the_target(calibrations):
     c = calibrations.made("paper")
-    q = c.measurements.joints_for(c.nominal.joint_names)
+    q = c.fit.measurements.joints_for(c.nominal.joint_names)
     homogeneous = c.robot.poses(q) @ np.append(c.target, 1.0)
     np.testing.assert_allclose(_predicted_places(c, q), homogeneous[:, :3], atol=1e-12)

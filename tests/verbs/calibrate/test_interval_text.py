@@ -45,7 +45,7 @@ def test_a_bootstrap(default_result: Calibration, samples: SimpleNamespace):
     expected = [first.value, first.low, first.high, first.value - 5e-4, first.value + 5e-4]
     assert numbers(lines[2]) == pytest.approx(1e3 * np.array(expected), abs=5.01e-4)
     text = " ".join(lines)
-    for value in (1.5e-4, 3.5e-4, default_result.expected_measured):
+    for value in (1.5e-4, 3.5e-4, default_result.geometry.expected_measured):
         assert f"{1e3 * value:.3f} mm" in text
     assert "did not converge on 2 of the samples" in text
     assert max(map(len, lines)) <= 100

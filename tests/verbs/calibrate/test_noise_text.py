@@ -11,10 +11,11 @@ import pytest
 from calib.basics.channels import channels_of
 from calib.data.kinds import get
 from calib.fit.registration.rows import USUAL_POSE_NOISE
-from calib.numerics.pose_noise import PoseNoise
+from calib.numerics.correlated_noise import PoseNoise
 from calib.show.errors import measured_lengths
 from calib.verbs.calibrate.noise_text import ENOUGH_FREEDOM, noise_text, pose_noise_text
 from calib.verbs.calibrate.text import POSE_NOISE, facts
+from tests.parts import with_part
 
 
 @pytest.mark.parametrize(
@@ -34,8 +35,8 @@ def test_measured_lengths_are_those_of_the_kinds(kinds: list[str], of: str):
 
 def test_the_noise_has_its_degrees_of_freedom_where_they_are_enough(default_result):
     told = noise_text(default_result)
-    assert f"{default_result.freedom:.0f} d.o.f." in told
-    few = noise_text(replace(default_result, freedom=ENOUGH_FREEDOM - 0.1))
+    assert f"{default_result.noise.freedom:.0f} d.o.f." in told
+    few = noise_text(with_part(default_result, "noise", freedom=ENOUGH_FREEDOM - 0.1))
     assert "d.o.f." not in few
 
 
@@ -49,4 +50,6 @@ def test_the_noise_of_poses_is_told_in_common_units(default_result):
     assert "assumed" in pose_noise_text(USUAL_POSE_NOISE)
     assert "assumed" not in pose_noise_text(noise)
     assert POSE_NOISE not in facts(default_result)
-    assert facts(replace(default_result, pose_noise=noise))[POSE_NOISE] == pose_noise_text(noise)
+    assert facts(with_part(default_result, "noise", pose_noise=noise))[
+        POSE_NOISE
+    ] == pose_noise_text(noise)

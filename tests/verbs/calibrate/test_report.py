@@ -53,7 +53,7 @@ def test_every_page_is_complete_and_its_verdict_comes_first(page, calibrations, 
     assert text.index(f"Verdict: {use}") < text.index("Accuracy before and after")
     for reason in () if c.verdict is None else c.verdict.reasons:
         assert " ".join(reason_text(reason).split()) in text
-    assert made.tags.count("h2") == 10 + bool(c.candidates)
+    assert made.tags.count("h2") == 10 + bool(c.method.candidates)
     # One more on the first page.
     assert made.tags.count("caption") == 1 + sum(bool(table.rows) for table in every_table(c))
 
@@ -79,7 +79,7 @@ def test_the_first_page_has_the_record_and_the_errors(page, paper_calibration):
     made = page(c)
     assert made.forms["Robot, serial no."] == "20183300123"
     assert made.forms["Air temperature [°C]"] == "21.4 to 22.1"
-    assert made.forms["Noise (1 sigma)"] == f"{mm(c.sigma['m'])} mm per coordinate"
+    assert made.forms["Noise (1 sigma)"] == f"{mm(c.noise.sigma['m'])} mm per coordinate"
     assert (made.forms["Customer"], made.forms["Signature"]) == ("", "")
     _, _, *rows = made.table("Size of the error by set of rows")
     before, after = (
@@ -103,7 +103,11 @@ def test_files_have_the_hashes_of_their_bytes(page, paper_calibration, tmp_path)
     c = paper_calibration
     written = c.write_urdf(tmp_path / "corrected.urdf").read_bytes()
     text = page(c).text
-    for sha in (c.nominal.urdf.sha256, c.measurements.sha256, hashlib.sha256(written).hexdigest()):
+    for sha in (
+        c.nominal.urdf.sha256,
+        c.fit.measurements.sha256,
+        hashlib.sha256(written).hexdigest(),
+    ):
         assert f"SHA-256 {sha}" in text
     assert "Command calib calibrate --x <b>" in text
 
@@ -177,6 +181,6 @@ def test_chromium_shows_and_prints_hostile_names(browser, calibrations, tmp_path
 
 
 def test_the_rows_say_in_which_convention_orientations_were_given(paper_calibration):
-    m = paper_calibration.measurements
+    m = paper_calibration.fit.measurements
     assert "orientations" not in _rows_text(m)
     assert "orientations as KUKA's A, B, C" in _rows_text(replace(m, orientation="kuka"))

@@ -26,7 +26,7 @@ def every_table(c):
     )
     made = [make(c) for make in makers]
     made += [tables.parameters(c, unit) for unit in ("mm", "deg")]
-    made += [tables.errors(c, unit) for unit in c.channels.present]
+    made += [tables.errors(c, unit) for unit in c.rows.channels.present]
     return made
 
 
@@ -83,8 +83,8 @@ def test_validation_rows_are_those_of_the_paper_s_table_4(paper_calibration):
     table = tables.validation_rows(c)
     assert [row[0] for row in table.rows] == ["31", "32", "33", "34", "35"]
     values = np.array([numbers(row[1:]) for row in table.rows])
-    for start, residual in ((0, c.residual_nominal), (4, c.residual_calibrated)):
-        expected = 1e3 * residual[c.measurements.validation]
+    for start, residual in ((0, c.rows.residual_nominal), (4, c.rows.residual_calibrated)):
+        expected = 1e3 * residual[c.fit.measurements.validation]
         norms = np.linalg.norm(expected, axis=1)
         np.testing.assert_allclose(values[:, start : start + 3], expected, atol=5.1e-4)
         np.testing.assert_allclose(values[:, start + 3], norms, atol=5.1e-4)
@@ -95,8 +95,8 @@ def test_of_many_validation_rows_the_worst_are_listed(paper_calibration, monkeyp
     c = paper_calibration
     monkeypatch.setattr(tables, "MOST_LISTED", 4)
     monkeypatch.setattr(tables, "MOST_WORST", 2)
-    rows = np.array(c.measurements.rows)[c.measurements.validation]
-    norms = np.linalg.norm(c.residual_calibrated[c.measurements.validation], axis=1)
+    rows = np.array(c.fit.measurements.rows)[c.fit.measurements.validation]
+    norms = np.linalg.norm(c.rows.residual_calibrated[c.fit.measurements.validation], axis=1)
     worst = sorted(rows[np.argsort(-norms)[:2]])
     assert [int(row[0]) for row in tables.validation_rows(c).rows] == worst
 
@@ -149,7 +149,7 @@ def test_flagged_rows(calibrations):
 
 def test_joint_ranges_are_those_of_the_estimation_rows(paper_calibration):
     c = paper_calibration
-    q = np.degrees(c.measurements.joints[c.measurements.estimation])
+    q = np.degrees(c.fit.measurements.joints[c.fit.measurements.estimation])
     for joint, values, row in zip(c.nominal.inputs, q.T, tables.ranges(c).rows, strict=True):
         assert row[:2] == (joint.name, "deg")
         ends = [values.min(), values.max(), np.degrees(joint.lower), np.degrees(joint.upper)]

@@ -63,14 +63,14 @@ def test_the_errors_are_those_of_the_result(text: str, default_result: Calibrati
             assert shown[0] == errors["m"].n
             np.testing.assert_allclose(shown[1:], 1e3 * np.array(wanted), atol=5.001e-4)
     assert default_result.cross_validation is not None
-    assert default_result.nominal_cross_validation is not None
+    assert default_result.trust.nominal_cross_validation is not None
     for who, validated in (
-        ("nominal", default_result.nominal_cross_validation),
+        ("nominal", default_result.trust.nominal_cross_validation),
         ("calibrated", default_result.cross_validation),
     ):
         shown = numbers_of(text, f"held-out rows*, {who}")
         assert shown[3] == pytest.approx(1e3 * validated.errors["m"].rms, abs=5e-4)
-    kept = 30 - len(default_result.outliers)
+    kept = 30 - len(default_result.rows.outliers)
     assert len(re.findall(rf"^  the same without outliers +{kept} ", text, flags=re.MULTILINE)) == 2
     assert "\n* leave-one-out: each row predicted from the others alone\n" in text
 

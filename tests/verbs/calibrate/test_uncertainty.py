@@ -122,8 +122,8 @@ class TestBootstrap:
         assert not all(p.identifiable for p in of_dh.parameters)
         assert np.mean(ratio) == pytest.approx(1.0, abs=0.06)
         assert 0.75 < ratio.min() < ratio.max() < 1.33
-        assert found.measured_rms == pytest.approx(of_dh.expected_measured, rel=0.1)
-        assert found.everywhere_rms == pytest.approx(of_dh.expected_everywhere, rel=0.1)
+        assert found.measured_rms == pytest.approx(of_dh.geometry.expected_measured, rel=0.1)
+        assert found.everywhere_rms == pytest.approx(of_dh.geometry.expected_everywhere, rel=0.1)
         assert found.stopped == 0
         q = spread_poses(of_dh.nominal, 50)
         ratio = found.position_std(of_dh.samples(q)) / of_dh.position_std(q)
@@ -179,8 +179,8 @@ class TestBootstrap:
         assert np.mean(ratio) == pytest.approx(1.0, abs=0.12)
         assert 0.7 < ratio.min() < ratio.max() < 1.4
         # Beyond the first order an unknown turn of the whole arm leaves a trace.
-        assert found.measured_rms == pytest.approx(result.expected_measured, rel=0.2)
-        assert found.everywhere_rms == pytest.approx(result.expected_everywhere, rel=0.2)
+        assert found.measured_rms == pytest.approx(result.geometry.expected_measured, rel=0.2)
+        assert found.everywhere_rms == pytest.approx(result.geometry.expected_everywhere, rel=0.2)
 
     def test_the_seed_decides_and_progress_is_told(self, of_target: Calibration):
         told: list[tuple[int, int]] = []
@@ -199,7 +199,7 @@ class TestBootstrap:
 class TestProfile:
     @pytest.mark.parametrize("level", [0.5, 0.95])
     def test_of_a_linear_problem_is_student_s(self, of_target: Calibration, level: float):
-        reach = stdtrit(of_target.freedom, 0.5 + level / 2.0)
+        reach = stdtrit(of_target.noise.freedom, 0.5 + level / 2.0)
         for p in of_target.parameters:
             found = profile_interval(of_target, p.name, level)
             expected = [p.value - reach * p.std, p.value + reach * p.std]
@@ -208,7 +208,7 @@ class TestProfile:
 
     def test_at_its_ends_the_best_of_the_others_has_risen_by_f(self, of_zeros: Calibration):
         """By SciPy, and not from where calib begins."""
-        estimate = of_zeros.fitted.estimate
+        estimate = of_zeros.fit.geometry.estimate
         k = of_zeros.model.index("wrist_1_joint.zero")
         others = np.arange(len(estimate.x)) != k
         found = profile_interval(of_zeros, "wrist_1_joint.zero", 0.9)
@@ -227,7 +227,7 @@ class TestProfile:
             )
 
         least = squares(estimate.x[k])
-        rise = fdtri(1.0, of_zeros.freedom, 0.9)
+        rise = fdtri(1.0, of_zeros.noise.freedom, 0.9)
         for end in (found.low, found.high):
             assert squares(end) - least == pytest.approx(rise, rel=2e-3)
 
@@ -246,7 +246,7 @@ def test_the_papers_solver_has_none_of_it(ur3: Robot, table: Measurements, paper
     ):
         with pytest.raises(ModelError, match=r"The solver 'paper' .* Choose"):
             asked()
-    assert result.robustness is None
+    assert result.trust.robustness is None
 
 
 BLOCKS = np.array(["b", "a", "a", "c", "b", "d", "d", "d"])
@@ -303,13 +303,13 @@ def test_ends_where_the_cost_does_not_rise_are_open():
 def test_rows_and_priors_are_drawn_independently(calibrated):
     """Rows as `bootstrap_counts` draws them, and a normal number for each prior and each known distance."""
     _, c = calibrated("sockets")
-    problem = c.fitted.estimate.problem
+    problem = c.fit.geometry.estimate.problem
     rows = problem.rows
     counts, normal = (np.array(drawn) for drawn in zip(*_draws(problem, 40, 3), strict=True))
     expected = bootstrap_counts(rows.blocks, 40, 3, rows.samples.frame)
     np.testing.assert_array_equal(counts, expected)
     assert len(problem.distances) > 0
-    assert normal.shape == (40, len(c.x) + len(problem.distances))
+    assert normal.shape == (40, len(c.geometry.x) + len(problem.distances))
     assert abs(normal.mean()) < 0.1
     assert normal.std() == pytest.approx(1.0, abs=0.1)
     assert normal[0, 0] != np.random.default_rng(3).normal()

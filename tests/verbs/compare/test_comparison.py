@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,7 @@ from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.diagnosis.reasons import Verdict
 from calib.errors import FileError
-from calib.example.__init__ import PAPER_TARGET
+from calib.example import PAPER_TARGET
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics
 from calib.result.calibrate import calibrate
@@ -29,6 +29,7 @@ from calib.robot.robot import Robot
 from calib.verbs.compare.comparison import Comparison, compare
 from calib.verbs.compare.drift import LEVEL
 from calib.verbs.compare.text import notes
+from tests.parts import with_part
 from tests.places import ROOT
 
 DOC = ROOT / "docs" / "comparison.md"
@@ -132,8 +133,8 @@ def true_move(arm: Arm, c: Comparison, change: Mapping[str, float]) -> float:
     T_tip_target = np.eye(4)
     T_tip_target[:3, 3] = c.a.target
     kinematics = Kinematics(arm.robot, model, np.eye(4), T_tip_target)
-    low = np.maximum(c.a.ranges[:, 0], c.b.ranges[:, 0])
-    high = np.minimum(c.a.ranges[:, 1], c.b.ranges[:, 1])
+    low = np.maximum(c.a.rows.ranges[:, 0], c.b.rows.ranges[:, 0])
+    high = np.minimum(c.a.rows.ranges[:, 1], c.b.rows.ranges[:, 1])
     q = spread_between(np.stack([low, high], axis=1), 200)
     T, points = kinematics.poses(x, q), kinematics.points(y, q)
     by_frame = np.concatenate(
@@ -196,10 +197,10 @@ def test_the_same_measurements_are_no_second_opinion(before: Calibration):
 
 
 def test_a_result_that_is_not_to_be_used(before, later):
-    bad = replace(later("theta3", 1e-3), verdict=Verdict("do not use", ()))
+    bad = with_part(later("theta3", 1e-3), "trust", verdict=Verdict("do not use", ()))
     c = compare(before, bad)
     assert (c.outcome, c.why) == ("cannot tell", "bad verdict")
-    careful = compare(before, replace(bad, verdict=Verdict("use with care", ())))
+    careful = compare(before, with_part(bad, "trust", verdict=Verdict("use with care", ())))
     assert careful.outcome == "drift"
 
 

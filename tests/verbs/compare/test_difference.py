@@ -23,6 +23,7 @@ from calib.verbs.compare.difference import (
     own_names,
     unknown_frame,
 )
+from tests.parts import with_part
 
 
 def test_own_parameters_are_those_of_no_frame_and_no_target(calibrated):
@@ -46,7 +47,9 @@ def test_places_are_unknown_where_either_result_estimated_them(calibrated):
     """The base, then position and orientation of the target, which counts only with orientations."""
     _, points = calibrated("points")
     _, poses = calibrated("poses")
-    known = replace(points, setup=replace(points.setup, target_unknown=np.zeros(1, dtype=bool)))
+    known = with_part(
+        points, "geometry", setup=replace(points.setup, target_unknown=np.zeros(1, dtype=bool))
+    )
     base_known, base_unknown = [False] * 6, [True] * 6
     position, both, neither = [True] * 3 + [False] * 3, [True] * 6, [False] * 6
     assert _unknown_places(points, points, turns=False) == base_known + position
@@ -78,10 +81,10 @@ def test_a_change_of_the_last_tool_axis_is_compensated_and_one_of_an_elbow_is_no
     names = list(c.model.names)
 
     def changed(name: str, by: float) -> float:
-        x = c.x.copy()
+        x = c.geometry.x.copy()
         x[names.index(name)] += by
         parameters = tuple(replace(p, value=p.value + by * (p.name == name)) for p in c.parameters)
-        other = replace(c, x=x, parameters=parameters)
+        other = with_part(c, "geometry", x=x, parameters=parameters)
         return differences_of(c, other, same_start=True).moves[0].rms
 
     assert changed("d6", 1e-3) < 2e-5
@@ -91,9 +94,9 @@ def test_a_change_of_the_last_tool_axis_is_compensated_and_one_of_an_elbow_is_no
 def test_orientations_count_at_the_end_of_a_lever(calibrated):
     """Where they were measured the turn of the target is given too."""
     _, c = calibrated("poses")
-    x = c.x.copy()
+    x = c.geometry.x.copy()
     x[c.model.index("theta3")] += 1e-3
-    move = differences_of(c, replace(c, x=x), same_start=True).moves[0]
+    move = differences_of(c, with_part(c, "geometry", x=x), same_start=True).moves[0]
     assert move.rms > 1e-4
     assert 0.0 < move.rms_angle < 2e-3
 
@@ -102,8 +105,10 @@ def test_an_estimate_under_common_priors_is_that_of_a_fit_with_them(calibrated):
     """Its covariance by the information of the data alone, with the wider of the priors added."""
     _, c = calibrated("points")
     prior_std = np.array([p.prior_std for p in c.parameters])
-    wider = replace(
-        c, parameters=tuple(replace(p, prior_std=3.0 * p.prior_std) for p in c.parameters)
+    wider = with_part(
+        c,
+        "geometry",
+        parameters=tuple(replace(p, prior_std=3.0 * p.prior_std) for p in c.parameters),
     )
     found = _estimate(c, wider)
     of_data = np.linalg.inv(c.covariance) - np.diag(np.nan_to_num(prior_std**-2.0))
@@ -124,7 +129,7 @@ def test_common_priors_are_neither_wider_than_an_arm_errs_nor_too_sharp_for_a_dr
 ):
     _, c = calibrated("points")
     parameters = tuple(replace(p, prior_std=factor * p.prior_std) for p in c.parameters)
-    other = replace(c, parameters=parameters)
+    other = with_part(c, "geometry", parameters=parameters)
     std = _shared_precision(other, other) ** -0.5
     np.testing.assert_allclose(std, steps_wide * _own_steps(c))
 
@@ -152,7 +157,9 @@ def test_parameters_are_the_same_by_name_ties_and_set(calibrated):
     _, c = calibrated("points")
     assert _same_parameters(c, c)
     fewer = c.model.without([own_names(c)[0]])
-    assert not _same_parameters(c, replace(c, kinematics=replace(c.kinematics, model=fewer)))
-    tied = replace(c, ties={"alpha2": ("alpha3", 1.0)})
+    assert not _same_parameters(
+        c, with_part(c, "geometry", kinematics=replace(c.geometry.kinematics, model=fewer))
+    )
+    tied = with_part(c, "method", ties={"alpha2": ("alpha3", 1.0)})
     assert not _same_parameters(c, tied)
     assert _same_parameters(tied, tied)

@@ -84,4 +84,4 @@ def test_the_table_has_the_values(drifted: Comparison):
     assert table["moves"][0]["moved_std_m"] == near.std
     assert table["moves"][0]["max_m"] == near.max
     assert [result["name"] for result in table["results"]] == ["january.json", "june.json"]
-    assert table["results"][0]["sigma"] == drifted.a.sigma
+    assert table["results"][0]["sigma"] == drifted.a.noise.sigma

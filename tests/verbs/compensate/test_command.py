@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calib.cli.words import parse_tool
+from calib.verbs.compensate.command import parse_pair, parse_tool
 from tests.places import ROOT
 
 DOC = ROOT / "docs" / "compensation.md"
@@ -23,6 +23,20 @@ JOINTS = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist
 HEADER = ",".join(f"{name}_joint [deg]" for name in JOINTS)
 FILES = ("robot.urdf", "data.csv", "result.json", "corrected.urdf")
 RESULT = ("--calibration", "result.json")
+
+
+@pytest.mark.parametrize(
+    ("text", "pair"),
+    [
+        ("10 mm", (0.01, None)),
+        ("2deg", (None, np.radians(2.0))),
+        ("0.1 deg, 500 um", (5e-4, np.radians(0.1))),
+    ],
+)
+def test_a_length_and_an_angle(text: str, pair: tuple[float | None, float | None]):
+    assert parse_pair(text, "--limit", "1 mm") == tuple(
+        None if value is None else pytest.approx(value) for value in pair
+    )
 
 
 @pytest.fixture
@@ -109,8 +123,7 @@ def large(tmp_path_factory: pytest.TempPathFactory) -> Path:
     from calib.example import paper_urdf
     from calib.result.calibrate import calibrate
     from calib.result.calibration_file import write_result
-    from calib.robot.gravity import gravity_loads
-    from calib.robot.payload import Payload
+    from calib.robot.gravity import Payload, gravity_loads
     from calib.robot.robot import Robot
 
     folder = tmp_path_factory.mktemp("large")

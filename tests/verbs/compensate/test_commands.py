@@ -70,7 +70,7 @@ def test_the_true_robot_arrives_by_joints_and_by_poses(name, request):
 @pytest.mark.parametrize("case", ["non_geometric", "poses"])
 def test_a_result_predicts_that_its_commands_arrive(case):
     result = made(case)
-    q = result.measurements.joints_for(result.nominal.joint_names)
+    q = result.fit.measurements.joints_for(result.nominal.joint_names)
     wanted = result.predict_poses(q[:20], non_geometric=False)[:, :3, 3] + 1e-3
     found = compensate(result, Program.of_points(wanted, q[:20]), tool="", frame="")
     assert found.match == "position"
@@ -82,7 +82,7 @@ def test_a_result_predicts_that_its_commands_arrive(case):
 
 def test_each_row_has_its_error_to_expect(tmp_path: Path):
     result = made("paper")
-    q = np.vstack([result.ranges.mean(axis=1), random_joint_values(result.nominal, 2, 1)])
+    q = np.vstack([result.rows.ranges.mean(axis=1), random_joint_values(result.nominal, 2, 1)])
     wanted = result.robot.poses(q)
     wanted[1, :3, 3] = 2.0  # out of reach
     found = compensate(result, Program.of_poses(wanted, q))
@@ -112,7 +112,7 @@ def test_paper_rows_that_the_fit_did_not_see():
     everything = calibrate(
         robot,
         replace(rows, sets=("estimate",) * len(rows)),
-        cell=result.cell,
+        cell=result.fit.cell,
         validate=False,
     )
     held_back = rows.validation

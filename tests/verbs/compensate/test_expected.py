@@ -33,6 +33,7 @@ from calib.verbs.compensate.nominal_actual import pair_of
 from calib.verbs.compensate.pose_covariance import PoseCovariance
 from calib.verbs.simulate.truth import draw_truth
 from tests.hard_cases import CASES, made
+from tests.parts import with_part
 from tests.verbs.compensate.arms import off
 
 TOOL = np.array([0.0, 0.05, 0.15])
@@ -83,7 +84,7 @@ def known_to(*shared: float, by_priors: float = 0.0) -> PoseCovariance:
 def test_the_range_holds_its_share_of_draws(shared):
     rng = np.random.default_rng(2)
     root_mean_squares = np.sqrt(rng.normal(size=(50_000, len(shared))) ** 2 @ shared)
-    certain = replace(made("paper"), freedom=1e9)
+    certain = with_part(made("paper"), "noise", freedom=1e9)
     freedom = _freedom(certain, known_to(*shared), 0.0, None)
     low, high = with_mean(float(root_mean_squares.mean()), freedom).band
     inside = np.mean((root_mean_squares > low) & (root_mean_squares < high))
@@ -100,11 +101,11 @@ def test_variances_are_known_as_well_as_what_tells_them():
     assert with_mean(1e-3, np.inf).band == (1e-3, 1e-3)
     many = (1e-3,) * 1000
     noise = _freedom(result, known_to(*many), 0.0, None)
-    assert noise == pytest.approx(1.0 / (1e-3 + 1.0 / result.freedom))
+    assert noise == pytest.approx(1.0 / (1e-3 + 1.0 / result.noise.freedom))
     priors = known_to(*many, by_priors=1.0)
-    assert result.prior_std_from == "data"
+    assert result.method.prior_std_from == "data"
     assert _freedom(result, priors, 0.0, None) == pytest.approx(1.0 / (1e-3 + 1.0 / 6.0))
-    given = replace(result, prior_std_from="given")
+    given = with_part(result, "method", prior_std_from="given")
     assert _freedom(given, priors, 0.0, None) == pytest.approx(1000.0)
 
 
@@ -161,7 +162,7 @@ def test_every_kind_of_result_has_errors_to_expect(case: str):
             assert low <= found.mean <= high
             added = squares(found)
             assert min(added.values()) >= 0.0
-            if frame is not None and result.tells_place:
+            if frame is not None and result.rows.tells_place:
                 assert added["base"] == 0.0
                 assert found.in_measured_frame is None
             if isinstance(tool, str):
@@ -206,17 +207,19 @@ def test_noise_that_is_not_stated_counts_as_error(estimated: Calibration):
         return expected_errors(pair_of(result, tool="", frame=""), q)
 
     assert squares(of(estimated))["model"] == 0.0
-    unknown = of(replace(estimated, sigma_given={}))
+    unknown = of(with_part(estimated, "noise", sigma_given={}))
     held_out = estimated.cross_validation.errors_without_outliers["m"].rms
     added = squares(unknown)
     assert unknown.noise == "unknown"
     assert added["model"] + added["parameters"] == pytest.approx(1e6 * held_out**2, rel=0.2)
     scatter = Repeats({"m": 5e-5}, {"m": 40.0}, 0.0)
-    repeated = of(replace(estimated, sigma_given={}, repeats=scatter))
+    repeated = of(with_part(estimated, "noise", sigma_given={}, repeats=scatter))
     assert (repeated.noise, squares(repeated)["model"]) == ("repeats", 0.0)
-    few = of(replace(estimated, sigma_given={}, repeats=replace(scatter, freedoms={"m": 3.0})))
+    few = of(
+        with_part(estimated, "noise", sigma_given={}, repeats=replace(scatter, freedoms={"m": 3.0}))
+    )
     assert few.noise == "unknown"
-    alone = of(replace(estimated, cross_validation=None))
+    alone = of(with_part(estimated, "geometry", cross_validation=None))
     assert not alone.validated
     assert squares(alone)["model"] == 0.0
 
@@ -283,11 +286,13 @@ def test_true_errors_are_those_expected_over_many_robots(ur3: Robot, known: bool
 
 
 def of_images(rms: float, sigma: dict[str, float], pixels=(5e-4, 5e-4, np.nan)) -> SimpleNamespace:
-    """A result of images, and its part, with held-out errors of 30 images."""
+    """A result of images, with held-out errors of 30 images."""
     errors = {"px": SimpleNamespace(rms=rms)}
     held_out = SimpleNamespace(errors_without_outliers=errors, folds=30)
     return SimpleNamespace(
-        cross_validation=held_out, sigma_given=sigma, metres_per_pixel=np.array(pixels)
+        geometry=SimpleNamespace(cross_validation=held_out),
+        noise=SimpleNamespace(sigma_given=sigma),
+        rows=SimpleNamespace(metres_per_pixel=np.array(pixels)),
     )
 
 
@@ -295,17 +300,13 @@ def test_what_a_model_of_images_lacks_is_what_is_beyond_their_noise():
     # 0.3 px of noise and 0.4 px of lack a coordinate; a pixel is half a millimetre at the board.
     rms = np.sqrt(2.0 * (0.3**2 + 0.4**2))
     result = of_images(rms, {"px": 0.3})
-    assert _lacking_in_images(result, result) == pytest.approx(3.0 * (0.4 * 5e-4) ** 2)
+    assert _lacking_in_images(result, result.geometry) == pytest.approx(3.0 * (0.4 * 5e-4) ** 2)
     # A tenth more than the noise is by chance.
     by_chance = of_images(1.1 * np.sqrt(2.0) * 0.3, {"px": 0.3})
-    assert _lacking_in_images(by_chance, by_chance) == 0.0
+    assert _lacking_in_images(by_chance, by_chance.geometry) == 0.0
     unstated = of_images(rms, {})
-    assert _lacking_in_images(unstated, unstated) == 0.0
-    unheld = replace_namespace(result, cross_validation=None)
-    assert _lacking_in_images(unheld, unheld) == 0.0
-    points = replace_namespace(result, metres_per_pixel=None)
-    assert _lacking_in_images(points, points) == 0.0
-
-
-def replace_namespace(namespace: SimpleNamespace, **changes) -> SimpleNamespace:
-    return SimpleNamespace(**(vars(namespace) | changes))
+    assert _lacking_in_images(unstated, unstated.geometry) == 0.0
+    unheld = SimpleNamespace(cross_validation=None)
+    assert _lacking_in_images(result, unheld) == 0.0
+    result.rows.metres_per_pixel = None
+    assert _lacking_in_images(result, result.geometry) == 0.0

@@ -8,8 +8,7 @@ from calib.errors import ModelError
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics, Samples
 from calib.result.prediction import NonGeometric
-from calib.robot.gravity import GRAVITY, gravity_loads
-from calib.robot.payload import Payload
+from calib.robot.gravity import GRAVITY, Payload, gravity_loads
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 from calib.verbs.compensate.inverse import Matching
@@ -110,16 +109,16 @@ def test_of_a_calibration_whichever_of_its_robots_is_given(ur3):
 def test_a_target_is_where_each_model_has_it():
     found = made("paper")
     pair = pair_of(found, tool="", frame="")
-    q = found.measurements.joints_for(found.nominal.joint_names)
+    q = found.fit.measurements.joints_for(found.nominal.joint_names)
     in_frame = pair.T_frame_base @ pair.actual.poses(q)
     assert in_frame[:, :3, 3] == pytest.approx(found.predict(q), abs=1e-12)
-    residual = found.measurements.points - (pair.T_frame_base @ pair.nominal.poses(q))[:, :3, 3]
-    assert residual == pytest.approx(found.residual_nominal, abs=1e-12)
+    residual = found.fit.measurements.points - (pair.T_frame_base @ pair.nominal.poses(q))[:, :3, 3]
+    assert residual == pytest.approx(found.rows.residual_nominal, abs=1e-12)
 
 
 def test_with_the_larger_model_or_without():
     found = made("non_geometric")
-    q = found.measurements.joints_for(found.nominal.joint_names)[:9]
+    q = found.fit.measurements.joints_for(found.nominal.joint_names)[:9]
     with_all = pair_of(found, tool="", frame="")
     predicted = (with_all.T_frame_base @ with_all.actual.poses(q))[:, :3, 3]
     assert predicted == pytest.approx(found.predict(q), abs=1e-10)

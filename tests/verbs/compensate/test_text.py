@@ -65,7 +65,7 @@ def mainly(found: Commands, source: Source, **changes: object) -> Commands:
 @pytest.fixture(scope="module")
 def found() -> Commands:
     result = made("paper")
-    q = result.ranges.mean(axis=1)
+    q = result.rows.ranges.mean(axis=1)
     q[4] += 0.5  # away from the wrist's singularity
     return compensate(result, Program.of_joints(q), tool=(0.0, 0.0, 0.15))
 

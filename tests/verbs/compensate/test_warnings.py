@@ -139,10 +139,10 @@ def test_large_corrections_are_said(ur3):
 
 
 def test_outside_of_what_was_measured_is_said(ur3):
-    middle = made("paper").ranges.mean(axis=1)
+    middle = made("paper").rows.ranges.mean(axis=1)
     middle[4] += 0.5
     beyond = middle.copy()
-    beyond[2] = made("paper").ranges[2, 1] + 0.5
+    beyond[2] = made("paper").rows.ranges[2, 1] + 0.5
     found = compensate(made("paper"), Program.of_joints([middle, beyond]), nominal=ur3)
     inside, outside = warned(found, "outside measured range")
     assert inside is None

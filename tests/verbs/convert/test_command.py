@@ -116,7 +116,7 @@ def test_intrinsics_are_handed_over(call, tmp_path):
     done = call(tmp_path, "convert", "result.json", "--to", "camera-info", "-o", "info.yaml")
     assert (done.code, "1280 x 720 px, pinhole" in said(done.out)) == (0, True)
     read = read_camera(tmp_path / "info.yaml")
-    written = image_calibration().cameras["color"]
+    written = image_calibration().optics.cameras["color"]
     assert read.values is not None
     assert written.values is not None
     assert read.values.tolist() == written.values.tolist()

@@ -15,6 +15,7 @@ from calib.verbs.convert.camera.options import NOTHING_NAMED, CameraOptions
 from calib.verbs.convert.conversion import convert
 from calib.verbs.convert.convert import FORMATS, Options
 from calib.verbs.convert.text import text
+from tests.parts import with_part
 from tests.verbs.convert.forms import write_forms
 
 LOST = Reason.of(Why.PARAMETER_FAR, largest=0.2)
@@ -42,8 +43,10 @@ def shop(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = write_forms(tmp_path_factory.mktemp("forms"))
     result = read_result(folder / "result.json")
     for name, use in (("bad", NO), ("care", CARE)):
-        write_result(replace(result, verdict=Verdict(use, (LOST,))), folder / f"{name}.json")
-    write_result(replace(result, verdict=None), folder / "none.json")
+        write_result(
+            with_part(result, "trust", verdict=Verdict(use, (LOST,))), folder / f"{name}.json"
+        )
+    write_result(with_part(result, "trust", verdict=None), folder / "none.json")
     convert(str(folder / "bad.json"), folder / "bad.urdf", accept=True)
     return folder
 

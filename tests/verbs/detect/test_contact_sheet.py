@@ -13,9 +13,9 @@ import pytest
 from calib.boards.detection.detect import Detection
 from calib.boards.detection.findings import Finding
 from calib.errors import FileError
-from calib.verbs.detect.contact_sheet import cards_of, write_contact_sheet
+from calib.verbs.detect.contact_sheet import write_contact_sheet
+from tests.boards.detections import detection, picture, view
 from tests.browser import Browser
-from tests.verbs.detect.test_corner_table import detection, picture, view
 
 SMALL = cv2.imencode(".jpg", np.full((48, 64), 90, np.uint8))[1].tobytes()
 
@@ -29,14 +29,20 @@ def found() -> Detection:
     return replace(detection(used, cut, broken), findings=(finding,))
 
 
-def test_a_card_a_picture(found: Detection):
-    cards = list(cards_of(found))
-    assert [card.name for card in cards] == ["a<b>.png", "cut.png", "broken.png"]
-    assert [card.used for card in cards] == [True, False, False]
-    assert cards[0].text == "2 corners"
-    assert cards[0].marks[0].corners == (("10.2", "20.5"), ("300.1", "-0.2"))
-    assert cards[1].marks[0].used is False
-    assert cards[2].marks == ()
+def test_a_figure_a_picture(found: Detection, tmp_path: Path):
+    text = write_contact_sheet(found, tmp_path / "sheet.html").read_text(encoding="utf-8")
+    start, end = "<figure", "</figure>"
+    figures = [start + part.split(end)[0] + end for part in text.split(start)[1:]]
+    used, cut, broken = (figure.replace("<br>", "<br/>") for figure in figures)
+    assert "a&lt;b&gt;.png" in used
+    assert "used: 2 corners" in used
+    assert "unused" not in used
+    assert 'class="bad"' in cut
+    assert '<g class="unused">' in cut
+    assert "wide" in cut
+    assert "<svg" not in broken
+    assert text.count('<li><a href="#p') == 2
+    assert '<a href="#p2">broken.png</a>' in text
 
 
 def test_corners_are_drawn_in_pixels_of_the_picture(found: Detection, tmp_path: Path):

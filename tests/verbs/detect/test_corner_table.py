@@ -4,42 +4,20 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from calib.boards.board import Board
-from calib.boards.detection.board_search import BoardView
 from calib.boards.detection.detect import Detection
 from calib.boards.detection.image_files import ImageFile
-from calib.boards.detection.picture import Picture
 from calib.errors import MeasurementError
 from calib.verbs.detect.corner_table import corner_table, with_cameras, with_rows_only
 from calib.verbs.detect.matching import JointTable, Matches, match, read_joint_table
 from tests.boards.board_views import CHARUCO_BOARD, TAG_BOARD
+from tests.boards.detections import detection, picture, view
 
 BOARD = CHARUCO_BOARD
-
-
-def picture(name: str, *views: BoardView, camera: str = "") -> Picture:
-    return Picture(file=ImageFile(Path(name), name, camera), size=(640, 480), views=views)
-
-
-def view(board: str = "board", reason: str = "") -> BoardView:
-    return BoardView(
-        board=board,
-        ids=np.array([3, 7]),
-        pixels=np.array([[10.25, 20.5], [300.123456, -0.25]]),
-        sigma=np.array([0.02, 0.3]),
-        reason=reason,
-    )
-
-
-def detection(*pictures: Picture, boards: Sequence[Board] = (BOARD,)) -> Detection:
-    return Detection(tuple(boards), pictures, (), 12)
 
 
 def joints_of(folder: Path, text: str, **columns: str) -> JointTable:

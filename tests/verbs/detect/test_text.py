@@ -13,7 +13,8 @@ from calib.boards.detection.findings import Finding
 from calib.verbs.detect.matching import match
 from calib.verbs.detect.text import detection_text, findings_text, not_used, reason_text
 from tests.boards.board_views import CHARUCO_BOARD
-from tests.verbs.detect.test_corner_table import detection, joints_of, picture, view
+from tests.boards.detections import detection, picture, view
+from tests.verbs.detect.test_corner_table import joints_of
 
 SIX_ROWS = replace(CHARUCO_BOARD, rows=6)
 OLD = replace(SIX_ROWS, legacy=True)

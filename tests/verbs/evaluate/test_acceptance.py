@@ -199,7 +199,7 @@ def test_commands_are_refused_where_the_nominal_robot_predicts_them(
             CalibError,
             r"uncertainty of -0.0001 m",
         ),
-        ({"tolerance": {"mm": 0.5}}, CalibError, "'mm' is no unit of residuals"),
+        ({"tolerance": {"mm": 0.5}}, CalibError, "'mm' is not a unit of residuals"),
         (
             {"tolerance": {"m": 1e-3}, "criterion": "best"},
             CalibError,

@@ -170,17 +170,17 @@ def known_again(c: Calibration, m: Measurements) -> np.ndarray:
     """By a result that was written and read, its file's name and hash aside."""
     with TemporaryDirectory() as folder:
         stored = read_result(write_result(c, Path(folder) / "r.json"))
-    return fitted_rows(stored, stored.nominal, replace(m, sha256=""), c.cell)
+    return fitted_rows(stored, stored.nominal, replace(m, sha256=""), c.fit.cell)
 
 
 def test_rows_of_every_kind_are_known_again(case):
     _, c = case
-    wanted = c.measurements.estimation & np.any(c.used, axis=1)
-    assert np.array_equal(known_again(c, c.measurements), wanted)
+    wanted = c.fit.measurements.estimation & np.any(c.rows.channels.used, axis=1)
+    assert np.array_equal(known_again(c, c.fit.measurements), wanted)
 
 
 def test_neither_order_nor_number_nor_set_hides_a_row(default_result: Calibration):
-    m = default_result.measurements
+    m = default_result.fit.measurements
     order = np.random.default_rng(1).permutation(len(m))[:20]
     shuffled = Measurements(m.joint_names, m.joints[order], m.points[order])
     assert np.array_equal(known_again(default_result, shuffled), m.estimation[order])
@@ -191,7 +191,7 @@ def test_a_row_that_was_measured_again_is_another(
     default_result: Calibration, change: float, known: bool
 ):
     """What is lost in rounding is not a measurement; a micrometre is."""
-    m = default_result.measurements
+    m = default_result.fit.measurements
     again = replace(m, points=m.points + change * np.eye(3)[0])
     assert known_again(default_result, again).sum() == known * m.estimation.sum()
 

@@ -36,34 +36,34 @@ def part(setup: Setup, frames: list[int] | None = None, targets: list[int] | Non
 def test_the_nominal_errors_are_those_of_the_fit(case):
     """What a fit says of the nominal robot is what evaluate says of it, for every kind."""
     _, c = case
-    found = evaluate(c.nominal, c.measurements, c.cell)
-    np.testing.assert_allclose(found.residual, c.residual_nominal, rtol=0, atol=1e-9)
-    np.testing.assert_array_equal(found.used, c.used)
+    found = evaluate(c.nominal, c.fit.measurements, c.fit.cell)
+    np.testing.assert_allclose(found.residual, c.rows.residual_nominal, rtol=0, atol=1e-9)
+    np.testing.assert_array_equal(found.used, c.rows.channels.used)
     for name in ("estimation", "validation"):
         assert found.errors[name]["m"].n == c.errors["nominal"][name]["m"].n
     assert found.errors["all"]["m"].n == sum(
         found.errors[k]["m"].n for k in ("estimation", "validation")
     )
     assert "target" in found.registered
-    scene = not {"point", "pose", "pair"} & set(c.measurements.kinds)
-    assert ("frame" in found.registered) == (c.cell.estimate_frame or scene)
+    scene = not {"point", "pose", "pair"} & set(c.fit.measurements.kinds)
+    assert ("frame" in found.registered) == (c.fit.cell.estimate_frame or scene)
 
 
 def test_what_is_known_wins_over_the_cell(calibrated):
     _, c = calibrated("points")
     cell = Cell(target=np.array([0.5, 0.5, 0.5]), estimate_target=False)
-    found = evaluate(c.robot, c.measurements, cell, known=c.setup)
-    np.testing.assert_allclose(found.residual, c.residual_calibrated, atol=1e-9)
-    off = evaluate(c.robot, c.measurements, cell)
+    found = evaluate(c.robot, c.fit.measurements, cell, known=c.setup)
+    np.testing.assert_allclose(found.residual, c.rows.residual_calibrated, atol=1e-9)
+    off = evaluate(c.robot, c.fit.measurements, cell)
     assert off.errors["all"]["m"].rms > 0.3
-    only_frames = evaluate(c.robot, c.measurements, cell, known=c.setup, which=("frame",))
+    only_frames = evaluate(c.robot, c.fit.measurements, cell, known=c.setup, which=("frame",))
     assert only_frames.errors["all"]["m"].rms > 0.3
 
 
 def test_targets_that_a_result_lacks_are_registered(calibrated):
     _, c = calibrated("targets")
     known = part(c.setup, targets=[1])
-    found = evaluate(c.robot, c.measurements, known=known)
+    found = evaluate(c.robot, c.fit.measurements, known=known)
     assert found.registered == ("target",)
     np.testing.assert_array_equal(found.setup.T_tip_target[1], c.setup.T_tip_target[1])
     assert np.linalg.norm(found.setup.T_tip_target[0, :3, 3] - c.target) < 1e-4
@@ -73,14 +73,14 @@ def test_set_ups_that_nothing_is_known_of_are_refused(calibrated):
     _, c = calibrated("known set-ups")
     known = replace(c.setup, groups=("0", "2"))
     with pytest.raises(ModelError, match=r"has the set-ups '0', '2'; the table's '1' are none"):
-        evaluate(c.robot, c.measurements, known=known)
+        evaluate(c.robot, c.fit.measurements, known=known)
 
 
 def test_a_new_socket_is_found(calibrated):
     """What a socket is for: nobody needs to know where it is."""
     _, c = calibrated("sockets")
     known = part(c.setup, frames=[0, 1])
-    found = evaluate(c.robot, c.measurements, known=known)
+    found = evaluate(c.robot, c.fit.measurements, known=known)
     assert found.registered == ("frame",)
     assert (
         found.errors["all"]["m"].rms < 1.05 * c.errors["calibrated"]["estimation"]["m"].rms + 1e-5
@@ -111,8 +111,8 @@ def test_another_target_seen_from_another_place_is_registered_when_asked(make_sc
 def test_rows_that_found_a_set_up_do_not_judge_it_free_of_charge(calibrated):
     """A socket that validation rows alone touch is registered to them, which their random errors pay for."""
     _, c = calibrated("sockets")
-    sets = tuple("validate" if g == "2" else "estimate" for g in c.measurements.groups)
-    found = evaluate(c.robot, replace(c.measurements, sets=sets), c.cell)
+    sets = tuple("validate" if g == "2" else "estimate" for g in c.fit.measurements.groups)
+    found = evaluate(c.robot, replace(c.fit.measurements, sets=sets), c.fit.cell)
     one = accuracy(found)
     assert found.errors["validation"]["m"].rms < 2 * c.errors["calibrated"]["estimation"]["m"].rms
     assert (one.registered, one.rows) == (("target", "frame"), "validation")
@@ -121,7 +121,7 @@ def test_rows_that_found_a_set_up_do_not_judge_it_free_of_charge(calibrated):
 
 def test_the_usual_mistakes_are_looked_for_in_points_only(calibrated):
     _, c = calibrated("planes")
-    assert assess(c.nominal, c.measurements, Cell()).hint is None
+    assert assess(c.nominal, c.fit.measurements, Cell()).hint is None
 
 
 @pytest.mark.parametrize(

@@ -53,8 +53,10 @@ def test_an_acceptance_and_its_accuracy_are_in_si_units(ur3: Robot):
 
 def test_the_document_has_every_key_of_an_evaluation(calibrated: Any, tmp_path: Path):
     _, c = calibrated("poses")
-    cell = replace(c.cell, target=None)
-    found = assess(c.nominal, c.measurements, cell, limits={"tolerance": {"m": 1.0, "rad": 1.0}})
+    cell = replace(c.fit.cell, target=None)
+    found = assess(
+        c.nominal, c.fit.measurements, cell, limits={"tolerance": {"m": 1.0, "rad": 1.0}}
+    )
     stored = json.loads(
         write_table(assessment_table(found), tmp_path / "e.json").read_text(encoding="utf-8")
     )

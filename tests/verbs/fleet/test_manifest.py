@@ -8,9 +8,28 @@ from pathlib import Path
 
 import pytest
 
+from calib.cli.options import FitOptions
+from calib.verbs.fleet.manifest import options_of_row
 from tests.verbs.fleet.test_command import QUICK, arms_shop, manifest
 
 __all__ = ["arms_shop"]
+
+
+def test_the_options_of_a_row_override_those_of_the_line():
+    line = FitOptions(Path("line.toml"), {"base": "base", "hold": ["a=1 m"], "priors": "off"})
+    cells = {"hold": "b=2 m; c=1 deg", "camera": "left=640x480;right=800x600", "model": "dh"}
+    options = options_of_row(cells, Path("folder"), line)
+    assert options.file == Path("line.toml")
+    assert options.given == {
+        "base": "base",
+        "hold": ["b=2 m", "c=1 deg"],
+        "priors": "off",
+        "camera": ["left=640x480", "right=800x600"],
+        "model": "dh",
+    }
+    cell = FitOptions(None, options.given).cell()
+    assert [camera.width for camera in cell.cameras.values()] == [640, 800]
+    assert options_of_row({"cell": "c.toml"}, Path("folder"), line).file == Path("folder/c.toml")
 
 
 @pytest.mark.slow

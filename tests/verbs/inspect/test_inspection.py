@@ -32,19 +32,22 @@ def test_poses_of_a_table_say_what_the_fit_to_them_says(case):
     _, c = case
     cell = Cell(
         **{
-            name: getattr(c.cell, name)
+            name: getattr(c.fit.cell, name)
             for name in ("estimate_frame", "frames", "distances", "payload", "gravity", "held")
         },
         model=c.model.name,
     )
-    found = inspect(c.nominal, cell, c.measurements).observability
-    assert (found.rank, found.columns) == (c.observability.rank, c.observability.columns)
+    found = inspect(c.nominal, cell, c.fit.measurements).observability
+    assert (found.rank, found.columns) == (
+        c.trust.observability.rank,
+        c.trust.observability.columns,
+    )
 
 
 def test_a_known_distance_tells_the_scale(calibrated):
     _, c = calibrated("sockets")
-    with_it = inspect(c.nominal, c.cell, c.measurements).observability
-    without = inspect(c.nominal, Cell(), c.measurements).observability
+    with_it = inspect(c.nominal, c.fit.cell, c.fit.measurements).observability
+    without = inspect(c.nominal, Cell(), c.fit.measurements).observability
     assert with_it.rank == without.rank + 1
     assert any("a2" in u.names for u in without.unidentifiable)
     assert not any("a2" in u.names for u in with_it.unidentifiable)

@@ -7,11 +7,11 @@ from functools import cache
 
 import numpy as np
 import pytest
+from calib.fit.registration.table_optics import initial_optics
 
 from calib.camera import optics as columns
 from calib.camera.camera import Camera
 from calib.data.cell import Cell, Tracker, TrackerNoise
-from calib.fit.registration.cameras import optics_of_rows
 from calib.instruments.camera import SightLimits
 from calib.instruments.tracker import TrackerInstrument
 from calib.model.kinematics import Samples
@@ -170,7 +170,7 @@ def test_noise_is_in_pixels():
 def test_the_numbers_of_the_instrument_are_those_of_the_fit():
     table = model().instrument.stop_rows(in_hand("ur5").robot, ("target",), "")
     stop = np.zeros(len(table), dtype=int)
-    optics, _ = optics_of_rows(table, model().cell, model().setup, stop)
+    optics, _ = initial_optics(table, model().cell, model().setup, stop)
     np.testing.assert_array_equal(model().instrument.optics, optics)
 
 

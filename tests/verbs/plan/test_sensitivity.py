@@ -14,8 +14,7 @@ from calib.errors import ModelError
 from calib.model.kinematics import Kinematics, Samples
 from calib.numerics.rigid_motion import without_rigid_motion
 from calib.result.calibrate import calibrate
-from calib.robot.gravity import gravity_loads
-from calib.robot.payload import Payload
+from calib.robot.gravity import Payload, gravity_loads
 from calib.robot.ranges import random_joint_values, spread_poses
 from calib.verbs.inspect.inspection import inspect
 from calib.verbs.plan.forecast import forecast
@@ -254,10 +253,10 @@ def test_the_forecast_is_what_a_calibration_then_says_of_itself(ur3, name):
     f = forecast(ur3, cell, q)
     table = simulated(ur3, cell, q, np.random.default_rng(3))
     c = calibrate(ur3, table, cell=cell, validate=False, robust=False)
-    found = c.fitted.estimate
+    found = c.fit.geometry.estimate
     assert c.model.names == f.names
     # What the poses tell, parameter by parameter, and over the workspace.
-    sure = c.observability.identifiable
+    sure = c.trust.observability.identifiable
     assert sure.sum() >= 5
     std = np.sqrt(np.diag(found.covariance))
     np.testing.assert_allclose(f.parameter_std[sure], std[sure], rtol=0.15)

@@ -7,11 +7,12 @@ from dataclasses import astuple
 import numpy as np
 import pytest
 
+from calib.basics.records import keys_of
 from calib.data.cell import Cell, Tracker, TrackerNoise
 from calib.errors import CalibError
 from calib.verbs.simulate.disturbances import Encoder, Outliers
 from calib.verbs.simulate.scenario_words import (
-    FIELDS,
+    Disturbances,
     ScenarioWords,
     parse_tracker_noise,
     read_scenario,
@@ -69,7 +70,7 @@ def test_every_key_of_the_table(ur3, tmp_path):
         "[simulation]\nvisits = 3\nencoder_deg = 0.001\nencoder_mm = 0.01\n"
         "outlier_size_mm = 8\ndrift_mm = [0, 0, 0.1]\nmoved_row = 4\nmoved_mm = [1, 0, 0]\nmoved_target = 't'\n"
     )
-    assert all(key in path.read_text() for key in FIELDS)
+    assert all(row.name in path.read_text() for _, row in keys_of(Disturbances))
     made = read_scenario(
         ur3, Cell.read(path), path, ScenarioWords(outliers="2", target_error="2 mm")
     )

@@ -8,8 +8,7 @@ import pinocchio as pin
 import pytest
 
 from calib.data.cell import Cell
-from calib.robot.gravity import gravity_loads
-from calib.robot.payload import Payload
+from calib.robot.gravity import Payload, gravity_loads
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 from calib.verbs.simulate.disturbances import Encoder, MovedTarget, Outliers

@@ -43,13 +43,13 @@ def test_images_without_names_are_told_by_their_poses():
 
 def test_rows_of_other_kinds_are_steps_of_their_own():
     c = made("paper")
-    m = c.measurements
-    e = Evaluation(c.nominal, m, c.nominal_setup, (), c.residual_nominal, c.channels)
+    m = c.fit.measurements
+    e = Evaluation(c.nominal, m, c.nominal_setup, (), c.rows.residual_nominal, c.rows.channels)
     steps = steps_of(e, e, flagged_rows(c))
     assert not steps.of_images
     assert steps.labels == tuple(f"row {row}" for row in m.rows)
     np.testing.assert_allclose(
-        steps.errors["m"][0], np.linalg.norm(c.residual_nominal, axis=1), rtol=1e-12
+        steps.errors["m"][0], np.linalg.norm(c.rows.residual_nominal, axis=1), rtol=1e-12
     )
 
 

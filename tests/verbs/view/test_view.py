@@ -24,6 +24,7 @@ from calib.verbs.view.view import (
     view_of_robots,
 )
 from tests.hard_cases import made, many_rows, with_rows
+from tests.parts import with_part
 
 
 @pytest.fixture(scope="module")
@@ -60,12 +61,12 @@ def test_of_many_rows_an_even_choice_is_shown_with_the_flagged_ones():
     view = view_of(c)
     assert 300 < len(view.q) <= MOST_ROWS
     assert view.rows == 6000
-    flagged = {f"row {outlier.row}" for outlier in (*c.outliers, *c.suspects)}
+    flagged = {f"row {outlier.row}" for outlier in (*c.rows.outliers, *c.rows.suspects)}
     assert flagged
     assert {n for n, k in zip(view.labels, view.kinds, strict=True) if k == "flagged"} == flagged
     numbers = [int(label.removeprefix("row ")) for label in view.labels]
     assert max(np.diff(numbers)) < 20
-    np.testing.assert_array_equal(view.q, c.measurements.joints[np.array(numbers) - 1])
+    np.testing.assert_array_equal(view.q, c.fit.measurements.joints[np.array(numbers) - 1])
     np.testing.assert_allclose(distances(view), view.errors["m"], atol=1e-12)
     assert view.kinds[view.start] == "estimation"
 
@@ -94,19 +95,21 @@ def test_every_row_is_a_pose_and_a_typical_row_is_shown_first(result):
 def test_measured_points_are_shown_in_the_base_frame_and_the_tracker_where_it_stands(result):
     T = translation([2.0, -1.0, 0.4])
     T[:3, :3] = [[0, -1, 0], [1, 0, 0], [0, 0, 1]]
-    moved = replace(result.measurements, points=result.measurements.points @ T[:3, :3].T + T[:3, 3])
-    setup = result.setup.placed(T[None], result.setup.T_tip_target)
-    view = view_of(with_rows(replace(result, setup=setup), moved))
-    np.testing.assert_allclose(view.measured, result.measurements.points, atol=1e-12)
+    moved = replace(
+        result.fit.measurements, points=result.fit.measurements.points @ T[:3, :3].T + T[:3, 3]
+    )
+    setup = result.setup.with_poses(T[None], result.setup.T_tip_target)
+    view = view_of(with_rows(with_part(result, "geometry", setup=setup), moved))
+    np.testing.assert_allclose(view.measured, result.fit.measurements.points, atol=1e-12)
     np.testing.assert_allclose(view.instruments, [np.linalg.inv(T)], atol=1e-12)
 
 
 @pytest.mark.slow
 def test_errors_in_the_picture_are_those_of_the_tables_when_the_frame_is_estimated(result):
     cell = Cell(estimate_frame=True)
-    calibrated = calibrate(result.nominal, result.measurements, cell=cell, validate=False)
+    calibrated = calibrate(result.nominal, result.fit.measurements, cell=cell, validate=False)
     view = view_of(calibrated)
-    off = np.linalg.norm(calibrated.residual_nominal, axis=1)
+    off = np.linalg.norm(calibrated.rows.residual_nominal, axis=1)
     np.testing.assert_allclose(distances(view)[0], off, atol=1e-12)
     # Each of the two finds the tracker elsewhere: without that, the number would be another.
     elsewhere = distances(replace(view, T_base_nominal=np.eye(4)))[0]
@@ -171,11 +174,11 @@ def test_one_robot_moves_one_joint_after_the_other(gantry):
 
 
 def test_robots_and_a_table_show_what_evaluate_says(result):
-    alone = view_of_robots(result.nominal, None, result.measurements, cells=[result.cell])
+    alone = view_of_robots(result.nominal, None, result.fit.measurements, cells=[result.fit.cell])
     assert (alone.title, alone.calibrated) == ("ur3", None)
     np.testing.assert_allclose(alone.errors["m"][0], view_of(result).errors["m"][0])
     both = view_of_robots(
-        result.nominal, result.robot, result.measurements, cells=[result.cell] * 2
+        result.nominal, result.robot, result.fit.measurements, cells=[result.fit.cell] * 2
     )
     np.testing.assert_allclose(distances(both), both.errors["m"], atol=1e-12)
     assert both.labels[both.start] == "row 7"  # here outliers count as fitted
@@ -183,14 +186,14 @@ def test_robots_and_a_table_show_what_evaluate_says(result):
 
 
 def test_a_stored_result_shows_the_errors_of_the_fit_from_either_robot(result, stored):
-    shown = view_of_result(stored, result.nominal, result.measurements)
+    shown = view_of_result(stored, result.nominal, result.fit.measurements)
     fresh = view_of(result)
     np.testing.assert_allclose(shown.errors["m"], fresh.errors["m"], atol=1e-9)
     assert (shown.kinds, shown.start, shown.note) == (fresh.kinds, fresh.start, fresh.note)
-    other = view_of_result(stored, result.robot, result.measurements)
+    other = view_of_result(stored, result.robot, result.fit.measurements)
     np.testing.assert_allclose(shown.predicted, other.predicted, atol=1e-9)
     # Row numbers of another table mean other rows.
-    another = replace(result.measurements, sha256="0")
+    another = replace(result.fit.measurements, sha256="0")
     assert "flagged" not in view_of_result(stored, result.nominal, another).kinds
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from calib.basics.arrays import Array, Integers, Mask
 from calib.camera import optics
 from calib.camera.lenses import LENSES
-from calib.fit.registration.cameras import corners_of
+from calib.fit.registration.table_optics import number_corners
 from calib.fit.registration.table_rows import rows_and_setup
 from calib.result.calibration import Calibration
 from calib.show.row_values import flagged_rows
@@ -35,13 +35,13 @@ def has_images(c: Calibration) -> bool:
 
 def all_pixels_are_images(c: Calibration) -> bool:
     """Tell if no other rows than images of corners measure pixels."""
-    measures_pixels = np.any(c.channels.where("px"), axis=1)
+    measures_pixels = np.any(c.rows.channels.where("px"), axis=1)
     return bool(np.all(_is_image(c)[measures_pixels]))
 
 
 def _is_image(c: Calibration) -> Mask:
     """Return the rows that are images of corners, shape (N,)."""
-    return c.measurements.where(lambda kind: kind.optical)
+    return c.fit.measurements.where(lambda kind: kind.optical)
 
 
 def seen_corners(c: Calibration) -> tuple[SeenCorners, ...]:
@@ -60,14 +60,14 @@ def seen_corners(c: Calibration) -> tuple[SeenCorners, ...]:
 
 def _prediction(c: Calibration) -> _Prediction:
     """Predict all rows with the calibrated robot, camera and board."""
-    rows, _ = rows_and_setup(c.nominal, c.measurements, c.cell)
-    T_base_tip = c.robot.poses(c.measurements.joints_for(c.nominal.joint_names))
+    rows, _ = rows_and_setup(c.nominal, c.fit.measurements, c.fit.cell)
+    T_base_tip = c.robot.poses(c.fit.measurements.joints_for(c.nominal.joint_names))
     values = c.setup.optics_at(rows.samples)
     assert values is not None
     return _Prediction(
         T_frame_target=c.setup.target_poses(T_base_tip, rows.samples),
         optics=values.values,
-        images=_image_names(c.measurements.images, rows.blocks),
+        images=_image_names(c.fit.measurements.images, rows.blocks),
     )
 
 
@@ -80,8 +80,8 @@ def _image_names(images: tuple[str, ...], poses: Integers) -> tuple[str, ...]:
 
 def _of_camera(c: Calibration, predicted: _Prediction, at: Integers) -> SeenCorners:
     """Return the corners that one camera saw, by their indices ``at`` in the table."""
-    m = c.measurements
-    names, corner = corners_of(m)
+    m = c.fit.measurements
+    names, corner = number_corners(m)
     values = predicted.optics[at]
     T_camera_board = predicted.T_frame_target[at]
     printed = optics.board_points(values)
@@ -92,7 +92,7 @@ def _of_camera(c: Calibration, predicted: _Prediction, at: Integers) -> SeenCorn
     if c.cross_validation is not None:
         held_out[m.estimation] = c.cross_validation.residual[:, :2]
     name = _camera_of(c, m.groups[at[0]])
-    camera = c.cell.cameras[name]
+    camera = c.fit.cell.cameras[name]
     return SeenCorners(
         camera=name or camera.name,
         size=(camera.width, camera.height),
@@ -101,8 +101,8 @@ def _of_camera(c: Calibration, predicted: _Prediction, at: Integers) -> SeenCorn
         corners=tuple(names[corner[i]] for i in at),
         rows=at,
         measured=np.column_stack([m.reading("u"), m.reading("v")])[at],
-        nominal=c.residual_nominal[at, :2],
-        calibrated=c.residual_calibrated[at, :2],
+        nominal=c.rows.residual_nominal[at, :2],
+        calibrated=c.rows.residual_calibrated[at, :2],
         held_out=held_out[at],
         validation=m.validation[at],
         flagged=flagged_rows(c)[at],
@@ -115,12 +115,12 @@ def _of_camera(c: Calibration, predicted: _Prediction, at: Integers) -> SeenCorn
 
 def _camera_of(c: Calibration, station: str) -> str:
     """Return the name by which the cell has the camera of a station: one without a name may stand at several."""
-    return station if station in c.cell.cameras else ""
+    return station if station in c.fit.cell.cameras else ""
 
 
 def _printed_board(c: Calibration, target: str) -> str:
     """Return the name of the board that a target is: one without a name may have been moved to several places."""
-    boards = c.cell.boards
+    boards = c.fit.cell.boards
     if target not in boards and "" in boards:
         return boards[""].name
     return target
@@ -142,7 +142,7 @@ class JointSpan:
 
 def joint_spans(c: Calibration) -> tuple[JointSpan, ...]:
     """Return the values of each joint in the fitted images, in the order of the URDF."""
-    m = c.measurements
+    m = c.fit.measurements
     chosen = _is_image(c) & m.estimation
     if not np.any(chosen):
         chosen = _is_image(c)

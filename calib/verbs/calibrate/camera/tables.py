@@ -7,15 +7,15 @@ from calib.result.calibration import Calibration
 from calib.show.table import Table
 from calib.verbs.calibrate.camera.of_calibration import all_pixels_are_images
 from calib.verbs.calibrate.tables import error_cells, figures_by_label
-from calib.verbs.calibrate.text import held_out_text
+from calib.verbs.calibrate.text import errors_at_board, held_out_text
 
-#: Sets of rows on a first page, by their names in `Calibration.errors_at_board`; the first ones that there are.
+#: Sets of rows on a first page, by their labels in `errors_at_board`; the first ones that there are.
 _FIRST_PAGE = (("validation rows", "held-out rows*"), ("estimation rows",))
 
 
 def image_errors(c: Calibration) -> Table:
     """Tabulate the errors of each set of rows in the image, and beside them at the board; no rows without images."""
-    at_board = c.errors_at_board
+    at_board = errors_at_board(c)
     rows: list[tuple[str, ...]] = []
     strong: list[int] = []
     for label, figures in figures_by_label(c, "px").items() if at_board else ():
@@ -42,8 +42,8 @@ def image_errors(c: Calibration) -> Table:
 
 def units_of_tables(c: Calibration) -> tuple[str, ...]:
     """Return the units of which a table of errors is needed: not of pixels where `image_errors` has all of them."""
-    of_images = c.errors_at_board and all_pixels_are_images(c)
-    return tuple(unit for unit in c.channels.present if not (unit == "px" and of_images))
+    of_images = c.rows.metres_per_pixel is not None and all_pixels_are_images(c)
+    return tuple(unit for unit in c.rows.channels.present if not (unit == "px" and of_images))
 
 
 def with_errors_at_board(table: Table, c: Calibration) -> Table:
@@ -54,11 +54,12 @@ def with_errors_at_board(table: Table, c: Calibration) -> Table:
         c: The result.
     """
     rows = [*table.rows]
+    at_board = errors_at_board(c)
     name = "position at the board [mm]"
     for labels in _FIRST_PAGE:
         for label in labels:
-            before = _metres(c.errors_at_board, f"{label}, nominal")
-            after = _metres(c.errors_at_board, f"{label}, calibrated")
+            before = _metres(at_board, f"{label}, nominal")
+            after = _metres(at_board, f"{label}, calibrated")
             if before is not None and after is not None:
                 cells = (*error_cells(before), *error_cells(after))
                 rows.append((name, label.rstrip("*"), f"{after.n:,}", *cells))

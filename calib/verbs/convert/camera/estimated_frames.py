@@ -44,7 +44,7 @@ def estimated_camera(calibration: Calibration, name: str | None = None) -> Estim
     setup = calibration.setup
     index = index_of("camera", "--camera", name, setup.groups)
     is_estimated = len(setup.unknown[index]) == len(DIRECTIONS)
-    if not (is_estimated or setup.frame_given[index] or calibration.tells_place):
+    if not (is_estimated or setup.frame_given[index] or calibration.rows.tells_place):
         raise ModelError(
             f"No measurement of this result tells where the camera '{setup.groups[index]}' is: its kinds are "
             f"{choices(dict.fromkeys(calibration.rows.kinds))}. Calibrate with pictures of a board, kind 'pixel'."

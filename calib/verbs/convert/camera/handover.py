@@ -9,7 +9,8 @@ from calib.basics.values import Value
 from calib.errors import CalibError, UrdfError, choices
 from calib.result.calibration import Calibration
 from calib.robot.robot import Robot
-from calib.robot.urdf import Urdf, UrdfJoint
+from calib.robot.urdf import Urdf
+from calib.robot.urdf_tree import UrdfJoint
 from calib.verbs.convert.camera.estimated_frames import (
     EstimatedFrame,
     estimated_board,

@@ -9,7 +9,7 @@ import numpy as np
 
 from calib.basics.arrays import Array
 from calib.basics.files import write_atomically
-from calib.basics.mappings import ReadOnlyMapping
+from calib.basics.values import ReadOnlyMapping
 from calib.camera.camera import Camera
 from calib.camera.camera_file import camera_info_yaml, opencv_yaml
 from calib.camera.camera_yaml import camera_of_yaml
@@ -61,7 +61,7 @@ def calibrated_camera(calibration: Calibration, name: str | None) -> Camera:
     Raises:
         ModelError: See `camera_of_station`.
     """
-    return camera_of_station(calibration.cameras, calibration.setup.groups, name)
+    return camera_of_station(calibration.optics.cameras, calibration.setup.groups, name)
 
 
 def camera_of_station(

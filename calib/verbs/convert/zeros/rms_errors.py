@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from calib.basics.channels import RESIDUAL_UNITS
-from calib.basics.mappings import keep_read_only
-from calib.basics.values import Value
+from calib.basics.values import Value, keep_read_only
 from calib.errors import VerdictError
 from calib.numerics.errors import Errors
 from calib.result.calibration import Calibration
@@ -79,7 +78,7 @@ def _errors_of_robots(calibration: Calibration, rows: str) -> dict[str, Errors]:
     if rows != HELD_OUT:
         return {name: errors[rows] for name, errors in calibration.errors.items()}
     validations = {
-        "nominal": calibration.nominal_cross_validation,
+        "nominal": calibration.trust.nominal_cross_validation,
         "calibrated": calibration.cross_validation,
     }
     if calibration.non_geometric is not None:

@@ -7,6 +7,7 @@ import pytest
 
 from calib.errors import ModelError
 from calib.verbs.convert.camera.estimated_frames import estimated_board, estimated_camera
+from tests.parts import with_part
 from tests.verbs.convert.camera.arms import T_BASE_BOARD, T_TOOL_OPTICAL, calibration, pose
 
 
@@ -39,7 +40,7 @@ def two_of_each():
         T_tip_target=targets,
         unknown=setup.unknown * 2,
     )
-    return replace(result, setup=both)
+    return with_part(result, "geometry", setup=both)
 
 
 def test_of_several_one_is_named():
@@ -64,13 +65,16 @@ def test_a_camera_that_is_not_named_or_does_not_exist(name, words):
 
 def test_a_point_is_no_board_and_a_frame_that_no_row_places_is_no_camera():
     result = calibration()
-    points = replace(result, setup=replace(result.setup, oriented=False))
+    points = with_part(result, "geometry", setup=replace(result.setup, oriented=False))
     with pytest.raises(ModelError, match="'board' of this result is a point"):
         estimated_board(points)
     rows = replace(result.rows, kinds=("plane",) * len(result.rows))
     plane = replace(result.setup, unknown=(("z", "rx", "ry"),))
     with pytest.raises(ModelError, match="'plane'"):
-        estimated_camera(replace(result, rows=rows, setup=plane))
+        estimated_camera(with_part(replace(result, rows=rows), "geometry", setup=plane))
     given = replace(plane, frame_given=np.array([True]))
     for setup in (result.setup, given):
-        assert estimated_camera(replace(result, rows=rows, setup=setup)).link == "tool0"
+        assert (
+            estimated_camera(with_part(replace(result, rows=rows), "geometry", setup=setup)).link
+            == "tool0"
+        )

@@ -29,7 +29,7 @@ def test_ros_has_the_camera_that_was_estimated(tmp_path):
     np.testing.assert_allclose(K[:2, 2], INTRINSICS[2:4], rtol=0, atol=0.8)
     np.testing.assert_allclose(D, INTRINSICS[4:], rtol=0, atol=0.02)
     np.testing.assert_array_equal(
-        [K[0, 0], K[1, 1], K[0, 2], K[1, 2], *D], image_calibration().cameras["color"].values
+        [K[0, 0], K[1, 1], K[0, 2], K[1, 2], *D], image_calibration().optics.cameras["color"].values
     )
 
 
@@ -40,7 +40,7 @@ def test_opencv_reads_its_file(tmp_path):
     storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
     K = storage.getNode("camera_matrix").mat()
     D = storage.getNode("distortion_coefficients").mat()
-    values = image_calibration().cameras["color"].values
+    values = image_calibration().optics.cameras["color"].values
     np.testing.assert_array_equal([K[0, 0], K[1, 1], K[0, 2], K[1, 2], *D.ravel()], values)
 
 

@@ -63,7 +63,7 @@ def test_a_published_pose():
 
 
 def test_intrinsics_with_their_standard_deviations():
-    camera = image_calibration().cameras["color"]
+    camera = image_calibration().optics.cameras["color"]
     assert camera.values is not None
     assert camera.sigma is not None
     text = words("camera-info", "camera.yaml", IMAGES)

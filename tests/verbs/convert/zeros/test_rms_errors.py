@@ -25,7 +25,7 @@ def test_the_errors_are_those_of_the_result():
     result = ur3_result()
     rms_errors = rms_errors_of(result)
     held_out = result.cross_validation.errors_without_outliers["m"].rms
-    nominal = result.nominal_cross_validation.errors_without_outliers["m"].rms
+    nominal = result.trust.nominal_cross_validation.errors_without_outliers["m"].rms
     assert (rms_errors.calibrated["m"], rms_errors.nominal["m"]) == (held_out, nominal)
     assert rms_errors.zeros["m"] == result.zeros.errors["m"].rms()
     assert rms_errors.non_geometric is None

@@ -190,7 +190,7 @@ def test_an_entry_that_is_not_understood_is_refused(tmp_path, key, value, said):
 
 def test_zeros_that_are_no_better_than_none_are_refused(tmp_path: Path):
     result = ur3_result()
-    nominal = result.nominal_cross_validation.errors_without_outliers["m"].rms
+    nominal = result.trust.nominal_cross_validation.errors_without_outliers["m"].rms
     zeros = result.zeros
     m = len(zeros.joints)
     worse = SquaredErrors(28, nominal**2, np.zeros(m), np.zeros((m, m)))

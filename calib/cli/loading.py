@@ -1,0 +1,146 @@
+"""Robot and rows that a call names: the chain of its cell, the table, the chain and the target of a result."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from calib.cli.options import TableOptions
+from calib.errors import CalibError, choices
+
+if TYPE_CHECKING:
+    from calib.data.cell import Cell
+    from calib.data.measurements import Measurements
+    from calib.result.calibration import Calibration
+    from calib.robot.robot import Robot
+
+
+def load(robot: str, cell: Cell, measured: Collection[str] | None = None) -> Robot:
+    """Load a robot's chain between the cell's base and tip, with the joints that the cell holds and couples.
+
+    Args:
+        robot: URDF, xacro, or name.
+        cell: Names base, tip, held joints and coupled readings.
+        measured: Names of the joints whose values are known, which decide a tip that the cell does not name.
+
+    Returns:
+        The chain.
+    """
+    from calib.robot.robot import Robot
+
+    return Robot.load(robot, cell.base, cell.tip, measured, cell.held, cell.coupling)
+
+
+def load_with_data(
+    robot: str,
+    cell: Cell,
+    data: Path,
+    table_options: TableOptions | None = None,
+) -> tuple[Robot, Measurements]:
+    """Load a robot and a table whose joint columns are those of its chain.
+
+    A tip that the cell does not name is the end of the longest chain whose joints all have a column.
+
+    Args:
+        robot: URDF, xacro, or name.
+        cell: Names base, tip, held joints and the kind of the rows.
+        data: The table.
+        table_options: How the table is read, as typed; None: nothing was.
+
+    Returns:
+        Robot and measurements.
+
+    Raises:
+        CalibError: Arguments in the wrong order, or a unit without a list of points.
+    """
+    from calib.basics.tables import Table
+    from calib.data.columns import column_names
+    from calib.data.measurements import Measurements
+    from calib.robot.dh.file import is_other_table
+
+    options = table_options or TableOptions()
+    points, points_unit = options.points, options.points_unit
+    if points_unit is not None and points is None:
+        raise CalibError(
+            "--points-unit is the unit of a list of points; name the list with --points."
+        )
+    if is_other_table(robot):
+        raise CalibError(
+            f"'{robot}' is in the place of the robot, and is not a table of DH rows: it has no columns of d and alpha. "
+            "ROBOT comes first, then DATA."
+        )
+    columns = options.parsed()
+    table = Table.read(data)
+    arm = load(robot, cell, column_names(table, columns))
+    measurements = Measurements.read(
+        table, arm.joint_names, arm.joint_types, columns, cell.kind, points, points_unit
+    )
+    return arm, measurements
+
+
+def with_chain_of_result(cell: Cell, result: Calibration, name: str) -> Cell:
+    """Return the cell with the chain of a result, its held joints and coupled readings; held values of the cell win.
+
+    Args:
+        cell: As given.
+        result: A calibration.
+        name: Its file, for messages.
+
+    Raises:
+        CalibError: The cell names another base or tip: frame and target of the result would mean another pose; or it
+            couples other readings.
+    """
+    chain = result.nominal
+    for option, given, required in (
+        ("base", cell.base, chain.base),
+        ("tip", cell.tip, chain.tip),
+    ):
+        if given is not None and given != required:
+            raise CalibError(
+                f"{name} is the result for --{option} {required}, and '{given}' was given."
+            )
+    held = {**chain.held, **cell.held}
+    coupling = coupling_of_result(cell, result, name)
+    return replace(cell, base=chain.base, tip=chain.tip, held=held, coupling=coupling)
+
+
+def coupling_of_result(cell: Cell, result: Calibration, name: str) -> Mapping[str, Any]:
+    """Return the coupled readings of a result, by name; CalibError if the cell couples others.
+
+    Args:
+        cell: As given.
+        result: A calibration.
+        name: Its file, for messages.
+    """
+    of_result = result.nominal.reading_coupling
+    if cell.coupling and cell.coupling != of_result:
+        coupled = choices(of_result) or "no joint"
+        raise CalibError(
+            f"{name} is the result for coupled readings of {coupled}, and the cell file couples those of "
+            f"{choices(cell.coupling)} otherwise. Leave out [coupling]: the result knows its own."
+        )
+    return of_result
+
+
+def with_target_link(robot: Robot, cell: Cell) -> Cell:
+    """Return the cell with the target at the URDF's link ``calib_target``, if it has one at this tip.
+
+    Args:
+        robot: Its URDF may have the link, which an earlier calibration added.
+        cell: Names no target.
+    """
+    from calib.robot.urdf import TARGET_LINK
+
+    if robot.tip == TARGET_LINK:
+        return cell.with_target((0.0, 0.0, 0.0), estimate=cell.estimate_target)
+    if TARGET_LINK not in robot.urdf.links:
+        return cell
+    with_link = robot.rebuilt(tip=TARGET_LINK)
+    if with_link.joint_names != robot.joint_names:
+        return cell
+    T_last_target = with_link.placements[-1]
+    T_last_tip = robot.placements[-1]
+    p_tip_target = T_last_tip[:3, :3].T @ (T_last_target[:3, 3] - T_last_tip[:3, 3])
+    return cell.with_target(p_tip_target, estimate=cell.estimate_target)

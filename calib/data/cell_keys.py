@@ -1,0 +1,387 @@
+"""Keys of a cell file, the forms of their values, and checks of these in memory, for the fields of `calib.data.cell`.
+
+Poses, the noise of each unit, the measurement frame, changes of parameters with their units, and cameras and boards,
+which may stand in files of their own.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from calib.basics.arrays import Array
+from calib.basics.channels import RESIDUAL_UNITS
+from calib.basics.records import Key, Option, add_entries, read_parts
+from calib.basics.units import ANGLE, COMPLIANCE, LENGTH, PLAIN, is_number, parse_quantity
+from calib.basics.value_forms import (
+    POINT_MM,
+    TABLE,
+    Check,
+    Form,
+    Place,
+    form,
+    number,
+    three_numbers,
+)
+from calib.basics.values import ReadOnlyMapping
+from calib.boards.board import Board
+from calib.boards.board_file import board_of_table, read_board
+from calib.camera.camera import Camera
+from calib.camera.camera_file import camera_of_table, read_camera
+from calib.data.kinds import SIGMAS
+from calib.data.priors import PRIOR_STD_RANGE
+from calib.errors import CalibError, choices
+from calib.model.error_model import DIRECTIONS
+from calib.model.families import FAMILIES
+from calib.numerics.geometry import FARTHEST, pose_of, pose_or_none, position_in_tip
+
+#: A camera or a board.
+_Described = TypeVar("_Described")
+
+
+# Poses and noise
+
+
+def _rpy_matrix(rpy: Array) -> Array:
+    """Return Rz(yaw) Ry(pitch) Rx(roll), shape (3, 3), of roll, pitch, yaw [deg]."""
+    matrix: Array = Rotation.from_euler("xyz", np.radians(rpy)).as_matrix()
+    return matrix
+
+
+#: Roll, pitch, yaw about fixed axes, as a rotation matrix (3, 3).
+RPY_DEG = three_numbers("deg", _rpy_matrix)
+
+
+def pose_keys(prefix: str, what: str, *, needed: bool = False) -> Sequence[Key]:
+    """Return the keys of a pose, whose parts are the arguments of `calib.numerics.geometry.pose_of`.
+
+    Args:
+        prefix: Begins the keys.
+        what: What the pose is of, ``"the base in the measurement frame"``.
+        needed: Whether the position must be given.
+    """
+    position = f"Position of {what}."
+    orientation = f"Orientation of {what}: roll, pitch, yaw as in a URDF."
+    return (
+        Key(f"{prefix}xyz_mm", POINT_MM, position, "0, 0, 0", part="xyz", needed=needed),
+        Key(f"{prefix}rpy_deg", RPY_DEG, orientation, "0, 0, 0", part="rotation"),
+    )
+
+
+def pose_form(what: str) -> Form:
+    """Return the form of a table with the keys of a pose, as T, shape (4, 4) [m]."""
+    rows = pose_keys("", what)
+
+    def read(value: Any, place: Place) -> Array:  # noqa: ANN401
+        return pose_of(**read_parts(rows, TABLE.read(value, place), place))
+
+    return Form("a table with xyz_mm and rpy_deg", read)
+
+
+def sigma_keys() -> Sequence[Key]:
+    """Return the keys of the standard deviations of measured scalars, one for each unit of residuals."""
+    rows = []
+    for symbol, unit in RESIDUAL_UNITS.items():
+        meaning = (
+            f"Standard deviation of a measured {unit.measured}, {unit.per}; the start value of its estimate. "
+            f"A column `{unit.sigma_name}` of the table overrides it."
+        )
+        rows.append(Key(unit.sigma_key, number(unit.shown), meaning, "estimated", part=symbol))
+    return rows
+
+
+# The measurement frame
+
+
+def frame_of(value: str | Sequence[str]) -> tuple[bool, tuple[str, ...]]:
+    """Return what the key ``frame`` says of the measurement frame.
+
+    Args:
+        value: ``"known"``, ``"estimate"`` (in all directions), or the directions of the base that are estimated, as a
+            list or a text such as ``"x,y,rz"``.
+
+    Returns:
+        Whether it is estimated, and in which directions.
+
+    Raises:
+        ValueError: Anything else.
+    """
+    if value in ("known", "estimate"):
+        return value == "estimate", DIRECTIONS
+    words = value.replace(",", " ").split() if isinstance(value, str) else value
+    if not words or not {*words} <= {*DIRECTIONS}:
+        raise ValueError
+    return True, tuple(words)
+
+
+_FRAME = f"'known', 'estimate' or some of {', '.join(DIRECTIONS)}; its place is frame_xyz_mm and frame_rpy_deg"
+FRAME_ESTIMATED = form(_FRAME, lambda value: frame_of(value)[0])
+FRAME_DIRECTIONS = form(_FRAME, lambda value: frame_of(value)[1])
+
+
+# Changes of parameters, with their units
+
+#: An example of a change of each quantity, for messages.
+_EXAMPLES = {LENGTH: '"0.5 mm"', ANGLE: '"1 mrad"', PLAIN: "1e-3", COMPLIANCE: '"1e-5 rad/Nm"'}
+
+#: Quantities of geometric parameters by a pattern of their names, see docs/parameters.md; the first that fits is taken.
+_PARAMETERS: tuple[tuple[str, tuple[str, ...]], ...] = (
+    (r"[ad]\d+|(frame|target)_[xyz](\[.*\])?|.*\.[xyz]", (LENGTH,)),
+    (r"(alpha|beta|theta)\d+|(frame|target)_r[xyz](\[.*\])?|.*\.r[xyz]", (ANGLE,)),
+    (r".*\.zero", (LENGTH, ANGLE)),
+)
+
+
+def _quantities_of(parameter: str) -> tuple[str, ...]:
+    """Return the quantities that a parameter may be of, by its name; all if none is known."""
+    for pattern, quantities in _PARAMETERS:
+        if re.fullmatch(pattern, parameter):
+            return quantities
+    factor_name = parameter.rpartition(".")[2]
+    quantities_of_families = []
+    for family in FAMILIES.values():
+        if factor_name in [factor.name for factor in family.factors]:
+            units = (family.unit, family.sliding)
+            quantities_of_families += [unit.quantity for unit in units if unit]
+    return tuple(dict.fromkeys(quantities_of_families)) or tuple(_EXAMPLES)
+
+
+def _read_change(value: Any, place: Place) -> float:  # noqa: ANN401
+    """Read a change, in SI units, of the parameter whose name is that of the place."""
+    allowed = _quantities_of(place.name)
+    examples = " or ".join(_EXAMPLES[quantity] for quantity in allowed)
+    try:
+        change, quantity = parse_quantity(value)
+    except CalibError as error:
+        raise CalibError(f"{place}: {error}. Write {examples}.") from error
+    if quantity not in allowed:
+        raise CalibError(f"{place} is {value!r}, which is {quantity}; write {examples}.")
+    return change
+
+
+def _read_bounds(value: Any, place: Place) -> tuple[float, ...]:  # noqa: ANN401
+    """Read the least and the largest change of a parameter; one value stands for both signs."""
+    if isinstance(value, list):
+        return tuple(_read_change(bound, place) for bound in value)
+    largest = _read_change(value, place)
+    return -largest, largest
+
+
+def _read_tie(value: Any, _place: Place) -> Any:  # noqa: ANN401
+    """Read what a parameter is tied to: another one's name, or its name and a factor."""
+    return (value, 1.0) if isinstance(value, str) else value
+
+
+#: The change of a parameter from its nominal value.
+CHANGE = Form('a change with its unit, "0.5 mm"', _read_change)
+
+#: The least and the largest change.
+BOUNDS = Form('one change for both directions, or two: ["-0.02 deg", "1 mrad"]', _read_bounds)
+
+#: Another parameter and a factor.
+TIE = Form('another parameter, or a parameter and a factor: ["a2", -1.0]', _read_tie)
+
+
+# Cameras and boards
+
+
+def optics_keys(
+    word: str,
+    read: Callable[[Mapping[str, Any], str, Path], _Described],
+    option: Option,
+    meanings: tuple[str, str],
+) -> Sequence[Key]:
+    """Return the keys of a table without a name, ``[camera]``, and of those by name, ``[cameras.left]``.
+
+    Args:
+        word: ``"camera"`` or ``"board"``.
+        read: Reads one from (its table, its heading, the folder where names of files begin).
+        option: The option that adds some.
+        meanings: Help of both keys.
+    """
+
+    def read_single(value: Any, place: Place) -> _Described:  # noqa: ANN401
+        return read(TABLE.read(value, place), place.heading, place.folder)
+
+    def read_several(value: Any, place: Place) -> dict[str, _Described]:  # noqa: ANN401
+        result = {}
+        for name, given in TABLE.read(value, place).items():
+            if not name:
+                raise CalibError(f"{place.heading} has a table without a name; write [{word}].")
+            # One with a name is called by it unless it says otherwise.
+            table = {"name": name, **TABLE.read(given, place.key(name))}
+            result[name] = read(table, f"[{word}s.{name}]", place.folder)
+        return result
+
+    single, several = meanings
+    return (
+        Key(word, Form("a table", read_single), single, "none", (option,), part="single"),
+        Key(f"{word}s", Form("tables", read_several), several, "none", part="several"),
+    )
+
+
+def by_name(
+    single: _Described | None = None, several: Mapping[str, _Described] | None = None
+) -> dict[str, _Described]:
+    """Return cameras or boards by their names in the cell; ``""`` for the one without a name."""
+    return {**({} if single is None else {"": single}), **(several or {})}
+
+
+#: The size of images: width and height [px].
+_IMAGE_SIZE = re.compile(r"(\d{2,5})\s*x\s*(\d{2,5})")
+
+
+def _parse_cameras(typed: Iterable[str], flag: str) -> dict[str, Camera]:
+    """Return the cameras of ``[NAME=]FILE`` or ``[NAME=]WIDTHxHEIGHT``, by name."""
+    result: dict[str, Camera] = {}
+    for name, file in _named_files(typed, flag).items():
+        size = _IMAGE_SIZE.fullmatch(file)
+        if size is None:
+            result[name] = read_camera(file)
+        else:
+            result[name] = Camera(width=int(size[1]), height=int(size[2]))
+    return result
+
+
+def _parse_boards(typed: Iterable[str], flag: str) -> dict[str, Board]:
+    """Return the boards of ``[NAME=]FILE``, by name."""
+    return {name: read_board(path) for name, path in _named_files(typed, flag).items()}
+
+
+def _named_files(typed: Iterable[str], flag: str) -> dict[str, str]:
+    """Return what follows the names in ``NAME=FILE``, by name, ``""`` without one; CalibError for a name twice."""
+    result: dict[str, str] = {}
+    for word in typed:
+        before, equals, after = word.partition("=")
+        name = before.strip() if equals else ""
+        if name in result:
+            which = f"'{name}'" if name else "one without a name"
+            raise CalibError(f"{flag} is given twice for {which}; put NAME= before each.")
+        result[name] = after.strip() if equals else word.strip()
+    return result
+
+
+def camera_keys() -> Sequence[Key]:
+    """Return the keys of cameras."""
+    option = Option(
+        "--camera",
+        metavar="[NAME=]FILE|WIDTHxHEIGHT",
+        type=list[str],
+        help="Intrinsics of the camera: a ROS camera_info file, an OpenCV file, or calib's own; or only the size of "
+        "its images, such as 1280x720, if the intrinsics are not known. With NAME=, the camera of that station.",
+        parse=_parse_cameras,
+        merge=add_entries,
+    )
+    meanings = (
+        "The camera that took images of printed boards, see below.",
+        "Several cameras, by station (column `group`).",
+    )
+    return optics_keys("camera", camera_of_table, option, meanings)
+
+
+def board_keys() -> Sequence[Key]:
+    """Return the keys of printed boards."""
+    option = Option(
+        "--board",
+        metavar="[NAME=]FILE",
+        type=list[str],
+        help="Description of the printed board, as 'calib board' writes it, with the accuracy of its print. With "
+        "NAME=, the board of that target.",
+        parse=_parse_boards,
+        merge=add_entries,
+    )
+    meanings = ("The printed board.", "Several boards, by target (column `target`).")
+    return optics_keys("board", board_of_table, option, meanings)
+
+
+#: Factors of joints' readings by name, which `calib.data.cell.Cell` checks.
+FACTORS = form(
+    "a table of joints and factors, such as { joint_2 = 1.0 }",
+    lambda value: value if isinstance(value, dict) else None,
+)
+
+
+# Checks of values in memory
+
+
+def _number_within(value: Any, low: float, high: float) -> float | None:  # noqa: ANN401
+    """Return a number of a range, which stays an `Angle` or a `Length`; None for others."""
+    return value if is_number(value) and low <= value <= high else None
+
+
+def _directions(value: Iterable[str]) -> tuple[str, ...] | None:
+    """Return given directions of a frame in the order of `DIRECTIONS`; None if others are given."""
+    directions = tuple(d for d in DIRECTIONS if d in value)
+    if not directions or sorted(directions) != sorted(value):
+        return None
+    return directions
+
+
+def _tie(value: tuple[str, float]) -> tuple[str, float] | None:
+    """Return another parameter's name and a factor; None if the factor is not a number, or zero."""
+    name, factor = value
+    if not is_number(factor) or factor == 0.0:
+        return None
+    return name, float(factor)
+
+
+def _interval(value: tuple[float, float]) -> tuple[float, float] | None:
+    """Return two increasing numbers, else None; they stay `Angle` or `Length`."""
+    low, high = value
+    return (low, high) if low < high else None
+
+
+def _bounds(value: tuple[float, float]) -> tuple[float, float] | None:
+    """Return the least and the largest change of a parameter; None unless 0 is between them."""
+    low, high = value
+    return _interval(value) if low <= 0.0 <= high else None
+
+
+def _factors(value: Mapping[str, float]) -> ReadOnlyMapping[str, float] | None:
+    """Return the factors of joints' readings by name, else None."""
+    if not isinstance(value, Mapping) or not all(isinstance(name, str) for name in value):
+        return None
+    if not value or not all(is_number(factor) and factor for factor in value.values()):
+        return None
+    return ReadOnlyMapping({name: float(factor) for name, factor in value.items()})
+
+
+def _sigma(value: Mapping[str, float]) -> ReadOnlyMapping[str, float] | None:
+    """Return standard deviations by unit, else None."""
+    if not isinstance(value, Mapping) or not value.keys() <= RESIDUAL_UNITS.keys():
+        return None
+    if not all(is_number(std) and SIGMAS[0] <= std <= SIGMAS[1] for std in value.values()):
+        return None
+    return ReadOnlyMapping({unit: float(std) for unit, std in value.items()})
+
+
+IS_POSE = Check("a 4 x 4 pose with a right-handed rotation [m]", pose_or_none)
+IS_POSITION = Check("three numbers [m]", lambda value: position_in_tip(value, "target"))
+ARE_SIGMAS = Check(
+    f"standard deviations from {SIGMAS[0]:g} to {SIGMAS[1]:g} by unit, such as {{'m': 1e-05}}; units are "
+    f"{choices(RESIDUAL_UNITS)}",
+    _sigma,
+)
+IS_TIE = Check("another parameter and a factor that is not zero, such as ('a2', 1.0)", _tie)
+ARE_BOUNDS = Check(
+    "the least and the largest change, with 0 between them, (-0.001, 0.001)", _bounds
+)
+IS_PRIOR_STD = Check(
+    f"a number from {PRIOR_STD_RANGE[0]:g} to {PRIOR_STD_RANGE[1]:g} of the parameter's unit",
+    lambda value: _number_within(value, *PRIOR_STD_RANGE),
+)
+IS_JOINT_VALUE = Check(
+    f"a number from {-FARTHEST:g} to {FARTHEST:g} rad or m",
+    lambda value: _number_within(value, -FARTHEST, FARTHEST),
+)
+ARE_FACTORS = Check(
+    "factors of other joints' readings by name, none of them zero, such as {'joint_2': 1.0}",
+    _factors,
+)
+ARE_DIRECTIONS = Check(f"some of {choices(DIRECTIONS)}, each once", _directions)
+IS_RANGE = Check("the least and the largest value [rad or m]", _interval)

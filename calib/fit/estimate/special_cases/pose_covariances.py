@@ -1,0 +1,128 @@
+"""Fits of measured poses with covariances: what the instrument's errors are multiplied by, and what the robot adds.
+
+See `calib.numerics.correlated_noise`. The fit at given noise of the poses, and this noise from the residuals of the
+fit, are estimated in turn until they settle.
+
+`fit` gives rows what errors of joints do to them (`with_joint_errors`), and calls `settle_pose_noise` on its estimate.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from calib.basics.arrays import Array
+from calib.fit.estimate.bounds import estimate_within_bounds
+from calib.fit.estimate.estimate import Estimate
+from calib.fit.estimate.prior_terms import PriorTerms
+from calib.fit.estimate.problem import Problem
+from calib.fit.estimate.special_cases.stops import twists_of_joints
+from calib.fit.estimate.stages import FEWEST_FREEDOM
+from calib.fit.estimate.task import Task
+from calib.fit.registration.rows import USUAL_POSE_NOISE, Rows
+from calib.model.kinematics import Kinematics
+from calib.numerics.correlated_noise import (
+    POSE,
+    PoseNoise,
+    likeliest_noise,
+    standardisers,
+    support,
+)
+
+#: The most rounds of noise and fit.
+_ROUNDS = 8
+
+#: Covariances whose relative change is less, in every direction, have settled.
+_SETTLED = 0.1
+
+
+def with_joint_errors(rows: Rows, kinematics: Kinematics) -> Rows:
+    """Return rows with what the errors of joints do to poses that have a covariance; themselves without such rows."""
+    if not np.any(rows.correlated):
+        return rows
+    J = twists_of_joints(kinematics, rows.samples)
+    return replace(rows, by_joints=J @ J.transpose(0, 2, 1))
+
+
+def settle_pose_noise(
+    estimate: Estimate, problem: Problem, task: Task, prior: PriorTerms
+) -> Estimate:
+    """Estimate the noise of measured poses that have covariances, and all parameters again, in turn until it settles.
+
+    Args:
+        estimate: The estimate within bounds, with the noise of poses as it is in the problem.
+        problem: The least-squares problem, with its sole postures marked.
+        task: The fit.
+        prior: Priors of the parameters, none of them held.
+
+    Returns:
+        The estimate, whose ``problem.rows.pose_noise`` is the estimated one; the given one if no row has a covariance,
+        if the rows come with weights, or if fewer than `FEWEST_FREEDOM` degrees of freedom are left.
+
+    Raises:
+        SolverError: The residual is not finite at the start.
+    """
+    if not np.any(problem.rows.correlated) or problem.rows.weights is not None:
+        return estimate
+    for _ in range(_ROUNDS):
+        evidence = _evidence(estimate)
+        if evidence is None:
+            break
+        noise = likeliest_noise(*evidence, USUAL_POSE_NOISE)
+        is_settled = _is_settled(problem.rows, noise)
+        problem = problem.with_rows(replace(problem.rows, pose_noise=noise))
+        estimate = estimate_within_bounds(problem, task, prior)
+        if is_settled:
+            break
+    return estimate
+
+
+def covariance_support(estimate: Estimate) -> tuple[float, float] | None:
+    """Return what a fit's residuals say for the stated covariances of its poses; see `calib.numerics.correlated_noise`.
+
+    Args:
+        estimate: The estimate of a fit.
+
+    Returns:
+        What `support` gives, and what it would give if residuals were as the covariances and a usual robot say; None
+        if no pose has a covariance, or too few degrees of freedom are left.
+    """
+    evidence = _evidence(estimate)
+    if evidence is None:
+        return None
+    stated, by_joints, squares, weights = evidence
+    as_stated = USUAL_POSE_NOISE.covariances(stated, by_joints)
+    return (
+        support(stated, by_joints, squares, weights, USUAL_POSE_NOISE),
+        support(stated, by_joints, as_stated, weights, USUAL_POSE_NOISE),
+    )
+
+
+def _evidence(estimate: Estimate) -> tuple[Array, Array, Array, Array] | None:
+    """Return C, J_q J_q^T, S and weights of the poses with a covariance, see `calib.numerics.correlated_noise`.
+
+    None if there are none, or too few degrees of freedom are left.
+    """
+    problem = estimate.problem
+    rows = problem.rows
+    chosen = rows.correlated & rows.checked & (problem.weights > 0.0)
+    if estimate.freedom < FEWEST_FREEDOM or not np.any(chosen):
+        return None
+    assert rows.covariances is not None
+    assert rows.by_joints is not None
+    J = problem.jacobian(estimate.x)[chosen, :POSE]
+    r = problem.residual(estimate.x)[chosen, :POSE]
+    spread = J @ estimate.covariance @ J.transpose(0, 2, 1)
+    squares = r[:, :, None] * r[:, None] + spread
+    return rows.covariances[chosen], rows.by_joints[chosen], squares, problem.weights[chosen]
+
+
+def _is_settled(rows: Rows, noise: PoseNoise) -> bool:
+    """True if the covariances of rows hardly change with another noise of poses."""
+    assert rows.covariances is not None
+    assert rows.by_joints is not None
+    given = rows.covariances[rows.correlated], rows.by_joints[rows.correlated]
+    W = standardisers(rows.pose_noise.covariances(*given))
+    relative = W @ noise.covariances(*given) @ W.transpose(0, 2, 1)
+    return bool(np.max(np.abs(np.linalg.eigvalsh(relative) - 1.0)) <= _SETTLED)

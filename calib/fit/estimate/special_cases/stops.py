@@ -1,0 +1,420 @@
+"""Stops: targets that are seen while the robot stands still are parts of one rigid body, and share its displacement.
+
+A stop is one standstill of the robot at which several targets are measured; a cell is one of these targets at that
+stop, whose repeats it holds. The robot's repeatability and what the model lacks displace that body by a translation and
+a rotation about the centroid of its targets; and each joint that turns misses its reading, by the steps of its encoder,
+play or a servo's error. All are random and independent from stop to stop. A stop's scalars, in units of their sigma,
+have the covariance
+
+    V = noise^2 K,        K = kappa I + rho_t J_t J_t^T + rho_r J_r J_r^T + rho_q J_q J_q^T
+
+with the Jacobians J_t, J_r and J_q of the predicted scalars by translation, rotation and joints, together d directions,
+each scaled so that the mean diagonal entry of J J^T over the table is 1: noise is the standard deviation of a scalar,
+rho_t, rho_r and rho_q are the shares of its variance that the targets of a stop have in common, and the share
+kappa = 1 - rho_t - rho_r - rho_q is independent. With G = [sqrt(rho_t) J_t, sqrt(rho_r) J_r, sqrt(rho_q) J_q], as in
+any mixed model (C. R. Henderson, 1953),
+
+    K^-1 = [I - G (kappa I + G^T G)^-1 G^T] / kappa
+
+The shares are estimated from the residuals of a fit by `calib.fit.estimate.special_cases.stop_shares`. Repeats of a
+target at a stop enter with their mean: what repeats share is found by `calib.fit.estimate.stages`. Each channel has
+shares of its own.
+
+`Problem` finds the `Stops` of a table. They have a part in the estimate at three places: `corrections` in the normal
+equations, `independent` in what a solver sees, and `estimate_shares` in each stage.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.basics.arrays import Array, Integers, Mask
+from calib.fit.estimate.special_cases.stop_shares import (
+    PARTS,
+    TINY,
+    Moments,
+    root_shares,
+    transposed,
+    unshared,
+)
+from calib.fit.registration.labels import same_poses
+from calib.fit.registration.rows import Rows
+from calib.model.error_model import error_model
+from calib.model.kinematics import Kinematics, Samples
+
+#: Rows whose columns are copied at a time.
+_PART = 16_384
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stops:
+    """The rows of stops at which several targets were measured: n rows, in M cells of one target at one of S stops."""
+
+    #: (n,), their indices in the table of N rows, from 0, cell by cell and stop by stop
+    rows: Integers
+    #: (n,), rows of one number are of one cell
+    cells: Integers
+    #: (n,), rows of one number are of one stop
+    stops: Integers
+    #: (n, D, d), Jacobian of each scalar by the body's displacement: translations, rotations, joints. Of each channel
+    #: the sum of squares over each of the three has mean 1
+    J: Array
+    #: (n, D), index of the channel of each scalar, from 0; -1 where there is no scalar
+    channel: NDArray[np.int8]
+    #: (M,), index of the first row of each cell, among these n rows
+    _first_row: Integers = field(init=False, repr=False)
+    #: (S,), index of the first cell of each stop, among the M cells
+    _first_cell: Integers = field(init=False, repr=False)
+    #: (n,), index of each row's cell, from 0
+    _cell_of_row: Integers = field(init=False, repr=False)
+    #: (M,), index of each cell's stop, from 0
+    _stop_of_cell: Integers = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        """Find where cells and stops begin among the n rows, which are sorted by stop and, within it, by cell."""
+        new_stop = np.diff(self.stops) != 0
+        begins_cell = np.append(True, (np.diff(self.cells) != 0) | new_stop)
+        begins_stop = np.append(True, np.diff(self.stops[begins_cell]) != 0)
+        object.__setattr__(self, "_first_row", np.flatnonzero(begins_cell))
+        object.__setattr__(self, "_first_cell", np.flatnonzero(begins_stop))
+        object.__setattr__(self, "_cell_of_row", np.cumsum(begins_cell) - 1)
+        object.__setattr__(self, "_stop_of_cell", np.cumsum(begins_stop) - 1)
+
+    @classmethod
+    def of(cls, kinematics: Kinematics, rows: Rows) -> Stops | None:
+        """Find the stops of a table at which several targets were measured.
+
+        The rows of a stop are of one pose, one measurement frame and one kind, which measures a position.
+
+        Args:
+            kinematics: The nominal robot under its error model, frames and targets as registered; it gives the pose of
+                each row's target at zero parameters, from which the centroid of each body and the lever arms follow.
+            rows: N rows of measurements.
+
+        Returns:
+            The rows of these stops; None if no stop has several targets.
+        """
+        stop = _number_stops(rows)
+        if stop is None:
+            return None
+        chosen = stop >= 0
+        stop = stop[chosen]
+        of_stops = rows.select(chosen)
+        nominal = np.zeros(len(kinematics.model))
+        T_frame_target = kinematics.poses(nominal, of_stops.samples)
+        # Repeats of a target are one point of the body.
+        weight = 1.0 / np.bincount(of_stops.poses)[of_stops.poses]
+        points = of_stops.points(T_frame_target)
+        of_body = twists_of_bodies(T_frame_target[:, :3, 3], points, stop, weight)
+        of_joints = twists_of_joints(kinematics, of_stops.samples)
+        twists = np.concatenate([of_body, of_joints], axis=2)
+        derivative = of_stops.derivative(T_frame_target, twists)
+        J = np.zeros((len(of_stops), rows.width, twists.shape[2]))
+        J[:, : of_stops.width] = of_stops.standardise(derivative)
+        channel = rows.channels.index[chosen]
+        J = of_unit_size(J, channel, weight)
+        order = np.lexsort((of_stops.poses, stop))
+        return cls(
+            rows=np.flatnonzero(chosen)[order],
+            cells=of_stops.poses[order],
+            stops=stop[order],
+            J=J[order],
+            channel=channel[order],
+        )
+
+    def select(self, mask: Mask) -> Stops | None:
+        """Return the stops of some of the table's rows, (N,), even those with one target left; None if there are none.
+
+        Their ``rows`` are indices in the table of these rows. Derivatives keep their scale.
+        """
+        kept = mask[self.rows]
+        numbers = (np.cumsum(mask) - 1)[self.rows]
+        if not np.any(kept):
+            return None
+        return replace(self._some(kept), rows=numbers[kept])
+
+    def drawn(self, count: Array) -> Stops:
+        """Return the stops of a bootstrap sample, in which each was drawn several times, or not at all.
+
+        The caller multiplies the rows' weights by ``count``. A row of twice the weight has half the variance, and so
+        must the displacement that it shares: derivatives are divided by sqrt(count).
+
+        Args:
+            count: shape (N,), how many times the stop of each of the table's rows was drawn.
+        """
+        often = count[self.rows, None, None]
+        shrunk = self.J / np.sqrt(np.maximum(often, 1))
+        return replace(self, J=np.where(often > 0, shrunk, 0.0))
+
+    def corrections(self, columns: Array, weights: Array, rho: Array) -> tuple[Array, Array]:
+        """Correct the normal equations of independent rows for what the targets of a stop share.
+
+        Only the means X over the repeats of a target at a stop share it: weighted sums over the square root of the sum
+        of weights.
+
+        Args:
+            columns: shape (q, D, N), q columns of the table's scalars, such as Jacobian and residual, in units of each
+                scalar's given sigma.
+            weights: shape (B, N), of its rows in B fits, >= 0: the variance of a row's scalars is divided by its
+                weight.
+            rho: shape (B, C, 3), shares rho_t, rho_r and rho_q of each of C channels; where all are 0 there is nothing
+                to correct.
+
+        Returns:
+            What is to be added to the products of each fit and channel: X^T (K^-1 - I) X over all stops, shape
+            (B, C, q, q); and log det K over all stops and channels, shape (B,).
+        """
+        q = len(columns)
+        changes = np.zeros((*rho.shape[:2], q, q))
+        log_det = np.zeros(len(rho))
+        shares_any = np.argwhere(np.any(rho > 0.0, axis=2)).tolist()
+        for stops in self._parts():
+            X = stops._rows_of(columns)
+            for b, c in shares_any:
+                means, independent, of_channel = stops._independent_means(
+                    X, weights[b], c, rho[b, c]
+                )
+                means = means.reshape(-1, q)
+                independent = independent.reshape(-1, q)
+                # By whitened scalars: K^-1 - I itself loses its digits where kappa is small.
+                changes[b, c] += independent.T @ independent - means.T @ means
+                log_det[b] += of_channel
+        return changes, log_det
+
+    def independent(self, columns: Array, weights: Array, rho: Array) -> Array:
+        """Multiply the columns of whitened scalars by the root of K^-1, so that these are independent of each other.
+
+        With G^T G / kappa = Q diag(s^2 - 1) Q^T,
+
+            K^-1/2 = [I - G Q diag(1 / (s + s^2)) Q^T G^T / kappa] / sqrt(kappa)
+
+        This changes the weighted means over the repeats of a target at a stop; differences between repeats stay.
+
+        Args:
+            columns: shape (q, D, N), q columns of the table's scalars, in units of the estimated noise, and times the
+                square roots of the weights.
+            weights: shape (N,), of the table's rows, >= 0.
+            rho: shape (C, 3), shares of each of C channels.
+
+        Returns:
+            shape (q, D, N), in the same units; rows that are not of a stop as they are.
+        """
+        result: Array = columns.copy()
+        channels = np.flatnonzero(np.any(rho > 0.0, axis=1)).tolist()
+        for stops in self._parts():
+            w = weights[stops.rows]
+            root_weights = np.sqrt(np.maximum(w, TINY))
+            X = stops._rows_of(columns) / root_weights[:, None, None]
+            weight_of_cell = np.maximum(np.add.reduceat(w, stops._first_row), TINY)
+            root_share = np.sqrt(w / weight_of_cell[stops._cell_of_row])
+            for c in channels:
+                means, independent, _ = stops._independent_means(X, weights, c, rho[c])
+                change = independent - means
+                changes = change[stops._cell_of_row] * root_share[:, None, None]
+                result[:, :, stops.rows] += changes.transpose(2, 1, 0)
+        return result
+
+    def estimate_shares(
+        self, columns: Array, change: Array, covariance: Array, weights: Array, rho: Array
+    ) -> Array:
+        """Estimate, from the residuals of B fits, the shares of variance that the targets of a stop have in common.
+
+        Args:
+            columns: shape (p + 1, D, N), of the table's scalars: the Jacobian A of the prediction by p parameters and,
+                last, the residual, in units of the given sigma.
+            change: shape (B, p), each fit's solution relative to the parameters where the residual was taken.
+            covariance: shape (B, p, p), of the solution.
+            weights: shape (B, N), of the rows in each fit.
+            rho: shape (B, C, 3), shares to begin with.
+
+        Returns:
+            shape (B, C, 3), each from 0 to 1.
+        """
+        result = np.zeros(rho.shape)
+        for b, c in np.ndindex(*rho.shape[:2]):
+            parts = []
+            for stops in self._parts():
+                X = stops._rows_of(columns)
+                parts.append(stops._moments(X, weights[b], c, change[b], covariance[b]))
+            result[b, c] = Moments.joined(parts).shares(rho[b, c])
+        return result
+
+    def _moments(self, X: Array, weights: Array, c: int, change: Array, C: Array) -> Moments:
+        """The moments of a fit's residual in one channel; see `estimate_shares` and `_means`."""
+        means, J, count = self._means(X, weights, c)
+        A = means[..., :-1]
+        r = means[..., -1:] - A @ change[:, None]
+        # Over the cells of each stop, (S, d, d + p + 1).
+        sums = self._sums(transposed(J) @ np.concatenate([J, A, r], axis=2))
+        directions = J.shape[2]
+        J_J = sums[..., :directions]
+        J_A = sums[..., directions:-1]
+        J_r = sums[..., -1:]
+        R = J_r @ transposed(J_r) + J_A @ C @ transposed(J_A)
+        total = float(np.sum(r**2) + np.sum((A @ C) * A))
+        return Moments(J_J, R, total, float(np.sum(count)))
+
+    def _independent_means(
+        self, X: Array, weights: Array, c: int, rho: Array
+    ) -> tuple[Array, Array, float]:
+        """The means of M cells in one channel, (M, D, q), the same times K^-1/2, and log det K over all stops.
+
+        X are in units of their noise; see `_means`.
+        """
+        means, J, count = self._means(X, weights, c)
+        kappa = unshared(rho)
+        G = J * root_shares(rho, J.shape[2]) / np.sqrt(kappa)
+        squares, Q = np.linalg.eigh(self._sums(transposed(G) @ G))
+        s = np.sqrt(1.0 + np.maximum(squares, 0.0))[:, None]  # (S, 1, d)
+        of_stops = self._sums(transposed(G) @ means)  # over the cells of each, (S, d, q)
+        shared = (Q / (s + s**2)) @ (transposed(Q) @ of_stops)
+        independent = (means - G @ shared[self._stop_of_cell]) / np.sqrt(kappa)
+        log_det = np.sum(count) * np.log(kappa) + 2.0 * np.sum(np.log(s))
+        return means, independent, float(log_det)
+
+    def _means(self, X: Array, weights: Array, c: int) -> tuple[Array, Array, Array]:
+        """Average one channel's scalars over M cells: columns X, (M, D, q), J, (M, D, d), and their number, (M, D).
+
+        A mean is sum w X / sqrt(sum w) over the repeats, with the weights w, (N,), of the table's rows, so that it has
+        the variance of one row of weight 1; it is 0 if all these weights are 0. The number is sum w, but at most 1. All
+        are zero for scalars of other channels. ``X``, (n, D, q), are of these n rows.
+        """
+        w = weights[self.rows, None]
+        of_channel = self.channel == c
+        total = np.add.reduceat(w, self._first_row)
+        scale = 1.0 / np.sqrt(np.maximum(total, TINY))
+        weight = (w * of_channel)[:, :, None]
+        weighted = np.concatenate([X, self.J], axis=2) * weight
+        means = np.add.reduceat(weighted, self._first_row) * scale[:, :, None]
+        count = of_channel[self._first_row] * np.minimum(total, 1.0)
+        columns = X.shape[2]
+        return means[..., :columns], means[..., columns:], count
+
+    def _sums(self, values: Array) -> Array:
+        """Sum values of M cells, (M, ...), over the cells of each stop, (S, ...)."""
+        return np.asarray(np.add.reduceat(values, self._first_cell))
+
+    def _rows_of(self, columns: Array) -> Array:
+        """Return columns of the table, (q, D, N), at the n rows of stops, (n, D, q), contiguous."""
+        return np.ascontiguousarray(columns[:, :, self.rows].transpose(2, 1, 0))
+
+    def _parts(self) -> list[Stops]:
+        """Divide the n rows into parts of about `_PART` rows, for memory; the rows of a stop stay together."""
+        if len(self.rows) <= _PART:
+            return [self]
+        first = self._first_row[self._first_cell][self._stop_of_cell][self._cell_of_row]
+        part = first // _PART
+        return [self._some(part == k) for k in np.unique(part)]
+
+    def _some(self, kept: Mask) -> Stops:
+        """Return some of the n rows of stops, (n,); their indices in the table, and the numbers of stops, stay."""
+        return Stops(
+            rows=self.rows[kept],
+            cells=self.cells[kept],
+            stops=self.stops[kept],
+            J=self.J[kept],
+            channel=self.channel[kept],
+        )
+
+
+def _number_stops(rows: Rows) -> Integers | None:
+    """Number the stop of each row, (N,), not all numbers being used; None if no stop has several targets.
+
+    The number is -1 for rows of a stop with one target, or of a kind that measures no position.
+    """
+    measured_point = rows.poses  # of one frame, target and corner at one pose
+    if not len(rows) or len(np.unique(measured_point)) == len(np.unique(rows.blocks)):
+        return None
+    # The two poses of a pair are one block.
+    pose = same_poses(rows.joints) if np.any(rows.partner >= 0) else rows.blocks
+    labels = np.column_stack([pose, rows.samples.frame, rows.kind])
+    stop = np.unique(labels, axis=0, return_inverse=True)[1].reshape(-1)
+    stop_and_point = np.unique(np.column_stack([stop, measured_point]), axis=0)
+    points_of_stop = np.bincount(stop_and_point[:, 0])
+    several = points_of_stop[stop] > 1
+    chosen = several & rows.where(lambda kind: kind.position or kind.optical)
+    if not np.any(chosen):
+        return None
+    return np.where(chosen, stop, -1)
+
+
+def twists_of_bodies(origins: Array, points: Array, stops: Integers, counts: Array) -> Array:
+    """Differentiate the poses of targets by the displacements of their bodies, which turn about their centroids.
+
+    Args:
+        origins: shape (K, 3), position of the origin of each row's target in its measurement frame [m].
+        points: shape (K, 3), position of the measured point of each of K rows in its measurement frame, which is the
+            target's origin or a corner of a board [m].
+        stops: shape (K,), points of one number are of one body at one stop.
+        counts: shape (K,), weight of each point in its body's centroid, > 0.
+
+    Returns:
+        shape (K, 6, 6), twist of the target at each point along the frame's axes, linear then angular along the rows,
+        by a unit of each direction of its body's displacement along the columns: three translations along these axes
+        [m], three rotations about them [rad].
+    """
+    body = np.unique(stops, return_inverse=True)[1].reshape(-1)
+    sums = np.stack([np.bincount(body, counts * column) for column in points.T], axis=1)
+    centroids = sums / np.bincount(body, counts)[:, None]
+    lever = origins - centroids[body]
+    twists = np.zeros((len(points), 6, 6))
+    twists[:] = np.eye(6)
+    # Column k is e_k x lever.
+    twists[:, :3, 3:] = transposed(np.cross(np.eye(3), lever[:, None]))
+    return twists
+
+
+def twists_of_joints(kinematics: Kinematics, samples: Samples) -> Array:
+    """Differentiate the poses of targets by the joints that turn: the nominal robot misses a stop by their errors.
+
+    Joints that slide are left out: their errors, in another unit, are translations of the body.
+
+    Args:
+        kinematics: The nominal robot, and frames and targets as registered.
+        samples: K samples of it.
+
+    Returns:
+        shape (K, 6, j), twist of the target along the frame's axes, linear [m] then angular [rad], by a radian of each
+        of j joints.
+    """
+    zeros = error_model(
+        kinematics.robot,
+        "zeros",
+        frame=dict.fromkeys(map(str, range(len(kinematics.T_frame_base))), ()),
+        target=False,
+        targets=[str(k) for k in range(len(kinematics.T_tip_target))],
+    )
+    turning = [k for k, parameter in enumerate(zeros.parameters) if parameter.unit == "rad"]
+    of_zeros = replace(kinematics, model=zeros)
+    _, twists = of_zeros.twists(np.zeros(len(zeros)), samples)
+    return twists[:, :, turning]
+
+
+def of_unit_size(J: Array, channel: NDArray[np.int8], counts: Array) -> Array:
+    """Scale Jacobians by displacements of bodies to unit mean square: translations, rotations, and joints apart.
+
+    After this a translation whose three components have the variance 1 each moves a channel's scalars with a mean
+    variance of 1, and so does a rotation, and so do errors of the joints.
+
+    Args:
+        J: shape (K, D, d), Jacobian of the scalars of each of K rows, in units of their sigma, by its body's
+            displacement: three translations [m], three rotations [rad], the joints [rad].
+        channel: shape (K, D), index of each scalar's channel, from 0; -1 for no scalar.
+        counts: shape (K,), weight of each row in the mean.
+
+    Returns:
+        shape (K, D, d); 0 where there is no scalar, or the part moves none of a channel's.
+    """
+    result = np.zeros(J.shape)
+    for c in range(int(channel.max()) + 1):
+        of_channel = channel == c
+        weight = counts[:, None] * of_channel
+        for part in PARTS:
+            square = float(np.sum(weight[:, :, None] * J[:, :, part] ** 2))
+            if square > 0.0:
+                scale = np.sqrt(np.sum(weight) / square)
+                result[:, :, part] += scale * of_channel[:, :, None] * J[:, :, part]
+    return result

@@ -1,0 +1,315 @@
+"""Cameras and boards of a table: the numbers by which its images are predicted, and what is estimated of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calib.basics.arrays import Array, Integers, Mask, read_only
+from calib.boards.board import Board
+from calib.camera import optics
+from calib.camera.camera import Camera
+from calib.camera.initial_intrinsics import initial_intrinsics
+from calib.camera.lenses import LENSES
+from calib.data.cell import Cell
+from calib.data.measurements import Measurements
+from calib.errors import MeasurementError
+from calib.fit.registration.labels import numbered
+from calib.fit.registration.setup import OpticalUnknown, Setup
+from calib.model.parameters import BOARD, CAMERA, Parameter
+
+#: Standard deviation of what is not known of a lens: of a focal length or the centre [px], and of a distortion.
+_WIDE = {"px": 1e4, "1": 10.0}
+
+#: The fewest images that must see a corner for its own error on the print to be estimated.
+_FEWEST_IMAGES = 2
+
+#: Places of corners that differ by less, as a share of a square, are the same.
+_ALIKE = 1e-3
+
+#: Squares of all distances below this are of a single corner [m^2].
+_NO_EXTENT = 1e-12
+
+#: Corners so far outside of the image are of another size of images, as a share of the width.
+_BESIDE = 0.01
+
+#: A board of which nothing is given: how well it is known, by its defaults.
+_UNKNOWN_BOARD = Board(pattern="chessboard", columns=3, rows=3, square=0.03)
+
+
+@dataclass(frozen=True, slots=True)
+class _Owner:
+    """The camera or the board that unknowns are of."""
+
+    #: What a cell calls it; "" for one without a name
+    key: str
+    #: Its name in those of parameters; "" for the only one
+    name: str
+    #: Its number, from 0
+    number: int
+    #: Place of its first station or target in the error model
+    place: str
+    #: Numbers of its stations or targets
+    members: tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Images:
+    """The corners in the images of a table of N rows."""
+
+    #: shape (N, 2), where their images were measured [px]; NaN in other rows
+    pixels: Array
+    #: shape (N, 3), the corners as designed, on their boards [m]; NaN in other rows
+    points: Array
+    #: shape (N,), number of each row's view: a pose, station and target
+    view: Integers
+    #: Names of the corners, in the order of their numbers
+    corners: tuple[str, ...]
+    #: shape (N,), number of each row's corner
+    corner: Integers
+
+
+def initial_optics(
+    measurements: Measurements, cell: Cell, setup: Setup, pose: Integers
+) -> tuple[Array | None, tuple[OpticalUnknown, ...]]:
+    """Return the numbers by which images are predicted before the fit, and those that the fit estimates.
+
+    Args:
+        measurements: Table of N rows.
+        cell: Cameras and boards as given.
+        setup: The table's stations and targets.
+        pose: shape (N,), number of the robot's pose at each row.
+
+    Returns:
+        shape (N, `calib.camera.optics.COUNT`), zero in rows of other kinds; None if no row is an image. And the
+        unknowns, camera by camera, then board by board.
+
+    Raises:
+        MeasurementError: Nothing says how large the images of a camera are, or corners or intrinsics are of images of
+            another size.
+    """
+    is_image = measurements.where(lambda kind: kind.optical)
+    if not np.any(is_image):
+        return None, ()
+    assert measurements.board_points is not None
+    frame = numbered(measurements.groups, setup.groups)
+    target = numbered(measurements.targets, setup.targets)
+    corners, corner = number_corners(measurements)
+    _, view = np.unique(np.column_stack([pose, frame, target]), axis=0, return_inverse=True)
+    images = _Images(
+        pixels=np.column_stack([measurements.reading("u"), measurements.reading("v")]),
+        points=measurements.board_points,
+        view=view.reshape(-1),
+        corners=corners,
+        corner=corner,
+    )
+
+    values = np.zeros((len(measurements), optics.COUNT))
+    unknowns: list[OpticalUnknown] = []
+    frames, targets = setup.places
+    for owner in _owners(setup.groups, frames, frame[is_image], cell.cameras):
+        rows = is_image & np.isin(frame, owner.members)
+        camera = cell.cameras.get(owner.key)
+        if camera is None:
+            of_group = f" of '{owner.key}'" if owner.key else ""
+            raise MeasurementError(
+                f"{measurements.source or 'Measurements'}: nothing is known of the camera{of_group}. Give its "
+                "intrinsics (--camera camera_info.yaml), or the size of its images alone (--camera 1280x720): then the "
+                "images tell the rest."
+            )
+        _check_size(camera, images, rows, measurements)
+        values[rows], of_lens = _camera_numbers(camera, images, rows, owner)
+        unknowns += of_lens
+    for owner in _owners(setup.targets, targets, target[is_image], cell.boards):
+        rows = is_image & np.isin(target, owner.members)
+        board = cell.boards.get(owner.key)
+        if board is not None:
+            _check_squares(board, images, rows, measurements)
+        _fill_board(values, images, rows, board)
+        values[rows, optics.BOARD] = owner.number
+        unknowns += _board_unknowns(board or _UNKNOWN_BOARD, images, rows, owner)
+    return read_only(values), tuple(unknowns)
+
+
+def _owners(
+    names: Sequence[str],
+    places: Sequence[str],
+    numbers: Integers,
+    described: Mapping[str, object],
+) -> list[_Owner]:
+    """Group the stations that occur, by their numbers, by their camera, or targets by their board.
+
+    One that is described without a name is that of all that have none of their own: a camera that was moved to several
+    stations, or a board that was moved to several places.
+    """
+    members: dict[str, list[int]] = {}
+    for number in np.unique(numbers).tolist():
+        name = names[number]
+        if name not in described and "" in described:
+            name = ""
+        members.setdefault(name, []).append(number)
+    result = []
+    for number, (key, of_key) in enumerate(members.items()):
+        name = key if len(members) > 1 else ""
+        result.append(_Owner(key, name, number, places[of_key[0]], tuple(of_key)))
+    return result
+
+
+def number_corners(measurements: Measurements) -> tuple[tuple[str, ...], Integers]:
+    """Return the names of all corners, and the number of each row's corner among them, shape (N,).
+
+    A corner without a name in the table is named by its place on the board, in millimetres.
+    """
+    names = list(measurements.corners)
+    if measurements.board_points is not None:
+        for i, point in enumerate(1e3 * measurements.board_points):
+            if not names[i] and np.isfinite(point[0]):
+                names[i] = "/".join(f"{coordinate:.3g}" for coordinate in point[:2])
+    if all(name.isdecimal() for name in names):
+        # Corners of all tables of a board have the same numbers, in whatever order they are.
+        last = max(map(int, names), default=-1)
+        return tuple(str(k) for k in range(last + 1)), np.array([int(name) for name in names])
+    present = tuple(sorted(set(names)))
+    return present, numbered(names, present)
+
+
+def _check_size(camera: Camera, images: _Images, rows: Mask, measurements: Measurements) -> None:
+    """Refuse corners outside of the images of a camera's rows, (N,), and intrinsics that are of another resolution."""
+    source = measurements.source or "Measurements"
+    size = np.array([camera.width, camera.height])
+    beyond = np.maximum(-images.pixels, images.pixels - size)
+    outside = rows & np.any(beyond > _BESIDE * camera.width, axis=1)
+    if np.any(outside):
+        first = int(np.argmax(outside))
+        u, v = images.pixels[first]
+        raise MeasurementError(
+            f"{source}, row {measurements.rows[first]}: the corner at u = {u:.1f}, v = {v:.1f} px is outside of images "
+            f"of {camera.width} x {camera.height}, the size given of the camera. Give the size of the images in which "
+            "the corners were found, and intrinsics of that resolution."
+        )
+    likely = camera.likely_size
+    if likely is not None:
+        assert camera.values is not None
+        u, v = camera.values[2:4]
+        raise MeasurementError(
+            f"{source}: the lens's centre cx = {u:.1f}, cy = {v:.1f} px is that of images of about {likely[0]} x "
+            f"{likely[1]}, and not of {camera.width} x {camera.height}. Give the intrinsics of this resolution, or the "
+            f"size alone (--camera {camera.width}x{camera.height}): then the images tell the rest."
+        )
+
+
+def _check_squares(board: Board, images: _Images, rows: Mask, measurements: Measurements) -> None:
+    """Refuse a table whose corners, in the rows of a board, (N,), lie further apart, or nearer, by one factor."""
+    names = [images.corners[k] for k in images.corner[rows].tolist()]
+    if not all(name.isdecimal() and int(name) < len(board.corners) for name in names):
+        return  # the names are not those of calib: they may be of other places
+    designed = board.corners[[int(name) for name in names]]
+    far_designed = np.linalg.norm(designed - designed.mean(axis=0), axis=1)
+    given = images.points[rows]
+    far = np.linalg.norm(given - given.mean(axis=0), axis=1)
+    extent = float(far_designed @ far_designed)
+    if extent < _NO_EXTENT:
+        return  # always the same corner
+    factor = float(far @ far_designed) / extent
+    are_alike = np.allclose(far, factor * far_designed, rtol=0.0, atol=_ALIKE * board.square)
+    if are_alike and abs(factor - 1.0) > _ALIKE:
+        raise MeasurementError(
+            f"{measurements.source or 'Measurements'}: its corners are those of squares of "
+            f"{1e3 * factor * board.square:.4g} mm, and the board is described with {1e3 * board.square:.4g} mm. After "
+            "a change of the description run calib detect again, or give the board as it was described before."
+        )
+
+
+def _camera_numbers(
+    camera: Camera, images: _Images, rows: Mask, owner: _Owner
+) -> tuple[Array, list[OpticalUnknown]]:
+    """Return the numbers of a camera's n rows before the fit, (n, `optics.COUNT`), and the unknowns of its lens."""
+    lens = LENSES[camera.lens]
+    widest = np.array([_WIDE[unit] for unit in lens.units])
+    start = camera.values
+    if start is None:
+        views = []
+        for view in np.unique(images.view[rows]).tolist():
+            of_view = rows & (images.view == view)
+            views.append((images.points[of_view], images.pixels[of_view]))
+        start = initial_intrinsics(camera, views)
+        sigma = widest
+    elif camera.sigma is None:
+        sigma = lens.default_sigma(start, camera.width)
+    else:
+        sigma = np.minimum(camera.sigma, widest)
+    values = np.zeros((int(np.sum(rows)), optics.COUNT))
+    values[:, : len(start)] = start
+    values[:, optics.CAMERA] = owner.number
+    values[:, optics.LENS] = list(LENSES).index(camera.lens)
+    unknowns = []
+    for k in np.flatnonzero(sigma > 0.0).tolist():
+        parameter = _parameter(lens.names[k], lens.units[k], owner, CAMERA, k)
+        parameter = replace(parameter, nominal=float(start[k]))
+        unknowns.append(OpticalUnknown(parameter, 0.0, float(sigma[k])))
+    return values, unknowns
+
+
+def _fill_board(values: Array, images: _Images, rows: Mask, board: Board | None) -> None:
+    """Set the corners of a board's rows, (N,), as designed, in ``values``, (N, `optics.COUNT`).
+
+    The extent of a board of which nothing is given is that of the corners seen.
+    """
+    points = images.points[rows]
+    least = points.min(axis=0)
+    most = points.max(axis=0)
+    centre = (least + most) / 2.0
+    width, height = np.maximum(most - least, 1e-6)[:2].tolist()
+    if board is not None:
+        centre = board.centre
+        width, height = board.size
+    numbers = np.flatnonzero(rows)
+    values[numbers, optics.POINT] = points
+    values[numbers, optics.ACROSS] = optics.across(points, centre, (width, height))
+    values[numbers, optics.CORNER] = images.corner[rows]
+
+
+def _board_unknowns(
+    board: Board, images: _Images, rows: Mask, owner: _Owner
+) -> list[OpticalUnknown]:
+    """Return the unknowns of a board: the scale and the flatness of the print, and its corners' places."""
+    result = []
+    for k, axis in enumerate("xy"):
+        if board.sigma_scale > 0.0:
+            scale = _parameter(f"board_scale_{axis}", "1", owner, BOARD, optics.SCALE.start + k)
+            result.append(OpticalUnknown(scale, 0.0, board.sigma_scale))
+        if board.sigma_warp > 0.0:
+            sag = _parameter(f"board_sag_{axis}", "m", owner, BOARD, optics.WARP.start + k)
+            result.append(OpticalUnknown(sag, 0.0, board.sigma_warp))
+    if board.sigma_corner > 0.0:
+        count = np.bincount(images.corner[rows], minlength=len(images.corners))
+        for corner in np.flatnonzero(count >= _FEWEST_IMAGES).tolist():
+            for k, axis in enumerate("xy"):
+                name = f"corner_{images.corners[corner]}_{axis}"
+                column = optics.OFFSET.start + k
+                offset = _parameter(name, "m", owner, BOARD, column, corner)
+                result.append(OpticalUnknown(offset, 0.0, board.sigma_corner))
+    return result
+
+
+def _parameter(
+    name: str, unit: str, owner: _Owner, family: str, optic: int, corner: int | None = None
+) -> Parameter:
+    """Return the parameter of a number of a camera or board: ``"fx[left]"``.
+
+    It adds to the column ``optic`` of `calib.camera.optics`, at one corner, by its number, or at all.
+    """
+    samples = [(optics.CAMERA if family == CAMERA else optics.BOARD, owner.number)]
+    if corner is not None:
+        samples.append((optics.CORNER, corner))
+    return Parameter(
+        name=f"{name}[{owner.name}]" if owner.name else name,
+        unit=unit,
+        place=owner.place,
+        direction=read_only(np.zeros(6)),
+        family=family,
+        optic=optic,
+        samples=tuple(samples),
+    )

@@ -1,0 +1,50 @@
+"""The rows of a result: their images, and their errors at the board."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calib.result.calibrate import calibrate
+from tests.images import BOARD, arm, cell, poses, table
+
+
+def test_images_are_counted_where_all_rows_are_corners(default_result):
+    sets = ("estimate", "estimate", "estimate", "validate")
+    images = ("a.png", "b.png", "a.png", "")
+    rows = replace(default_result.rows, numbers=(1, 2, 3, 4), sets=sets, images=images)
+    assert rows.images_of(rows.estimation) == 2
+    assert rows.images_of(np.ones(4, dtype=bool)) == 0  # one is not a corner
+    assert replace(rows, images=()).images_of(rows.estimation) == 0
+
+
+def test_errors_of_images_are_lengths_at_the_board():
+    """Of each robot and set, and of held-out rows: pixels times the length of a pixel."""
+    count = len(BOARD.corners)
+    sets = ("estimate",) * 12 * count + ("validate",) * 3 * count
+    m = table(poses(15), noise=0.1, seed=1, sets=sets)
+    c = calibrate(arm(), m, cell=replace(cell(), model="frames"))
+    rows = c.rows
+    scale = rows.metres_per_pixel
+
+    def rms(residual, chosen):
+        return np.sqrt(np.mean((np.linalg.norm(residual, axis=1) * scale[chosen]) ** 2))
+
+    for who, residual in (
+        ("nominal", rows.residual_nominal),
+        ("calibrated", rows.residual_calibrated),
+    ):
+        for name, chosen in (("estimation", rows.estimation), ("validation", rows.validation)):
+            found = rows.errors_at_board[who][name]["m"].rms
+            assert found == pytest.approx(rms(residual[chosen], chosen), rel=1e-12)
+    held_out = rows.held_out_errors_at_board(c.cross_validation)
+    expected = rms(c.cross_validation.residual, rows.estimation)
+    assert held_out["m"].rms == pytest.approx(expected, rel=1e-12)
+
+
+def test_without_images_there_are_no_errors_at_the_board(default_result):
+    c = default_result
+    assert c.rows.errors_at_board == {}
+    assert c.rows.held_out_errors_at_board(c.cross_validation) is None
