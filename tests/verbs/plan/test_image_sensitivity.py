@@ -7,11 +7,11 @@ from functools import cache
 
 import numpy as np
 import pytest
-from calib.fit.registration.table_optics import initial_optics
 
 from calib.camera import optics as columns
 from calib.camera.camera import Camera
 from calib.data.cell import Cell, Tracker, TrackerNoise
+from calib.fit.registration.table_optics import initial_optics
 from calib.instruments.camera import SightLimits
 from calib.instruments.tracker import TrackerInstrument
 from calib.model.kinematics import Samples
