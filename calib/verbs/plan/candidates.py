@@ -1,17 +1,16 @@
 """Candidates: joint values at which the robot can be measured, drawn and sifted by conditions until there are enough.
 
-An instrument that sees most poses gets a scrambled Sobol sequence over the joints' ranges. Poses that lie in the
-measurement region, whatever else is wrong with them, are kept too: they are where accuracy is wanted.
+For an instrument that sees most poses, they are a scrambled Sobol sequence over the joints' ranges. Poses in the
+measurement region are kept too, even if another condition refuses them: accuracy is wanted there.
 
-Random joint values rarely show a camera its board. So viewpoints are drawn first, and the robot is brought to each as
-near as inverse kinematics lead, from the joint values whose view is nearest to it. What it reaches is tested, not what
-was wanted.
+At random joint values a camera rarely sees its board. So viewpoints are drawn first, and inverse kinematics brings the
+robot near to each, starting from the joint values whose view is nearest. The pose that it reaches is tested, not the
+one that was wanted.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from functools import partial
 from itertools import chain
 from typing import NamedTuple
 
@@ -27,7 +26,7 @@ from calib.robot.robot import Robot
 from calib.verbs.compensate.inverse import POSE, Matching, solve
 from calib.verbs.compensate.nominal_actual import Arm
 
-#: What is easily mistaken if no image can be taken.
+#: Hint on the usual mistake if no image can be taken.
 _HOW_THEY_FACE = (
     " Check how both are turned (--camera-at, --board-at): z of a camera is its line of sight, and z of a board points "
     "into the page, so that one that lies face up is turned by 180 deg about x."
@@ -36,54 +35,54 @@ _HOW_THEY_FACE = (
 #: Steps to a degree or millimetre of planned joint values, so that robot, table and plan have the same numbers.
 _STEPS = 1000
 
-#: Viewpoints drawn for each that is tried: of those with the board in the image the robot tries the nearest.
+#: Number of viewpoints drawn for each one that is tried: the robot tries the nearest ones.
 _CHOICE = 8
 
-#: Joint values among which those to start at are looked for.
+#: Number of joint values among which those to start from are chosen.
 _STARTS = 2048
 
-#: Distance that counts as much as a turn by one radian between views, and for inverse kinematics [m].
+#: Distance that counts as much as a rotation by one radian, between views and for inverse kinematics [m].
 _RADIAN = 0.3
 
-#: Steps of the inverse kinematics at most.
+#: Largest number of steps of the inverse kinematics.
 _STEPS_TO_REACH = 8
 
 _TURN = 2.0 * np.pi
 
 
 class Drawing(NamedTuple):
-    """How many poses are drawn."""
+    """Numbers of poses that are drawn."""
 
-    #: Candidates that are enough, unless a number is given.
+    #: Number of candidates that is enough, unless another one is given.
     enough: int
-    #: Poses of one batch; a power of two keeps the sequence even.
+    #: Number of poses in a batch; a power of two keeps the sequence even.
     batch: int
-    #: At most this many times the wanted number of poses are drawn, or this many batches if that is more.
+    #: Largest number of draws for each wanted candidate, or of batches if that is more.
     most: int
-    #: At most this many batches are drawn until the first pose that can be measured.
+    #: Largest number of batches without any pose that can be measured.
     none_yet: int
 
 
-#: Of an instrument that sees most poses.
+#: For an instrument that sees most poses.
 EVEN = Drawing(enough=20_000, batch=4096, most=40, none_yet=10)
 
-#: Towards viewpoints: an image has many rows, and good ones are alike.
+#: Towards viewpoints: an image has many rows, and good images are similar.
 TOWARDS_VIEWPOINTS = Drawing(enough=600, batch=512, most=10, none_yet=8)
 
 
 class Pool(NamedTuple):
     """Candidates of a plan."""
 
-    #: Shape (n, m), the poses that passed all conditions, all different, [rad] or [m]; fewer than were wanted if
-    #: drawing ended before.
+    #: Shape (n, m), the poses that passed all conditions, all different, [rad] or [m]; fewer than were wanted if too
+    #: many had to be drawn.
     q: Array
-    #: Shape (k, m), poses over which accuracy counts, whatever else refused them, [rad] or [m].
+    #: Shape (k, m), poses over which accuracy counts, even if they cannot be measured, [rad] or [m].
     workspace: Array
-    #: Shape (k, m), as many poses at which something is measured, [rad] or [m].
+    #: Shape (k, m), as many poses at which something can be measured, [rad] or [m].
     measurable: Array
     #: Number of poses that were drawn.
     drawn: int
-    #: Number that each condition refused, of those that had passed the ones before it.
+    #: Number of poses that each condition refused, of those that had passed the conditions before it.
     refused: dict[str, int]
 
 
@@ -133,10 +132,10 @@ def draw_towards(
     seed: int,
     progress: Progress | None = None,
 ) -> Pool:
-    """Draw readings that bring a robot near to an instrument's viewpoints, until enough have passed all conditions.
+    """Draw readings that bring a robot near the viewpoints of an instrument, until enough have passed all conditions.
 
     Args:
-        instrument: Knows from where a target is measured well.
+        instrument: Has the viewpoints.
         sightline: The instrument and its target.
         ranges: Lowest and highest value of each joint, shape (m, 2), [rad] or for sliding joints [m]. Readings beyond
             them are refused for ``"limits"``, before all other reasons.
@@ -152,7 +151,13 @@ def draw_towards(
         ModelError: The target is seen at no pose that was drawn.
     """
     robot = sightline.robot
-    within = Condition("limits", partial(_are_within, robot, ranges))
+
+    def are_within(q: Array) -> Mask:
+        """Test whether all joints are within their ranges."""
+        values = robot.input_values(q)
+        return np.asarray(((values >= ranges[:, 0]) & (values <= ranges[:, 1])).all(axis=1))
+
+    within = Condition("limits", are_within)
     batches = _batches_near_viewpoints(instrument, sightline, ranges, seed)
     pool = _collect(batches, [within, *conditions], TOWARDS_VIEWPOINTS, count, progress)
     workspace = robot.readings(spread_between(ranges, len(pool.q)))
@@ -189,36 +194,30 @@ def _collect(
         if len(measurable) >= count or drawn >= most:
             break
     if not len(measurable):
-        _refuse_all(drawn, refused)
-    # Narrow ranges have few values of whole steps: each pose once, where it was drawn first.
+        is_image = bool({"focus", "tilt", "image"} & refused.keys())
+        parts = ", ".join(f"{number} by {reason}" for reason, number in refused.items() if number)
+        raise ModelError(
+            f"None of {drawn} poses drawn can be measured; refused: {parts}. Widen the region or the joint ranges, "
+            f"move the {'board or the camera' if is_image else 'tracker'}, or drop a condition."
+            f"{_HOW_THEY_FACE if is_image else ''}"
+        )
+    # Narrow ranges have few values of whole steps, which are drawn repeatedly.
     _, once = np.unique(measurable, axis=0, return_index=True)
     q = read_only(measurable[np.sort(once)][:count])
     workspace = read_only(in_region[:count])
     return Pool(q, workspace, workspace, drawn, refused)
 
 
-def _refuse_all(drawn: int, refused: Mapping[str, int]) -> None:
-    """Raise the `ModelError` that no pose can be measured, with the reasons that refused any."""
-    instrument, hint = "tracker", ""
-    if {"focus", "tilt", "image"} & refused.keys():
-        instrument, hint = "board or the camera", _HOW_THEY_FACE
-    parts = ", ".join(f"{number} by {reason}" for reason, number in refused.items() if number)
-    raise ModelError(
-        f"None of {drawn} poses drawn can be measured; refused: {parts}. Widen the region or the "
-        f"joint ranges, move the {instrument}, or drop a condition.{hint}"
-    )
-
-
 def _even_batches(robot: Robot, ranges: Array, seed: int) -> Iterator[Array]:
-    """Yield batches of readings (4096, m) at joint values from a scrambled Sobol sequence over ranges, without end."""
-    # Not above: SciPy's distributions take as long to import as the rest of calib.
+    """Yield batches of readings (n, m) at joint values from a scrambled Sobol sequence over ranges (m, 2)."""
+    # Imported late: SciPy's distributions take as long as the rest of calib.
     from scipy.stats import qmc
 
     sequence = qmc.Sobol(len(ranges), scramble=True, seed=seed)
     is_coupled = bool(robot.reading_coupling)
     low, high = ranges.T
     if is_coupled:
-        # Less what the joints move by if all readings are rounded, at most to the middle.
+        # Narrowed by what the joints move if all readings are rounded, at most to the middle.
         moved = np.abs(robot.reading_matrix) @ (0.5 / _STEPS * _table_units(robot))
         moved = np.minimum(moved, 0.5 * np.ptp(ranges, axis=1))
         low, high = low + moved, high - moved
@@ -234,8 +233,8 @@ def _even_batches(robot: Robot, ranges: Array, seed: int) -> Iterator[Array]:
 def _batches_near_viewpoints(
     instrument: Instrument, sightline: Sightline, ranges: Array, seed: int
 ) -> Iterator[Array]:
-    """Yield batches of readings (512 or fewer, m) that bring the robot near to viewpoints, without end."""
-    # Not above: SciPy's distributions take as long to import as the rest of calib.
+    """Yield batches of readings (n, m) that bring the robot near viewpoints."""
+    # Imported late: SciPy's distributions take as long as the rest of calib.
     from scipy.stats import qmc
 
     robot = sightline.robot
@@ -247,26 +246,26 @@ def _batches_near_viewpoints(
         unit = sequence.random(_CHOICE * TOWARDS_VIEWPOINTS.batch)
         T_instrument_target = instrument.viewpoints(unit)
         wanted = _coordinates(T_instrument_target)
-        # By squares of distances, less those that are the same for all.
+        # The nearest by squared distances, without the terms that are the same for all starts.
         start = np.argmin(np.sum(views**2, axis=1) - 2.0 * wanted @ views.T, axis=1)
         distance = np.linalg.norm(views[start] - wanted, axis=1)
         near = np.argsort(distance)[: TOWARDS_VIEWPOINTS.batch]
         T_base_tip = sightline.tip_poses(T_instrument_target[near])
         q = reach(robot, ranges, T_base_tip, starts[start[near]])
-        # Joints that turn are moved by whole turns into their ranges, if that can be.
+        # Revolute joints are moved by whole turns into their ranges, if possible.
         values = robot.input_values(q)
         inside = values - _TURN * np.round((values - ranges.mean(axis=1)) / _TURN)
         yield rounded(robot, robot.readings(np.where(slides, values, inside)))
 
 
 def reach(robot: Robot, ranges: Array, T_base_tip: Array, start: Array) -> Array:
-    """Bring the tip of a robot as near to poses as a few steps of inverse kinematics lead: near is enough.
+    """Bring the tip of a robot near poses by a few steps of inverse kinematics.
 
     Args:
         robot: The robot.
         ranges: Lowest and highest value of each joint, shape (m, 2), [rad] or for sliding joints [m].
         T_base_tip: Wanted poses, shape (N, 4, 4), [m].
-        start: Readings of the joints to start at, shape (N, m), [rad] or [m].
+        start: Readings to start from, shape (N, m), [rad] or [m].
 
     Returns:
         Readings, shape (N, m), [rad] or [m]; those of an arm without redundant joints may be beyond their ranges.
@@ -276,16 +275,10 @@ def reach(robot: Robot, ranges: Array, T_base_tip: Array, start: Array) -> Array
 
 
 def _coordinates(T: Array) -> Array:
-    """Return poses (n, 4, 4) as coordinates (n, 12) [m], whose distances weigh shifts and turns."""
-    # Of a small turn by an angle a, the nine entries of the matrix change by a sqrt(2) in all.
+    """Return poses (n, 4, 4) as coordinates (n, 12) [m], so that distances weigh translations and rotations."""
+    # A small rotation by an angle a changes the nine entries of the matrix by a sqrt(2) in all.
     turns = T[:, :3, :3].reshape(-1, 9) * (_RADIAN / np.sqrt(2.0))
     return np.concatenate([T[:, :3, 3], turns], axis=1)
-
-
-def _are_within(robot: Robot, ranges: Array, q: Array) -> Mask:
-    """Test whether all joints are between their lowest and highest values (m, 2), at readings (n, m); shape (n,)."""
-    values = robot.input_values(q)
-    return np.asarray(((values >= ranges[:, 0]) & (values <= ranges[:, 1])).all(axis=1))
 
 
 def planning_ranges(
@@ -300,10 +293,10 @@ def planning_ranges(
     Args:
         robot: The robot, with m measured joints.
         narrowed: Lowest and highest value by the joint's name [rad] or for sliding joints [m], for the joints whose
-            range is to be narrowed. The others go everywhere they can: those that turn through one whole turn at most,
-            the one nearest to zero, and sliding ones without limits 1 m to both sides of zero.
-        margin: Distance to the URDF's limits of joints that turn [rad]; sliding joints keep 5 mm, unless it is 0.
-        turns: True: joints that turn, and are not narrowed, go from limit to limit, also if these are more than a turn
+            range is to be narrowed. The others go everywhere they can: revolute joints through one whole turn at most,
+            the one nearest to zero, and sliding joints without limits 1 m to both sides of zero.
+        margin: Distance to the URDF's limits of revolute joints [rad]; sliding joints keep 5 mm, unless it is 0.
+        turns: True: revolute joints that are not narrowed go from limit to limit, even if these are more than a turn
             apart, or infinite.
 
     Returns:
@@ -347,7 +340,7 @@ def rounded(robot: Robot, q: Array, ranges: Array | None = None) -> Array:
     if ranges is not None:
         low, high = ranges.T / unit * _STEPS
         counts = np.clip(counts, np.ceil(low), np.floor(high))
-    # The number in a table, times the factor that its reader uses: the same to the last bit.
+    # The number in a table, times the factor that its reader uses, so that both are equal to the last bit.
     return np.asarray(counts / _STEPS * unit)
 
 

@@ -1,4 +1,4 @@
-"""Choice of the poses of a plan out of a pool of candidates, and what they will reach."""
+"""Choice of the poses of a plan from a pool of candidates, and the accuracy that they will reach."""
 
 from __future__ import annotations
 
@@ -28,19 +28,19 @@ from calib.verbs.plan.forecast import Forecast, Workspace, information
 from calib.verbs.plan.optimal import RESTARTS, Basis, Indices, choose, exchange, ranking, short_list
 from calib.verbs.plan.sensitivity import Sensitivity
 
-#: For more poses than this one random start is enough: many choices are as good.
+#: Number of poses above which one random start is enough: many choices are equally good.
 _MANY = 100
 
-#: Candidates for other numbers of poses: enough to show where more poses stop paying.
+#: Number of candidates for other numbers of poses: enough to show from where on more poses hardly help.
 _LADDER_POOL = 2000
 
-#: Draws of random poses, of which the median is shown.
+#: Number of draws of random poses, whose median is shown.
 _RANDOM = 9
 
 #: Poses that differ by less than this in every joint are the same one [rad or m].
 _SAME = 1e-3
 
-#: Poses of a plan at most: exchanging thousands takes hours, and nothing is gained that random ones do not have.
+#: Largest number of poses of a plan: exchanging thousands takes hours, and gains nothing over random ones.
 MOST_POSES = 300
 
 #: Other numbers of poses that are forecast, as shares of the plan's.
@@ -51,28 +51,28 @@ _RUNGS = (0.5, 0.67, 0.83, 1.0, 1.33, 1.67, 2.0, 3.0)
 class PlanRequest(Value):
     """Poses that are wanted of a plan."""
 
-    #: Poses to fit.
+    #: Number of poses to fit.
     count: int = 30
-    #: Poses to validate with, drawn at random from the same candidates.
+    #: Number of poses to validate with, drawn at random from the same candidates.
     validation: int = 5
     #: ``"V"``: least mean variance of predicted positions; ``"D"``: largest determinant of the information; ``"A"``:
     #: least mean variance of the parameters, in squares of their steps.
     criterion: str = "V"
-    #: Poses to choose from; None: 20000, of images 600.
+    #: Number of poses to choose from; None: 20000, or 600 for images.
     candidates: int | None = None
     #: Distance to the URDF's limits of joints that turn [rad]; sliding ones keep 5 mm, unless it is 0.
     margin: float = math.radians(5.0)
-    #: shape (m,), the robot's joint values before the first move [rad] or [m]; None: it begins at any pose.
+    #: shape (m,), the robot's joint values before the first move [rad] or [m]; None: any pose may be the first.
     start: ArrayLike | None = None
     #: Whether other numbers of poses, from half to three times ``count``, are forecast too.
     ladder: bool = True
     #: The same seed makes the same plan.
     seed: int = 0
-    #: Of images: where the board may be in the camera.
+    #: For images: where the board may be in the camera.
     sight: SightLimits = USUAL_LIMITS
 
     def __post_init__(self) -> None:
-        """Refuse values of another type, and numbers that are none."""
+        """Refuse values of another type, and numbers that are not finite or negative."""
         for name in ("count", "validation"):  # how many is checked in `check`
             check_type(name, getattr(self, name), (int, np.integer), "a whole number")
         whole_or_none = (int, np.integer, type(None))
@@ -87,14 +87,7 @@ class PlanRequest(Value):
             finite_numbers("start", start.ravel(), (None,), "finite joint values")
 
     def check(self, candidates: int) -> None:
-        """Refuse an unknown criterion, and numbers of poses that cannot be had.
-
-        Args:
-            candidates: Number of poses that can be measured, to choose from.
-
-        Raises:
-            ModelError: The request cannot be met.
-        """
+        """Refuse an unknown criterion, and numbers of poses that so many candidates cannot give: `ModelError`."""
         if self.criterion not in ("V", "D", "A"):
             raise ModelError(f"There is no criterion '{self.criterion}'. Choose V, D or A.")
         total = self.count + self.validation
@@ -136,8 +129,8 @@ def choose_poses(
 
     Args:
         sensitivity: The nominal robot in its cell under the error model of the fit.
-        pool: The candidates, and the poses over which accuracy counts.
-        request: Numbers of poses, criterion, whether other numbers are forecast, and the seed.
+        pool: The candidates.
+        request: What is wanted.
         taken: Poses that are measured already, shape (T, m), [rad] or [m]: they count in the information, and are not
             planned again; None: none are.
         progress: Called with the number of forecasts of the ladder that are done, and of all; None: nothing is called.
@@ -181,9 +174,13 @@ def choose_poses(
     chosen = choose(blocks, basis, request.count, request.seed, restarts, rank)
     planned = forecast(chosen)
 
-    # Other numbers of poses show where more stop paying. Each design is the one before it (the plan's aside) with more
-    # poses, exchanged again among the candidates that matter most.
-    rungs = _rungs(request, fewest, len(q)) if request.ladder else []
+    # Other numbers of poses show from where on more hardly help. Each design is the one before it (except the plan's)
+    # with more poses, exchanged again among the candidates that matter most.
+    rungs: list[int] = []
+    if request.ladder:
+        numbers_of_poses = {request.count, *(round(share * request.count) for share in _RUNGS)}
+        most = min(len(q), MOST_POSES)
+        rungs = sorted(number for number in numbers_of_poses if fewest <= number <= most)
     short = short_list(rank, max(_LADDER_POOL, *rungs, 0))
     few = blocks[short]
     design = np.zeros(0, dtype=np.int_)
@@ -212,24 +209,19 @@ def choose_poses(
 
 
 def _not_taken(q: Array, taken: Array) -> Array:
-    """Return the candidates (n, m) that are not among the poses measured already (T, m), [rad] or [m].
-
-    A candidate within 1e-3 rad or m of a pose in every joint is that pose. Differences are taken modulo 2 pi, also
-    those of sliding joints.
-    """
+    """Return the candidates (n, m) that differ from all poses measured already (T, m) in some joint, [rad] or [m]."""
     repeated = np.zeros(len(q), dtype=np.bool_)
     for pose in taken:
-        gap = np.remainder(q - pose + np.pi, 2.0 * np.pi) - np.pi
+        gap = np.remainder(q - pose + np.pi, 2.0 * np.pi) - np.pi  # of sliding joints too
         repeated |= np.all(np.abs(gap) < _SAME, axis=1)
     return q[~repeated]
 
 
 def _weight(criterion: str, sensitivity: Sensitivity, workspace: Workspace) -> Array | None:
-    """Return the matrix T of a criterion tr(T C), shape (p, p), with the covariance C of the p parameters.
+    """Return the matrix T (p, p) of a criterion tr(T C); None for ``D``, the determinant.
 
-    ``A``: 1 / step^2 on the diagonal, so that variances are in squares of the steps of their units, such as 1 mm or
-    1 mrad. ``V``: the mean of J^T J over the positions of all targets and poses [m^2], with the derivative J (3, p) of
-    each, so that all three coordinates add up. ``D``: None, for the determinant has no such matrix.
+    ``A``: 1 / step^2 on the diagonal, with the steps of the parameters' units such as 1 mm. ``V``: the mean of J^T J over
+    the positions of all targets and poses, J (3, p) their derivative.
     """
     if criterion == "D":
         return None
@@ -237,13 +229,3 @@ def _weight(criterion: str, sensitivity: Sensitivity, workspace: Workspace) -> A
         return np.diag(1.0 / steps(sensitivity.units) ** 2)
     positions = workspace.located[:, :, 0].size // 3
     return information(workspace.located) / positions
-
-
-def _rungs(request: PlanRequest, fewest: int, candidates: int) -> list[int]:
-    """Return the numbers of poses that are forecast, in rising order, that of the plan among them.
-
-    Numbers that do not determine the parameters are left out, and those of more poses than there are candidates.
-    """
-    numbers = {request.count, *(round(share * request.count) for share in _RUNGS)}
-    most = min(candidates, MOST_POSES)
-    return sorted(n for n in numbers if fewest <= n <= most)
