@@ -226,7 +226,7 @@ class CameraInstrument(Instrument):
 
     def is_facing(self, T_camera_board: Array) -> Mask:
         """Test whether the camera sees the front of the board, not too slanted, shape (N,)."""
-        return np.asarray(self.board_tilts(T_camera_board) <= self.limits.tilt)
+        return np.asarray(board_tilts(self.board, T_camera_board) <= self.limits.tilt)
 
     def in_image(self, T_camera_board: Array) -> Mask:
         """Test whether the share of the corners is in the image, or for a share of 1 the whole pattern, shape (N,)."""
@@ -238,18 +238,7 @@ class CameraInstrument(Instrument):
 
     def board_distances(self, T_camera_board: Array) -> Array:
         """Return how far the board's centre is from the camera at poses (N, 4, 4), shape (N,) [m]."""
-        return np.asarray(np.linalg.norm(self._centres(T_camera_board), axis=1))
-
-    def board_tilts(self, T_camera_board: Array) -> Array:
-        """Return the angle between the line of sight to the board's centre and its normal at poses (N, 4, 4).
-
-        Returns:
-            Shape (N,), [rad]: 0 head on; above pi / 2 the camera sees the back of the board.
-        """
-        along = self._centres(T_camera_board)
-        normal = T_camera_board[:, :3, 2]
-        across = np.linalg.norm(np.cross(normal, along), axis=1)
-        return np.asarray(np.arctan2(across, np.einsum("ni,ni->n", normal, along)))
+        return np.asarray(np.linalg.norm(_centres(self.board, T_camera_board), axis=1))
 
     def visible(self, T_camera_board: Array, points: Array) -> Mask:
         """Test which points of the board are in the image, inside its margin.
@@ -410,10 +399,6 @@ class CameraInstrument(Instrument):
         u, v = pixels.T.reshape(2, *in_camera.shape[:-1])
         return u, v
 
-    def _centres(self, T_camera_board: Array) -> Array:
-        """Return the centre of the board in the camera at poses (N, 4, 4), shape (N, 3) [m]."""
-        return transform(T_camera_board, self.board.centre[None])[:, 0]
-
     @property
     def _distances(self) -> tuple[float, float]:
         """The least and the largest distance of the board's centre [m]."""
@@ -488,6 +473,27 @@ def usual_distances(camera: Camera, board: Board) -> tuple[float, float]:
     full = math.hypot(*board.size) * focal_length(camera) / image
     nearest, farthest = (full / filled for filled in _FILLED)
     return nearest, farthest
+
+
+def board_tilts(board: Board, T_camera_board: Array) -> Array:
+    """Return the angle between the line of sight to a board's centre and its normal.
+
+    Args:
+        board: The board.
+        T_camera_board: Its poses in the camera, shape (N, 4, 4), [m].
+
+    Returns:
+        Shape (N,), [rad]: 0 head on; above pi / 2 the camera sees the back of the board.
+    """
+    along = _centres(board, T_camera_board)
+    normal = T_camera_board[:, :3, 2]
+    across = np.linalg.norm(np.cross(normal, along), axis=1)
+    return np.asarray(np.arctan2(across, np.einsum("ni,ni->n", normal, along)))
+
+
+def _centres(board: Board, T_camera_board: Array) -> Array:
+    """Return the centre of a board in the camera at poses (N, 4, 4), shape (N, 3) [m]."""
+    return transform(T_camera_board, board.centre[None])[:, 0]
 
 
 def outline(board: Board) -> Array:

@@ -1,7 +1,7 @@
-"""Bodies of a plan: the robot with what it holds and what is around it, to be checked for collisions.
+"""Bodies of a plan: the robot with what it holds and its surroundings, to be checked for collisions.
 
-A target of a tracker and what holds it are a rod from the tip. A board is a plate, half a square wider than its pattern
-on all sides; a camera is a rod in the hand, and a ball if it stands.
+A rod from the tip stands for a target of a tracker and what holds it, a plate for a board, half a square wider than its
+pattern on all sides, and for a camera a rod if it is in the hand, or else a ball.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from calib.verbs.plan.notes import Note
 from calib.verbs.plan.sensitivity import Sensitivity
 from calib.verbs.plan.solids import Solid, box_solids, rods
 
-#: Thickness of a board, behind its print [m].
+#: Thickness of a board, on the side away from the camera [m].
 _THICKNESS = 0.010
 
-#: A camera that stands is a ball of this radius around its centre of projection [m].
+#: Radius of the ball around the centre of projection of a camera that stands [m].
 _CAMERA_RADIUS = 0.035
 
 
@@ -73,13 +73,13 @@ def _(
         *box_solids(standing, sensitivity.cell.boxes),
     ]
     model = CollisionModel.of(robot, check=check, attached=attached)
-    # The first note is on targets and their holders, whose radius comes before the names of what is around.
+    # The first note is on targets and their holders: their radius, then the names of the surroundings.
     checked, *others = model.notes
     return replace(model, notes=(Note("images_checked", checked.values[1:]), *others))
 
 
 def free_lines_of_sight(sensitivity: Sensitivity, body: CollisionModel) -> Iterator[Condition]:
-    """Yield for each point that nothing may hide that no link and no box is between it and the instrument.
+    """Yield a condition for each point that must not be hidden: no link and no box is between it and the instrument.
 
     Args:
         sensitivity: The nominal robot in its cell, with its instrument and targets.

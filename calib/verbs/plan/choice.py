@@ -220,8 +220,8 @@ def _not_taken(q: Array, taken: Array) -> Array:
 def _weight(criterion: str, sensitivity: Sensitivity, workspace: Workspace) -> Array | None:
     """Return the matrix T (p, p) of a criterion tr(T C); None for ``D``, the determinant.
 
-    ``A``: 1 / step^2 on the diagonal, with the steps of the parameters' units such as 1 mm. ``V``: the mean of J^T J over
-    the positions of all targets and poses, J (3, p) their derivative.
+    ``A``: 1 / step^2 on the diagonal, with the steps of the parameters' units, such as 1 mm. ``V``: the mean of J^T J
+    over the positions of all targets and poses, J (3, p) their derivative.
     """
     if criterion == "D":
         return None

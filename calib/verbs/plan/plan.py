@@ -35,7 +35,7 @@ from calib.verbs.workspace.region import Region
 #: Called with the stage of the work, how much of it is done, and all of it.
 Progress = Callable[[str, int, int], None]
 
-#: Poses among which those to drive by are looked for.
+#: Number of poses among which those to drive by are looked for.
 _STOPS = 4000
 
 #: The print's scale is worth a remark if the error without its uncertainty is a smaller share of that with it.
@@ -83,11 +83,11 @@ class Plan(Value):
     at_random: Forecast
     #: Forecasts for other numbers of planned poses, in rising order, that of the plan among them.
     ladder: tuple[tuple[int, Forecast], ...]
-    #: Candidates drawn.
+    #: Number of candidates drawn.
     drawn: int
-    #: Of these, those that can be measured.
+    #: Number of these that can be measured.
     candidates: int
-    #: Number of those drawn that were refused, by reason, in the order of the conditions.
+    #: Number of these that were refused, by reason, in the order of the conditions.
     refused: Mapping[str, int]
     #: The sum over all moves of the largest move of a joint [rad] or [m].
     travel: float
@@ -105,7 +105,7 @@ class Plan(Value):
         return str(shown_by("verbs.plan.text").plan_html(self))
 
     def summary(self) -> str:
-        """Return the plan as text, without colours, as ``calib plan`` prints it."""
+        """Return the plan as text, as ``calib plan`` prints it."""
         return str(shown_by("verbs.plan.text").plan_text(self))
 
     def __post_init__(self) -> None:
@@ -153,20 +153,20 @@ def plan(
     """Plan the poses of a calibration: which to measure, and in which order to drive.
 
     Args:
-        robot: The nominal robot, from the link that carries the instrument, or stands for it, to that which carries the
-            targets; or the path of a URDF or xacro, or a name such as ``"ur3"``, with the cell's base and tip, or the
-            URDF's root and its farthest link.
-        cell: What the fit will use, model and priors with it, and what stands around the robot: boxes, joint ranges,
-            tracker and reflector; or a camera and a board, with ``T_frame_base``, the pose of the camera's link in the
-            camera, and ``target`` and ``target_rotation``, the pose of the board in its link, to a few centimetres and
-            degrees. Or the path of a cell file; None: the default cell. The model ``"auto"`` is planned for as
-            ``"placement"``, the largest geometry.
+        robot: The nominal robot, from the link of the instrument (of a tracker, any link that does not move) to the
+            link of the targets; or the path of a URDF or xacro, or a name such as ``"ur3"``, with the cell's base and
+            tip, or the URDF's root and its farthest link.
+        cell: What the fit will use, model and priors included, and the surroundings: boxes, joint ranges, tracker and
+            reflector. With a camera and a board, ``T_frame_base`` is the pose of the camera's link in the camera, and
+            ``target`` and ``target_rotation`` are the pose of the board in its link, to a few centimetres and degrees.
+            Or the path of a cell file; None: the default cell. The model ``"auto"`` is planned for as ``"placement"``,
+            the largest geometry.
         request: Numbers of poses, criterion, margin to joint limits, start, seed, and where a board may be in a camera.
         region: Voxels of the robot's base frame in which the first target is to lie; None: anywhere.
         taken: Joint values of poses that are measured already, shape (T, m) or (m,), [rad] or for sliding joints [m],
             columns as ``robot.joint_names``: the plan adds to them; None: none.
         collisions: How poses and moves are checked for collisions of the robot and what it holds with the robot itself,
-            the cell's boxes and the mounting plane, and lines of sight; None: they are not.
+            the cell's boxes and the mounting plane, and lines of sight; None: they are not checked.
         progress: Called with the stage of the work, ``"candidates"`` or ``"choice"``, how much of it is done, and all
             of it; None: nothing is called.
 
@@ -208,18 +208,23 @@ def plan(
 
     poses = np.concatenate([choice.planned, choice.validation])
     start = None if request.start is None else np.asarray(request.start, dtype=np.float64)
-    # With errors that change with a joint's value, a pose one turn on is another pose.
+    # If errors depend on a joint's value, a pose one turn further is another pose.
     turns = not sensitivity.kinematics.model.joint_terms
     limits = planning_ranges(arm, known.ranges, request.margin, turns=turns)
 
     def stops() -> Array:
-        """Return the first poses of the workspace that are free of collision; nothing need see the target there."""
+        """Return poses of the workspace that are free of collision; the target need not be seen there."""
         first = pool.workspace[:_STOPS]
         return first if body is None else first[body.free(first)]
 
     route = find_route(arm, poses, limits, start, None if body is None else body.path_free, stops)
     is_fitted = route.order < len(choice.planned)
     fitted = np.concatenate([measured, route.joints[is_fitted]])
+    notes = _scale_notes(sensitivity, pool, fitted, choice.forecast.rms)
+    notes += sensitivity.notes
+    if known.reflector is not None and known.tracker is None:
+        notes.append(Note("reflector_not_checked"))
+    notes += [Note("collisions_not_checked")] if body is None else body.notes
     return Plan(
         robot=arm,
         cell=sensitivity.cell,
@@ -242,29 +247,25 @@ def plan(
         refused=pool.refused,
         travel=route.travel,
         blocked=route.blocked,
-        notes=(
-            *_scale_notes(sensitivity, pool, fitted, choice.forecast.rms),
-            *sensitivity.notes,
-            *_check_notes(known, body),
-        ),
+        notes=tuple(notes),
     )
 
 
 def refuse_region(instrument: Instrument) -> None:
-    """Raise `CalibError` if an instrument seeks candidates by viewpoints, to which a region does not apply."""
+    """Refuse a region for an instrument with viewpoints, to which it does not apply; raises `CalibError`."""
     if instrument.VIEWPOINT_NUMBERS:
         raise CalibError("--region is for targets; where the board is seen is said by --board-at.")
 
 
 def _stage(progress: Progress | None, stage: str) -> Callable[[int, int], None] | None:
-    """Return the function that one stage of the work reports its progress to."""
+    """Return the function to which one stage of the work reports its progress."""
     return None if progress is None else partial(progress, stage)
 
 
 def _conditions(
     sensitivity: Sensitivity, region: Region | None, body: CollisionModel | None
 ) -> Iterator[Condition]:
-    """Yield what a candidate must pass, the cheap conditions first: region, instrument, lines of sight, collisions."""
+    """Yield the conditions of a candidate, the cheap ones first: region, instrument, lines of sight, collisions."""
     if region is not None:
         refuse_region(sensitivity.instrument)
         robot, T_tip_target = sensitivity.kinematics.robot, sensitivity.setup.T_tip_target[0]
@@ -273,19 +274,9 @@ def _conditions(
         )
     yield from sensitivity.instrument.sees(sensitivity.sightlines)
     if body is not None:
-        # A line of sight is one rod against all links; they among themselves take ten times as long.
+        # A line of sight is one rod against all links; links among themselves take ten times as long.
         yield from free_lines_of_sight(sensitivity, body)
         yield Condition("collision", body.free)
-
-
-def _check_notes(cell: Cell, body: CollisionModel | None) -> list[Note]:
-    """Return remarks on what was checked of poses and moves, and what was not."""
-    notes = []
-    if cell.reflector is not None and cell.tracker is None:
-        notes.append(Note("reflector_not_checked"))
-    if body is None:
-        return [*notes, Note("collisions_not_checked")]
-    return [*notes, *body.notes]
 
 
 def _scale_notes(sensitivity: Sensitivity, pool: Pool, q: Array, rms: float) -> list[Note]:

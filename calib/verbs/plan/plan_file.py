@@ -1,9 +1,9 @@
 """A plan as files, and the poses of a table.
 
 The table of a tracker's plan has a row for each pose and target, with empty cells for what will be measured there;
-filled in, or beside an instrument's list of points, it is a table of measurements. That of images has a row for each
-image, with the file name to save it under; with the images beside it, `calib detect` finds in it which joint values
-belong to which. Plan and forecast as nested tables, in SI units, are for a JSON file. See docs/planning.md.
+filled in, or together with an instrument's list of points, it is a table of measurements. A table of images has a row
+for each image, with the file name under which to save it; `calib detect` finds in it which joint values belong to which
+image. A JSON file has the plan and the forecast in SI units. See docs/planning.md.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from calib.data.layout import Layout
 from calib.data.measurements import Measurements
 from calib.data.values import read_values
 from calib.errors import MeasurementError
-from calib.instruments.camera import CameraInstrument
+from calib.instruments.camera import CameraInstrument, board_tilts
 from calib.instruments.instrument import Instrument
 from calib.robot.coupled_readings import coupling_table
 from calib.robot.robot import Robot
@@ -40,13 +40,13 @@ from calib.version import __version__
 
 SCHEMA = "plan 2"
 
-#: Digits of degrees and millimetres: those that planned joint values have, and a tracker's last.
+#: Decimals of degrees and millimetres: those of planned joint values, and of a tracker.
 _DIGITS = 3
 
-#: Units that values are written in, and their number in one SI unit.
+#: Unit in which values are written, and its number in one SI unit.
 _WRITTEN = {unit.quantity: (unit.shown, unit.to_shown) for unit in RESIDUAL_UNITS.values()}
 
-#: Kinds whose rows measure something without a cell of their own.
+#: Kinds whose rows measure something without a column of their own.
 _WITHOUT_CELLS = ("fixed", "plane")
 
 #: A whole number in the name of an image.
@@ -63,9 +63,9 @@ def write_plan(
     overwrite: bool = False,
     first_row: int = 1,
 ) -> Path:
-    """Write a plan as a CSV table, degrees and millimetres, in the order to drive; several targets have a row each.
+    """Write a plan as a CSV table in degrees and millimetres, in the order to drive; several targets have a row each.
 
-    The columns of what is measured are empty; ``expected`` columns are what the nominal robot would give.
+    The columns of what is measured are empty; ``expected`` columns have what the nominal robot predicts.
 
     Args:
         plan: The plan.
@@ -89,7 +89,7 @@ def plan_rows(instrument: Instrument, plan: Plan, number: int) -> Iterator[dict[
     """Yield the cells of each row of a plan by the headers of their columns, in the order to drive.
 
     Args:
-        instrument: What measures; chooses the columns.
+        instrument: What measures, which has the columns.
         plan: The plan.
         number: Number of the first row; a point is named after its row, ``"P1"``.
     """
@@ -102,7 +102,7 @@ def plan_rows(instrument: Instrument, plan: Plan, number: int) -> Iterator[dict[
     if kind.orientation:
         empty += QUATERNION.columns
     empty += [_header(*column) for column in readings]
-    # Of what is measured, orientations are not expected.
+    # There are no expected orientations.
     expected = [*range(len(lengths)), *range(kind.size - len(readings), kind.size)]
     T_frame_target = np.eye(4)
     for q, set_name, places in zip(plan.joints, plan.sets, plan.expected, strict=True):
@@ -124,7 +124,7 @@ def plan_rows(instrument: Instrument, plan: Plan, number: int) -> Iterator[dict[
 def _(instrument: CameraInstrument, plan: Plan, number: int) -> Iterator[dict[str, str]]:
     """Yield the cells of each image; without row numbers, because a table of corners has many rows of an image."""
     distances, tilts = distances_and_tilts(instrument, plan)
-    # A table is read from the foot of the robot to its hand, also if the chain leads the other way.
+    # Columns run from the foot of the robot to its hand, even if the chain leads the other way.
     backwards = plan.robot.base_moves
     for k, q in enumerate(plan.joints):
         row = {"set": plan.sets[k], "image": image_name(number + k)}
@@ -141,13 +141,10 @@ def image_name(number: int) -> str:
 
 
 def distances_and_tilts(instrument: CameraInstrument, plan: Plan) -> tuple[Array, Array]:
-    """Return how far the board is expected from the camera, and how much tilted, at each pose.
-
-    Returns:
-        Distance of the board's centre [m], and angle between the line of sight and its normal [rad], shape (K,) each.
-    """
+    """Return the expected distances (K,) [m] and tilts (K,) [rad] of the board at the poses of a plan."""
     T_camera_board = plan.sightline.target_poses(plan.joints)
-    return instrument.board_distances(T_camera_board), instrument.board_tilts(T_camera_board)
+    tilts = board_tilts(instrument.board, T_camera_board)
+    return instrument.board_distances(T_camera_board), tilts
 
 
 def _header(name: str, quantity: Quantity) -> str:
@@ -156,7 +153,7 @@ def _header(name: str, quantity: Quantity) -> str:
 
 
 def _cell(quantity: Quantity, value: float) -> str:
-    """Return the text of a number in SI units, in the unit of its column, with no minus before a zero."""
+    """Return the text of a number in SI units, in the unit of its column; 0 has no minus."""
     return f"{_WRITTEN[quantity][1] * value + 0.0:.{_DIGITS}f}"
 
 
@@ -194,7 +191,7 @@ def read_poses(
         path: Path of the table.
         robot: The robot, whose m measured joints have a column each in the table.
         columns: What is said of the columns, as by ``--columns``; None: nothing.
-        taken: Whether only those are read that a fit would estimate from, measured and of the set ``estimate``; in a
+        taken: Whether only poses that a fit would estimate from are read, measured and of the set ``estimate``; of a
             table in which nothing is measured, such as a plan that is still to be driven, all poses of that set.
 
     Returns:
@@ -213,8 +210,8 @@ def read_poses(
         chosen = rows.estimation & (measured | (not measured.any()))
         if not chosen.any():
             raise MeasurementError(f"{table.source}: no row that is measured is 'estimate'.")
-    # Rows with the same joint values are one pose if their targets differ; if a target comes again, another pose, a
-    # repetition of the first, has begun.
+    # Rows with the same joint values are one pose if their targets differ; if a target occurs again, the pose is
+    # repeated, which counts as another one.
     repeats: Counter[tuple[bytes, str]] = Counter()
     first_rows: dict[tuple[bytes, int], int] = {}
     for i in np.flatnonzero(chosen).tolist():
@@ -235,26 +232,18 @@ def read_poses(
 
 @singledispatch
 def next_number(_instrument: Instrument, poses: Poses) -> int:
-    """Return the number of the first row, or image, of a plan that adds to the poses of a table.
-
-    Args:
-        _instrument: What measures: rows are numbered, or images by their names.
-        poses: Those of the table.
-    """
+    """Return the number of the first row, or image, of a plan that adds to the poses of a table."""
     return max(poses.last_row, 0) + 1
 
 
 @next_number.register
 def _(_instrument: CameraInstrument, poses: Poses) -> int:
-    """Return one more than the largest number in the names of images."""
+    """Return one more than the largest number in the names of the images."""
     return poses.last_image + 1
 
 
 def _measured_rows(table: Table, robot: Robot) -> Mask:
-    """Find the rows of a table that measure something, shape (N,).
-
-    A cell of x, y, z, ``distance`` or ``pair`` has text, or the kind is ``fixed`` or ``plane``, which needs none.
-    """
+    """Return which rows of a table measure something (N,): by a cell, or by a kind that needs none."""
     named, _ = name_columns(table, robot.joint_names, {})
     columns = [named[name].index for name in (*POINT, "distance", "pair") if name in named]
     kinds = [""] * len(table.cells)
@@ -271,11 +260,7 @@ def _measured_rows(table: Table, robot: Robot) -> Mask:
 
 
 def plan_table(plan: Plan) -> dict[str, Any]:
-    """Return a plan as nested tables for a JSON file, in SI units; docs/planning.md describes the keys.
-
-    Args:
-        plan: The plan.
-    """
+    """Return a plan as nested tables for a JSON file, in SI units; docs/planning.md describes the keys."""
     robot, request = plan.robot, plan.request
     joints = []
     for name, joint_type in robot.joint_types.items():
@@ -320,7 +305,7 @@ def plan_table(plan: Plan) -> dict[str, Any]:
 
 @singledispatch
 def _further_keys(_instrument: Instrument, _plan: Plan) -> dict[str, Any]:
-    """Return what an instrument adds to each pose of the file, by key, as many values as poses."""
+    """Return what an instrument adds to each pose of the file: by key, one value for each pose."""
     return {}
 
 
@@ -331,11 +316,7 @@ def _(instrument: CameraInstrument, plan: Plan) -> dict[str, Any]:
 
 
 def forecast_table(forecast: Forecast) -> dict[str, Any]:
-    """Return a forecast as nested tables for a JSON file, in SI units; docs/planning.md describes the keys.
-
-    Args:
-        forecast: Expected accuracy of a fit.
-    """
+    """Return a forecast as nested tables for a JSON file, in SI units; docs/planning.md describes the keys."""
     counts = ("poses", "rank", "workspace_rank", "columns")
     lengths = ("rms", "rms_low", "rms_high", "max")
     parameters = zip(

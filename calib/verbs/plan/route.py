@@ -1,10 +1,10 @@
-"""Route of a plan: the order to drive its poses, whole turns of joints, and poses to drive by where moves are blocked.
+"""Route of a plan: the order to drive its poses, whole turns of joints, and poses to drive by if moves are blocked.
 
-A move takes as long as the joint that moves farthest, c(a, b) = max_k |q_bk - q_ak|: joints do not take the short way
-round, because controllers do not. The order is a short open path through all poses: paths to the nearest pose that is
-left, from several first poses, are improved by reversing pieces of them, and the shortest is taken. Only moves that a
-path has are tested for collisions. Blocked ones get a penalty, and the path is improved again. If a joint has room for
-more than one turn, the other side of an obstacle may be reached by turning it 360 deg further.
+A move takes as long as its largest joint move, c(a, b) = max_k |q_bk - q_ak|; controllers do not turn joints the short
+way round. The order is a short open path through all poses: paths that always go to the nearest pose that is left, from
+several first poses, are improved by reversing pieces of them (2-opt), and the shortest is taken. Only the moves of a
+path are tested for collisions. Blocked ones get a penalty, and the path is improved again. If a joint has room for more
+than one turn, the other side of an obstacle may be reached by turning it 360 deg further.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ from calib.verbs.plan.candidates import rounded
 #: Returns whether the straight move in joint space between two poses (m,) is free, the same there and back.
 FreePath = Callable[[Array, Array], bool]
 
-#: First poses, spread over all, from which paths to the nearest pose are tried.
+#: Number of first poses, spread over all, from which paths are tried.
 _BEGINNINGS = 20
 
-#: Whole turns are tried of at most this many joints at once.
+#: Largest number of joints that are turned at once.
 _MOST_JOINTS = 2
 
-#: Moves to a stretch of poses that are tried for each turn, the shortest ones.
+#: Number of moves to a stretch of poses that are tried for each turn, the shortest ones.
 _TRIES = 60
 
-#: Poses to drive by that are tried for one move, the shortest ways first.
+#: Number of poses to drive by that are tried for one move, the shortest ways first.
 _STOPS = 300
 
 #: A gain below this share of the largest cost is rounding.
@@ -43,9 +43,9 @@ _TURN = 2.0 * np.pi
 class Blocked(NamedTuple):
     """Move whose straight way in joint space is not free."""
 
-    #: Pose that it begins at, from 1 in the order to drive; 0: the robot's pose before the first move.
+    #: Pose at which it begins, from 1 in the order to drive; 0: the robot's pose before the first move.
     start: int
-    #: Pose that it leads to, from 1.
+    #: Pose to which it leads, from 1.
     end: int
     #: Shape (m,), joint values by which the way is free, [rad] or [m]; None: none was found.
     by: Array | None
@@ -72,14 +72,14 @@ def find_route(
     free_path: FreePath | None = None,
     stops: Callable[[], Array] | None = None,
 ) -> Route:
-    """Order poses; where a move is blocked, turn some joints once more, or name a pose to drive by.
+    """Order poses; if moves are blocked, turn some joints by whole turns, or name poses to drive by.
 
     Args:
         robot: The robot, with m measured joints.
         joints: Joint values of the poses, shape (N, m), [rad] or for sliding joints [m].
         limits: Lowest and highest value of each joint, shape (m, 2), [rad] or [m], between which poses stay.
-        start: The robot's joint values before the first move, shape (m,), [rad] or [m]; None: the route begins at any
-            pose.
+        start: The robot's joint values before the first move, shape (m,), [rad] or [m]; None: any pose may be the
+            first.
         free_path: Tests a move; None: all moves are free.
         stops: Returns joint values of free poses to drive by, shape (n, m); called only if moves remain blocked. None:
             there are none.
@@ -105,17 +105,17 @@ def find_route(
 
 def order_poses(q: Array, start: Array | None = None, free_path: FreePath | None = None) -> Route:
     """Find a short open path through poses (N, m) as they are, with few blocked moves; see `find_route`."""
-    # Not above: it takes long to import.
+    # Imported late, because it takes long.
     from scipy.spatial.distance import cdist
 
     count = len(q)
     poses = q if start is None else np.vstack([q, start])
-    # Two more places: the begin of a path, which is the robot's start or anywhere, and its end, which costs nothing.
+    # Two more nodes: the start of a path, which is the robot's or any pose, and its end, which costs nothing.
     costs = np.zeros((count + 2, count + 2))
     costs[: len(poses), : len(poses)] = cdist(poses, poses, "chebyshev")
     path = _shortest_path(costs)
     penalised = costs.copy()
-    penalty = float(costs.max()) * len(costs) + 1.0  # one blocked move less is worth every detour
+    penalty = float(costs.max()) * len(costs) + 1.0  # a blocked move is worse than any detour
     is_free: dict[tuple[int, int], bool] = {}
     is_settled = False
     while free_path is not None and not is_settled:
@@ -134,7 +134,7 @@ def order_poses(q: Array, start: Array | None = None, free_path: FreePath | None
 
 
 def _shortest_path(costs: Array) -> Integers:
-    """Return the shortest of several improved paths to the nearest pose that is left, with both ends, (count + 2,)."""
+    """Return the shortest of the improved paths that go to the nearest pose that is left, both ends included."""
     count = len(costs) - 2
     firsts = np.unique(np.linspace(0, count - 1, _BEGINNINGS).astype(int)).tolist() if count else []
     if count == 0 or costs[count].any():  # the path begins at the robot's start
@@ -152,7 +152,7 @@ def _shortest_path(costs: Array) -> Integers:
 
 
 def _improve(path: Integers, costs: Array) -> Integers:
-    """Improve a path by reversing the piece whose reversal shortens it most until none does (2-opt); its ends stay.
+    """Improve a path by reversing the piece whose reversal shortens it most, until none does; its ends stay.
 
     Reversing the places i to j replaces the steps (i - 1, i) and (j, j + 1) by (i - 1, j) and (i, j + 1).
     """
@@ -178,7 +178,7 @@ def _turn(robot: Robot, q: Array, limits: Array, route: Route, free_path: FreePa
     """Return poses (N, m) with whole turns of joints, so that free moves lead from the longest stretch to the others.
 
     Each stretch between blocked moves is shifted as a whole by the fewest turns, 0 included, with which one of the
-    shortest moves to it is free from those reached so far; a stretch to which none leads stays as it is.
+    shortest moves from a stretch reached so far is free; otherwise it stays.
     """
     joints = np.flatnonzero(_turning_joints(robot, limits)).tolist()
     shifts: list[Array] = []
@@ -195,8 +195,13 @@ def _turn(robot: Robot, q: Array, limits: Array, route: Route, free_path: FreePa
             continue
         for shift in shifts:
             there = turned[stretch] + shift
-            fits = ((there >= limits[:, 0]) & (there <= limits[:, 1])).all()
-            if fits and _is_reached(turned[reached], there, free_path):
+            if not ((there >= limits[:, 0]) & (there <= limits[:, 1])).all():
+                continue
+            here = turned[reached]
+            lengths = np.max(np.abs(here[:, None] - there[None]), axis=2)
+            shortest = np.argsort(lengths, axis=None, kind="stable")[:_TRIES]
+            moves = zip(*np.unravel_index(shortest, lengths.shape), strict=True)
+            if any(free_path(here[a], there[b]) for a, b in moves):
                 turned[stretch] = there
                 reached = np.concatenate([reached, stretch])
                 break
@@ -204,10 +209,7 @@ def _turn(robot: Robot, q: Array, limits: Array, route: Route, free_path: FreePa
 
 
 def _turning_joints(robot: Robot, limits: Array) -> Mask:
-    """Find the joints, shape (m,), that turn, have limits (m, 2) [rad] of more than a turn, and move no other joint.
-
-    A mimic joint that follows, or a coupled reading, would end elsewhere.
-    """
+    """Return which joints (m,) turn within limits (m, 2) [rad] of more than one turn, and move no other joint."""
     slides = np.array([joint.type == "prismatic" for joint in robot.inputs])
     is_alone = np.sum(robot.mimic_matrix != 0.0, axis=0) <= 1
     has_factors = robot.reading_matrix != np.eye(len(slides))
@@ -215,16 +217,8 @@ def _turning_joints(robot: Robot, limits: Array) -> Mask:
     return np.asarray(~slides & is_alone & ~is_coupled & (np.ptp(limits, axis=1) > _TURN))
 
 
-def _is_reached(reached: Array, poses: Array, free_path: FreePath) -> bool:
-    """Test whether one of the shortest moves from poses (a, m) to others (b, m) is free."""
-    lengths = np.max(np.abs(reached[:, None] - poses[None]), axis=2)
-    shortest = np.argsort(lengths, axis=None, kind="stable")[:_TRIES]
-    pairs = zip(*np.unravel_index(shortest, lengths.shape), strict=True)
-    return any(free_path(reached[a], poses[b]) for a, b in pairs)
-
-
 def _detour(start: Array, end: Array, poses: Array, free_path: FreePath) -> Array | None:
-    """Return the pose (m,) of several (n, m) by which the way between two others is free and shortest; None: none."""
+    """Return the pose (m,) of several (n, m) by which the way between two others is free and shortest, if any."""
     to_pose = np.max(np.abs(poses - start), axis=1)
     from_pose = np.max(np.abs(poses - end), axis=1)
     for k in np.argsort(to_pose + from_pose, kind="stable")[:_STOPS]:

@@ -1,6 +1,6 @@
 """Sensitivity of measurements and predictions to the parameters that a fit will estimate, before anything is measured.
 
-They are the fit's own: its rows, error model, noise and priors, at the nominal robot.
+Rows, error model, noise and priors are those of the fit, at the nominal robot.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ from calib.verbs.plan.notes import Note
 #: What `auto` is planned for: the largest geometry, so that every smaller one is covered.
 PLANNED_FOR_AUTO = "placement"
 
-#: Prior standard deviation of a parameter without a prior [m and rad], as in a fit: it holds directions that no pose
-#: determines.
+#: Standard deviation that holds a parameter without a prior, as in a fit, in directions that no pose determines [m and
+#: rad].
 LEASH = 1.0
 
-#: Distance of an instrument whose place is not known from the target [m].
+#: Distance from the target of an instrument whose position is not known [m].
 _USUAL_DISTANCE = 3.0
 
 
@@ -132,7 +132,7 @@ class Sensitivity:
 
     @property
     def sightlines(self) -> tuple[Sightline, ...]:
-        """The instrument and each target, with the chain between them; () if it is not known where it stands."""
+        """The instrument and each target, with the chain between them; () if the instrument's place is not known."""
         T_instrument_base = self.instrument.T_instrument_base
         if T_instrument_base is None:
             return ()
@@ -146,7 +146,7 @@ class Sensitivity:
             q: Joint values of N poses, shape (N, m), [rad] or for sliding joints [m], columns as ``robot.joint_names``.
 
         Returns:
-            Positions of the point of each target that counts, shape (N, k, 3), [m], in the order of the setup.
+            Positions of the targets (of a board, its centre), shape (N, k, 3), [m], in the order of the setup.
         """
         T = self.kinematics.poses(np.zeros(len(self.names)), self._samples(q))
         return transform(T, self.instrument.points[:1]).reshape(len(q), -1, 3)
@@ -182,8 +182,8 @@ class Sensitivity:
     def located(self, q: Array) -> Array:
         """Differentiate the predicted positions of the k targets, in the measurement frame, by the p parameters.
 
-        If no position is measured, as with distances, the pose of the base cannot be known: of each column the
-        displacements that a rigid motion of all n k positions explains best are subtracted.
+        If no position is measured, as with distances, the pose of the base cannot be known: the rigid motion of all
+        n k positions that explains a column best is subtracted from it.
 
         Args:
             q: Joint values of n poses, shape (n, m), [rad] or for sliding joints [m], columns as ``robot.joint_names``.
@@ -205,8 +205,8 @@ class Sensitivity:
     def noise(self, q: Array) -> Array:
         """Return the standard deviation of a measured scalar at each pose, by the distance to the first target.
 
-        An instrument that measures no positions is the origin of the measurement frame, such as an anchor; one whose
-        place is not known is 3 m away.
+        An instrument that does not measure positions, such as an anchor, is the origin of the measurement frame; one
+        whose place is not known is taken to be 3 m away.
 
         Args:
             q: Joint values of n poses, shape (n, m), [rad] or for sliding joints [m], columns as ``robot.joint_names``.
@@ -223,7 +223,7 @@ class Sensitivity:
         return self.instrument.noise(distance)
 
     def sigma_by_unit(self, q: Array) -> dict[str, float]:
-        """Return the standard deviation of one scalar in each unit that is measured; of lengths rms over the poses.
+        """Return the standard deviation of one scalar in each unit that is measured; of lengths, the rms over poses.
 
         Args:
             q: Joint values of n poses, shape (n, m), [rad] or for sliding joints [m], columns as ``robot.joint_names``.

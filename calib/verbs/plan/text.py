@@ -23,7 +23,6 @@ from calib.verbs.plan.plan_file import distances_and_tilts
 if TYPE_CHECKING:
     from calib.verbs.plan.forecast import Forecast
     from calib.verbs.plan.notes import Code, Note
-    from calib.verbs.plan.route import Blocked
 
 _CRITERIA = {
     "V": "least mean error over the workspace (V-optimal)",
@@ -66,13 +65,13 @@ _NOTES: dict[Code, str] = {
     "always_touching": "Not checked against each other, since they touch at (nearly) all poses: {0}.",
 }
 
-#: Columns from a label of the plan's head to its text.
+#: Width of a label of the plan's head [columns].
 _PLAN_LABEL = 15
 
 
 def plan_text(plan: Plan) -> str:
     """Write a plan: its head, the forecasts, notes."""
-    notes = [*map(note_text, plan.notes), *_blocked(plan)]
+    notes = [*map(note_text, plan.notes), *_describe_blocked_moves(plan)]
     return paragraphs(_head(plan), _forecasts(plan), [f"Note: {note}" for note in notes])
 
 
@@ -91,7 +90,7 @@ def note_text(note: Note) -> str:
 
 
 def _and_with(obstacles: Sequence[str | float]) -> str:
-    """Word further bodies that are compared; empty where there are none."""
+    """Word further bodies that are compared; empty: there are none."""
     return f" and with {', '.join(map(str, obstacles))}" if obstacles else ""
 
 
@@ -177,21 +176,25 @@ def _forecasts(plan: Plan) -> Iterator[str]:
         planned = f"those taken and these, {taken + count}"
         random += " in place of these"
         beside = f" beside the {taken} taken"
-    rows = [
+    rows: list[tuple[str, Forecast | None]] = [
         (planned, forecast),
         (random, plan.at_random),
         (f"the {taken} taken alone", plan.before),
     ]
-    for number, other in plan.ladder:
+    for number, at_number in plan.ladder:
         if number != count:
-            rows.append((f"{number} poses{beside}", other))
+            rows.append((f"{number} poses{beside}", at_number))
     columns = [
         name_column("", 34),
         Column("rms", 10),
         Column("of 90 % of calibrations", 27),
         Column("worst place", 13),
     ]
-    cells = [_forecast_row(label, f) for label, f in rows if f is not None]
+    cells = []
+    for label, other in rows:
+        if other is not None:
+            span = f"{_mm(other.rms_low)} to {_mm(other.rms_high)}"
+            cells.append((f"  {label}", _mm(other.rms), span, _mm(other.max)))
     yield "Expected error of a predicted position after the calibration, over the workspace:"
     yield from table_lines(columns, cells)
     yield f"{noise_text(forecast.sigma)}. Unmodelled errors are not included."
@@ -201,11 +204,7 @@ def _forecasts(plan: Plan) -> Iterator[str]:
 
 
 def noise_text(sigma: Mapping[str, float]) -> str:
-    """Word the noise of a forecast, without a full stop.
-
-    Args:
-        sigma: Standard deviation of one scalar by its unit.
-    """
+    """Word the noise of a forecast, the standard deviation of one scalar by its unit, without a full stop."""
     parts = []
     for symbol, std in sigma.items():
         unit = RESIDUAL_UNITS[symbol]
@@ -216,33 +215,26 @@ def noise_text(sigma: Mapping[str, float]) -> str:
     return f"Noise {', '.join(parts)}"
 
 
-def _forecast_row(label: str, forecast: Forecast) -> tuple[str, str, str, str]:
-    """Cells of a forecast."""
-    span = f"{_mm(forecast.rms_low)} to {_mm(forecast.rms_high)}"
-    return f"  {label}", _mm(forecast.rms), span, _mm(forecast.max)
-
-
-def _blocked(plan: Plan) -> Iterator[str]:
-    """Word the moves whose straight way collides, each with a pose to move through, if one was found."""
-    moves = [_blocked_move(plan, blocked) for blocked in plan.blocked]
+def _describe_blocked_moves(plan: Plan) -> Iterator[str]:
+    """Word the moves whose straight way collides, by their rows, each with a pose to move through if one was found."""
+    targets = len(plan.targets)  # each pose has a row for each of them
+    moves = []
+    for blocked in plan.blocked:
+        start = f"row {targets * (blocked.start - 1) + 1}" if blocked.start else "the start"
+        move = f"{start} to row {targets * (blocked.end - 1) + 1}"
+        if blocked.by is not None:
+            values = []
+            for joint, value in zip(plan.robot.inputs, blocked.by, strict=True):
+                slides = joint.type == "prismatic"
+                values.append(
+                    f"{1e3 * value:.1f} mm" if slides else f"{math.degrees(value):.1f} deg"
+                )
+            move += f" (via {', '.join(values)})"
+        moves.append(move)
     if moves:
         yield f"The straight way in joint space collides from {', '.join(moves)}."
     if any(blocked.by is None for blocked in plan.blocked):
         yield "Put a posture between the rows where no way around is named."
-
-
-def _blocked_move(plan: Plan, blocked: Blocked) -> str:
-    """Word a move by the rows at its ends: pose k has one row for each target."""
-    rows = len(plan.targets)
-    start = f"row {rows * (blocked.start - 1) + 1}" if blocked.start else "the start"
-    text = f"{start} to row {rows * (blocked.end - 1) + 1}"
-    if blocked.by is None:
-        return text
-    values = []
-    for joint, value in zip(plan.robot.inputs, blocked.by, strict=True):
-        slides = joint.type == "prismatic"
-        values.append(f"{1e3 * value:.1f} mm" if slides else f"{math.degrees(value):.1f} deg")
-    return f"{text} (via {', '.join(values)})"
 
 
 def plan_html(p: Plan) -> str:

@@ -1,7 +1,7 @@
 """The page of a plan: one HTML file with the robot at one pose after the other, in the order to drive.
 
 It has the numbers of each pose, the targets of all poses, the boxes around the robot, and the tracker with its lines of
-sight. Each can be shown and hidden. The robot stands on its foot, also if a camera in the hand looks the other way.
+sight. Each can be shown and hidden. The robot stands on its foot, even if the chain begins at a camera in its hand.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from functools import singledispatch
 import meshcat
 import numpy as np
 
-from calib.basics.arrays import Array, read_only, rigid_inverse
+from calib.basics.arrays import read_only, rigid_inverse
 from calib.data.cell import Box
 from calib.instruments.camera import CameraInstrument
 from calib.instruments.instrument import Instrument
@@ -31,7 +31,7 @@ from calib.verbs.plan.sensitivity import Sensitivity
 from calib.verbs.view.page import WAY_COLOUR, About, view_page
 from calib.verbs.view.view import View, joint_texts
 
-#: Radius of a target's ball, as a part of the scene's size.
+#: Radius of a target's ball, as a share of the scene's size.
 _BALL = 0.008
 
 #: Colour of the boxes.
@@ -40,7 +40,7 @@ _BOXES_COLOUR = "#b9a58c"
 #: Colour of poses measured already.
 _TAKEN_COLOUR = "#8a94a0"
 
-#: A board is shown this thick, and a camera that stands this large [m].
+#: Thickness of a board, and edge of a camera that stands [m].
 _THICKNESS = 0.004
 _CAMERA = 0.05
 
@@ -82,7 +82,15 @@ def plan_page(plan: Plan, *, first_row: int = 1) -> Page:
     tracker, boxes = plan.cell.tracker, moving.cell.boxes
 
     def draw(group: meshcat.Visualizer, size: float) -> list[Key]:
-        keys = draw_dots(group, _plan_dots(moving, places, taken), _BALL * size)
+        chosen = np.array(moving.sets) == "estimate"
+        estimate = f"to estimate from, {chosen.sum()}"
+        validate = f"to validate with, {(~chosen).sum()}"
+        dots = (
+            Dots("estimate", ESTIMATION, estimate, places[chosen]),
+            Dots("validate", VALIDATION, validate, places[~chosen]),
+            Dots("taken", _TAKEN_COLOUR, f"measured already, {len(moving.taken)}", taken),
+        )
+        keys = draw_dots(group, dots, _BALL * size)
         if boxes:
             sizes = [box.size for box in boxes]
             draw_boxes(group["around"], sizes, [box.T_base_box for box in boxes], _BOXES_COLOUR)
@@ -111,19 +119,17 @@ def plan_page(plan: Plan, *, first_row: int = 1) -> Page:
 
 @singledispatch
 def on_foot(_instrument: Instrument, plan: Plan) -> Plan:
-    """Return a plan with its chain led from what stands to what the robot carries, for the viewer.
+    """Return a plan whose chain leads from what stands to what the robot carries, for the viewer.
 
-    Args:
-        _instrument: What measures.
-        plan: Of an instrument in the hand the plan whose target is the instrument, and the target a box of the cell; of
-            a camera that stands the plan with the camera as a box.
+    What the robot carries is the target of that plan: an instrument in its hand, with the board as a box of the cell,
+    or the board, with the camera as a box.
     """
     return plan
 
 
 @on_foot.register
 def _(instrument: CameraInstrument, plan: Plan) -> Plan:
-    """Return the plan of a camera from the foot to the hand; see above."""
+    """Return the plan of a camera from the foot to the hand."""
     sightline, robot = plan.sightline, plan.robot
     T_base_camera = rigid_inverse(sightline.T_instrument_base)
     T_tip_middle = sightline.T_tip_target.copy()
@@ -149,7 +155,7 @@ def _(instrument: CameraInstrument, plan: Plan) -> Plan:
 
 @singledispatch
 def _numbers(_instrument: Instrument, plan: Plan, first_row: int) -> dict[str, tuple[str, ...]]:
-    """Return the points of each of K poses and where its targets are expected, in words, K texts each."""
+    """Return the names of the points at each pose, and where its targets are expected, as texts."""
     numbers: dict[str, tuple[str, ...]] = {}
     count = len(plan.targets)
     points = first_row + np.arange(len(plan.joints) * count).reshape(-1, count)
@@ -163,28 +169,10 @@ def _numbers(_instrument: Instrument, plan: Plan, first_row: int) -> dict[str, t
 
 @_numbers.register
 def _(instrument: CameraInstrument, plan: Plan, first_row: int) -> dict[str, tuple[str, ...]]:
-    """Return the name of each image, and where the board is in it, in words."""
+    """Return the name of each image, and where the board is in it, as texts."""
     distances, tilts = distances_and_tilts(instrument, plan)
     return {
         "image": tuple(image_name(first_row + k) for k in range(len(plan.joints))),
         "distance of the board": tuple(f"{1e3 * value:.0f} mm" for value in distances),
         "tilt of the board": tuple(f"{value:.1f} deg" for value in np.degrees(tilts)),
     }
-
-
-def _plan_dots(plan: Plan, places: Array, taken: Array) -> tuple[Dots, ...]:
-    """Return the targets of a plan by set.
-
-    Args:
-        plan: The plan.
-        places: shape (N, K, 3), the targets at its poses, in the base [m].
-        taken: shape (L, 3), those at poses measured already [m].
-    """
-    chosen = np.array(plan.sets) == "estimate"
-    estimate = f"to estimate from, {chosen.sum()}"
-    validate = f"to validate with, {(~chosen).sum()}"
-    return (
-        Dots("estimate", ESTIMATION, estimate, places[chosen]),
-        Dots("validate", VALIDATION, validate, places[~chosen]),
-        Dots("taken", _TAKEN_COLOUR, f"measured already, {len(plan.taken)}", taken),
-    )

@@ -9,6 +9,7 @@ import numpy as np
 from calib.basics.arrays import Array, rigid_inverse
 from calib.boards.project import corner_pixels
 from calib.camera.lenses import LENSES
+from calib.instruments.camera import board_tilts
 from calib.model.families import FAMILIES, unit_of
 from calib.numerics.errors import rms
 from calib.show.lines import fill, plural, row_ranges
@@ -16,7 +17,7 @@ from calib.show.tables import labelled
 from calib.verbs.simulate.readings import OUTLIER, Pictures
 from calib.verbs.simulate.scenario import Scenario, Simulated
 from calib.verbs.simulate.truth import Truth
-from calib.verbs.simulate.views import board_tilts, filled_shares
+from calib.verbs.simulate.views import filled_shares
 
 #: Columns from a label to its text.
 _LABEL = 26

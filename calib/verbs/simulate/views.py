@@ -20,9 +20,10 @@ from calib.basics.jobs import Progress
 from calib.basics.values import Value
 from calib.boards.board import Board
 from calib.boards.printed import Print
-from calib.boards.project import Sight, corner_pixels, in_camera, rays
+from calib.boards.project import Sight, corner_pixels, rays
 from calib.camera.camera import Camera
 from calib.errors import CalibError
+from calib.instruments.camera import board_tilts
 from calib.instruments.instrument import Sightline
 from calib.verbs.plan.candidates import planning_ranges
 
@@ -90,14 +91,6 @@ class Framing(Value):
 
 #: The usual framing.
 USUAL_FRAMING = Framing()
-
-
-def board_tilts(board: Board, T_camera_board: Array) -> Array:
-    """Return the angle between a board's normal and the line of sight to its middle at poses (N, 4, 4), (N,) [rad]."""
-    middle = in_camera(T_camera_board, board.centre[None])[:, 0]
-    along_normal = np.einsum("ni,ni->n", T_camera_board[:, :3, 2], middle)
-    cosine = np.clip(along_normal / np.linalg.norm(middle, axis=1), -1.0, 1.0)
-    return np.asarray(np.arccos(cosine))
 
 
 def filled_shares(camera: Camera, pixels: Array) -> Array:

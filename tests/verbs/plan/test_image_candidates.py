@@ -9,6 +9,7 @@ import pytest
 
 from calib.data.cell import Cell
 from calib.errors import ModelError
+from calib.instruments.camera import board_tilts
 from calib.robot.ranges import random_joint_values
 from calib.verbs.plan.bodies import collision_model, free_lines_of_sight
 from calib.verbs.plan.candidates import Pool, draw_towards, planning_ranges, reach, rounded
@@ -51,7 +52,7 @@ def test_forty_images_within_ten_seconds(name, where):
     # The numbers that a table holds.
     np.testing.assert_array_equal(pool.q, rounded(robot, pool.q))
     # A mix of tilts and distances, and corners all over the image.
-    assert np.ptp(camera.board_tilts(T)) > np.radians(30.0)
+    assert np.ptp(board_tilts(camera.board, T)) > np.radians(30.0)
     assert np.ptp(camera.board_distances(T)) > 0.3
     corners = (T[:, None, :3, :3] @ BOARD.corners[:, :, None])[..., 0] + T[:, None, :3, 3]
     u, v = camera.project(corners)

@@ -13,7 +13,7 @@ from calib.camera.lenses import LENSES
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.errors import ArgumentError, CalibError
-from calib.instruments.camera import SightLimits
+from calib.instruments.camera import SightLimits, board_tilts
 from calib.result.calibrate import calibrate
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
@@ -67,7 +67,7 @@ def test_the_limits_asked_for_are_kept():
     T = found.sightline.target_poses(found.joints)
     assert found.instrument.board_distances(T).min() >= 0.5
     assert found.instrument.board_distances(T).max() <= 0.8
-    assert found.instrument.board_tilts(T).max() <= 0.4
+    assert board_tilts(found.instrument.board, T).max() <= 0.4
 
 
 def test_images_taken_already_count_each_once():

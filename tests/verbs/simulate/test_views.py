@@ -8,6 +8,7 @@ import pytest
 from calib.boards.printed import Print
 from calib.boards.project import corner_pixels
 from calib.errors import CalibError
+from calib.instruments.camera import board_tilts
 from calib.instruments.instrument import Sightline
 from calib.robot.ranges import column_limits
 from calib.robot.robot import Robot
@@ -15,7 +16,6 @@ from calib.verbs.simulate.mounting import draw_scene
 from calib.verbs.simulate.views import (
     CameraScene,
     Framing,
-    board_tilts,
     draw_views,
     filled_shares,
     is_framed,
