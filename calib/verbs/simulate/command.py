@@ -67,7 +67,7 @@ class SimulateOutputs:
 
     @property
     def truth_path(self) -> Path | None:
-        """The file of the truth: as given, or beside the table or among the pictures; None without both."""
+        """The file of the truth: as given, or else next to the table, or among the pictures; None without both."""
         if self.truth is not None:
             return self.truth
         if self.output is None:
@@ -76,7 +76,7 @@ class SimulateOutputs:
 
     @property
     def files(self) -> list[Path | None]:
-        """The files but the pictures, without what goes into a folder that is yet to be made."""
+        """The files besides the pictures, without those in a folder that does not exist yet."""
         files = [self.output, self.truth_path, self.truth_urdf]
         if self.images is None or self.images.is_dir():
             return files

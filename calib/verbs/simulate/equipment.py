@@ -1,4 +1,4 @@
-"""Cameras and boards of virtual cells: the usual ones, and both as they are beside what is stated of them."""
+"""Cameras and boards of virtual cells: usual ones, and true ones drawn around stated ones."""
 
 from __future__ import annotations
 
@@ -23,23 +23,23 @@ from calib.verbs.simulate.random_streams import stream
 #: Numbers of the usual camera: fx, fy, cx, cy [px], k1, k2, p1, p2, k3.
 _USUAL = read_only((920.0, 920.0, 639.5, 359.5, 0.1, -0.2, 0.0, 0.0, 0.1))
 
-#: Focal length of a camera of which nothing is stated, by the image's width.
+#: Focal length of a camera without stated numbers, as a share of the image's width.
 _FOCAL = (0.65, 0.95)
 
-#: Its distortion: standard deviation of the first radial coefficient.
+#: Standard deviation of its first radial coefficient of distortion.
 _RADIAL = 0.05
 
-#: Side of a square of the usual board by the arm's reach, and between which lengths it is [m].
+#: Square of the usual board, as a share of the arm's reach, and its least and largest length [m].
 _SQUARE = 0.04
 _SQUARES = (0.012, 0.04)
 
-#: Standard deviation of a coefficient of a fisheye lens over that of the one before.
+#: Ratio of the standard deviations of a coefficient of a fisheye lens and of the one before.
 _HIGHER = 0.5
 
-#: Draws of a lens until one is found that does not fold the image.
+#: Largest number of draws of a lens that does not fold the image.
 _DRAWS = 100
 
-#: Angles from the axis at which a lens is examined: so many, up to this [rad].
+#: Number of angles from the axis at which a lens is examined, and the largest one [rad].
 _ANGLES = 400
 _WIDEST = float(np.deg2rad(85.0))
 
@@ -48,9 +48,9 @@ Described = TypeVar("Described", Camera, Board)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Equipment(Value):
-    """A camera and a board as they are."""
+    """The true camera and board of a virtual cell."""
 
-    #: The camera as it is stated.
+    #: The camera as stated.
     stated: Camera
     #: The camera with its true numbers.
     camera: Camera
@@ -59,11 +59,11 @@ class Equipment(Value):
 
 
 def draw_equipment(robot: Robot, cell: Cell, seed: int) -> Equipment:
-    """Draw camera and board about those that a cell states, or about usual ones.
+    """Draw camera and board around those that a cell states, or around usual ones, by their standard deviations.
 
     Args:
         robot: The chain between the links of camera and board, whose reach gives the size of a usual board.
-        cell: Has at most one of each. How far both are off is drawn as their standard deviations say.
+        cell: Has at most one of each.
         seed: Of the random numbers.
 
     Raises:
@@ -111,13 +111,13 @@ def draw_camera(stated: Camera, rng: np.random.Generator) -> Camera:
     """Draw the true camera.
 
     Args:
-        stated: The camera as it is stated: its numbers are off by as much as their standard deviations say. If no
-            numbers are stated, any usual ones are drawn.
+        stated: The camera as stated: its true numbers are drawn by their standard deviations; without numbers, usual
+            ones are drawn.
         rng: Random numbers.
 
     Returns:
-        The same camera with its true numbers, which are exact. A lens that shows two points in one place, which no real
-        lens does, is drawn again, up to 100 times.
+        The same camera with its true numbers, which are exact. A lens that folds the image, which no real lens does, is
+        drawn again.
     """
     for _ in range(_DRAWS):
         unit_normal = rng.standard_normal(len(LENSES[stated.lens].names))
@@ -126,7 +126,7 @@ def draw_camera(stated: Camera, rng: np.random.Generator) -> Camera:
         else:
             usual = _usual_sigma(stated, stated.values)
             sigma = usual if stated.sigma is None else stated.sigma
-            # Of a number that is not known, what is stated is as good as a maker's.
+            # A number that is not known is drawn as if a maker had stated it.
             known = np.where(np.isfinite(sigma), sigma, usual)
             values = stated.values + known * unit_normal
         exact = np.zeros(len(values))
@@ -152,9 +152,9 @@ def folds(camera: Camera) -> bool:
 
 
 def _usual_sigma(camera: Camera, values: Array) -> Array:
-    """Return the standard deviations of a maker's numbers (m,): of a fisheye lens, those of higher powers are smaller.
+    """Return the standard deviations of a maker's numbers (m,), for a fisheye lens smaller ones of higher powers.
 
-    Otherwise they would bend the edge of the image, 1 rad and more from the axis, beyond what lenses do.
+    Otherwise they would bend the edge of the image, 1 rad and more from the axis, more than real lenses do.
     """
     sigma = LENSES[camera.lens].default_sigma(values, camera.width)
     if camera.lens == "fisheye":
@@ -163,10 +163,7 @@ def _usual_sigma(camera: Camera, values: Array) -> Array:
 
 
 def _any_values(camera: Camera, unit_normal: Array, focal_share: float) -> Array:
-    """Return usual numbers (m,) of a camera by the size of its image alone.
-
-    They are drawn by standard normal numbers (m,); the focal length is a share of the image's width.
-    """
+    """Return usual numbers (m,) of a camera by the size of its image, drawn by standard normal numbers (m,)."""
     values = np.zeros(len(unit_normal))
     focal_length = focal_share * camera.width
     values[:2] = focal_length

@@ -1,7 +1,7 @@
 """Where a camera and a board are mounted: on the flange, on the table or a wall, beside the robot.
 
-Several places are drawn, and the one with most views, and the most various, is taken. Up is z of the link that does not
-move. A camera's z axis is the line of sight, a board's points into the page.
+Several places are drawn, and the one with the most and the most varied views is taken. Up is z of the link that does
+not move. The z axis of a camera is the line of sight, that of a board points into the page.
 """
 
 from __future__ import annotations
@@ -25,22 +25,22 @@ from calib.verbs.simulate.views import (
     try_views,
 )
 
-#: Places that are compared.
+#: Number of places that are compared.
 _PLACES = 12
 
-#: Views that are tried for at each.
+#: Number of views that are tried at each.
 _TRIES = 48
 
-#: Share of the image that a board fills at least if it is seen from beside the robot.
+#: Least share of the image that a board fills for a camera beside the robot.
 _STILL_FILLS = 0.25
 
 #: Distance of a camera from the axis of the flange that carries it [m].
 _BESIDE_FLANGE = (0.05, 0.12)
 
-#: Place of this camera along the axis, from the flange outwards [m].
+#: Distance of this camera from the flange, along the axis [m].
 _ALONG_FLANGE = (0.0, 0.04)
 
-#: Largest turn of a mount from where it points [rad].
+#: Largest rotation of a mount from its direction about each axis [rad].
 _TURN = np.deg2rad(15.0)
 
 #: Distance of a board from the flange that carries it, along its axis [m].
@@ -49,16 +49,16 @@ _BEFORE_FLANGE = (0.03, 0.08)
 #: Distance of a camera beside the robot from the middle of the workspace [m].
 _BESIDE_ROBOT = (1.0, 1.5)
 
-#: It stays as far as this from there, in reaches of the arm, however small the board is.
+#: Its least distance from there, in reaches of the arm, however small the board is.
 _OUTSIDE = 0.9
 
-#: Its elevation seen from there [rad].
+#: Its elevation, seen from there [rad].
 _ELEVATION = (np.deg2rad(5.0), np.deg2rad(50.0))
 
-#: Share of the boards that hang on a wall; the others lie on a table.
+#: Share of boards that hang on a wall; the others lie on a table.
 _ON_WALL = 0.3
 
-#: Along an axis that is less than this share of the way to the flange, the flange does not point.
+#: Least share of the way to the flange along the last joint's axis, if the flange points along it.
 _POINTS = 0.3
 
 
@@ -77,8 +77,7 @@ def draw_scene(
     looks at its workspace, and the board is on the flange.
 
     Args:
-        robot: The chain from the link that carries the camera to the one that carries the board. If both move, the
-            camera's mount must be given.
+        robot: The chain from the camera's link to the board's. If both move, the camera's mount must be given.
         camera: The camera, whose numbers are known.
         printed: The board.
         seed: Of the random numbers, or where they come from.
@@ -87,7 +86,7 @@ def draw_scene(
         framing: How pictures are to show the board.
 
     Raises:
-        CalibError: Both links move and the camera's mount is not given, or the board is seen from nowhere.
+        CalibError: Both links move and the camera's mount is not given, or the board is never seen.
     """
     rng = np.random.default_rng(seed)
     best = None
@@ -104,8 +103,8 @@ def draw_scene(
         sightline = Sightline(robot, read_only(T_camera), read_only(T_board))
         scene = CameraScene(sightline, camera, printed)
         q = try_views(scene, _TRIES, rng, framing)
-        # Views are worth their number, times how far the joints move between them. The root of the standard deviations
-        # counts the joint that hardly moves, and is not lost in one that turns round.
+        # Views are worth their number, times how far the joints move between them. By the roots of the standard
+        # deviations, a joint that hardly moves still counts beside one that turns all the way round.
         worth = float(len(q) * np.mean(np.sqrt(q.std(axis=0)))) if len(q) else 0.0
         if worth > most:
             best, most = scene, worth
@@ -149,13 +148,10 @@ def moving_sides(robot: Robot) -> tuple[bool, bool]:
 
 
 def outward(arm: Robot) -> Array:
-    """Return the direction into which a flange points, in its frame, shape (3,).
+    """Return the direction in which the flange at the tip of an arm points, in its frame, shape (3,).
 
-    That is along the axis of the last joint, on the side away from the joint before it; if that axis is across, the way
-    from that joint to the flange.
-
-    Args:
-        arm: The chain that ends at the flange.
+    That is along the axis of the last joint, on the side away from the joint before it; or if that axis lies across,
+    the direction from that joint to the flange.
     """
     if len(arm.joints) < 2:
         return np.array([0.0, 0.0, 1.0])
@@ -173,7 +169,7 @@ def outward(arm: Robot) -> Array:
 
 
 def reach(arm: Robot) -> float:
-    """Return how far a flange gets from the foot of its arm [m]: farther than at 95 % of the poses."""
+    """Return the distance from the foot of an arm that its flange does not exceed at 95 % of the poses [m]."""
     positions = arm.poses(spread_poses(arm))[:, :3, 3]
     return float(np.quantile(np.linalg.norm(positions, axis=1), 0.95))
 
@@ -199,7 +195,7 @@ def board_on_flange(arm: Robot, centre: Array, rng: np.random.Generator) -> Arra
 
     Args:
         arm: The chain that ends at the flange.
-        centre: The board's middle in its frame, shape (3,) [m].
+        centre: The board's centre in its frame, shape (3,) [m].
         rng: Random numbers.
 
     Returns:
@@ -214,15 +210,15 @@ def board_on_flange(arm: Robot, centre: Array, rng: np.random.Generator) -> Arra
 
 
 def board_in_workspace(arm: Robot, centre: Array, rng: np.random.Generator) -> Array:
-    """Draw a board on the table, or on a wall, about as far as the arm reaches.
+    """Draw a board on the table or on a wall, about as far as the arm reaches.
 
     Args:
         arm: The chain from the link that does not move to the flange.
-        centre: The board's middle in its frame, shape (3,) [m].
+        centre: The board's centre in its frame, shape (3,) [m].
         rng: Random numbers.
 
     Returns:
-        T_base_board, shape (4, 4) [m], in the arm's base.
+        T_base_board, shape (4, 4) [m].
     """
     length = reach(arm)
     azimuth = rng.uniform(0.0, 2.0 * np.pi)
@@ -243,11 +239,11 @@ def camera_beside(arm: Robot, farthest: float, rng: np.random.Generator) -> Arra
 
     Args:
         arm: The chain from the link that does not move to the flange.
-        farthest: From where the camera still sees the board well [m].
+        farthest: Distance from which the camera still sees the board well [m].
         rng: Random numbers.
 
     Returns:
-        T_base_camera, shape (4, 4) [m], in the arm's base.
+        T_base_camera, shape (4, 4) [m].
     """
     length = reach(arm)
     azimuth = rng.uniform(0.0, 2.0 * np.pi)
@@ -257,7 +253,7 @@ def camera_beside(arm: Robot, farthest: float, rng: np.random.Generator) -> Arra
     middle = length * (rng.uniform(0.2, 0.5) * across + rng.uniform(0.2, 0.6) * up)
     distance = max(_OUTSIDE * length, min(rng.uniform(*_BESIDE_ROBOT), farthest))
     towards_camera = np.cos(elevation) * across + np.sin(elevation) * up
-    # Upright in the picture is up in the cell, give or take what a hand does.
+    # Up in the picture is up in the cell, except for a small rotation.
     line_of_sight = -towards_camera
     right = np.cross(line_of_sight, up)
     right /= np.linalg.norm(right)
@@ -266,5 +262,5 @@ def camera_beside(arm: Robot, farthest: float, rng: np.random.Generator) -> Arra
 
 
 def _draw_turn(rng: np.random.Generator, most: float = _TURN) -> Array:
-    """Draw a small rotation about each axis, at most an angle [rad], shape (3, 3)."""
+    """Draw a small rotation, at most by an angle [rad] about each axis, shape (3, 3)."""
     return np.asarray(Rotation.from_rotvec(rng.uniform(-most, most, size=3)).as_matrix())

@@ -1,7 +1,7 @@
 """Pictures of a virtual cell as a folder of files: what a person has before corners are detected.
 
-That is a PNG of every picture, ``joints.csv`` with the joint values at each, ``board.toml`` with the description of the
-board, and ``camera.yaml`` with the numbers of the camera that its maker states, in the format of ROS 2's camera_info.
+These are a PNG of every picture, ``joints.csv`` with its joint values, ``board.toml`` with the description of the
+board, and ``camera.yaml`` with the stated numbers of the camera, in the format of ROS 2's camera_info.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class Quality:
     scene: Scene = USUAL_SCENE
 
 
-#: The quality of a usual camera that is in focus.
+#: The quality of a usual camera in focus.
 USUAL_QUALITY = Quality()
 
 
@@ -61,8 +61,7 @@ def write_pictures(
         progress: Called after each picture with the number drawn and the number of all; None: nothing is called.
 
     Returns:
-        The files, the pictures first. ``camera.yaml`` is not among them if nothing is stated of the camera but the size
-        of its images.
+        The files, the pictures first. There is no ``camera.yaml`` if only the size of the camera's images is stated.
 
     Raises:
         FileError: A file exists, or cannot be written.

@@ -1,13 +1,13 @@
-"""Rows of a virtual cell: which target, station and pose each belongs to, and what an instrument reads there.
+"""Rows of a virtual cell: the target, the station and the pose of each, and what an instrument reads there.
 
     measured = T_frame_target(q) + drift + robot's repeatability + instrument's noise + outliers
 
-What the robot does, with drift and repeatability, is the same for all instruments; a `Reader` adds the rest. Of a
+What the robot does, with drift and repeatability, is the same for all instruments; a `Reader` adds the rest. For a
 camera the target is the board, and each corner that it sees in a picture is a row:
 
     pixel = lens(T_camera_board(q) corner) + noise
 
-OpenCV projects the corners: none of the code of the fit.
+OpenCV projects the corners, without any code of the fit.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from calib.verbs.simulate.equipment import Equipment
 from calib.verbs.simulate.random_streams import stream
 from calib.verbs.simulate.truth import Truth
 
-#: Displacement of outliers: of a corner that was taken for another edge nearby [px].
+#: Displacement of an outlier, a corner that was mistaken for another edge nearby [px].
 OUTLIER = 5.0
 
 #: Corners that are found: not at the very edge of the picture, nor on a board that is seen from its side.
@@ -62,12 +62,12 @@ class Tour:
     def of(
         cls, truth: Truth, sets: Sequence[str], *, visits: int = 1, paired: bool = False
     ) -> Tour:
-        """Return the views at poses, which are dealt out among the stations in turn.
+        """Return the views at poses, which the stations take in turn.
 
         Args:
             truth: Has the targets and the stations.
             sets: The set of each pose.
-            visits: Number of tours of all poses.
+            visits: Number of times that all poses are visited.
             paired: Whether targets are measured in pairs of poses.
 
         Raises:
@@ -101,14 +101,14 @@ class Tour:
         return tuple(names)
 
     def with_partners(self, T: Array) -> Array:
-        """Return poses (R, 4, 4) as a kind takes them: of a paired kind those of both views, (R, 2, 4, 4)."""
+        """Return poses (R, 4, 4) as a kind takes them: for a paired kind those of both views, (R, 2, 4, 4)."""
         if self.partner is None:
             return T
         return np.stack([T, T[self.partner]], axis=1)
 
 
 def _partners(sets: Sequence[str], pose: Integers, targets: int) -> Integers:
-    """Return the other view of each one's pair (R,): consecutive poses of one set, the same target, the same tour.
+    """Return the other view of each one's pair (R,): consecutive poses of one set, the same target, the same visit.
 
     It raises `CalibError` if a set has an odd number of poses.
     """
@@ -179,12 +179,12 @@ class Rows(NamedTuple):
     sigma: Array
     #: Shape (n, 3) [m] or (n, 2) [px], displacement of outliers; zero in other rows.
     outliers: Array
-    #: The pictures that a camera took; None: of another instrument.
+    #: The pictures that a camera took; None: another instrument.
     pictures: Pictures | None = None
 
 
 class Reader(ABC):
-    """An instrument as it is, which reads targets with its noise."""
+    """An instrument that reads targets with its noise."""
 
     @abstractmethod
     def read(self, stops: Stops, seed: int) -> Rows:
@@ -203,9 +203,9 @@ class TrackerReader(Reader):
     kind: Kind
     #: The targets and the frames.
     truth: Truth
-    #: Of a coordinate or length; None: none.
+    #: Noise of a coordinate or length; None: none.
     noise: TrackerNoise | None
-    #: Standard deviation of one scalar in the other units, by their symbols; 0 of one that is missing.
+    #: Standard deviation of one scalar in the other units, by their symbols; 0 if it is missing.
     sigma: Mapping[str, float]
     #: Shape (3,), position of the tracker in the base [m]; None: at the origin of its frame.
     position: Array | None
@@ -247,7 +247,7 @@ class TrackerReader(Reader):
             return np.zeros(len(T))
         distance = np.linalg.norm(T[:, :3, 3], axis=1)
         lengths = [i for i, one in enumerate(kind.readings) if one.quantity == "length"]
-        if lengths and not kind.position:  # the instrument is what the length is measured from
+        if lengths and not kind.position:  # the length is measured from the instrument
             assert kind.measure is not None
             distance = np.abs(kind.measure(tour.with_partners(T))[:, lengths[0]])
         elif self.position is not None:
@@ -257,7 +257,7 @@ class TrackerReader(Reader):
         return np.asarray(noise.constant + noise.per_length * distance)
 
     def _draw_outliers(self, tour: Tour, seed: int) -> Array:
-        """Draw the displacement of each row's measurement, shape (R, 3), [m]; of a pair that of its first row."""
+        """Draw the displacement of each row's measurement, shape (R, 3), [m]; for a pair that of its first row."""
         displacement = np.zeros((len(tour), 3))
         if self.outliers is None:
             return displacement
@@ -273,7 +273,7 @@ class TrackerReader(Reader):
         return displacement
 
     def _draw_noise(self, instrument: Array, seed: int) -> dict[str, Array]:
-        """Draw noise by quantity, shape (R, 3 or more) each, in its residual unit; lengths have a std a row (R,)."""
+        """Draw noise by quantity, shape (R, 3 or more) each, in its residual unit; lengths by the std of each row."""
         noise: dict[str, Array] = {}
         for symbol, unit in RESIDUAL_UNITS.items():
             quantity = unit.quantity
@@ -313,7 +313,7 @@ class CameraReader(Reader):
                 f"The camera sees no corner of the board from any of the {len(T)} poses; without --poses, poses are "
                 "drawn from which it does."
             )
-        # Drawn for all corners, seen or not, so that the noise of one does not depend on the others.
+        # Drawn for all corners, seen or not, so that the noise of one does not depend on which others are seen.
         noise = self.sigma * stream(seed, "pixel noise").standard_normal(pixels.shape)
         outliers = np.zeros((len(picture), 2))
         if self.outliers is not None:
@@ -362,8 +362,8 @@ def with_pose_noise(kind: Kind, readings: Array, R: Array, noise: Mapping[str, A
         kind: The kind of all N rows.
         readings: Of a perfect instrument, shape (N, k), as `Kind` has them.
         R: True orientations of the targets in the frames, shape (N, 3, 3).
-        noise: Of ``"length"`` [m] and ``"angle"`` [rad], shape (N, 3) or more; the first three columns are taken, the
-            latter as a rotation vector along the axes of the frame.
+        noise: Of ``"length"`` [m] and ``"angle"`` [rad], shape (N, 3) or more, of which the first three columns are
+            taken; angles are a rotation vector along the axes of the frame.
 
     Returns:
         shape (N, k).
@@ -384,11 +384,11 @@ def with_reading_noise(kind: Kind, readings: Array, noise: Mapping[str, Array]) 
     Args:
         kind: The kind of all N rows.
         readings: shape (N, k), as `Kind` has them.
-        noise: Of each quantity, shape (N, n), a column for each reading of it in their order; a position and an
-            orientation have the first three columns.
+        noise: Of each quantity, shape (N, n), a column for each of its readings in their order, after three columns for
+            a position or an orientation.
 
     Returns:
-        shape (N, k); a positive reading that noise would make negative is its absolute value.
+        shape (N, k). If noise would make a positive reading negative, its absolute value is taken.
     """
     result = readings.copy()
     first = kind.size - len(kind.readings)

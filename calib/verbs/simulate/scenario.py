@@ -1,9 +1,9 @@
-"""A virtual cell: a robot whose errors are known is measured, and everything that disturbs a measurement is known too.
+"""A virtual cell: a robot with known errors is measured, and everything that disturbs a measurement is known too.
 
     measured = T_frame_target(q) + drift + robot's repeatability + instrument's noise + outliers
 
-A `Scenario` states what cells are to be like; a seed draws a `VirtualCell` out of it, which measures any poses, with a
-tracker or a camera. See docs/simulation.md.
+A `Scenario` specifies cells; a seed draws a `VirtualCell` from it, which measures any poses with a tracker or a camera.
+See docs/simulation.md.
 """
 
 from __future__ import annotations
@@ -51,10 +51,10 @@ from calib.verbs.simulate.views import CameraScene, draw_views
 #: Position of the tracker in the base if nothing is given [m].
 DEFAULT_TRACKER = read_only((3.0, 0.0, 0.0))
 
-#: The set of errors if the cell leaves the choice to the data.
+#: The set of errors if the cell leaves the model to the data.
 DEFAULT_MODEL = "placement"
 
-#: Attributes of a scenario, their types, and what messages call these.
+#: Attributes of a scenario with their types, and the words of messages for these.
 _TYPES = (
     ("model", str, "the name of a model"),
     ("errors", Sequence, "pairs of the name and the value of an error"),
@@ -73,24 +73,24 @@ class Scenario(Value):
     #: The nominal robot; may be given as the path of a URDF or xacro, or a name such as ``"ur3"``, with the cell's base
     #: and tip
     robot: Robot
-    #: Targets, frames, tracker, payload, gravity, kind, and limits of single errors; may be given as the path of a file
+    #: The cell, with limits of single errors; may be given as the path of a file
     cell: Cell = field(default_factory=Cell)
     #: Errors of the robot, see `draw_truth`
     model: str = DEFAULT_MODEL
-    #: Standard deviations of the errors that are drawn, by family; None: none is drawn
+    #: Standard deviations of the errors that are drawn, by family; None: none are drawn
     sizes: Mapping[str, float] | None = field(default_factory=dict)
     #: Names and values of single errors
     errors: tuple[tuple[str, float], ...] = ()
     #: The true geometry, if it is given
     true_robot: Robot | None = None
-    #: Standard deviation of the targets' true positions about their stated ones [m]
+    #: Standard deviation of the targets' true positions around their stated ones [m]
     target_error: float = TARGET_ERROR
-    #: Of one coordinate, by the distance from the tracker; None: none. The repeatability in it displaces all targets
-    #: of one stop alike; of the kind ``distance`` the distance is that from the anchor. Default: the cell's
-    #: ``sigma["m"]`` everywhere, else its tracker's noise, else the usual one
+    #: Noise of a coordinate, which depends on the distance from the tracker, or for the kind ``distance`` from the
+    #: anchor; None: none. Its repeatability displaces all targets of one stop alike. Default: the cell's ``sigma["m"]``
+    #: everywhere, else its tracker's noise, else the usual one
     noise: TrackerNoise | None = USUAL_NOISE
     #: Standard deviation of one scalar in the other units, by their symbols: ``"rad"`` of an orientation about one axis
-    #: [rad], ``"px"`` of an image coordinate [px]; of a unit that is missing the cell's, else 0. Without ``noise`` the
+    #: [rad], ``"px"`` of an image coordinate [px]; for a unit that is missing the cell's, else 0. Without ``noise`` the
     #: cell's does not count
     sigma: Mapping[str, float] = field(default_factory=dict)
     #: Steps of the joint values
@@ -106,7 +106,7 @@ class Scenario(Value):
     visits: int = 1
 
     def __post_init__(self) -> None:
-        """Read robot and cell where paths were given, refuse other kinds, and keep read-only copies."""
+        """Read robot and cell if paths were given, check the values, and keep read-only copies."""
         object.__setattr__(self, "cell", cell_of(self.cell))
         object.__setattr__(self, "robot", robot_of(self.robot, self.cell))
         self._check_values()
@@ -125,7 +125,7 @@ class Scenario(Value):
         keep_read_only(self, "sizes", "sigma")
 
     def _check_values(self) -> None:
-        """Refuse values of another type, and numbers that are none or out of range."""
+        """Refuse values of another type, and numbers that are not finite or out of range."""
         for name, types, allowed in _TYPES:
             check_type(name, getattr(self, name), types, allowed)
         check_number("target_error", self.target_error, 0.0)
@@ -159,7 +159,7 @@ class Scenario(Value):
     def tracker(self) -> Array | None:
         """Position of the tracker in the base, shape (3,), [m]; None: at the origin of its frame.
 
-        That is the cell's tracker; or where measurements are in the base frame, 3 m away along its x axis.
+        That is the cell's tracker; or if measurements are in the base frame, 3 m away along its x axis.
         """
         cell = self.cell
         if cell.tracker is not None:
@@ -170,16 +170,16 @@ class Scenario(Value):
     def draw(self, seed: int) -> VirtualCell:
         """Draw a virtual cell with the errors of a seed.
 
-        In a cell of the kind ``"pixel"`` camera and board are drawn about those that the cell states, or about usual
-        ones, and so is where they are mounted, if the cell does not give it.
+        In a cell of the kind ``"pixel"`` the camera and the board are drawn around those that the cell states, or
+        around usual ones, and so are their places, if the cell does not give them.
 
         Args:
             seed: Of the random numbers.
 
         Raises:
             ModelError: An error that the model does not have.
-            CalibError: Of a camera: disturbances that pictures do not have, several cameras or boards, or a board that
-                is seen from nowhere.
+            CalibError: With a camera: disturbances that pictures do not have, several cameras or boards, or a board
+                that is never seen.
         """
         truth = draw_truth(
             self.robot,
@@ -219,12 +219,12 @@ class Scenario(Value):
         return VirtualCell(self, placed, equipment)
 
     def random_poses(self, count: int, seed: int, *, validation: bool = False) -> Array:
-        """Draw readings at joint values inside the limits, or the cell's ranges.
+        """Draw readings at joint values within the limits, or the cell's ranges.
 
         Args:
             count: Number of poses.
             seed: Of the random numbers.
-            validation: Whether they are poses to validate with, which have random numbers of their own.
+            validation: Whether the poses are for validation, which have random numbers of their own.
 
         Returns:
             shape (count, m), [rad] or [m].
@@ -244,20 +244,20 @@ class Simulated(Value):
     measurements: Measurements
     #: The robot, the targets and the frames
     truth: Truth
-    #: shape (R, m), true joint values in each row, before the joints' errors [rad] or [m]
+    #: shape (R, m), true joint values in each row, without the joints' errors [rad] or [m]
     q: Array
     #: shape (R, 4, 4), true poses of the targets, the moved one's included [m]
     T_frame_target: Array
     #: Shape (R,), standard deviation of the noise of one coordinate or length [m], or of an image coordinate [px]
     sigma: Array
-    #: shape (R, 3) [m], displacement of outliers; zero in other rows. Of lengths the first column is the change. Of
+    #: shape (R, 3) [m], displacement of outliers; zero in other rows. For lengths the first column is the change. For
     #: images shape (R, 2) [px]
     outliers: Array
     #: Shape (R,), whether a row found the target moved
     moved: Mask
     #: Of the random numbers
     seed: int
-    #: The pictures of which the rows are corners; None: of another instrument
+    #: The pictures whose corners are the rows; None: another instrument
     pictures: Pictures | None = None
 
     def __repr__(self) -> str:
@@ -287,7 +287,7 @@ class VirtualCell(Value):
     equipment: Equipment | None = None
 
     def __repr__(self) -> str:
-        """Return one line: what it was drawn out of."""
+        """Return one line: the scenario from which it was drawn."""
         return one_line("VirtualCell", repr(self.scenario))
 
     @property
@@ -312,7 +312,7 @@ class VirtualCell(Value):
         Args:
             count: Number of poses.
             seed: Of the random numbers.
-            validation: Whether they are poses to validate with, which have random numbers of their own.
+            validation: Whether the poses are for validation, which have random numbers of their own.
 
         Returns:
             shape (count, m), [rad] or [m].
@@ -330,10 +330,10 @@ class VirtualCell(Value):
     def measure(self, q: ArrayLike, seed: int = 0, sets: Sequence[str] | None = None) -> Simulated:
         """Measure every target at every pose.
 
-        The poses are dealt out among the groups in turn; with several visits the whole tour is made again.
+        The stations take the poses in turn; with several visits the whole tour is repeated.
 
         Args:
-            q: Poses that the robot is sent to, shape (N, m), [rad] or [m].
+            q: Commanded poses, shape (N, m), [rad] or [m].
             seed: Of the random numbers.
             sets: ``"estimate"`` or ``"validate"`` for each pose; None: all to estimate from.
 
@@ -341,7 +341,7 @@ class VirtualCell(Value):
             The measurements, and the truth of each row.
 
         Raises:
-            CalibError: Values that are none of these joints, or a disturbance that does not fit.
+            CalibError: Values that do not fit the joints, or a disturbance that does not fit the rows.
         """
         scenario, truth, robot = self.scenario, self.truth, self.truth.nominal
         commanded = robot.columns(q)
@@ -402,9 +402,9 @@ def simulate(
 
     Args:
         scenario: What is measured, and what disturbs it. A robot, the path of a URDF or xacro, or a name such as
-            ``"ur3"`` stands for the usual scenario of that robot. Of the kind ``"pixel"`` the robot leads from the link
-            that carries the camera to the one that carries the board.
-        count: Number of random poses to estimate from; of pictures those from which the camera sees the board.
+            ``"ur3"`` stands for the usual scenario of that robot. For the kind ``"pixel"`` the chain leads from the
+            camera's link to the board's.
+        count: Number of random poses to estimate from; for pictures, of poses from which the camera sees the board.
         validation: Number of random poses to validate with.
         seed: The same seed gives the same measurements.
         poses: shape (n, m), poses in place of the random ones [rad] or [m]; None: ``count`` random ones.
@@ -415,8 +415,8 @@ def simulate(
 
     Raises:
         ArgumentError: An argument of another type.
-        ModelError: Poses that are none of this robot, or negative numbers.
-        CalibError: Of pictures: see `Scenario.draw` and `VirtualCell.poses`.
+        ModelError: Poses that do not fit the robot, or negative numbers.
+        CalibError: For pictures: see `Scenario.draw` and `VirtualCell.poses`.
     """
     check_type("scenario", scenario, (Scenario, Robot, str, Path), f"a Scenario, or {ROBOT}")
     check_whole("count", count, 0)

@@ -1,4 +1,4 @@
-"""A simulation as `calib simulate` prints it: a row for each thing simulated."""
+"""A simulation as text, as `calib simulate` prints it: a row for each thing that was simulated."""
 
 from __future__ import annotations
 
@@ -19,23 +19,18 @@ from calib.verbs.simulate.scenario import Scenario, Simulated
 from calib.verbs.simulate.truth import Truth
 from calib.verbs.simulate.views import filled_shares
 
-#: Columns from a label to its text.
+#: Width of a label [columns].
 _LABEL = 26
 
-#: A frame whose pose differs by less from the identity is the base frame.
+#: A frame whose pose differs from the identity by less is the base frame.
 _ROUNDING = 1e-12
 
 
 def simulated_text(scenario: Scenario, simulated: Simulated) -> str:
-    """Write what was simulated.
+    """Write what was simulated, in lines of 100 columns.
 
-    Args:
-        scenario: The scenario as it was given.
-        simulated: The robot with its true errors, and its measurements.
-
-    Returns:
-        Errors of the robot, places of targets and frames, or camera, print and mounts, and disturbances of the
-        measurements, in lines of 100 columns.
+    That is the errors of the robot, the places of targets and frames, or the camera, the print and their mounts, and
+    what disturbed the measurements.
     """
     robot, pictures = scenario.robot, simulated.pictures
     if pictures is None:
@@ -85,7 +80,7 @@ def error_lines(truth: Truth, q: Array) -> Iterator[tuple[str, str]]:
 
     Args:
         truth: The robot with its errors, and its target.
-        q: True joint values that were measured at, shape (N, m), [rad] or [m].
+        q: True joint values of the measurements, shape (N, m), [rad] or [m].
     """
     families = _errors_by_family(truth)
     model = f"model {truth.model.name}"
@@ -100,14 +95,7 @@ def error_lines(truth: Truth, q: Array) -> Iterator[tuple[str, str]]:
 
 
 def _errors_by_family(truth: Truth) -> dict[tuple[str, str], dict[str, float]]:
-    """Collect the true errors that are not zero.
-
-    Args:
-        truth: The robot's error model, and the true values of its parameters.
-
-    Returns:
-        From family and unit, in the order of `FAMILIES`, to the value in that unit by the parameter's name.
-    """
+    """Collect the true errors that are not 0, by family and unit in the order of `FAMILIES`, then by name."""
     families: dict[tuple[str, str], dict[str, float]] = {}
     for parameter, value in zip(truth.model.parameters, truth.x, strict=True):
         if value:
@@ -128,14 +116,14 @@ def _family_text(errors: Mapping[str, float], unit: str) -> str:
 
 
 def _places(scenario: Scenario, simulated: Simulated) -> Iterator[tuple[str, str]]:
-    """Label and text of the true places of targets and frames."""
+    """Yield label and text of the true places of targets and frames."""
     truth = simulated.truth
     targets = zip(truth.targets, truth.T_tip_target, truth.stated_T_tip_target, strict=True)
     for name, T, given in targets:
         place = f"{point_mm(T[:3, 3])} mm in the tip, given as {point_mm(given[:3, 3])} mm"
         yield f"Target '{name}'", place
     if not scenario.kind.directions:
-        return  # No row depends on a frame.
+        return  # no row depends on a frame
     for name, T in zip(truth.groups, truth.T_frame_base, strict=True):
         place = f"the base is at {point_mm(T[:3, 3])} mm in it"
         if np.abs(T - np.eye(4)).max() < _ROUNDING:
@@ -145,7 +133,7 @@ def _places(scenario: Scenario, simulated: Simulated) -> Iterator[tuple[str, str
 
 
 def _disturbances(scenario: Scenario, simulated: Simulated) -> Iterator[tuple[str, str]]:
-    """Label and text of noise, encoder steps, outliers, a moved target and drift; the text is empty without one."""
+    """Yield label and text of noise, encoder steps, outliers, a moved target and drift; an empty text for none."""
     kind = scenario.kind
     if "m" in kind.units:
         noisy = "coordinate" if "m" in kind.vector_units else "length"
@@ -221,7 +209,7 @@ def _what_is_seen(pictures: Pictures) -> Iterator[tuple[str, str]]:
 
 
 def _camera(pictures: Pictures, truth: Truth) -> Iterator[tuple[str, str]]:
-    """Yield label and text of the camera's true numbers and of its mount."""
+    """Yield label and text of the true numbers of the camera, the stated ones, and its mount."""
     camera, stated = pictures.equipment.camera, pictures.equipment.stated
     names = LENSES[camera.lens].names
     words = []
@@ -235,7 +223,7 @@ def _camera(pictures: Pictures, truth: Truth) -> Iterator[tuple[str, str]]:
 
 
 def _board(pictures: Pictures, truth: Truth) -> Iterator[tuple[str, str]]:
-    """Yield label and text of the board as printed and of its mount."""
+    """Yield label and text of the board as printed, and of its mount."""
     printed, board = pictures.equipment.printed, pictures.equipment.printed.board
     pattern = f"{board.pattern} of {board.columns} x {board.rows}, {1e3 * board.square:g} mm"
     scale_x, scale_y = (100.0 * (scale - 1.0) for scale in printed.scale)
@@ -254,7 +242,7 @@ def _board(pictures: Pictures, truth: Truth) -> Iterator[tuple[str, str]]:
 def _picture_disturbances(
     scenario: Scenario, simulated: Simulated, pictures: Pictures
 ) -> Iterator[tuple[str, str]]:
-    """Yield label and text of noise, repeatability, encoder steps and outliers; the text is empty without one."""
+    """Yield label and text of noise, repeatability, encoder steps and outliers; an empty text for none."""
     yield "Noise of a corner", f"{pictures.sigma:g} px along u and along v, in a table (-o)"
     if scenario.noise is not None and scenario.noise.repeatability:
         yield "Repeatability", f"{1e6 * scenario.noise.repeatability:g} um per coordinate"

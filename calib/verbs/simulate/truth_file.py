@@ -1,6 +1,6 @@
 """The truth of a simulation as JSON in SI units; docs/simulation.md describes the keys.
 
-Errors of a camera and a print are named as a fit names its estimates of them: what is to be added to what is stated.
+Errors of a camera and a print are named as the fit's estimates of them: what must be added to what is stated.
 """
 
 from __future__ import annotations
@@ -23,7 +23,6 @@ from calib.verbs.simulate.readings import Pictures
 from calib.verbs.simulate.scenario import Scenario, Simulated
 from calib.verbs.simulate.truth import Truth
 
-#: Kind and version of the file.
 SCHEMA = "truth 2"
 
 #: Keys of a noise.
@@ -42,11 +41,11 @@ def write_truth(
 ) -> Path:
     """Write the truth of a simulation.
 
-    It is complete: with the nominal URDF alone, true positions follow from it, and the pixels of a camera.
+    It is complete: true positions, and the pixels of a camera, follow from it and the nominal URDF.
 
     Args:
-        scenario: What was simulated.
-        simulated: The table and its truth.
+        scenario: The scenario.
+        simulated: Its measurements, with their truth.
         path: The file.
         overwrite: Whether an existing file is replaced.
 
@@ -70,11 +69,7 @@ def write_truth(
 
 
 def truth_table(truth: Truth) -> dict[str, Any]:
-    """Return the part of the file that describes a robot with its errors, its targets and its frames.
-
-    Args:
-        truth: The robot as it is.
-    """
+    """Return the part of the file that describes a robot with its errors, its targets and its frames."""
     robot, model, payload = truth.nominal, truth.model, truth.payload
     ties = []
     displacements = []
@@ -121,7 +116,7 @@ def truth_table(truth: Truth) -> dict[str, Any]:
 
 
 def _pose_table(T: Array, prefix: str = "") -> dict[str, Any]:
-    """Return a pose, position [m] and roll, pitch, yaw about fixed axes x, y, z [rad], by keys with a prefix."""
+    """Return a pose by keys with a prefix: position [m], and roll, pitch, yaw about fixed axes x, y, z [rad]."""
     rpy = pin.rpy.matrixToRpy(np.ascontiguousarray(T[:3, :3]))
     return {f"{prefix}xyz_m": T[:3, 3], f"{prefix}rpy_rad": rpy}
 
@@ -169,7 +164,7 @@ def _tracker_tables(scenario: Scenario, simulated: Simulated) -> dict[str, Any]:
 
 
 def _equipment_errors(equipment: Equipment) -> list[dict[str, Any]]:
-    """Return the errors of the camera's numbers and of the print: truth less what is stated, by name."""
+    """Return the errors of the camera's numbers and of the print, by name: true less stated values."""
     lens = LENSES[equipment.camera.lens]
     true, stated = equipment.camera.values, equipment.stated.values
     errors = []

@@ -1,12 +1,12 @@
-"""Joint values at which a camera sees the whole board, near and far, tilted every way, all over the image.
+"""Joint values at which a camera sees the whole board, near and far, tilted in all directions, all over the image.
 
-A view is wished for at random: where the board's middle c and its normal n are to be in the camera. From random joint
-values Levenberg-Marquardt steps lead towards it, with differences for derivatives, and stay within the limits:
+A view is chosen at random: where the centre c of the board and its normal n are to be in the camera. From random joint
+values, Levenberg-Marquardt steps lead towards it within the limits, with derivatives by differences:
 
-    e  = (c_wished - c, L (n_wished - n)),   dq = (J^T J + lambda^2)^-1 J^T e
+    e  = (c_wanted - c, L (n_wanted - n)),   dq = (J^T J + lambda^2)^-1 J^T e
 
-What an arm cannot reach it misses, and its joint values are scattered; what counts is whether the picture shows the
-whole board in the end.
+If an arm cannot reach a view, its joint values are scattered. What counts is whether the picture shows the whole board
+in the end.
 """
 
 from __future__ import annotations
@@ -27,41 +27,41 @@ from calib.instruments.camera import board_tilts
 from calib.instruments.instrument import Sightline
 from calib.verbs.plan.candidates import planning_ranges
 
-#: Views that are wished for at once.
+#: Number of views that are chosen at once.
 _BATCH = 128
 
-#: Most batches.
+#: Largest number of such batches.
 _BATCHES = 60
 
-#: Steps towards each view.
+#: Number of steps towards each view.
 _STEPS = 25
 
-#: No joint moves farther in one step [rad or m].
+#: Largest move of a joint in one step [rad or m].
 _LONGEST_STEP = 0.5
 
-#: A step shorter than this is none [rad or m].
+#: Least step, to divide by [rad or m].
 _STILL = 1e-12
 
 #: lambda, for errors in metres and joint values in radians.
 _DAMPING = 0.02
 
-#: L, the length that a unit of the normal weighs [m].
+#: L, the weight of the normal against lengths [m].
 _NORMAL = 0.3
 
 #: Difference of joint values for derivatives [rad or m].
 _DIFFERENCE = 1e-6
 
-#: Distance to the joints' limits [rad].
+#: Margin to the joints' limits [rad].
 _LIMIT_MARGIN = np.deg2rad(2.0)
 
-#: A view that is missed by less is reached [m].
+#: Largest error of a view that is reached [m].
 _REACHED = 0.02
 
-#: A joint is scattered by this share of its range at most, and by this [rad or m].
+#: Largest scatter of a joint, as a share of its range and absolute [rad or m].
 _SCATTER_SHARE = 0.1
 _SCATTER = 0.3
 
-#: The middle of the board is wished for in this share of the image's width and height.
+#: Share of the image's width and height in which the centre of the board is to be.
 _CENTRAL = 0.7
 
 
@@ -81,11 +81,11 @@ class CameraScene(Value):
 class Framing(Value):
     """Conditions under which a picture shows the board well."""
 
-    #: Distance of the corners from the image's edges [px].
+    #: Least distance of the corners from the image's edges [px].
     margin: float = 15.0
-    #: Largest angle between the board's normal and the line of sight to its middle [rad].
+    #: Largest angle between the board's normal and the line of sight to its centre [rad].
     tilt: float = np.deg2rad(50.0)
-    #: Least and greatest share of the image's width or height, whichever is more, that the corners span.
+    #: Least and largest share of the image's width or height, whichever is more, that the corners span.
     fill: tuple[float, float] = (0.2, 0.8)
 
 
@@ -119,7 +119,7 @@ def is_framed(scene: CameraScene, T_camera_board: Array, framing: Framing = USUA
 
 
 def filling_distance(camera: Camera, board: Board) -> float:
-    """Return from how far a board fills the image's width or height, whichever is full first [m]."""
+    """Return the distance from which a board fills the image's width or height, whichever is full first [m]."""
     assert camera.values is not None
     focal_lengths = camera.values[:2]
     shares = focal_lengths * board.size / [camera.width, camera.height]
@@ -167,20 +167,22 @@ def draw_views(
 def try_views(
     scene: CameraScene, tries: int, rng: np.random.Generator, framing: Framing = USUAL_FRAMING
 ) -> Array:
-    """Try for a number of views; returns the readings (n, m) [rad] or [m] of those that show the whole board."""
+    """Try a number of views; returns the readings (n, m) [rad] or [m] of those that show the whole board."""
     robot = scene.sightline.robot
     low, high = planning_ranges(robot, {}, _LIMIT_MARGIN).T
     limits = planning_ranges(robot, {}, _LIMIT_MARGIN, turns=True)
-    wished = _wish(scene, tries, rng, framing)
+    wanted = _draw_wanted(scene, tries, rng, framing)
     start = rng.uniform(low, high, size=(tries, len(limits)))
-    values = _approach(scene, wished, start, limits)
-    miss = np.linalg.norm(wished - _shown(scene, values), axis=1)
+    values = _approach(scene, wanted, start, limits)
+    miss = np.linalg.norm(wanted - _see(scene, values), axis=1)
     q = robot.readings(_scatter(values, miss, limits, rng))
     return np.asarray(q[is_framed(scene, scene.sightline.target_poses(q), framing)])
 
 
-def _wish(scene: CameraScene, count: int, rng: np.random.Generator, framing: Framing) -> Array:
-    """Draw where the board's middle [m] and its normal, times L, are to be in the camera, shape (count, 6)."""
+def _draw_wanted(
+    scene: CameraScene, count: int, rng: np.random.Generator, framing: Framing
+) -> Array:
+    """Draw where the board's centre [m] and its normal, times L, are to be in the camera, shape (count, 6)."""
     camera = scene.camera
     size = np.array([camera.width, camera.height])
     pixels = (size - 1) / 2.0 + size * rng.uniform(-0.5, 0.5, size=(count, 2)) * _CENTRAL
@@ -195,18 +197,18 @@ def _wish(scene: CameraScene, count: int, rng: np.random.Generator, framing: Fra
     return np.column_stack([distance[:, None] * directions, _NORMAL * normals])
 
 
-def _approach(scene: CameraScene, wished: Array, start: Array, limits: Array) -> Array:
-    """Go from joint values (n, m) towards views (n, 6), see `_wish`, within limits (m, 2); returns joint values."""
+def _approach(scene: CameraScene, wanted: Array, start: Array, limits: Array) -> Array:
+    """Return joint values (n, m) that are moved towards views (n, 6), see `_draw_wanted`, within limits (m, 2)."""
     low, high = limits.T
     values = start
     steps = _DIFFERENCE * np.eye(len(low))
     for _ in range(_STEPS):
-        shown = _shown(scene, values)
-        columns = [(_shown(scene, values + step) - shown) / _DIFFERENCE for step in steps]
+        seen = _see(scene, values)
+        columns = [(_see(scene, values + step) - seen) / _DIFFERENCE for step in steps]
         J = np.stack(columns, axis=-1)
         J_transposed = np.swapaxes(J, 1, 2)
         normal_matrix = J_transposed @ J + _DAMPING**2 * np.eye(len(low))
-        gradient = J_transposed @ (wished - shown)[..., None]
+        gradient = J_transposed @ (wanted - seen)[..., None]
         step = np.linalg.solve(normal_matrix, gradient)[..., 0]
         longest = np.abs(step).max(axis=1, keepdims=True)
         step *= np.minimum(1.0, _LONGEST_STEP / np.maximum(longest, _STILL))
@@ -215,9 +217,9 @@ def _approach(scene: CameraScene, wished: Array, start: Array, limits: Array) ->
 
 
 def _scatter(values: Array, miss: Array, limits: Array, rng: np.random.Generator) -> Array:
-    """Scatter joint values (n, m) that missed their view by lengths (n,) [m], and joints that are at a limit (m, 2).
+    """Scatter joint values (n, m) that missed their view by lengths (n,) [m], and joints at their limits (m, 2).
 
-    Those are where the arm is stretched; a joint at its limit goes back from it.
+    An arm that misses its view is stretched there; a joint at a limit goes back from it.
     """
     low, high = limits.T
     most = np.minimum(_SCATTER_SHARE * (high - low), _SCATTER)
@@ -229,8 +231,8 @@ def _scatter(values: Array, miss: Array, limits: Array, rng: np.random.Generator
     return np.where(is_scattered, np.clip(values + step, low, high), values)
 
 
-def _shown(scene: CameraScene, values: Array) -> Array:
-    """Return middle [m] and normal, times L, of the board at joint values (n, m), shape (n, 6)."""
+def _see(scene: CameraScene, values: Array) -> Array:
+    """Return centre [m] and normal, times L, of the board in the camera at joint values (n, m), shape (n, 6)."""
     sightline = scene.sightline
     T = sightline.target_poses(sightline.robot.readings(values))
     middle = T[:, :3, :3] @ scene.printed.board.centre + T[:, :3, 3]
