@@ -122,7 +122,14 @@ def draw_camera(stated: Camera, rng: np.random.Generator) -> Camera:
     for _ in range(_DRAWS):
         unit_normal = rng.standard_normal(len(LENSES[stated.lens].names))
         if stated.values is None:
-            values = _any_values(stated, unit_normal, float(rng.uniform(*_FOCAL)))
+            focal_length = float(rng.uniform(*_FOCAL)) * stated.width
+            values = np.zeros(len(unit_normal))
+            values[:2] = focal_length
+            values[2:4] = (np.array([stated.width, stated.height]) - 1) / 2.0
+            sigma = _usual_sigma(stated, values)
+            sigma[:2] = [0.0, 1e-3 * focal_length]
+            sigma[4] = _RADIAL
+            values = values + sigma * unit_normal
         else:
             usual = _usual_sigma(stated, stated.values)
             sigma = usual if stated.sigma is None else stated.sigma
@@ -160,15 +167,3 @@ def _usual_sigma(camera: Camera, values: Array) -> Array:
     if camera.lens == "fisheye":
         sigma[4:] *= _HIGHER ** np.arange(len(sigma) - 4)
     return sigma
-
-
-def _any_values(camera: Camera, unit_normal: Array, focal_share: float) -> Array:
-    """Return usual numbers (m,) of a camera by the size of its image, drawn by standard normal numbers (m,)."""
-    values = np.zeros(len(unit_normal))
-    focal_length = focal_share * camera.width
-    values[:2] = focal_length
-    values[2:4] = (np.array([camera.width, camera.height]) - 1) / 2.0
-    sigma = _usual_sigma(camera, values)
-    sigma[:2] = [0.0, 1e-3 * focal_length]
-    sigma[4] = _RADIAL
-    return np.asarray(values + sigma * unit_normal)

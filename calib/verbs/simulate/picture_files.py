@@ -6,7 +6,6 @@ board, and ``camera.yaml`` with the stated numbers of the camera, in the format 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,9 +15,7 @@ from calib.boards.board_file import board_toml
 from calib.boards.render import USUAL_SCENE, Scene, render, write_png
 from calib.camera.camera_file import camera_info_yaml
 from calib.data.columns import SETS
-from calib.robot.robot import Robot
 from calib.verbs.simulate.random_streams import stream
-from calib.verbs.simulate.readings import Pictures
 from calib.verbs.simulate.scenario import Simulated
 
 #: Names of the files beside the pictures.
@@ -70,7 +67,14 @@ def write_pictures(
     pictures = simulated.pictures
     assert pictures is not None
     equipment = pictures.equipment
-    rows = _joint_rows(pictures, simulated.truth.nominal)
+    headers = [
+        f"{joint.name} [m]" if joint.type == "prismatic" else f"{joint.name} [rad]"
+        for joint in simulated.truth.nominal.inputs
+    ]
+    has_sets = SETS[1] in pictures.sets
+    rows: list[list[object]] = [["image", *headers, *(["set"] if has_sets else [])]]
+    for file_name, q, name in zip(pictures.images, pictures.readings, pictures.sets, strict=True):
+        rows.append([file_name, *q.tolist(), *([name] if has_sets else [])])
     contents = {
         JOINTS: csv_bytes(rows),
         BOARD: board_toml(equipment.printed.board).encode(),
@@ -98,15 +102,3 @@ def write_pictures(
     for name, content in contents.items():
         write_atomically(made / name, content, overwrite=overwrite)
     return paths
-
-
-def _joint_rows(pictures: Pictures, robot: Robot) -> Iterator[list[object]]:
-    """Yield the rows of the table of joint values, its header first."""
-    headers = [
-        f"{joint.name} [m]" if joint.type == "prismatic" else f"{joint.name} [rad]"
-        for joint in robot.inputs
-    ]
-    has_sets = SETS[1] in pictures.sets
-    yield ["image", *headers, *(["set"] if has_sets else [])]
-    for image, q, name in zip(pictures.images, pictures.readings, pictures.sets, strict=True):
-        yield [image, *q.tolist(), *([name] if has_sets else [])]

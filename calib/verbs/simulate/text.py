@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from calib.basics.arrays import Array, rigid_inverse
 from calib.boards.project import corner_pixels
 from calib.camera.lenses import LENSES
+from calib.data.columns import SETS
 from calib.instruments.camera import board_tilts
 from calib.model.families import FAMILIES, unit_of
 from calib.numerics.errors import rms
@@ -34,9 +35,9 @@ def simulated_text(scenario: Scenario, simulated: Simulated) -> str:
     """
     robot, pictures = scenario.robot, simulated.pictures
     if pictures is None:
-        title = (
-            f"Simulated: robot '{robot.name}', {robot.base} to {robot.tip}, {_counts(simulated)}."
-        )
+        sets = simulated.measurements.sets
+        counts = f"{len(sets)} rows{_of_sets(sets)}"
+        title = f"Simulated: robot '{robot.name}', {robot.base} to {robot.tip}, {counts}."
         facts = [
             ("Each row measures", f"the {scenario.kind.words}"),
             ("Targets at each pose", ", ".join(simulated.truth.targets)),
@@ -47,10 +48,9 @@ def simulated_text(scenario: Scenario, simulated: Simulated) -> str:
             *_disturbances(scenario, simulated),
         ]
     else:
-        title = (
-            f"Simulated: robot '{robot.name}', camera on {robot.base}, board on {robot.tip}, "
-            f"{_picture_counts(pictures)}."
-        )
+        sets = pictures.sets
+        counts = f"{plural(len(pictures.picture), 'corner')} in {plural(len(sets), 'picture')}{_of_sets(sets)}"
+        title = f"Simulated: robot '{robot.name}', camera on {robot.base}, board on {robot.tip}, {counts}."
         facts = [
             *_what_is_seen(pictures),
             *error_lines(simulated.truth, pictures.q),
@@ -65,14 +65,12 @@ def simulated_text(scenario: Scenario, simulated: Simulated) -> str:
     return "\n".join(lines)
 
 
-def _counts(simulated: Simulated) -> str:
-    """Word the number of rows."""
-    table = simulated.measurements
-    rows = f"{len(table)} rows"
-    validation = int(table.validation.sum())
-    if validation:
-        rows += f" ({len(table) - validation} for estimation, {validation} for validation)"
-    return rows
+def _of_sets(sets: Sequence[str]) -> str:
+    """Word how many rows or pictures are of each set, in brackets; empty if all are to estimate from."""
+    estimation = sum(name == SETS[0] for name in sets)
+    if estimation == len(sets):
+        return ""
+    return f" ({estimation} for estimation, {len(sets) - estimation} for validation)"
 
 
 def error_lines(truth: Truth, q: Array) -> Iterator[tuple[str, str]]:
@@ -88,7 +86,11 @@ def error_lines(truth: Truth, q: Array) -> Iterator[tuple[str, str]]:
         model += "; all errors are zero"
     yield "True errors", model
     for (family, unit), errors in families.items():
-        yield f"  {family}", _family_text(errors, unit)
+        factor, symbol = unit_of(unit).shown
+        name = max(errors, key=lambda name: abs(errors[name]))
+        size = factor * rms(np.array(list(errors.values())))
+        largest = f"{name} {factor * errors[name]:.3g} {symbol}"
+        yield f"  {family}", f"{len(errors)}, rms {size:.3g} {symbol}, largest {largest}"
     distances = truth.nominal_errors(q)
     text = f"{_mm(rms(distances))} mm rms, {_mm(distances.max())} mm at most"
     yield "  of the nominal robot", text
@@ -104,15 +106,6 @@ def _errors_by_family(truth: Truth) -> dict[tuple[str, str], dict[str, float]]:
     order = list(FAMILIES)
     keys = sorted(families, key=lambda key: (order.index(key[0]), key[1]))
     return {key: families[key] for key in keys}
-
-
-def _family_text(errors: Mapping[str, float], unit: str) -> str:
-    """Word the errors of one family, by the parameter's name, in a unit of parameters: number, rms, the largest."""
-    factor, symbol = unit_of(unit).shown
-    name = max(errors, key=lambda name: abs(errors[name]))
-    size = factor * rms(np.array(list(errors.values())))
-    largest = f"{name} {factor * errors[name]:.3g} {symbol}"
-    return f"{len(errors)}, rms {size:.3g} {symbol}, largest {largest}"
 
 
 def _places(scenario: Scenario, simulated: Simulated) -> Iterator[tuple[str, str]]:
@@ -180,16 +173,6 @@ def _noise(scenario: Scenario, simulated: Simulated) -> str:
 
 
 # Pictures
-
-
-def _picture_counts(pictures: Pictures) -> str:
-    """Word the number of pictures and of corners."""
-    text = f"{plural(len(pictures.picture), 'corner')} in {plural(len(pictures.images), 'picture')}"
-    validation = sum(name != "estimate" for name in pictures.sets)
-    if validation:
-        estimation = len(pictures.images) - validation
-        text += f" ({estimation} for estimation, {validation} for validation)"
-    return text
 
 
 def _what_is_seen(pictures: Pictures) -> Iterator[tuple[str, str]]:
