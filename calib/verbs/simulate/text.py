@@ -36,7 +36,7 @@ def simulated_text(scenario: Scenario, simulated: Simulated) -> str:
     robot, pictures = scenario.robot, simulated.pictures
     if pictures is None:
         sets = simulated.measurements.sets
-        counts = f"{len(sets)} rows{_of_sets(sets)}"
+        counts = f"{len(sets)} rows{_count_sets(sets)}"
         title = f"Simulated: robot '{robot.name}', {robot.base} to {robot.tip}, {counts}."
         facts = [
             ("Each row measures", f"the {scenario.kind.words}"),
@@ -49,7 +49,7 @@ def simulated_text(scenario: Scenario, simulated: Simulated) -> str:
         ]
     else:
         sets = pictures.sets
-        counts = f"{plural(len(pictures.picture), 'corner')} in {plural(len(sets), 'picture')}{_of_sets(sets)}"
+        counts = f"{plural(len(pictures.picture), 'corner')} in {plural(len(sets), 'picture')}{_count_sets(sets)}"
         title = f"Simulated: robot '{robot.name}', camera on {robot.base}, board on {robot.tip}, {counts}."
         facts = [
             *_what_is_seen(pictures),
@@ -65,7 +65,7 @@ def simulated_text(scenario: Scenario, simulated: Simulated) -> str:
     return "\n".join(lines)
 
 
-def _of_sets(sets: Sequence[str]) -> str:
+def _count_sets(sets: Sequence[str]) -> str:
     """Word how many rows or pictures are of each set, in brackets; empty if all are to estimate from."""
     estimation = sum(name == SETS[0] for name in sets)
     if estimation == len(sets):
