@@ -1,20 +1,20 @@
 """Cameras: which poses of a printed board they see, how exactly, and the images of its corners.
 
 A corner P of the board is seen at u = lens(R P + p), with the pose (R, p) of the board in the camera and the numbers of
-lens and print of `calib.camera.optics`. The board must be sharp, not too slanted, and in the image.
+lens and print of `calib.camera.optics`. The board must be in focus, not too slanted, and in the image.
 
-The c corners of an image depend on the parameters by the board's motion in the camera (6) and by a few numbers of lens
-and print (k - 6) alone. With the derivative J of their images by these, (2 c, k), in standard deviations of the noise,
-and the derivative D of these by the parameters, (k, p),
+The c corners of an image depend on the parameters only through the motion of the board in the camera (6 numbers) and a
+few numbers of lens and print (k - 6). With the derivative J of their images by these, (2 c, k), in standard deviations
+of the noise, and the derivative D of these by the parameters, (k, p),
 
     A = J D,    A^T A = (R D)^T (R D),    J = Q R
 
 so that k rows, R D, stand for the 2 c rows of an image. The robot's repeatability moves all corners of an image alike,
-by a translation with the standard deviation r along each axis: with B = r R_t, the columns of R by translations,
+by a translation with the standard deviation r along each axis: with B = r R_t, R_t the columns of R for translations,
 
     A -> L^-1 R D,    L L^T = I + B B^T
 
-The corners' own errors on the print are left out: each is seen in many images, and known well after a few.
+Errors of single corners on the print are left out: each corner is seen in many images, and soon known well.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ from calib.robot.robot import Robot
 #: Kind of the rows of a table of corners.
 PIXEL = "pixel"
 
-#: Largest angle between the line of sight and the board's normal [rad]: detection loses precision beyond.
+#: Largest angle between the line of sight and the board's normal [rad]: beyond, corners are detected less precisely.
 LARGEST_TILT = math.radians(55.0)
 
 #: Shares of the image's diagonal that the board's diagonal fills at the nearest and at the farthest distance.
@@ -57,19 +57,20 @@ _FILLED = (0.80, 0.15)
 #: Margin at the edges of the image, as a share of its width.
 _MARGIN = 0.01
 
-#: Focal length of a camera of which nothing is known, as a share of the image's width: 64 deg from left to right.
+#: Focal length that is assumed for an unknown camera, as a share of the image's width: 64 deg from left to right.
 _ASSUMED_FOCAL = 0.8
 
-#: A point this much beyond the widest ray of the image [rad] can be in it only where the lens polynomial folds back.
+#: Angle beyond the widest ray of the image [rad] from which on points would be in it only because the lens polynomial
+#: folds back.
 _BEYOND = 0.02
 
-#: The widest ray of a lens that cannot be inverted at the edges of the image [rad].
+#: Widest ray of a lens that cannot be inverted at the edges of the image [rad].
 _WIDEST = math.radians(80.0)
 
-#: The view of a corner begins so far in front of the camera [m]: its housing and its mount do not count.
+#: Distance from the camera at which the view of a corner begins [m], beyond its housing and its mount.
 _AHEAD = 0.060
 
-#: Images whose derivatives by lens and board are held at a time.
+#: Number of images whose derivatives are held at a time.
 _AT_A_TIME = 128
 
 Entry = TypeVar("Entry")
@@ -82,7 +83,7 @@ def is_image(kind: Kind) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class SightLimits(Value):
-    """Limits of where a board may be in the camera."""
+    """Where a board may be in the camera."""
 
     #: Least and largest distance of the board's centre from the camera [m]; None: it fills 15 to 80 % of the image.
     distances: tuple[float, float] | None = None
@@ -92,7 +93,7 @@ class SightLimits(Value):
     share: float = 1.0
 
     def __post_init__(self) -> None:
-        """Refuse limits that no board can keep."""
+        """Refuse limits within which no board can be."""
         nearest, farthest = self.distances or (1.0, 2.0)
         if not 0.0 < nearest < farthest < np.inf:
             raise CalibError(
@@ -109,7 +110,7 @@ class SightLimits(Value):
             )
 
 
-#: The whole board is in the image, at usual distances.
+#: The whole board must be in the image, at usual distances.
 USUAL_LIMITS = SightLimits()
 
 
@@ -119,7 +120,7 @@ class CameraInstrument(Instrument):
 
     VIEWPOINT_NUMBERS: ClassVar[int] = 6  # pixel (2), distance, tilt, direction of the tilt, roll
 
-    #: The camera, with intrinsics, at least assumed ones.
+    #: The camera, with intrinsics, which may be assumed ones.
     camera: Camera
     #: The board, which is the target.
     board: Board
@@ -150,7 +151,7 @@ class CameraInstrument(Instrument):
 
         Args:
             cell: Camera and board, the pose of the camera's link in the camera (None: the link is its optical frame),
-                noise. A camera without intrinsics has assumed ones, which a fit takes as unknown.
+                noise. For a camera without intrinsics some are assumed, which a fit takes as unknown.
             limits: Where the board may be in the camera.
 
         Raises:
@@ -193,23 +194,23 @@ class CameraInstrument(Instrument):
 
     @property
     def locates(self) -> bool:
-        """True: images tell where the board is in the camera."""
+        """True: images give the pose of the board in the camera."""
         return True
 
     def in_cell(self, cell: Cell) -> Cell:
-        """Return a cell with the camera as it is taken, and a board whose corners have no errors of their own."""
+        """Return a cell with the camera as assumed, and a board whose corners have no errors of their own."""
         board = replace(self.board, sigma_corner=0.0)
         return replace(cell, kind=PIXEL, cameras={"": self.camera}, boards={"": board})
 
     def stops(self, q: Array) -> Array:
-        """Return the joint values of images, each once: a table of corners has many rows of an image."""
+        """Return the joint values of images, each once: a table of corners has many rows for an image."""
         _, first = np.unique(q, axis=0, return_index=True)
         return np.asarray(q[np.sort(first)])
 
     # Which poses of the board it sees
 
     def sees(self, sightlines: Sequence[Sightline]) -> Iterator[Condition]:
-        """Yield that the board is sharp, that its front is seen, and that enough of it is in the image."""
+        """Yield that the board is in focus, that its front is seen, and that enough of it is in the image."""
         for sightline in sightlines:
             for reason, passes in (
                 ("focus", self.in_focus),
@@ -225,7 +226,7 @@ class CameraInstrument(Instrument):
         return np.asarray((distance >= nearest) & (distance <= farthest))
 
     def is_facing(self, T_camera_board: Array) -> Mask:
-        """Test whether the camera sees the front of the board, not too slanted, shape (N,)."""
+        """Test whether the camera sees the front of the board, and not too slanted, shape (N,)."""
         return np.asarray(board_tilts(self.board, T_camera_board) <= self.limits.tilt)
 
     def in_image(self, T_camera_board: Array) -> Mask:
@@ -277,9 +278,9 @@ class CameraInstrument(Instrument):
         """Return poses of the board within the limits of distance and tilt, its centre anywhere in the image.
 
         With the ray r of a random pixel, a distance d, a tilt t in a random direction and a random roll, the centre of
-        the board is at d r, and its normal t away from r. Tilts are spread evenly: if a board is always seen head on,
-        its images hardly separate focal length from distance. The reciprocals of distances are spread evenly: as many
-        views of a large board as of a small one. Poses of which the board is not in the image are left out.
+        the board is at d r, and the angle between its normal and r is t. Tilts are spread evenly, because images that
+        always show a board head on hardly separate focal length from distance. Reciprocals of distances are spread
+        evenly, so that the sizes of the board in the image are. Poses whose board is not in the image are left out.
 
         Args:
             unit: Random numbers between 0 and 1, shape (n, 6).
@@ -288,7 +289,7 @@ class CameraInstrument(Instrument):
             T_camera_board, shape (n or fewer, 4, 4), [m].
 
         Raises:
-            ModelError: The board is in the image from none of them.
+            ModelError: The board is never in the image.
         """
         camera, (nearest, farthest) = self.camera, self._distances
         pixels = unit[:, :2] * [camera.width, camera.height] - 0.5
@@ -328,7 +329,7 @@ class CameraInstrument(Instrument):
         return np.full(len(distance), self.sigma["px"])
 
     def stop_rows(self, robot: Robot, targets: Sequence[str], group: str) -> Measurements:
-        """Return a row for each corner of the board, of which all are seen."""
+        """Return a row for each corner of the board, as if all were seen."""
         corners = self.board.corners
         count = len(corners)
         return Measurements(
@@ -358,7 +359,7 @@ class CameraInstrument(Instrument):
     def whitened(
         self, T_frame_target: Array, twists: Array, noise: Array, model: ErrorModel
     ) -> Array:
-        """Differentiate images by the parameters, whitened by the noise, shape (n, k, p); 0 if no corner is seen."""
+        """Differentiate images by the parameters, whitened by the noise, shape (n, k, p); zero if no corner is seen."""
         own = [(number, parameter.optic) for number, parameter in model.optical]
         numbers = [number for number, _ in own]
         columns = [column for _, column in own if column is not None]
@@ -423,13 +424,13 @@ def _only(entries: Mapping[str, Entry], what: str) -> Entry:
 
 
 def camera_and_board_places(cell: Cell) -> tuple[Array | None, Array | None]:
-    """Return where a cell has its camera and its board: its measurement frame is the camera, its target the board.
+    """Return the places of camera and board in a cell: its measurement frame is the camera, its target the board.
 
     Returns:
         T_camera_base and T_tip_board, shape (4, 4) each, [m]; None: not given.
 
     Raises:
-        CalibError: It gives the board's position, and not how it is turned.
+        CalibError: It gives the position of the board, and not its orientation.
     """
     T_camera_base = cell.T_frame_base
     if len(cell.frames) == 1:
@@ -441,7 +442,7 @@ def camera_and_board_places(cell: Cell) -> tuple[Array | None, Array | None]:
         return T_camera_base, None
     if cell.target_rotation is None:
         raise CalibError(
-            "The cell gives the position of the board in its link, and not how it is turned: add target_rpy_deg, or "
+            "The cell gives the position of the board in its link, and not its orientation: add target_rpy_deg, or "
             "leave both out."
         )
     return T_camera_base, pose_of(position, cell.target_rotation)
@@ -468,7 +469,7 @@ def corner_optics(camera: Camera, board: Board) -> Array:
 
 
 def usual_distances(camera: Camera, board: Board) -> tuple[float, float]:
-    """Return the distances from which a board fills 80 and 15 % of the image, head on and along the diagonal [m]."""
+    """Return the distances from which a board seen head on fills 80 and 15 % of the image's diagonal [m]."""
     image = math.hypot(camera.width, camera.height)
     full = math.hypot(*board.size) * focal_length(camera) / image
     nearest, farthest = (full / filled for filled in _FILLED)
@@ -503,7 +504,7 @@ def outline(board: Board) -> Array:
 
 
 def assumed_intrinsics(camera: Camera) -> Array:
-    """Return intrinsics of a camera of which nothing is known, shape (m,): 64 deg wide, no distortion."""
+    """Return intrinsics that are assumed for an unknown camera, shape (m,): 64 deg wide, no distortion."""
     values = np.zeros(len(LENSES[camera.lens].names))
     values[:2] = _ASSUMED_FOCAL * camera.width
     values[2:4] = 0.5 * (camera.width - 1), 0.5 * (camera.height - 1)
@@ -524,7 +525,7 @@ def focal_length(camera: Camera) -> float:
 def widest_ray(camera: Camera) -> float:
     """Return the largest angle between the camera's axis and a ray of its image [rad].
 
-    A lens polynomial can fold rays from far outside back into the image: what is beyond this angle is not seen.
+    Points beyond this angle are not seen, even if the lens polynomial folds their rays back into the image.
 
     Args:
         camera: The camera, with intrinsics.

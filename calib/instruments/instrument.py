@@ -1,15 +1,16 @@
 """The interface of instruments: what sees a target, how exactly, and what it reads.
 
-An instrument is fixed to one link and its target to another one; a link that no joint moves is the world. All that an
+An instrument is fixed to one link and its target to another; a link that no joint moves is the world. All that an
 instrument needs of the robot is the pose of the target in its own frame, by the chain between the two links
 (`calib.robot.chain.chain_between`), from that of the instrument, the base, to that of the target, the tip:
 
     T_instrument_target(q) = T_instrument_base  T_base_tip(q)  T_tip_target
 
 So a tracker in the world with a reflector on the flange, a camera on the flange with a board on the table, and a camera
-on the table with a board on the flange differ by their chains alone. A second instrument, or a second target on another
+on the table with a board on the flange differ only in their chains. A second instrument, or a second target on another
 link, is one more `Sightline`: another chain of the same URDF, ``robot.rebuilt(base=..., tip=...)``, which takes the
-values of its own ``joint_names``. No instrument knows of another one, nor of the chain that it looks along.
+values of its own ``joint_names``. An instrument does not know of other instruments, or of the chain along which it
+looks.
 """
 
 from __future__ import annotations
@@ -29,10 +30,10 @@ from calib.data.measurements import Measurements
 from calib.model.parameters import ErrorModel
 from calib.robot.robot import Robot
 
-#: What an instrument may assume where a cell does not state it.
+#: What an instrument may assume if a cell does not state it.
 Assumption = Literal[
     "orientation_noise",  # the noise of an orientation [rad]
-    "camera_assumed",  # that a lens of which nothing is known has this focal length [px]
+    "camera_assumed",  # the focal length of an unknown lens [px]
     "image_noise",  # the noise of an image coordinate [px]
 ]
 
@@ -40,7 +41,7 @@ Assumption = Literal[
 class Condition(NamedTuple):
     """Condition that a pose of the robot must pass, and the reason of refusal."""
 
-    #: Word for why a pose is refused that does not pass.
+    #: Word for the reason why a pose that does not pass is refused.
     reason: str
     #: Function of joint values (n, m), [rad] or [m], that returns whether each pose passes, shape (n,).
     passes: Callable[[Array], Mask]
@@ -98,50 +99,46 @@ class Instrument(Value, ABC):
 
     __slots__ = ()
 
-    #: Random numbers that make a viewpoint, see `viewpoints`; 0: most poses of the robot are seen.
+    #: Number of random numbers that make a viewpoint, see `viewpoints`; 0: it sees the target at most poses.
     VIEWPOINT_NUMBERS: ClassVar[int] = 0
 
     #: What one row of a table measures: prediction and derivative are those of the registry.
     kind: Kind
     #: Standard deviation of one scalar by its unit, as stated or assumed; that of lengths is `noise`.
     sigma: Mapping[str, float]
-    #: Shape (4, 4), pose of the chain's base in the instrument [m]; None: where it stands is not known.
+    #: Shape (4, 4), pose of the chain's base in the instrument [m]; None: its place is not known.
     T_instrument_base: Array | None
-    #: Shape (n, 3), points of the target that nothing may hide from the instrument, in the target's frame [m]. The
-    #: first is the one whose predicted position counts.
+    #: Shape (n, 3), points in the target's frame that must not be hidden from the instrument [m]. The first is the one
+    #: whose predicted position counts.
     points: Array
-    #: Lines of sight begin so far in front of the instrument [m]: its own housing does not count.
+    #: Distance from the instrument at which lines of sight begin, beyond its own housing [m].
     ahead: float
-    #: What was assumed: a word for each assumption, and its values in SI units.
+    #: What was assumed, each with its values in SI units.
     assumed: tuple[tuple[Assumption, tuple[float, ...]], ...]
 
     @property
     @abstractmethod
     def locates(self) -> bool:
-        """True if it measures where targets are; else only the shape of all their positions can be known."""
+        """True if positions are measured; else only the shape of all positions together can be known."""
 
     def in_cell(self, cell: Cell) -> Cell:
-        """Return a cell as the fit of the instrument's rows will use it, with what was assumed."""
+        """Return a cell as a fit of the instrument's rows will use it, with what was assumed."""
         return cell
 
     def stops(self, q: Array) -> Array:
-        """Return the joint values of the rows of a table, shape (n, m), of each stop of the robot once.
-
-        Args:
-            q: Shape (N, m), [rad] or [m], in the order of the table; two stops may be at the same pose.
-        """
+        """Return the joint values of the robot's stops (n, m), by those of the rows of a table (N, m), [rad] or [m]."""
         return q
 
     @abstractmethod
     def sees(self, sightlines: Sequence[Sightline]) -> Iterator[Condition]:
-        """Yield what joint values must pass for all targets to be measured, the cheap conditions first.
+        """Yield the conditions under which all targets are measured, the cheap ones first.
 
         Args:
             sightlines: One for each target.
         """
 
     def viewpoints(self, unit: Array) -> Array:
-        """Return poses from which a target is measured well, spread evenly; for instruments that seldom see it.
+        """Return poses of the target that are measured well, spread evenly; for instruments that seldom see it.
 
         Args:
             unit: Random numbers between 0 and 1, shape (n, `VIEWPOINT_NUMBERS`).
@@ -164,7 +161,7 @@ class Instrument(Value, ABC):
 
     @abstractmethod
     def stop_rows(self, robot: Robot, targets: Sequence[str], group: str) -> Measurements:
-        """Return the rows of one stop of the robot, all joints at 0; what they measured does not matter.
+        """Return the rows of one stop of the robot, all joints at 0, with arbitrary measured values.
 
         Args:
             robot: The chain, whose joints have a column each.

@@ -27,7 +27,7 @@ from calib.instruments.instrument import Assumption, Condition, Instrument, Sigh
 from calib.model.parameters import ErrorModel
 from calib.robot.robot import Robot
 
-#: Noise of lengths that nothing states.
+#: Noise of lengths if none is stated.
 USUAL_NOISE = TrackerNoise()
 
 #: The target itself is measured.
@@ -45,7 +45,7 @@ class TrackerInstrument(Instrument):
     noise_of_length: TrackerNoise
     #: Least and largest distance that it measures [m].
     distances: tuple[float, float] = (0.0, np.inf)
-    #: The reflector on the tip; None: it is seen from everywhere.
+    #: The reflector on the tip; None: it is seen from all sides.
     reflector: Reflector | None = None
     points: Array = field(default_factory=lambda: _ORIGIN)
     ahead: float = 0.0
@@ -92,7 +92,7 @@ class TrackerInstrument(Instrument):
         )
         if tracker is None:
             return instrument
-        # How it is turned does not matter to what it sees.
+        # Its orientation does not matter for what it sees.
         T_tracker_base = np.eye(4)
         T_tracker_base[:3, 3] = -tracker.position
         distances = (tracker.nearest, tracker.farthest)
@@ -104,7 +104,7 @@ class TrackerInstrument(Instrument):
         return self.kind.position
 
     def sees(self, sightlines: Sequence[Sightline]) -> Iterator[Condition]:
-        """Yield that the targets are within range, and the instrument within the cones of their reflectors."""
+        """Yield that the targets are in range, and the instrument in the cones of their reflectors."""
         for sightline in sightlines:
             yield Condition("tracker_range", partial(self.in_range, sightline))
         if self.reflector is not None:

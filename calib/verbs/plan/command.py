@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 _File = Path | None
 
-#: Columns of the option's text in the help.
+#: Stands for a pose in the help.
 _POSE = '"X Y Z UNIT RX RY RZ UNIT"'
 
 
@@ -141,7 +141,7 @@ class ImageOptions:
     ] = 1.0
 
     def in_cell(self, cell: Cell) -> Cell:
-        """Return a cell with its camera and board where they were said to be; without a camera as it is."""
+        """Return a cell with its camera and board at the places that were given; it is unchanged without a camera."""
         from calib.basics.arrays import rigid_inverse
 
         if cell.cameras and self.camera_at is not None:
@@ -300,7 +300,7 @@ def pose_of(text: str, option: str) -> Array:
         Shape (4, 4), [m].
 
     Raises:
-        CalibError: It is no such text.
+        CalibError: It is another text.
     """
     import numpy as np
     from scipy.spatial.transform import Rotation

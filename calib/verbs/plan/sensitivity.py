@@ -79,9 +79,9 @@ class Sensitivity:
 
         Args:
             robot: The nominal robot, from the instrument's link to the target's.
-            cell: Frames, targets, noise, priors, and the error model, of which ``"auto"`` is taken as ``"placement"``.
-                Known distances between groups do not count. A target that it does not give is put at (50, 70, 30) mm
-                in the tip, and the notes say so.
+            cell: What the fit will use; the error model ``"auto"`` is taken as ``"placement"``, and known distances
+                between stations do not count. A target that it does not give is put at (50, 70, 30) mm in the tip, and
+                the notes say so.
             instrument: What measures; None: the cell's.
 
         Raises:
