@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from calib.verbs.compare.comparison import Comparison as Comparison, compare as compare
     from calib.verbs.compensate.commands import Commands as Commands, compensate as compensate
     from calib.verbs.compensate.program import Program as Program
-    from calib.verbs.convert.conversion import convert as convert
+    from calib.verbs.convert.convert import convert as convert
     from calib.verbs.evaluate.acceptance import Acceptance as Acceptance, acceptance as acceptance
     from calib.verbs.evaluate.evaluation import Evaluation as Evaluation, evaluate as evaluate
     from calib.verbs.fleet.tables import fleet as fleet
@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from calib.verbs.plan.choice import PlanRequest as PlanRequest
     from calib.verbs.plan.plan import Plan as Plan, plan as plan
     from calib.verbs.simulate.scenario import Scenario as Scenario, simulate as simulate
-    from calib.verbs.view.live import view as view
+    from calib.verbs.view.page import view as view
     from calib.verbs.workspace.region import Region as Region
     from calib.verbs.workspace.workspace import workspace as workspace
 
@@ -66,7 +66,7 @@ _NAMES = {
     "calib.verbs.base_frame.survey": "base_frame",
     "calib.verbs.compensate.commands": "Commands compensate",
     "calib.verbs.compensate.program": "Program",
-    "calib.verbs.convert.conversion": "convert",
+    "calib.verbs.convert.convert": "convert",
     "calib.data.cell": "Cell",
     "calib.data.forms.column_options": "ColumnOptions",
     "calib.data.measurements": "Measurements",
@@ -83,7 +83,7 @@ _NAMES = {
     "calib.robot.dh.rows": "DHRow",
     "calib.robot.robot": "Robot",
     "calib.verbs.simulate.scenario": "Scenario simulate",
-    "calib.verbs.view.live": "view",
+    "calib.verbs.view.page": "view",
     "calib.boards.detection.detect": "detect",
 }
 #: Modules by which a user extends calib: a registry each, by its name in `calib.plugins.WORDS`, and plugins.

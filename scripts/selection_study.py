@@ -44,7 +44,7 @@ from calib.fit.estimate.fitting import Fitted, fit
 from calib.fit.selection.reference_fit import with_better_weights
 from calib.model.families import FAMILIES
 from calib.model.kinematics import Samples
-from calib.result.fits import fit_table
+from calib.result.table_fits import fit_table
 from calib.robot.gravity import Payload, gravity_loads
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot

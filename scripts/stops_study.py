@@ -26,7 +26,7 @@ from calib.fit.estimate.fitting import Fitted
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics, Samples
 from calib.numerics.geometry import pose_of
-from calib.result.fits import fit_table
+from calib.result.table_fits import fit_table
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 

@@ -21,7 +21,7 @@ from calib.model.kinematics import Samples
 from calib.numerics.errors import rms
 from calib.numerics.rigid_motion import without_rigid_motion
 from calib.result.calibrate import calibrate
-from calib.result.fits import fit_table
+from calib.result.table_fits import fit_table
 from calib.robot.gravity import gravity_loads
 from calib.verbs.plan.forecast import Forecast, Workspace
 from calib.verbs.plan.sensitivity import Sensitivity

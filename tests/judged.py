@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
+from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.diagnosis.reasons import Why
+from calib.fit.estimate.fitting import Fitted, fit
+from calib.fit.estimate.task import Task
+from calib.fit.registration.table_rows import rows_and_setup
 from calib.result.calibrate import calibrate
 from calib.result.calibration import Calibration
 from calib.robot.ranges import random_joint_values
@@ -37,3 +43,18 @@ def judged(make_scene, seed, changed=None, *, rows=70, bias=0.0, given=None, **h
     scene, rng = arm(make_scene, seed, **(given or {})), np.random.default_rng(seed - 60)
     m = table_of(scene, random_joint_values(scene.robot, rows, seed - 60), rng, bias)
     return calibrate(scene.robot, changed(m) if changed else m, **{"model": "dh", **how})
+
+
+def fit_to(scene: Any, table: Measurements, cell: Cell | None = None) -> Fitted:
+    """A fit of the cell's model, DH if it names none."""
+    cell = Cell(model="dh") if cell is None else cell
+    rows, setup = rows_and_setup(scene.robot, table, cell)
+    return fit(Task(scene.robot, cell, setup, cell.model), rows)
+
+
+def moved(
+    table: Measurements, by: Any = (0.0, 0.0, 0.0), about: Any = (0.0, 0.0, 0.0)
+) -> Measurements:
+    """The points in a frame in which the base stands elsewhere [m], turned [rad]."""
+    R = Rotation.from_rotvec(about).as_matrix()
+    return replace(table, points=table.points @ R.T + np.array(by))

@@ -13,7 +13,7 @@ import calib
 from calib.example import dh_rows
 from calib.robot.dh.file import read_dh_robot
 from calib.robot.dh.rows import DHRow
-from calib.verbs.convert.dh_files import DHTables
+from calib.verbs.convert.dh import DHTables
 from tests.places import ROOT
 
 #: Three axes that slide and a wrist; the last of the three is parallel to the first of the wrist.

@@ -220,7 +220,6 @@ ELSEWHERE = {
     "simulation.md": "tests/test_readme.py",
     "compensation.md": "tests/verbs/compensate/test_command.py",
     "universal-robots.md": "tests/verbs/convert/test_universal_robots.py",
-    "view.md": "tests/verbs/view/test_live.py",
     "extending.md": "tests/test_extending.py",
     "data-format.md": "tests/data/test_covariances.py",
 }
@@ -233,6 +232,7 @@ HERE = (
     "convert.md",
     "zeros.md",
     "workspace.md",
+    "view.md",
     "dh-rows.md",
 )
 

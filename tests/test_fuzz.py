@@ -16,8 +16,8 @@ from calib.data.points_file import read_points
 from calib.errors import CalibError
 from calib.example import paper_measurements, paper_urdf
 from calib.verbs.compensate.program_file import read_program
-from calib.verbs.convert.convert import KINDS, Options
-from calib.verbs.convert.source_kinds import source_kind
+from calib.verbs.convert.convert import KINDS, source_kind
+from calib.verbs.convert.format import Options
 from calib.verbs.plan.solids import read_solids
 from calib.verbs.workspace.region_file import read_region
 from tests.places import ROOT

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.result.fits import fit_table
+from calib.result.table_fits import fit_table
 from calib.robot.gravity import Payload
 from tests.places import ROOT
 

@@ -14,9 +14,9 @@ from calib import example
 from calib.data.measurements import Measurements
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
-from calib.show.scene.puppet import translation
+from calib.show.scene.posed_robot import translation
 from calib.verbs.view.page import view_page
-from calib.verbs.view.view import View
+from calib.verbs.view.view import Measured, View
 from tests import hard_cases
 
 #: A gantry with a turning wrist: prismatic and continuous joints, no visuals, its base not at the root.
@@ -48,6 +48,19 @@ def scene_of(page) -> dict:
     """The scene's message in a page."""
     text = re.search(rb'id="scene">([^<]*)<', page.html).group(1)
     return umsgpack.unpackb(base64.b64decode(text))
+
+
+def with_points(view: View, points: np.ndarray) -> View:
+    """The view with measured points, shape (N, 3)."""
+    measured = view.measured or Measured(points)
+    return replace(view, measured=replace(measured, points=points))
+
+
+def registered(view: View, T_base_nominal: np.ndarray) -> View:
+    """The view with the nominal robot's base registered at a pose, (4, 4), in the calibrated one's."""
+    measured = view.measured or Measured(view.points)
+    bases = np.broadcast_to(T_base_nominal, (len(view.q), 4, 4))
+    return replace(view, measured=replace(measured, T_base_nominal=bases))
 
 
 def disturbed(robot: Robot, scale: float = 1.0) -> Robot:
@@ -106,10 +119,10 @@ def ur3_view(ur3):
         kinds=("estimation",) * 30 + ("validation",) * 5,
         nominal_target=target,
         calibrated_target=target,
-        measured=m.points,
         start=30,
     )
-    return replace(view, errors={"m": np.linalg.norm(view.measured - view.predicted, axis=2)})
+    errors = {"m": np.linalg.norm(m.points - view.predicted, axis=2)}
+    return replace(view, measured=Measured(m.points, errors))
 
 
 @pytest.fixture(scope="session")

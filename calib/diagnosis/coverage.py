@@ -1,19 +1,52 @@
-"""Coverage: the measured part of the joints' ranges and of the workspace, and rows outside of it (extrapolation)."""
+"""Coverage: the measured part of the joints' ranges and of the workspace, rows outside of it, and views of boards."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from calib.basics.arrays import Array
+from calib.basics.arrays import Array, Integers, Mask
+from calib.diagnosis.reasons import Reason, Why
+from calib.fit.estimate.fitting import Fitted
+from calib.fit.registration.rows import Rows
+from calib.robot.ranges import column_ranges, spread_poses
+from calib.robot.robot import Robot
 
-#: A joint value is outside when it is further from the measured range than this share of the range.
+#: A joint value is outside when it is farther from the measured range than this share of the range.
 _MARGIN = 0.05
 
 #: A joint whose values differ by less than this did not move [rad or m]; nor is a value this near outside.
 _STILL = 1e-3
+
+#: The rows hardly determine the errors of a turning joint that moves less than this [rad].
+_HARDLY_MOVED_RAD = 0.35
+
+#: The same of a sliding joint [m].
+_HARDLY_MOVED_M = 0.05
+
+#: If the measured tips spread less than this share of what the joints allow, only a corner of the workspace was
+#: measured. Random poses reach 0.8 to 1.2, the paper's 0.43, a 20 cm cube of a UR3's workspace 0.28.
+_CORNER = 1.0 / 3.0
+
+#: A joint whose measured values span less than this share of its range counts as only partly measured.
+_NARROW = 1.0 / 3.0
+
+#: A board that was never tilted by more than this was always seen head on [rad].
+_HEAD_ON = np.radians(15.0)
+
+#: An image with fewer corners determines the board's pose poorly, however well it fits.
+_FEW_CORNERS = 15
+
+#: A larger share of images with few corners is reported.
+_SHARE = 0.2
+
+#: If turns of the hand spread by less about all axes but one, the camera's place along that one is undetermined [rad].
+_ONE_AXIS = np.radians(10.0)
+
+
+# Rows outside of the measured range
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +67,7 @@ class OutsideRow:
 
     #: The number of the queried row, from 0
     index: int
-    #: The joint furthest out first, in shares of their measured range
+    #: The joint farthest out first, in shares of their measured range
     beyond: tuple[Beyond, ...]
 
 
@@ -67,10 +100,10 @@ def outside(
     out = distances > np.maximum(_MARGIN * spans, _STILL)
     rows = []
     for i in np.flatnonzero(out.any(axis=1)):
-        furthest_first = np.argsort(-distances[i] / spans, kind="stable")
+        farthest_first = np.argsort(-distances[i] / spans, kind="stable")
         beyond = [
             Beyond(names[j], types[j] == "prismatic", float(distances[i, j]))
-            for j in furthest_first
+            for j in farthest_first
             if out[i, j]
         ]
         rows.append(OutsideRow(int(i), tuple(beyond)))
@@ -78,22 +111,97 @@ def outside(
 
 
 def _distances(q: Array, low: float, span: float, kind: str) -> Array:
-    """Distance of values of a joint from its measured range; 0 inside.
-
-    Args:
-        q: The values, shape (K,), [rad] or [m].
-        low: Where the range begins, [rad] or [m]; on the circle for a continuous joint.
-        span: Its length, [rad] or [m].
-        kind: The joint's URDF type.
-
-    Returns:
-        Distances from the nearer end, >= 0, shape (K,), [rad] or [m].
-    """
+    """Return the distance of values (K,) of a joint, by its URDF type, from the nearer end of its range; 0 inside."""
     if kind != "continuous":
         return np.asarray(np.maximum(0.0, np.maximum(low - q, q - low - span)))
     after = np.mod(q - low, 2.0 * np.pi) - span
     nearest = np.minimum(after, 2.0 * np.pi - span - after)
     return np.where(after <= 0.0, 0.0, nearest)
+
+
+def _range(q: Array, kind: str) -> tuple[float, float]:
+    """Return where the range of a joint's values (N,) begins and its length, [rad] or [m], by its URDF type.
+
+    Of a continuous joint it is the circle without the largest gap between values, and begins between 0 and 2 pi.
+    """
+    if kind != "continuous":
+        return float(q.min()), float(np.ptp(q))
+    turned = np.sort(np.mod(q, 2.0 * np.pi))
+    gaps = np.diff(turned, append=turned[0] + 2.0 * np.pi)
+    widest = int(np.argmax(gaps))
+    after_gap = (widest + 1) % len(turned)
+    return float(turned[after_gap]), float(2.0 * np.pi - gaps[widest])
+
+
+# The measured part of ranges and workspace
+
+
+def still_joints(robot: Robot, rows: Rows) -> Iterator[Reason]:
+    """Name joints that hardly moved, so that the rows hardly determine their errors.
+
+    Args:
+        robot: The robot.
+        rows: The rows that were fitted.
+
+    Yields:
+        One reason with the joints' names; none if all moved.
+    """
+    still = np.flatnonzero(hardly_moved(robot, rows))
+    if len(still):
+        yield Reason.of(Why.JOINTS_STILL, joints=", ".join(robot.joint_names[j] for j in still))
+
+
+def hardly_moved(robot: Robot, rows: Rows) -> Mask:
+    """Find the joints that hardly moved over the rows.
+
+    Args:
+        robot: The robot, with m measured joints, each turning or sliding.
+        rows: N rows.
+
+    Returns:
+        True for a joint whose values span less than `_HARDLY_MOVED_RAD`, or `_HARDLY_MOVED_M` if it slides, shape (m,).
+    """
+    slides = np.array([joint.type == "prismatic" for joint in robot.inputs])
+    least = np.where(slides, _HARDLY_MOVED_M, _HARDLY_MOVED_RAD)
+    return np.asarray(np.ptp(robot.input_values(rows.joints), axis=0) < least)
+
+
+def partial_coverage(fitted: Fitted) -> Iterator[Reason]:
+    """Say if the poses cover only part of the joints' ranges, or a corner of the workspace, and which.
+
+    Joints that hardly moved are named by another reason.
+
+    Args:
+        fitted: A fit; rows without weight do not count in spread and shares.
+
+    Yields:
+        At most one reason: ``spread``, the rms distance of the tips from their mean over that in the whole workspace,
+        and of each narrow joint, the narrowest first, its name, the share of its range that it used, its lowest and
+        highest value, [rad] or [m], and whether it slides.
+    """
+    robot, rows = fitted.task.robot, fitted.estimate.problem.rows
+    q = rows.joints[fitted.estimate.weights > 0.0]
+    measured_tips = robot.poses(q)[:, :3, 3]
+    possible_tips = robot.poses(spread_poses(robot))[:, :3, 3]
+    spread = spread_of(measured_tips, possible_tips)
+    values = robot.input_values(q)
+    shares = shares_of_ranges(values, column_ranges(robot), [j.type for j in robot.inputs])
+
+    moved = ~hardly_moved(robot, rows)
+    narrow = np.flatnonzero((shares < _NARROW) & moved).tolist()
+    if not np.any(moved) or (spread >= _CORNER and not narrow):
+        return
+    narrowest = int(np.argmin(np.where(moved, shares, np.inf)))
+    narrow = sorted(narrow or [narrowest], key=lambda j: shares[j])
+    yield Reason.of(
+        Why.CORNER,
+        spread=spread,
+        joints=[robot.joint_names[j] for j in narrow],
+        shares=[float(shares[j]) for j in narrow],
+        lows=[float(values[:, j].min()) for j in narrow],
+        highs=[float(values[:, j].max()) for j in narrow],
+        slides=[robot.inputs[j].type == "prismatic" for j in narrow],
+    )
 
 
 def spread_of(tips: Array, everywhere: Array) -> float:
@@ -124,7 +232,7 @@ def shares_of_ranges(joints: Array, ranges: Array, types: Sequence[str]) -> Arra
 
     Args:
         joints: Joint values of the rows, shape (N, m) [rad or m].
-        ranges: Lower and upper limit of each joint, shape (m, 2); of one that turns a full turn counts at most.
+        ranges: Lower and upper limit of each joint, shape (m, 2); for a turning joint at most a full turn counts.
         types: Their URDF types.
 
     Returns:
@@ -139,21 +247,73 @@ def shares_of_ranges(joints: Array, ranges: Array, types: Sequence[str]) -> Arra
     return np.where(limited, np.minimum(shares, 1.0), 1.0)
 
 
-def _range(q: Array, kind: str) -> tuple[float, float]:
-    """Find the range of a joint's measured values.
+# Views of boards
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Views:
+    """The n views of a fit: a board in a camera at one pose of the robot."""
+
+    #: Shape (n,), number of corners seen
+    corners: Integers
+    #: Shape (n,), angle between the line of sight to the board and its normal [rad]
+    tilt: Array
+    #: Shape (n, 3, 3), orientation of the tip in the base
+    R_base_tip: Array
+
+    @classmethod
+    def of(cls, fitted: Fitted) -> Views:
+        """Return the views that a fit saw; some of its rows are images."""
+        rows = fitted.estimate.problem.rows
+        images = rows.select(rows.is_image)
+        T_camera_board = fitted.kinematics.poses(fitted.estimate.x, images.samples)
+        points = images.points(T_camera_board)
+        labels = np.column_stack([images.blocks, images.samples.frame, images.samples.target])
+        _, first, view = np.unique(labels, axis=0, return_index=True, return_inverse=True)
+        view = view.reshape(-1)
+        count = np.bincount(view)
+        sums = np.stack([np.bincount(view, column) for column in points.T], axis=1)
+        middle = sums / count[:, None]
+        sight = middle / np.linalg.norm(middle, axis=1, keepdims=True)
+        cosine = np.abs(np.sum(sight * T_camera_board[first, :3, 2], axis=1))
+        R_base_tip = fitted.task.robot.poses(images.joints[first])[:, :3, :3]
+        return cls(count, np.arccos(np.minimum(cosine, 1.0)), R_base_tip)
+
+
+def doubtful_views(fitted: Fitted) -> Iterator[Reason]:
+    """Doubt images that all show the board head on, or few of its corners, or turned about one axis only.
 
     Args:
-        q: The values, shape (N,), [rad] or [m].
-        kind: The joint's URDF type.
+        fitted: A fit; nothing is doubted without images.
+
+    Yields:
+        A reason for each.
+    """
+    if not np.any(fitted.estimate.problem.rows.is_image):
+        return
+    views = Views.of(fitted)
+    most = float(np.max(views.tilt))
+    if most < _HEAD_ON:
+        yield Reason.of(Why.BOARD_HEAD_ON, tilt_rad=most)
+    few = int(np.sum(views.corners < _FEW_CORNERS))
+    if few > _SHARE * len(views.corners):
+        yield Reason.of(Why.FEW_CORNERS, images=few, all=len(views.corners), corners=_FEW_CORNERS)
+    across = spread_of_axes(views.R_base_tip)
+    if across < _ONE_AXIS:
+        yield Reason.of(Why.ONE_AXIS, across_rad=across)
+
+
+def spread_of_axes(rotations: Array) -> float:
+    """Return how far rotations go about axes other than their main one.
+
+    Args:
+        rotations: shape (n, 3, 3).
 
     Returns:
-        Where the range begins and its length, [rad] or [m]. Of a continuous joint it is the circle without the largest
-        gap between values, and begins between 0 and 2 pi.
+        Root mean square of their rotation vectors from a middle one, along the second of their principal axes [rad].
     """
-    if kind != "continuous":
-        return float(q.min()), float(np.ptp(q))
-    turned = np.sort(np.mod(q, 2.0 * np.pi))
-    gaps = np.diff(turned, append=turned[0] + 2.0 * np.pi)
-    widest = int(np.argmax(gaps))
-    behind_gap = (widest + 1) % len(turned)
-    return float(turned[behind_gap]), float(2.0 * np.pi - gaps[widest])
+    from scipy.spatial.transform import Rotation
+
+    turns = Rotation.from_matrix(rotations)
+    vectors = (turns * turns.mean().inv()).as_rotvec()
+    return float(np.sqrt(np.linalg.eigvalsh(vectors.T @ vectors / len(vectors))[1]))

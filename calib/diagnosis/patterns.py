@@ -1,7 +1,7 @@
-"""F tests of patterns in residuals: of what is noise, further regressors explain no more than by chance.
+"""F tests of patterns in residuals: additional regressors explain no more of noise than by chance.
 
-Let r' and Z' be the residual and further regressors Z, projected on what is orthogonal to the fit's regressors A, and S
-the sum of squares of r' that Z' explain. Then
+Let r' and Z' be the residual and additional regressors Z, projected on what is orthogonal to the fit's regressors A,
+and S the sum of squares of r' that Z' explain. Then
 
     F = (S / rank Z') / ((|r'|^2 - S) / (M - rank A - rank Z'))
 
@@ -26,7 +26,7 @@ FALSE_ALARM = 0.003
 #: Directions whose singular value is below this, for columns of norm 1, are not in the range of a matrix.
 _CUT = 1e-6
 
-#: That limit for differences of regressors between repeats of a pose: joint values repeat to `1e-3` only.
+#: The same limit for differences of regressors between repeats of a pose: joint values repeat to `1e-3` only.
 _CUT_WITHIN = 1e-2
 
 #: Rounds in which the noise of the components is estimated; it changes by less than a percent after these.
@@ -50,17 +50,17 @@ _ROUNDING = 1e-12
 
 @dataclass(frozen=True, slots=True)
 class Explained:
-    """Result of an F test of further regressors; F is 0 and p is 1 where there is nothing to test."""
+    """Result of an F test of additional regressors; F is 0 and p is 1 if there is nothing to test."""
 
     #: The statistic
     F: float
-    #: Its p-value where the residual is noise
+    #: Its p-value if the residual is noise
     p: float
     #: Share of the sum of squares of the projected residual that they explain, 0 to 1
     share: float
     #: Share that as many random regressors explain on average
     chance: float
-    #: Number of independent further regressors
+    #: Number of independent additional regressors
     columns: int
     #: Degrees of freedom that remain
     freedom: int
@@ -96,7 +96,7 @@ class Stack:
         return np.asarray(cell_of).reshape(-1)
 
     def beyond(self, *Z: Array) -> Stack:
-        """Copy with further whitened regressors Z, (M, k) each, of the fit."""
+        """Copy with additional whitened regressors Z, (M, k) each, of the fit."""
         return replace(self, A=np.column_stack([self.A, *Z]))
 
     def times(self, functions: Array, directions: Array) -> Array:
@@ -121,7 +121,7 @@ def joint_patterns(
 ) -> list[tuple[int, Explained, Array]]:
     """Find the joints on whose values the residuals depend, beyond a constant of each component.
 
-    The regressors are sin q, cos q and q, or q and q^2 where a joint slides, times the directions. A table of pure
+    The regressors are sin q, cos q and q, or q and q^2 if a joint slides, times the directions. A table of pure
     noise gives any with the probability `FALSE_ALARM`.
 
     Args:
@@ -174,7 +174,7 @@ def drift(stack: Stack, order: Array) -> Explained | None:
         order: Time or place of each row in the order, shape (N,).
 
     Returns:
-        The test; None where the drift may be chance.
+        The test; None if the drift may be chance.
     """
     if not len(stack.r):
         return None
@@ -193,27 +193,19 @@ def lag(stack: Stack, moves: Array) -> tuple[Array, Explained] | None:
         moves: Whitened effect on the scalars of the last move of each of k joints, shape (M, k).
 
     Returns:
-        The share of each joint, shape (k,), positive if it stops short; and the test. None where it may be chance.
+        The share of each joint, shape (k,), positive if it stops short; and the test. None if it may be chance.
     """
     if not len(stack.r):
         return None
     explained = _combined(stack)(moves)
     if explained.p >= FALSE_ALARM:
         return None
-    shares = -_fitted_beside(stack, moves)
+    shares = -_fit_beside(stack, moves)
     return shares, explained
 
 
-def _fitted_beside(stack: Stack, Z: Array) -> Array:
-    """Fit the residual by the fit's regressors and further ones together, by least squares.
-
-    Args:
-        stack: The M whitened scalars.
-        Z: Further whitened regressors, shape (M, k).
-
-    Returns:
-        The coefficients of the further regressors, shape (k,).
-    """
+def _fit_beside(stack: Stack, Z: Array) -> Array:
+    """Return the coefficients (k,) of additional whitened regressors (M, k) beside the fit's, by least squares."""
     coefficients, *_ = np.linalg.lstsq(np.column_stack([stack.A, Z]), stack.r, rcond=None)
     return np.asarray(coefficients[-Z.shape[1] :])
 
@@ -241,7 +233,7 @@ def step(stack: Stack, rows: Integers, along: Array) -> Step | None:
         along: Whitened derivatives of the scalars by the displacement, shape (M, k).
 
     Returns:
-        The step; None where it may be chance.
+        The step; None if it may be chance.
     """
     most = len(rows) - _SIDE
     if most < _SIDE:
@@ -271,7 +263,7 @@ def step(stack: Stack, rows: Integers, along: Array) -> Step | None:
     Z = regressors(best)
     return Step(
         row=int(rows[best]),
-        size=float(np.linalg.norm(_fitted_beside(stack, Z))),
+        size=float(np.linalg.norm(_fit_beside(stack, Z))),
         test=replace(tried[best], p=corrected),
         Z=Z,
     )
@@ -297,7 +289,7 @@ def _combined(stack: Stack) -> Callable[[Array], Explained]:
 
 
 def _between(stack: Stack) -> Callable[[Array], Explained]:
-    """Make the test of any further regressors (M, k) on the means of repeats."""
+    """Make the test of any additional regressors (M, k) on the means of repeats."""
     cells = stack.cells
     A = _means(cells, np.column_stack([stack.A, stack.ones]))
     r = _means(cells, stack.r)
@@ -313,7 +305,7 @@ def _between(stack: Stack) -> Callable[[Array], Explained]:
 
 
 def _within(stack: Stack) -> Callable[[Array], Explained]:
-    """Make the test of any further regressors (M, k) on differences between repeats, if there are any."""
+    """Make the test of any additional regressors (M, k) on differences between repeats, if there are any."""
     cells = stack.cells
     components, component = np.unique(stack.component_of, return_inverse=True)
     counts = np.bincount(cells)
@@ -328,7 +320,7 @@ def _within(stack: Stack) -> Callable[[Array], Explained]:
     r, count = centred(stack.r), len(components)
     # Every cell loses one degree of freedom: its mean.
     freedom = np.bincount(component, 1.0 - 1.0 / counts[cells], count)
-    even = _levelled(np.bincount(component, r**2, count), freedom)[component]
+    even = _level(np.bincount(component, r**2, count), freedom)[component]
     A = stack.A * even[:, None]
     base = range_of(centred(A), norms_of(A), _CUT_WITHIN)
 
@@ -340,47 +332,36 @@ def _within(stack: Stack) -> Callable[[Array], Explained]:
 
 
 def f_test(base: Array, r: Array, Z: Array, sizes: Array, used: int = 0) -> Explained:
-    """Test further regressors by F.
+    """Test additional regressors by F.
 
     Args:
         base: Orthonormal basis of the regressors of the fit, shape (M, rank A).
         r: Whitened residual, shape (M,).
-        Z: Further regressors, shape (M, k).
-        sizes: Their sizes, shape (k,): a column of which less than `_CUT` times its size is orthogonal to the base is
-            ignored.
+        Z: Additional regressors, shape (M, k).
+        sizes: Their sizes, shape (k,). A column is ignored if less than `_CUT` times its size is orthogonal to the
+            base.
         used: Degrees of freedom that were used besides those of the base.
 
     Returns:
         The test.
     """
     remaining = r - base @ (base.T @ r)
-    # Twice is enough to be orthogonal to rounding, where Z almost lies in the range of the base.
+    # Twice is enough to be orthogonal to rounding, if Z almost lies in the range of the base.
     Z = Z - base @ (base.T @ Z)
-    further = range_of(Z - base @ (base.T @ Z), sizes)
+    additional = range_of(Z - base @ (base.T @ Z), sizes)
     square = float(remaining @ remaining)
     before = len(r) - base.shape[1] - used
-    columns = further.shape[1]
+    columns = additional.shape[1]
     freedom = before - columns
     if columns == 0 or freedom < 1 or square <= _ROUNDING**2 * float(r @ r):
         return Explained(0.0, 1.0, 0.0, 0.0, 0, max(before, 0))
-    square_explained = float(np.sum((further.T @ remaining) ** 2))
+    square_explained = float(np.sum((additional.T @ remaining) ** 2))
     share = min(square_explained / square, 1.0)
-    F = _f_statistic(share, columns, freedom)
-    p = float(fdtrc(columns, freedom, F))
-    return Explained(F, p, share, columns / before, columns, freedom)
-
-
-def _f_statistic(share: float, columns: int, freedom: int) -> float:
-    """F of regressors that explain a share of a sum of squares.
-
-    Args:
-        share: The share, 0 to 1.
-        columns: Number of independent regressors.
-        freedom: Degrees of freedom that remain.
-    """
     # An exact fit leaves nothing to compare with.
     unexplained = max((1.0 - share) / freedom, np.finfo(float).tiny)
-    return share / columns / unexplained
+    F = share / columns / unexplained
+    p = float(fdtrc(columns, freedom, F))
+    return Explained(F, p, share, columns / before, columns, freedom)
 
 
 def even_factors(A: Array, r: Array, component_of: Integers) -> Array:
@@ -401,14 +382,14 @@ def even_factors(A: Array, r: Array, component_of: Integers) -> Array:
         remaining = factors * r - base @ (base.T @ (factors * r))
         freedom = np.bincount(component, 1.0 - np.sum(base**2, axis=1), count)
         squares = np.bincount(component, remaining**2, count)
-        factors = factors * _levelled(squares, freedom)[component]
+        factors = factors * _level(squares, freedom)[component]
     return factors
 
 
-def _levelled(squares: NDArray[Any], freedom: NDArray[Any]) -> Array:
-    """Make factors of scalars that bring sums of squares (C,), with degrees of freedom (C,), to one variance.
+def _level(squares: NDArray[Any], freedom: NDArray[Any]) -> Array:
+    """Return factors (C,) of scalars that bring sums of squares (C,), of these degrees of freedom, to one variance.
 
-    They are 1 where there is no variance.
+    They are 1 if there is no variance.
     """
     known = freedom > _SOME_FREEDOM
     variances = np.where(known, squares / np.where(known, freedom, 1.0), 0.0)
@@ -446,9 +427,9 @@ def range_of(A: Array, sizes: Array | None = None, cut: float = _CUT) -> Array:
 
 
 def _means(cells: Integers, values: Array) -> Array:
-    """Average over each of K cells, times the root of its count, so that means are as white as independent rows are.
+    """Average values (M,) or (M, k) over each of K cells, times the root of its count: as white as independent rows.
 
-    ``cells`` has the number, from 0, of each of M scalars' cell, ``values`` is of shape (M,) or (M, k).
+    ``cells`` has the number, from 0, of each scalar's cell.
     """
     counts = np.bincount(cells)
     order, starts = np.argsort(cells, kind="stable"), np.cumsum(counts) - counts

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from enum import Enum
+from enum import Enum, auto
 from typing import Any
 
 from calib.basics.values import keep_read_only
@@ -20,72 +20,155 @@ CARE = "use with care"
 NO = "do not use"
 
 
-class Why(Enum):
-    """Codes of reasons; `calib.show.verdict.SENTENCES` has the sentence of each."""
+class Role(Enum):
+    """The effect of a reason on the verdict; of some reasons it depends on their values too."""
+
+    #: The input is wrong, however well it fits: do not use
+    WRONG_INPUT = auto()
+    #: The corrected robot is not better: do not use
+    AGAINST = auto()
+    #: A given value is in doubt: use with care, stated before all other doubts
+    GIVEN = auto()
+    #: Use with care
+    CARE = auto()
+    #: Something to improve: use with care only if the gain is not proven
+    IMPROVE = auto()
+    #: Stated, but decides nothing
+    INFORMATION = auto()
+
+
+class Group(Enum):
+    """Reasons of different roles that the rules treat alike."""
+
+    #: The residuals may not be the measurements' noise
+    NOT_NOISE = auto()
+    #: Better measurements may show a gain after all
+    NOT_SEEN = auto()
+
+
+class Why(str, Enum):
+    """Reasons by their codes, as the result file has them; `calib.show.verdict.SENTENCES` has a sentence for each."""
+
+    #: The effect on the verdict
+    role: Role
+    #: The group, if any
+    group: Group | None
+
+    def __new__(cls, code: str, role: Role, group: Group | None = None) -> Why:
+        """Make the entry of a reason."""
+        why = str.__new__(cls, code)
+        why._value_ = code
+        why.role = role
+        why.group = group
+        return why
 
     # A usual mistake explains the rows
-    TARGET_ELSEWHERE, WRONG_UNIT, OTHER_BASE, OWN_FRAME, JOINTS_TURNED = range(5)
-    JOINT_ZERO, COLUMNS_SWAPPED, SIGN_TURNED, POINTS_MIRRORED = range(5, 9)
-    POSES_INVERSE, COLUMNS_REVERSED, ROWS_SHIFTED, OTHER_TIP = range(80, 84)
-    JOINT_CONSTANT, SCALAR_ELSEWHERE, ORIENTATIONS_INVERSE = range(84, 87)
-    READINGS_COUPLED, READINGS_NOT_COUPLED = range(88, 90)
-    ORIENTATIONS_JOINT_TURNED, ORIENTATIONS_JOINT_ZERO = range(90, 92)
-    CAMERA_ON_OTHER_LINK = 92
+    TARGET_ELSEWHERE = "target_elsewhere", Role.WRONG_INPUT
+    WRONG_UNIT = "wrong_unit", Role.WRONG_INPUT
+    OTHER_BASE = "other_base", Role.WRONG_INPUT
+    OTHER_TIP = "other_tip", Role.WRONG_INPUT
+    OWN_FRAME = "own_frame", Role.WRONG_INPUT
+    JOINTS_TURNED = "joints_turned", Role.WRONG_INPUT
+    JOINT_ZERO = "joint_zero", Role.WRONG_INPUT
+    JOINT_CONSTANT = "joint_constant", Role.WRONG_INPUT
+    READINGS_COUPLED = "readings_coupled", Role.WRONG_INPUT
+    READINGS_NOT_COUPLED = "readings_not_coupled", Role.WRONG_INPUT
+    COLUMNS_SWAPPED = "columns_swapped", Role.WRONG_INPUT
+    COLUMNS_REVERSED = "columns_reversed", Role.WRONG_INPUT
+    ROWS_SHIFTED = "rows_shifted", Role.WRONG_INPUT
+    SIGN_TURNED = "sign_turned", Role.WRONG_INPUT
+    POINTS_MIRRORED = "points_mirrored", Role.WRONG_INPUT
+    POSES_INVERSE = "poses_inverse", Role.WRONG_INPUT
+    SCALAR_ELSEWHERE = "scalar_elsewhere", Role.WRONG_INPUT
+    ORIENTATIONS_INVERSE = "orientations_inverse", Role.WRONG_INPUT
+    ORIENTATIONS_JOINT_TURNED = "orientations_joint_turned", Role.WRONG_INPUT
+    ORIENTATIONS_JOINT_ZERO = "orientations_joint_zero", Role.WRONG_INPUT
+    CAMERA_ON_OTHER_LINK = "camera_on_other_link", Role.WRONG_INPUT
+
     # A frame was sought and not found
-    FRAME_NOT_FOUND = 87
+    FRAME_NOT_FOUND = "frame_not_found", Role.WRONG_INPUT
+
     # No arm has such errors
-    PARAMETER_ABSURD, NOISE_ABSURD, ORIENTATION_ABSURD = range(10, 13)
-    # It is no better
-    NOTHING_TO_GAIN, STILL_FAR_OFF, TOO_FEW, NO_BETTER, VALIDATION_NO_BETTER = range(20, 25)
-    WORSE_WITH_OUTLIERS, UNKNOWN_ELSEWHERE, NO_URDF_HOLDS = range(25, 28)
-    # Care is needed
-    MAY_BE_CHANCE, FEW_NUMBERS, FAR_OFF_BEFORE, JOINTS_STILL, MODEL_LACKS = range(30, 35)
-    CORNER, JOINT_PATTERN, DRIFT, SETUP_UNPREDICTED, SETUP_FLAGGED = range(35, 40)
-    REPEATS_AGREE, NO_LENGTH, PARAMETER_FAR, VALIDATION_UNLIKE, MANY_OUTLIERS = range(40, 45)
-    NOISE_LARGE, NOISE_ABOVE_SIGMA, JOINTS_COARSE, TARGET_STEP = range(45, 49)
-    LENGTHS_SCALED, COMPLIANCE_NEGATIVE, SMALL_GAIN = range(49, 52)
-    TARGET_FAR, BASE_MOVED, MUCH_REMAINS, VALIDATION_SMALL_GAIN, JOINTS_LAG = range(52, 57)
-    SOLE_POSTURE = 57
-    # Gains, and information
-    GAIN, LARGER_MODEL, VALIDATION_GAIN, OUTSIDE, LARGER_NO_CLOSER, ROWS_COPIED = range(60, 66)
-    SCALE_HIDDEN, COVARIANCES_IDLE = 66, 67
+    PARAMETER_ABSURD = "parameter_absurd", Role.WRONG_INPUT
+    NOISE_ABSURD = "noise_absurd", Role.WRONG_INPUT
+    ORIENTATION_ABSURD = "orientation_absurd", Role.WRONG_INPUT
+
+    # The corrected robot is not better
+    NOTHING_TO_GAIN = "nothing_to_gain", Role.AGAINST, Group.NOT_SEEN
+    STILL_FAR_OFF = "still_far_off", Role.AGAINST
+    NO_URDF_HOLDS = "no_urdf_holds", Role.AGAINST
+    TOO_FEW = "too_few", Role.AGAINST, Group.NOT_SEEN
+    NO_BETTER = "no_better", Role.AGAINST, Group.NOT_SEEN
+    WORSE_WITH_OUTLIERS = "worse_with_outliers", Role.AGAINST
+    UNKNOWN_ELSEWHERE = "unknown_elsewhere", Role.AGAINST
+    VALIDATION_NO_BETTER = "validation_no_better", Role.AGAINST
+
+    # Given values are in doubt
+    TARGET_FAR = "target_far", Role.GIVEN
+    BASE_MOVED = "base_moved", Role.GIVEN
+    LENGTHS_SCALED = "lengths_scaled", Role.CARE
+    NOISE_LARGE = "noise_large", Role.CARE, Group.NOT_NOISE
+    NOISE_ABOVE_SIGMA = "noise_above_sigma", Role.CARE, Group.NOT_NOISE
+
+    # The gain is in doubt
+    MUCH_REMAINS = "much_remains", Role.CARE
+    MAY_BE_CHANCE = "may_be_chance", Role.CARE
+    SMALL_GAIN = "small_gain", Role.CARE
+    FAR_OFF_BEFORE = "far_off_before", Role.CARE
+    PARAMETER_FAR = "parameter_far", Role.CARE
+    COMPLIANCE_NEGATIVE = "compliance_negative", Role.CARE
+    VALIDATION_SMALL_GAIN = "validation_small_gain", Role.CARE
+    VALIDATION_UNLIKE = "validation_unlike", Role.CARE
+    MANY_OUTLIERS = "many_outliers", Role.CARE
+
+    # The measured poses do not determine all that the model has, or the model does not explain the rows
+    FEW_NUMBERS = "few_numbers", Role.IMPROVE
+    JOINTS_STILL = "joints_still", Role.CARE
+    SOLE_POSTURE = "sole_posture", Role.CARE
+    CORNER = "corner", Role.IMPROVE
+    NO_LENGTH = "no_length", Role.IMPROVE
+    MODEL_LACKS = "model_lacks", Role.IMPROVE, Group.NOT_NOISE
+    REPEATS_AGREE = "repeats_agree", Role.IMPROVE
+
+    # The residuals have a pattern
+    JOINT_PATTERN = "joint_pattern", Role.IMPROVE
+    JOINTS_COARSE = "joints_coarse", Role.CARE
+    JOINTS_LAG = "joints_lag", Role.CARE, Group.NOT_NOISE
+    TARGET_STEP = "target_step", Role.CARE
+    DRIFT = "drift", Role.CARE
+    SETUP_UNPREDICTED = "setup_unpredicted", Role.CARE
+    SETUP_FLAGGED = "setup_flagged", Role.CARE
+
     # Images of a board
-    SENSE_REVERSED, SENSE_UNKNOWN, FOCAL_LENGTH_OFF, BOARD_SCALE_OFF = range(100, 104)
-    BOARD_HEAD_ON, FEW_CORNERS, ONE_AXIS, CAMERA_TOO_ROUGH = range(104, 108)
+    SENSE_REVERSED = "sense_reversed", Role.WRONG_INPUT
+    SENSE_UNKNOWN = "sense_unknown", Role.CARE
+    FOCAL_LENGTH_OFF = "focal_length_off", Role.GIVEN
+    BOARD_SCALE_OFF = "board_scale_off", Role.GIVEN
+    BOARD_HEAD_ON = "board_head_on", Role.CARE
+    FEW_CORNERS = "few_corners", Role.CARE
+    ONE_AXIS = "one_axis", Role.CARE
+    CAMERA_TOO_ROUGH = "camera_too_rough", Role.IMPROVE
+
+    # Gains and information
+    GAIN = "gain", Role.INFORMATION
+    VALIDATION_GAIN = "validation_gain", Role.INFORMATION
+    LARGER_MODEL = "larger_model", Role.INFORMATION
+    LARGER_NO_CLOSER = "larger_no_closer", Role.INFORMATION
+    OUTSIDE = "outside", Role.INFORMATION
+    ROWS_COPIED = "rows_copied", Role.INFORMATION
+    SCALE_HIDDEN = "scale_hidden", Role.INFORMATION
+    COVARIANCES_IDLE = "covariances_idle", Role.INFORMATION
+
     # Explanations of the errors of newly measured rows
-    FRAME_MOVED, TARGET_MOVED = range(70, 72)
-
-
-#: Doubts whether the residuals are the measurements' noise.
-NOT_NOISE = (Why.MODEL_LACKS, Why.NOISE_LARGE, Why.NOISE_ABOVE_SIGMA, Why.JOINTS_LAG)
-
-#: What can be improved where the gain is proven, and is then no reason for care.
-REMAINING = (
-    Why.MODEL_LACKS,
-    Why.CORNER,
-    Why.JOINT_PATTERN,
-    Why.REPEATS_AGREE,
-    Why.NO_LENGTH,
-)
-
-#: Reasons that are stated and decide nothing.
-INFORMATION = (Why.SCALE_HIDDEN, Why.COVARIANCES_IDLE)
-
-#: Doubts about given values, which come before all others.
-GIVEN = (Why.TARGET_FAR, Why.BASE_MOVED, Why.FOCAL_LENGTH_OFF, Why.BOARD_SCALE_OFF)
-
-#: Doubts that the input is wrong, however well it fits.
-WRONG_INPUT = (Why.SENSE_REVERSED,)
-
-#: Reasons against a result that better measurements may lift.
-NOT_SEEN = (Why.NOTHING_TO_GAIN, Why.NO_BETTER, Why.TOO_FEW)
+    FRAME_MOVED = "frame_moved", Role.INFORMATION
+    TARGET_MOVED = "target_moved", Role.INFORMATION
 
 
 @dataclass(frozen=True, slots=True)
 class Reason:
     """One reason of a verdict."""
 
-    #: The code
+    #: The reason's entry: its code and role
     why: Why
     #: The numbers and names of its sentence, in SI units
     values: Mapping[str, Any]
@@ -99,7 +182,7 @@ class Reason:
         """Make a reason.
 
         Args:
-            why: The code.
+            why: Its entry.
             **values: Numbers, in SI units, and names. Of `Errors` the rms in each unit that was measured is stored,
                 such as ``before_m`` [m] and ``before_rad`` [rad].
         """
@@ -114,8 +197,8 @@ class Reason:
 
     @property
     def code(self) -> str:
-        """Code in small letters, as the result file has it: ``"nothing_to_gain"``."""
-        return self.why.name.lower()
+        """The code, as the result file has it: ``"nothing_to_gain"``."""
+        return str(self.why.value)
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,6 +1,6 @@
-"""Usual mistakes of an input: where a nominal arm is off by centimetres, each one is undone in a trial.
+"""Usual mistakes of an input: if a nominal arm is centimetres off, each one is undone in a trial.
 
-In each trial the target is registered anew. Explanations that the rows cannot tell apart are all named.
+In each trial the target is registered again. Explanations that the rows cannot tell apart are all named.
 """
 
 from __future__ import annotations
@@ -13,28 +13,35 @@ from typing import Any
 import numpy as np
 
 import calib.data.kinds as registry
-from calib.basics.arrays import Array
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
-from calib.diagnosis.images.poses import as_poses
-from calib.diagnosis.joint_mistakes import joint_trials
-from calib.diagnosis.misfit import TOLERANCE, misfit, with_joints
-from calib.diagnosis.orientation_mistakes import (
-    FAR_BETTER,
-    PLAUSIBLE,
-    PLAUSIBLE_ANGLE,
-    orientation_mistake,
+from calib.diagnosis.corrections import (
+    correct_joints,
+    correct_orientations,
+    correct_points,
+    shift_zeros,
 )
+from calib.diagnosis.misfit import TOLERANCE, misfit, poses_of_images, with_joints
 from calib.diagnosis.reasons import Reason, Why
 from calib.errors import MeasurementError, UrdfError
-from calib.fit.registration.registration import register
+from calib.fit.registration.frame_search import frames_to_search, is_plausible
+from calib.fit.registration.registration import nominal_setup, register
 from calib.fit.registration.rows import Rows
 from calib.fit.registration.setup import Setup
 from calib.fit.registration.table_rows import rows_and_setup
 from calib.model.error_model import DIRECTIONS
 from calib.robot.robot import Robot
 
-#: And to no more than this [m].
+#: Nominal errors below this need no other explanation than an uncalibrated arm [m].
+_PLAUSIBLE = 0.02
+
+#: Errors of orientations below this need no other explanation than an uncalibrated arm [rad].
+_PLAUSIBLE_ANGLE = 0.1
+
+#: A mistake is named only if undoing it lowers the error to this share.
+_FAR_BETTER = 0.2
+
+#: A mistake is named only if the error is at most this with it undone [m].
 _EXPLAINED = 0.05
 
 #: Explanations whose errors are within this factor cannot be told apart: errors of an uncalibrated arm may favour any.
@@ -61,9 +68,6 @@ _TRIED = 41
 #: The fewest joints that carry another tip: on the axes of two joints a target stands still, as points in a wrong unit
 #: nearly do.
 _FEWEST_JOINTS_OF_TIP = 3
-
-#: Factors where lengths are in one unit and their header says another.
-_LENGTHS = {("in", "mm"): 25.4, ("mm", "in"): 1.0 / 25.4, ("m", "mm"): 1e3, ("mm", "m"): 1e-3}
 
 #: Positions that differ by less are one position [m].
 _ONE_PLACE = 1e-6
@@ -92,11 +96,11 @@ class Trial:
     factor: float
     #: The nominal robot, perhaps with another base or tip
     robot: Robot
-    #: Frames and targets, with what is registered anew
+    #: Frames and targets, with what is registered again
     setup: Setup
     #: The rows, as points
     rows: Rows
-    #: Code of the mistake
+    #: The mistake
     why: Why
     #: Numbers and names of its reason, errors aside
     values: dict[str, Any] = field(default_factory=dict)
@@ -129,6 +133,36 @@ def check_positions(robot: Robot, rows: Rows, source: str) -> None:
     )
 
 
+def frame_not_found(robot: Robot, setup: Setup, rows: Rows) -> Reason | None:
+    """Name a frame that registration sought and did not find.
+
+    A frame in the right place leaves the errors of an uncalibrated arm. If the best place leaves far larger ones, it is
+    a local minimum, or the robot or the table is wrong: the rows cannot tell which.
+
+    Args:
+        robot: The nominal robot.
+        setup: Frames and targets as given, with what is estimated of them.
+        rows: N rows that are fitted.
+
+    Returns:
+        The first such frame by the name of its station; None if there is none, or none was sought.
+
+    Raises:
+        MeasurementError: Fewer numbers than unknowns.
+    """
+    sought = frames_to_search(setup, rows)
+    if not sought:
+        return None
+    T_base_tip = robot.poses(rows.joints)
+    registered = nominal_setup(T_base_tip, setup.with_estimated_not_given(), rows)
+    for f in sought:
+        of_frame = rows.with_partners(rows.samples.frame == f)
+        if not is_plausible(registered, T_base_tip[of_frame], rows.select(of_frame)):
+            station = setup.groups[f] if len(setup.groups) > 1 else ""
+            return Reason.of(Why.FRAME_NOT_FOUND, station=station)
+    return None
+
+
 def find_usual_mistake(robot: Robot, cell: Cell, table: Measurements) -> Reason | None:
     """Find a usual mistake that explains why the nominal robot is far off the rows of a table.
 
@@ -137,51 +171,118 @@ def find_usual_mistake(robot: Robot, cell: Cell, table: Measurements) -> Reason 
     Args:
         robot: The nominal robot.
         cell: The cell as given.
-        table: Points or poses; other kinds are not examined.
+        table: Points, poses or images; other kinds are not examined.
 
     Returns:
         The mistake, with the rms errors as given and with it undone [m] (of orientations [rad]), and others that
         explain the rows as well; None if the nominal error is plausible or no mistake explains it.
     """
-    if len(table) and np.all(table.where(lambda kind: kind.optical)):
-        of_images, cell_of_poses = as_poses(robot, cell, table)
-        return _of_images(find_usual_mistake(robot, cell_of_poses, of_images), robot)
+    from_images = poses_of_images(robot, cell, table)
+    if from_images is not None:
+        table_of_poses, cell_of_poses = from_images
+        mistake = find_usual_mistake(robot, cell_of_poses, table_of_poses)
+        if mistake is None or mistake.why is not Why.POSES_INVERSE:
+            return mistake
+        links = {"base": robot.base, "tip": robot.tip}
+        return Reason.of(Why.CAMERA_ON_OTHER_LINK, **mistake.values, **links)
+
     if not np.all(table.of_kind("point", "pose")):
         return None
     table = _some_rows(table)
-    cell = _naming_only(cell, table)
+    # Targets and frames that the cell names and none of these rows sees are left out.
+    targets = {name: place for name, place in cell.targets.items() if name in table.targets}
+    frames = {name: pose for name, pose in cell.frames.items() if name in table.groups}
+    cell = replace(cell, targets=targets, frames=frames)
     poses, setup = rows_and_setup(robot, table, cell)
     rows = _as_points(poses)
-    given = misfit(robot, setup, rows)[0]
-    if given < PLAUSIBLE:
-        return orientation_mistake(robot, setup, poses)
+    given, _ = misfit(robot, setup, rows)
+    if given < _PLAUSIBLE:
+        return _orientation_mistake(robot, setup, poses)
+
     usual = itertools.chain(
         _trials(robot, cell, setup, rows),
         _tips(robot, cell, table),
         _constant_joints(robot, setup, rows),
         _inverted(robot, setup, poses),
     )
-    counts_by_search = _counts_of_turned_joints(robot, setup)
-    turned = [_turned_joints(robot, setup, rows, counts) for counts in counts_by_search]
-    searches = [itertools.chain(usual, turned[0]), *turned[1:]]
+    first, *further = _counts_of_turned_joints(robot, setup)
+    searches: list[Iterator[Trial]] = [
+        itertools.chain(usual, _turned_joints(robot, setup, rows, first)),
+        *(_turned_joints(robot, setup, rows, counts) for counts in further),
+    ]
     for trials in searches:
-        explanations = _explanations(trials, given, poses)
+        explanations = []
+        for trial in trials:
+            error, _ = misfit(trial.robot, trial.setup, trial.rows)
+            weighted = trial.factor * error
+            if error <= _EXPLAINED and weighted <= _FAR_BETTER * given:
+                reason = Reason.of(trial.why, given_m=given, error_m=error, **trial.values)
+                explanations.append((_contradicts_orientations(trial, poses), weighted, reason))
         if explanations:
-            return _all_as_good(explanations)
+            return _choose(explanations)
     return None
 
 
-def _of_images(mistake: Reason | None, robot: Robot) -> Reason | None:
-    """Word a mistake of poses as that of the images from which these poses are.
+def _choose(explanations: Sequence[tuple[bool, float, Reason]]) -> Reason:
+    """Choose the explanation of the smallest weighted error, with those that the rows cannot tell from it.
 
-    Args:
-        mistake: The mistake; None: none.
-        robot: The robot: its base carries the camera, its tip the board.
+    Each states whether the orientations of the rows speak against it, its weighted error [m], and the mistake. The
+    value ``"others"`` lists codes and values of those as good, without the error as given, which all share.
     """
-    if mistake is None or mistake.why is not Why.POSES_INVERSE:
-        return mistake
-    links = {"base": robot.base, "tip": robot.tip}
-    return Reason.of(Why.CAMERA_ON_OTHER_LINK, **mistake.values, **links)
+    best, *others = sorted(explanations, key=lambda explanation: explanation[:2])
+    contradicted, _, reason = best
+    limit = _AS_GOOD * reason.values["error_m"] + _ROUNDING
+    as_good = []
+    for other_contradicted, _, other in others:
+        if other.values["error_m"] <= limit and other_contradicted == contradicted:
+            values = {name: value for name, value in other.values.items() if name != "given_m"}
+            as_good.append({"code": other.code, **values})
+    if not as_good:
+        return reason
+    return replace(reason, values={**reason.values, "others": as_good})
+
+
+def _contradicts_orientations(trial: Trial, poses: Rows) -> bool:
+    """Return whether the orientations of poses are far off in a trial of other joint values."""
+    is_of_joints = trial.rows.measured.shape[0] == poses.measured.shape[0] and np.array_equal(
+        trial.rows.measured, poses.measured[:, :3]
+    )
+    if not is_of_joints or not np.all(poses.where(lambda kind: kind.orientation)):
+        return False
+    _, angle = misfit(trial.robot, trial.setup, with_joints(poses, trial.rows.joints))
+    return angle > _PLAUSIBLE_ANGLE
+
+
+def _orientation_mistake(robot: Robot, setup: Setup, poses: Rows) -> Reason | None:
+    """Explain orientations that make no sense as given, though the positions are plausible; None if nothing does.
+
+    A target on the last joint's axis stays in place whatever that joint's sign and zero are.
+    """
+    if not np.all(poses.where(lambda kind: kind.orientation)):
+        return None
+    _, given = misfit(robot, setup, poses)
+    if given < _PLAUSIBLE_ANGLE:
+        return None
+
+    trials: list[tuple[Rows, Why, dict[str, Any]]] = []
+    for measured, why, values in correct_orientations(poses.measured):
+        trials.append((replace(poses, measured=measured), why, values))
+    q = poses.joints
+    for i, joint in enumerate(robot.inputs):
+        if joint.type == "prismatic":
+            continue
+        turned = with_joints(poses, q * (1.0 - 2.0 * np.eye(q.shape[1])[i]))
+        trials.append((turned, Why.ORIENTATIONS_JOINT_TURNED, {"joint": joint.name}))
+        for shifted, _, values in shift_zeros(joint.name, i, q):
+            trials.append((with_joints(poses, shifted), Why.ORIENTATIONS_JOINT_ZERO, values))
+
+    best, reason = np.inf, None
+    for changed, why, values in trials:
+        position_error, error = misfit(robot, setup, changed)
+        if error < best and position_error < _PLAUSIBLE:
+            best = error
+            reason = Reason.of(why, given_rad=given, error_rad=error, **values)
+    return reason if best < _FAR_BETTER * given else None
 
 
 def _some_rows(table: Measurements) -> Measurements:
@@ -193,147 +294,44 @@ def _some_rows(table: Measurements) -> Measurements:
     return table.select(chosen)
 
 
-def _counts_of_turned_joints(robot: Robot, setup: Setup) -> tuple[Sequence[int], ...]:
-    """List how many joints have their sign reversed at a time, for one search after the other.
-
-    An unknown frame makes a trial a hundred times as expensive: then two joints at most, and last.
-
-    Returns:
-        The numbers of joints that each search tries, for one or more searches; the next search is made where none
-        before has explained the rows.
-    """
-    if any(setup.unknown):
-        return (1,), (2,)
-    joints = len(robot.inputs)
-    most = joints if joints <= _MOST_SIGNS else 1
-    return (range(1, most + 1),)
+def _as_points(rows: Rows) -> Rows:
+    """Copy poses as the points of their positions."""
+    kind = np.zeros(len(rows), dtype=np.int_)
+    points = rows.measured[:, :3]
+    return replace(rows, kinds=(registry.get("point"),), kind=kind, measured=points)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Explanation:
-    """A mistake that explains the rows."""
-
-    #: Error of its trial times the trial's factor [m]
-    weighted: float
-    #: The mistake
-    reason: Reason
-    #: Whether the orientations of the rows speak against it
-    turned: bool
-
-    @property
-    def rank(self) -> tuple[bool, float]:
-        """Return the key by which explanations are sorted, the best first."""
-        return self.turned, self.weighted
+def _with_unknown_targets(setup: Setup) -> Setup:
+    """Copy a setup with every target unknown."""
+    return replace(setup, target_unknown=np.ones(len(setup.targets), dtype=bool))
 
 
-def _explanations(trials: Iterable[Trial], given: float, poses: Rows) -> list[_Explanation]:
-    """Find the trials that explain the rows: their error is far smaller.
-
-    Args:
-        trials: The trials.
-        given: The rms error of the input as given [m].
-        poses: The rows as measured, points or poses.
-    """
-    explanations = []
-    for trial in trials:
-        error, _ = misfit(trial.robot, trial.setup, trial.rows)
-        weighted = trial.factor * error
-        if error <= _EXPLAINED and weighted <= FAR_BETTER * given:
-            reason = Reason.of(trial.why, given_m=given, error_m=error, **trial.values)
-            explanations.append(_Explanation(weighted, reason, _is_turned(trial, poses)))
-    return explanations
-
-
-def _is_turned(trial: Trial, poses: Rows) -> bool:
-    """Return True if the orientations of poses are far off in a trial of other joint values."""
-    is_of_joints = trial.rows.measured.shape[0] == poses.measured.shape[0] and np.array_equal(
-        trial.rows.measured, poses.measured[:, :3]
-    )
-    if not is_of_joints or not np.all(poses.where(lambda kind: kind.orientation)):
-        return False
-    _, angle = misfit(trial.robot, trial.setup, with_joints(poses, trial.rows.joints))
-    return angle > PLAUSIBLE_ANGLE
-
-
-def _all_as_good(explanations: list[_Explanation]) -> Reason:
-    """Choose the explanation of the smallest weighted error, with those that the rows cannot tell from it.
-
-    Args:
-        explanations: One or more.
-
-    Returns:
-        The reason; its value ``"others"`` lists codes and values of those that explain the rows as well, if any.
-    """
-    best, *others = sorted(explanations, key=lambda explanation: explanation.rank)
-    limit = _AS_GOOD * best.reason.values["error_m"] + _ROUNDING
-    as_good = [
-        _as_values(other.reason)
-        for other in others
-        if other.reason.values["error_m"] <= limit and other.turned == best.turned
-    ]
-    if not as_good:
-        return best.reason
-    return replace(best.reason, values={**best.reason.values, "others": as_good})
-
-
-def _as_values(reason: Reason) -> dict[str, Any]:
-    """Code and values of a reason that stands behind another, without the error as given, which both share."""
-    values = {name: value for name, value in reason.values.items() if name != "given_m"}
-    return {"code": reason.code, **values}
-
-
-def _naming_only(cell: Cell, table: Measurements) -> Cell:
-    """Copy a cell without the targets and frames that it names and no row of the table sees."""
-    targets = {name: place for name, place in cell.targets.items() if name in table.targets}
-    frames = {name: pose for name, pose in cell.frames.items() if name in table.groups}
-    return replace(cell, targets=targets, frames=frames)
+# Trials
 
 
 def _trials(robot: Robot, cell: Cell, setup: Setup, rows: Rows) -> Iterator[Trial]:
-    """Undo the usual mistakes of targets, frames, joints, the order of rows, and points, one at a time.
-
-    Args:
-        robot: The nominal robot.
-        cell: The cell as given.
-        setup: Its frames and targets.
-        rows: Rows of points.
-    """
+    """Undo the usual mistakes of targets, frames, joints, the order of rows, and points, one at a time."""
     free = _with_unknown_targets(setup)
     if not setup.estimate_target:
         yield Trial(_PLAIN, robot, free, rows, Why.TARGET_ELSEWHERE)
     if not cell.estimate_frame and cell.T_frame_base is None:
         yield from _bases(robot, free, rows)
-    for joints, why, values in joint_trials(robot, rows.joints):
+    for joints, why, values in correct_joints(robot, rows.joints):
         yield Trial(_ONE_OF_MANY, robot, free, with_joints(rows, joints), why, values)
-    yield from _shifted_rows(robot, free, rows)
+
+    # Measurements one row after their joint values, and one before; the first or last row falls away.
+    later = with_joints(rows.select(slice(1, None)), rows.joints[:-1])
+    yield Trial(_ONE_OF_MANY, robot, free, later, Why.ROWS_SHIFTED, {"later": True})
+    earlier = with_joints(rows.select(slice(None, -1)), rows.joints[1:])
+    yield Trial(_ONE_OF_MANY, robot, free, earlier, Why.ROWS_SHIFTED, {"later": False})
+
     turns = any(len(directions) == len(DIRECTIONS) for directions in setup.unknown)
-    for points, why, values in _point_trials(rows.measured, turns=turns):
-        other_points = replace(rows, measured=points)
-        yield Trial(_ONE_OF_MANY, robot, free, other_points, why, values)
-
-
-def _shifted_rows(robot: Robot, setup: Setup, rows: Rows) -> Iterator[Trial]:
-    """Take the joint values of the row before, then those of the row behind, for each measurement.
-
-    Args:
-        robot: The nominal robot.
-        setup: Frames and targets, with what is registered anew.
-        rows: N rows of points; the first or last one falls away.
-    """
-    after = with_joints(rows.select(slice(1, None)), rows.joints[:-1])
-    yield Trial(_ONE_OF_MANY, robot, setup, after, Why.ROWS_SHIFTED, {"later": True})
-    before = with_joints(rows.select(slice(None, -1)), rows.joints[1:])
-    yield Trial(_ONE_OF_MANY, robot, setup, before, Why.ROWS_SHIFTED, {"later": False})
+    for points, why, values in correct_points(rows.measured, turns=turns):
+        yield Trial(_ONE_OF_MANY, robot, free, replace(rows, measured=points), why, values)
 
 
 def _bases(robot: Robot, setup: Setup, rows: Rows) -> Iterator[Trial]:
-    """Try other links that are fixed to the base as the frame of the points, and an unknown frame.
-
-    Args:
-        robot: The nominal robot.
-        setup: Frames and targets, with what is registered anew.
-        rows: Rows of points.
-    """
+    """Try other links that are fixed to the base as the frame of the points, and an unknown frame."""
     moving = {joint.name for joint in robot.urdf.joints if joint.type != "fixed"}
     for link in robot.urdf.links:
         between = itertools.chain(*robot.urdf.chain(robot.base, link))
@@ -346,13 +344,7 @@ def _bases(robot: Robot, setup: Setup, rows: Rows) -> Iterator[Trial]:
 
 
 def _tips(robot: Robot, cell: Cell, table: Measurements) -> Iterator[Trial]:
-    """Try other links that carry the target: one for each set of joints that the table has values of.
-
-    Args:
-        robot: The nominal robot.
-        cell: The cell as given.
-        table: Points or poses.
-    """
+    """Try other links that carry the target: one for each set of joints that the table has values of."""
     fixed = {joint.name for joint in robot.urdf.joints if joint.type == "fixed"}
     tried = {frozenset(robot.joint_names)}
     for link in robot.urdf.links:
@@ -372,66 +364,34 @@ def _tips(robot: Robot, cell: Cell, table: Measurements) -> Iterator[Trial]:
 
 
 def _constant_joints(robot: Robot, setup: Setup, rows: Rows) -> Iterator[Trial]:
-    """Try joints whose column holds one value at the values that would explain each row.
-
-    Args:
-        robot: The nominal robot.
-        setup: Frames and targets as given.
-        rows: Rows of points.
-    """
+    """Try joints whose column holds one value at the values that would explain each row."""
     free = _with_unknown_targets(setup)
     is_constant = np.ptp(rows.joints, axis=0) == 0.0
     for joint in np.flatnonzero(is_constant).tolist():
         moved = rows
         for reach in _REACHES:
-            moved = _nearest_values(robot, free, moved, joint, reach)
+            moved = _with_nearest_values(robot, free, moved, joint, reach)
         values = {"joint": robot.joint_names[joint]}
         yield Trial(_FREE, robot, free, moved, Why.JOINT_CONSTANT, values)
 
 
-def _nearest_values(robot: Robot, setup: Setup, rows: Rows, joint: int, reach: float) -> Rows:
-    """Copy rows with the value of a joint that fits each row best.
-
-    Args:
-        robot: The nominal robot.
-        setup: Frames and targets, with what is registered.
-        rows: Rows of points.
-        joint: Number of the joint, from 0.
-        reach: Largest change of its value [rad] or [m].
-    """
+def _with_nearest_values(robot: Robot, setup: Setup, rows: Rows, joint: int, reach: float) -> Rows:
+    """Copy rows with the value of a joint, changed by up to ``reach`` [rad] or [m], that fits each row best."""
     every = np.arange(len(rows))
     T_base_tip = robot.poses(rows.joints)
-    placed = register(T_base_tip, setup, rows, tolerance=TOLERANCE)
+    registered = register(T_base_tip, setup, rows, tolerance=TOLERANCE)
     q = np.repeat(rows.joints, _TRIED, axis=0)
     changes = np.linspace(-reach, reach, _TRIED)
     q[:, joint] += np.tile(changes, len(rows))
     repeated = rows.select(np.repeat(every, _TRIED))
-    T_frame_target = placed.target_poses(robot.poses(q), repeated.samples)
+    T_frame_target = registered.target_poses(robot.poses(q), repeated.samples)
     squares = np.sum(repeated.residual(T_frame_target) ** 2, axis=1)
     nearest = np.argmin(squares.reshape(-1, _TRIED), axis=1)
     return with_joints(rows, q[every * _TRIED + nearest])
 
 
-def _with_unknown_targets(setup: Setup) -> Setup:
-    """Copy a setup with every target unknown."""
-    return replace(setup, target_unknown=np.ones(len(setup.targets), dtype=bool))
-
-
-def _as_points(rows: Rows) -> Rows:
-    """Copy poses as the points of their positions."""
-    kind = np.zeros(len(rows), dtype=np.int_)
-    points = rows.measured[:, :3]
-    return replace(rows, kinds=(registry.get("point"),), kind=kind, measured=points)
-
-
 def _inverted(robot: Robot, setup: Setup, rows: Rows) -> Iterator[Trial]:
-    """Invert poses, as if they were those of the frame in the target; no trial where not every row is a pose.
-
-    Args:
-        robot: The nominal robot.
-        setup: Frames and targets as given.
-        rows: Rows as measured, points or poses.
-    """
+    """Invert poses, as if they were those of the frame in the target; no trial unless every row is a pose."""
     if not np.all(rows.where(lambda kind: kind.orientation)):
         return
     R = rows.measured[:, 3:12].reshape(-1, 3, 3)
@@ -441,58 +401,23 @@ def _inverted(robot: Robot, setup: Setup, rows: Rows) -> Iterator[Trial]:
     yield Trial(_ONE_OF_MANY, robot, free, inverse, Why.POSES_INVERSE)
 
 
-def _point_trials(points: Array, *, turns: bool) -> Iterator[tuple[Array, Why, dict[str, Any]]]:
-    """Mirror points, and scale them from another unit.
+def _counts_of_turned_joints(robot: Robot, setup: Setup) -> tuple[Sequence[int], ...]:
+    """List how many joints have their sign reversed at a time, for one search after the other.
 
-    Args:
-        points: Measured positions, shape (N, 3) [m].
-        turns: Whether their frame may turn freely: then every swap of two columns is a mirror, and so is every sign.
-
-    Yields:
-        The points, the code of the mistake, and the values of its reason.
+    The next search is made if none before has explained the rows. An unknown frame makes a trial a hundred times as
+    expensive: then two joints at most, and last.
     """
-    if turns:
-        yield -points, Why.POINTS_MIRRORED, {}
-    else:
-        yield from _mirrored_points(points)
-    for (unit, header), factor in _LENGTHS.items():
-        units = {"unit": unit, "header": header}
-        yield factor * points, Why.WRONG_UNIT, {"what": "points", **units}
-        for axis in "xyz":
-            scaled = points * _factor_on_axis(axis, factor)
-            yield scaled, Why.WRONG_UNIT, {"what": f"values of '{axis}'", **units}
-
-
-def _mirrored_points(points: Array) -> Iterator[tuple[Array, Why, dict[str, Any]]]:
-    """Swap two columns of points, and reverse the sign of one; arguments and yields as of `_point_trials`."""
-    orders = {"x": [0, 2, 1], "y": [2, 1, 0], "z": [1, 0, 2]}
-    for axis, order in orders.items():
-        first, second = (other for other in "xyz" if other != axis)
-        columns = {"first": first, "second": second}
-        yield points[:, order], Why.COLUMNS_SWAPPED, columns
-        turned = points * _factor_on_axis(axis, -1.0)
-        yield turned, Why.SIGN_TURNED, {"column": axis}
-
-
-def _factor_on_axis(axis: str, factor: float) -> Array:
-    """Factors on x, y and z, shape (3,): the given one on one axis, ``"x"``, ``"y"`` or ``"z"``, else 1."""
-    return np.array([factor if other == axis else 1.0 for other in "xyz"])
+    if any(setup.unknown):
+        return (1,), (2,)
+    joints = len(robot.inputs)
+    most = joints if joints <= _MOST_SIGNS else 1
+    return (range(1, most + 1),)
 
 
 def _turned_joints(
-    robot: Robot,
-    setup: Setup,
-    rows: Rows,
-    counts: Iterable[int],
+    robot: Robot, setup: Setup, rows: Rows, counts: Iterable[int]
 ) -> Iterator[Trial]:
-    """Reverse the sign of joints.
-
-    Args:
-        robot: The nominal robot.
-        setup: Frames and targets as given.
-        rows: Rows of points.
-        counts: Numbers of joints that are reversed at a time, each in every combination.
-    """
+    """Reverse the sign of some joints at a time (``counts``), in every combination."""
     every = range(len(robot.inputs))
     free = _with_unknown_targets(setup)
     for count in counts:

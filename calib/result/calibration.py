@@ -1,6 +1,6 @@
 """Calibration: the result of `calib.calibrate` as immutable values, the same in memory and read from its file.
 
-Its parts are in `calib.result.parts`, the fitted models in `calib.result.prediction`. Measurements and solved problem,
+Its parts are in `calib.result.parts`, fitted models in `calib.result.fitted_model`. Measurements and solved problem,
 which no file holds, are its part ``fit``.
 """
 
@@ -24,14 +24,10 @@ from calib.fit.registration.setup import Setup
 from calib.model.kinematics import Samples
 from calib.model.parameters import ErrorModel
 from calib.numerics.errors import CrossValidation, Errors
-from calib.result.cameras import ResultOptics
+from calib.result.fitted_model import FittedModel, NonGeometric, ParameterEstimate
 from calib.result.joint_zeros import JointZeros
 from calib.result.parts import FitInMemory, Method, Noise, ResultRows, Source, Trust
-from calib.result.prediction import (
-    FittedModel,
-    NonGeometric,
-    ParameterEstimate,
-)
+from calib.result.result_optics import ResultOptics
 from calib.robot.gravity import Payload
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
@@ -39,7 +35,7 @@ from calib.robot.urdf import Urdf
 #: Number of values that stand for all those between the ends of a measured range.
 _BETWEEN = 73
 
-#: What says where a prediction is made, and with which model.
+#: Arguments of a prediction: where it is made, and with which model.
 _WHERE = ("target", "group", "non_geometric")
 
 
@@ -51,11 +47,11 @@ class Calibration(Value):
     can be pickled and copied, with measurements and fit if it has them. Arrays are read-only.
 
         robot            the calibrated robot; nominal, nominal_setup: robot, frames and targets before
-        geometry         the fitted model of the URDF: parameters, covariance, frames and targets, predictions
+        geometry         the fitted model of the URDF: parameters, covariance, frames and targets, predictions, verdict
         non_geometric    the fitted model with errors of the joints' state, or None
         rows             of each row its names, residuals, score, weight; outliers, joint ranges
         noise            standard deviation of a scalar, scatter of repeats, noise of poses
-        trust            verdict, cross-validation of the nominal robot, observability, robustness
+        trust            cross-validation of the nominal robot, observability, robustness
         method           what the fit was told, candidates, solver
         optics           cameras and boards of images
         zeros            the best joint zeros alone, or None
@@ -106,7 +102,7 @@ class Calibration(Value):
             The result; it does not hold the measurements.
 
         Raises:
-            FileError: The file cannot be read, or is no result.
+            FileError: The file cannot be read, or is not a result.
         """
         result: Calibration = shown_by("result.calibration_file").read_result(path)
         return result
@@ -227,8 +223,8 @@ class Calibration(Value):
 
     @property
     def verdict(self) -> Verdict | None:
-        """The verdict on the geometry, of ``trust``."""
-        return self.trust.verdict
+        """The verdict on the geometry; None without cross-validation, unless the input is wrong."""
+        return self.geometry.verdict
 
     @property
     def cross_validation(self) -> CrossValidation | None:
@@ -294,9 +290,6 @@ class Calibration(Value):
     def parameter(self, name: str) -> ParameterEstimate:
         """Return one parameter by its exact name: of the geometry, else of the non-geometric model.
 
-        ``parameters`` are those of the geometry, in the order of ``model.names``; ``non_geometric`` has its own, or is
-        None.
-
         Args:
             name: Such as ``"d1"`` or ``"elbow_joint.rx"``.
 
@@ -318,12 +311,10 @@ class Calibration(Value):
             non_geometric: True to use the model of the field ``non_geometric``, if there is one; False: the geometry.
 
         Returns:
-            The verdict on the non-geometric model if it is to be used and has one, else ``verdict``, that on the
-            geometry; None where there is none.
+            The verdict on the non-geometric model if it is to be used and has one, else that on the geometry; None if
+            there is none.
         """
-        if non_geometric and self.non_geometric is not None and self.non_geometric.verdict:
-            return self.non_geometric.verdict
-        return self.verdict
+        return self.part(non_geometric=non_geometric).verdict or self.verdict
 
     def part(self, *, non_geometric: bool) -> FittedModel:
         """Return the model to predict with.
@@ -349,7 +340,7 @@ class Calibration(Value):
     ) -> Samples:
         """Return joint values as a prediction takes them, with frame, target, and the loads on the joints.
 
-        Names of stations and targets are those of ``setup``. The loads are those by ``non_geometric`` with its gravity.
+        Names of stations and targets are those of ``setup``.
 
         Args:
             q: shape (N, m) or (m,), joint values in the robot's order, [rad] or [m].
@@ -360,7 +351,7 @@ class Calibration(Value):
 
         Returns:
             N samples: the joint values, shape (N, m); the index of the frame and of the target of each, from 0; and the
-            loads of gravity on the joints, see `gravity_loads`, None where the result has no non-geometric model.
+            loads of gravity on the joints, see `gravity_loads`, None if the result has no non-geometric model.
 
         Raises:
             ModelError: There is no such target or station.
@@ -387,14 +378,13 @@ class Calibration(Value):
     ) -> Array:
         """Predict calibrated T_frame_target by the non-geometric model if there is one, else by the geometry.
 
-        T_frame_target is the pose of the target in the measurement frame. By ``kinematics`` and parameters ``x`` of the
-        chosen model, with the frames and targets that were estimated or given.
+        T_frame_target is the pose of the target in the measurement frame.
 
         Args:
             q: shape (N, m) or (m,), joint values in the robot's order, [rad] or [m].
             target: Name of the target; None: the first.
-            group: Name of the station whose frame is meant; None: the first, or the base where no row determines where
-                it stands.
+            group: Name of the station whose frame is meant; None: the first, or the base if no row determines where it
+                stands.
             non_geometric: Whether to use the non-geometric model, if there is one, with the payload of the
                 measurements; else the geometry of the URDF.
 
@@ -418,11 +408,11 @@ class Calibration(Value):
         Args:
             q: shape (N, m) or (m,), joint values in the robot's order, [rad] or [m].
             **where: Arguments of `predict_poses`: ``target`` and ``group``, names of the target and of the station,
-                each the first where it is not given; and ``non_geometric``, False to use the geometry of the URDF
+                each the first if it is not given; and ``non_geometric``, False to use the geometry of the URDF
                 alone.
 
         Returns:
-            shape (N, 3), [m]; in the base where no row determines where it stands and no station is named.
+            shape (N, 3), [m]; in the base if no row determines where it stands and no station is named.
 
         Raises:
             ModelError: There is no such target or station.
@@ -446,14 +436,14 @@ class Calibration(Value):
         """Return the standard deviation of `predict`, by the non-geometric model if there is one, else the geometry.
 
         It is sqrt(trace(J C J^T)). C is the ``covariance`` of the p parameters of the chosen model and J, shape (3, p),
-        the derivative of the position by them. Where only sockets, planes, anchors or pairs were measured, and no group
-        is named, it leaves out what moves all positions as one body. It knows nothing of errors that the model lacks.
+        the derivative of the position by them. If only sockets, planes, anchors or pairs were measured, and no group is
+        named, it leaves out what moves all positions as one body. Errors that the model lacks are not included.
 
         Args:
             q: shape (N, m) or (m,), joint values in the robot's order, [rad] or [m].
             target: Name of the target; None: the first.
-            group: Name of the station whose frame is meant; None: the first, or the base where no row determines where
-                it stands.
+            group: Name of the station whose frame is meant; None: the first, or the base if no row determines where it
+                stands.
             non_geometric: Whether to use the non-geometric model, if there is one; else the geometry of the URDF.
 
         Returns:
@@ -494,7 +484,7 @@ class Calibration(Value):
 
         Returns:
             The rows of ``q`` with a joint outside, each by its index, from 0, with the joints and their distances from
-            the range, [rad] or [m]; empty where the fitted ranges are not known.
+            the range, [rad] or [m]; empty if the fitted ranges are not known.
         """
         values = self.nominal.columns(q)
         ranges = self.rows.ranges
@@ -534,20 +524,7 @@ class Calibration(Value):
 
 
 def _with_origins_of(source: Robot, robot: Robot) -> Robot:
-    """Return a robot with the joint origins, base and tip of another one.
-
-    Args:
-        source: The robot whose joint origins, poses of each joint in the link before it, base link and tip link are
-            taken.
-        robot: A URDF of the same robot, which gives all else, such as meshes.
-
-    Returns:
-        A new robot; both given ones stay as they are.
-
-    Raises:
-        UrdfError: It lacks one of the joints.
-        ModelError: Its readings are coupled otherwise.
-    """
+    """Return a robot with the joint origins, base and tip of another one, its source, which has the same joints."""
     check_type("robot", robot, Robot, "a Robot")
     check_same_coupling(robot, source)
     urdf = robot.urdf.with_origins(source.origins())
@@ -555,25 +532,9 @@ def _with_origins_of(source: Robot, robot: Robot) -> Robot:
 
 
 def _repeated_index(
-    what: str,
-    name: str | None,
-    names: tuple[str, ...],
-    count: int,
+    what: str, name: str | None, names: tuple[str, ...], count: int
 ) -> NDArray[np.int_]:
-    """Return the index of a station or target among all, once for each sample.
-
-    Args:
-        what: What is named, for the error message: ``"station"`` or ``"target"``.
-        name: One of the names; None: the first.
-        names: All names.
-        count: Number N of samples.
-
-    Returns:
-        The index, from 0, in all elements, shape (N,).
-
-    Raises:
-        ModelError: It is none of the names.
-    """
+    """Return the index of a station or target (``what``) among all names, None: the first, once for each sample."""
     if name is not None and name not in names:
         raise ModelError(f"There is no {what} '{name}'; there is {choices(names)}.")
     index = 0 if name is None else names.index(name)
@@ -581,7 +542,7 @@ def _repeated_index(
 
 
 def check_same_coupling(robot: Robot, source: Robot) -> None:
-    """Refuse a robot whose joint readings are coupled otherwise than those of the robot that it belongs to.
+    """Refuse a robot whose joint readings are coupled differently from those of the robot that it belongs to.
 
     Args:
         robot: As given.

@@ -9,19 +9,25 @@ from __future__ import annotations
 
 import importlib.metadata
 import platform
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias, TypeGuard
 
 import numpy as np
 import pinocchio as pin
 
 import calib.basics.plugins as plugins
+from calib.basics.arguments import check_type
 from calib.basics.arrays import Array, read_only
 from calib.basics.channels import Channels, residual_unit
 from calib.basics.files import write_atomically
 from calib.basics.json_files import Json, JsonLayout, Key, damage, json_bytes, nested, read_json
+from calib.basics.records import json_key
+from calib.basics.values import ReadOnlyMapping
+from calib.boards.board import Board
+from calib.camera.camera import UNKNOWN, Camera
+from calib.camera.lenses import LENSES
 from calib.diagnosis.coverage import OutsideRow
 from calib.diagnosis.reasons import Reason
 from calib.errors import CalibError, FileError, PluginError
@@ -36,10 +42,9 @@ from calib.numerics.correlated_noise import PoseNoise
 from calib.numerics.errors import CrossValidation, Errors, UnitErrors
 from calib.numerics.repeats import Repeats
 from calib.result.calibration import Calibration
-from calib.result.cameras import ResultOptics
-from calib.result.cameras_file import boards_table, cameras_table, read_boards, read_cameras
+from calib.result.fitted_model import FittedModel, NonGeometric
 from calib.result.parts import Method, ResultRows, Source
-from calib.result.prediction import FittedModel, NonGeometric
+from calib.result.result_optics import ResultOptics
 from calib.robot.coupled_readings import coupling_of_table, coupling_table
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
@@ -47,6 +52,12 @@ from calib.version import __version__
 
 #: The layout of a result.
 SCHEMA = 7
+
+#: A calibration result, or the path of its file.
+ResultInput: TypeAlias = Calibration | str | Path
+
+#: What messages call it.
+RESULT = "a Calibration, or the path of a result file (.json)"
 
 
 def error_table(errors: Errors) -> dict[str, Any]:
@@ -108,9 +119,48 @@ def _ties_table(ties: Mapping[str, tuple[str, float]]) -> list[dict[str, Any]]:
 
 
 def _read_ranges(table: Any) -> Array:  # noqa: ANN401  any JSON
-    """Return the joints' fitted ranges, shape (m, 2); from infinity down to minus infinity where no row was fitted."""
+    """Return the joints' fitted ranges, shape (m, 2); from infinity down to minus infinity if no row was fitted."""
     ends = np.array(table, dtype=np.float64)
     return read_only(np.where(np.isnan(ends), [np.inf, -np.inf], ends))
+
+
+def _read_intrinsics(entries: Sequence[float | None] | None) -> Array | None:
+    """Return numbers of a camera from their list, `UNKNOWN` for null in it: infinity."""
+    if entries is None:
+        return None
+    return np.array([UNKNOWN if entry is None else float(entry) for entry in entries])
+
+
+def _cameras_table(cameras: Mapping[str, Camera]) -> list[dict[str, Any]]:
+    """Return cameras by the names of their stations (``""``: the only one, or that of all others) as a list."""
+    table = []
+    for station, camera in cameras.items():
+        lens_names = LENSES[camera.lens].names
+        table.append({"station": station, **_LAYOUT.table(camera), "lens_names": lens_names})
+    return table
+
+
+def _read_cameras(table: Iterable[Json]) -> Mapping[str, Camera]:
+    """Return cameras from their list."""
+    return ReadOnlyMapping({row["station"]: _LAYOUT.read(Camera, row) for row in table})
+
+
+def _boards_table(boards: Mapping[str, Board]) -> list[dict[str, Any]]:
+    """Return printed boards by the names of their targets (``""``: the only one, or that of all others) as a list."""
+    table = []
+    for target, board in boards.items():
+        entries = {json_key(field): getattr(board, field.name) for field in fields(board)}
+        table.append({"target": target, **entries})
+    return table
+
+
+def _read_boards(table: Iterable[Json]) -> Mapping[str, Board]:
+    """Return printed boards from their list."""
+    boards = {}
+    for row in table:
+        arguments = {field.name: row[json_key(field)] for field in fields(Board)}
+        boards[row["target"]] = Board(**arguments)
+    return ReadOnlyMapping(boards)
 
 
 #: The prior standard deviations of families.
@@ -185,11 +235,15 @@ _LAYOUT: JsonLayout = JsonLayout(
             "solution": "solver.",
             "seconds": "solver.seconds",
         },
+        Camera: {
+            "values": Key("values", read=_read_intrinsics),
+            "sigma": Key("sigma", read=_read_intrinsics),
+        },
         ResultOptics: {
-            "nominal_cameras": Key("nominal_cameras", cameras_table, read_cameras),
-            "nominal_boards": Key("nominal_boards", boards_table, read_boards),
-            "cameras": Key("cameras", cameras_table, read_cameras),
-            "boards": Key("boards", boards_table, read_boards),
+            "nominal_cameras": Key("nominal_cameras", _cameras_table, _read_cameras),
+            "nominal_boards": Key("nominal_boards", _boards_table, _read_boards),
+            "cameras": Key("cameras", _cameras_table, _read_cameras),
+            "boards": Key("boards", _boards_table, _read_boards),
         },
         Source: {
             # Null without; missing in files of earlier versions.
@@ -360,10 +414,10 @@ def read_result(path: str | Path) -> Calibration:
         path: The JSON file. Meshes that its URDF names are looked for beside the URDF, if that is in the file's folder.
 
     Returns:
-        The result, equal to the one written but for its measurements and fits in memory.
+        The result, equal to the one written except for its measurements and fits in memory.
 
     Raises:
-        FileError: It cannot be read, is no result, of another schema, or damaged.
+        FileError: It cannot be read, is not a result, of another schema, or damaged.
         PluginError: It uses a family or a kind of a plugin that is not loaded.
     """
     expected = (
@@ -390,7 +444,8 @@ def _calibration(table: Json, folder: Path) -> Calibration:
     geometry = FittedModel(**_model_values(FittedModel, table, nominal))
     non_geometric = None
     if table["non_geometric"] is not None:
-        non_geometric = NonGeometric(**_model_values(NonGeometric, table["non_geometric"], nominal))
+        values = _model_values(NonGeometric, table["non_geometric"], nominal)
+        non_geometric = NonGeometric(**values)
     parts = _LAYOUT.values(Calibration, table, excluded=("geometry", "non_geometric"))
     lengths = len(parts["rows"].ranges), len(parts["rows"])
     if lengths != (len(nominal.joint_names), table["inputs"]["measurements"]["rows"]):
@@ -402,6 +457,26 @@ def _calibration(table: Json, folder: Path) -> Calibration:
         non_geometric=non_geometric,
         **parts,
     )
+
+
+def result_of(given: ResultInput, argument: str = "calibration") -> Calibration:
+    """Return a calibration result: as given, or read from its file.
+
+    Args:
+        given: As a user gave it.
+        argument: Its name, for messages.
+
+    Raises:
+        ArgumentError: It is neither.
+        FileError: The file cannot be read or is not a result.
+    """
+    check_type(argument, given, (Calibration, str, Path), RESULT)
+    return given if isinstance(given, Calibration) else read_result(given)
+
+
+def is_result_file(given: object) -> TypeGuard[str | Path]:
+    """Return whether a path means a result, by its ending ``.json``; other paths and names mean robots."""
+    return isinstance(given, (str, Path)) and Path(given).suffix.lower() == ".json"
 
 
 def _nominal(table: Json, folder: Path) -> Robot:
@@ -419,13 +494,8 @@ def _model_values(kind: type[FittedModel], table: Json, nominal: Robot) -> dict[
     values = _LAYOUT.values(kind, table)
     names = [parameter.name for parameter in values["parameters"]]
     model = _model_of(table["model"], names)
-    _check_numbers(values)
-    values["kinematics"] = _kinematics(nominal, model, values["setup"], values["x"])
-    return values
 
-
-def _check_numbers(values: Mapping[str, Any]) -> None:
-    """Refuse a fitted model if a number of its parameters, covariance, frames or targets is missing (NaN)."""
+    # No number of parameters, covariance, frames or targets may be missing (NaN).
     x, covariance, setup = values["x"], values["covariance"], values["setup"]
     arrays = (x, covariance, setup.T_frame_base, setup.T_tip_target)
     gradients = [parameter.data_gradient for parameter in values["parameters"]]
@@ -433,9 +503,12 @@ def _check_numbers(values: Mapping[str, Any]) -> None:
     if covariance.shape != x.shape * 2 or not np.isfinite(numbers).all():
         raise ValueError("a number is missing")
 
+    values["kinematics"] = _kinematics(nominal, model, setup, x)
+    return values
+
 
 def _kinematics(nominal: Robot, model: ErrorModel, setup: Setup, x: Array) -> Kinematics:
-    """Return the nominal robot under an error model, with frames and targets where the parameters x count from.
+    """Return the nominal robot under an error model, with frames and targets at x = 0.
 
         T_frame_base(0) = T_frame_base(x) D_frame(x)^-1,    T_tip_target(0) = T_tip_target(x) D_target(x)^-1
 

@@ -1,4 +1,4 @@
-"""Errors of images in metres at the board: across the line of sight, as far as the corner is away.
+"""Errors of images in metres at the board: across the line of sight, at the depth of the corner.
 
 An error of e pixels of a corner at the depth Z is e Z / f at the board, with the focal length f [px].
 """
@@ -48,12 +48,12 @@ class ImageFigures:
 
         Args:
             residual: shape (N, D), measured minus predicted.
-            scale: shape (N,), length that a pixel is at each corner [m/px]; NaN in rows that are no images.
+            scale: shape (N,), length that a pixel is at each corner [m/px]; NaN in rows that are not images.
             rows: The N rows.
-            names: Name of the image of each row; where there is none, a pose has one image.
+            names: Name of the image of each row; without names, a pose has one image.
 
         Returns:
-            The figures; None where no row is an image.
+            The figures; None if no row is an image.
         """
         images = np.isfinite(scale)
         if not np.any(images):
@@ -83,7 +83,7 @@ def metres_per_pixel(fitted: Fitted, rows: Rows) -> Array | None:
         rows: N rows.
 
     Returns:
-        shape (N,) [m/px], NaN in rows of other kinds; None where no row is an image.
+        shape (N,) [m/px], NaN in rows of other kinds; None if no row is an image.
     """
     x = fitted.estimate.x
     T_frame_target = fitted.kinematics.poses(x, rows.samples)
@@ -99,9 +99,9 @@ def length_of_pixels(T_frame_target: Array, optics: Optics | None, rows: Rows) -
         rows: N rows.
 
     Returns:
-        shape (N,) [m/px], NaN in rows of other kinds; None where no row is an image.
+        shape (N,) [m/px], NaN in rows of other kinds; None if no row is an image.
     """
-    is_image = rows.where(lambda kind: kind.optical)
+    is_image = rows.is_image
     if optics is None or not np.any(is_image):
         return None
     depth = rows.points(T_frame_target)[:, 2]

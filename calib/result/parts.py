@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+import calib.data.kinds as registry
 from calib.basics.arrays import Array, Mask
 from calib.basics.channels import Channels
 from calib.basics.values import Value, keep_read_only
@@ -14,7 +15,6 @@ from calib.data.cell import Cell
 from calib.data.columns import SETS
 from calib.data.measurements import Measurements
 from calib.diagnosis.coverage import OutsideRow
-from calib.diagnosis.reasons import Verdict
 from calib.fit.estimate.fitting import Fitted
 from calib.fit.selection.candidates import Candidate
 from calib.fit.selection.robustness import Robustness
@@ -24,7 +24,6 @@ from calib.numerics.errors import CrossValidation, Errors
 from calib.numerics.repeats import Repeats
 from calib.numerics.solvers import Solution
 from calib.result.image_errors import errors_at_board
-from calib.result.prediction import tells_place
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +104,7 @@ class ResultRows(Value):
 
         If none does, as if only sockets, planes, anchors or pairs were measured, predictions are in the base.
         """
-        return tells_place(self.kinds)
+        return any(registry.get(kind).tells_place for kind in self.kinds)
 
     def images_of(self, chosen: Mask) -> int:
         """Count the images that have chosen rows.
@@ -185,11 +184,8 @@ class Noise(Value):
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Trust(Value):
-    """How far to trust the result."""
+    """How far to trust the result, besides the verdict and the cross-validation of each fitted model."""
 
-    #: On the geometry; None without cross-validation, unless a usual mistake explains the rows far better, or a frame
-    #: was not found
-    verdict: Verdict | None
     #: Cross-validation of the nominal robot, its target (and frame, if estimated) fitted to the other rows; a fitted
     #: model has its own
     nominal_cross_validation: CrossValidation | None

@@ -202,7 +202,7 @@ def test_the_non_geometric_model_has_a_verdict_of_its_own(call, folder, ur3: Rob
     assert call(folder, *words).code == ExitStatus.DONE
     assert call(folder, *words, "--geometry").code == ExitStatus.NOT_ACCEPTED
     non_geometric = replace(result.non_geometric, verdict=result.verdict)
-    replace(with_part(result, "trust", verdict=fine), non_geometric=non_geometric).write_json(
+    replace(with_part(result, "geometry", verdict=fine), non_geometric=non_geometric).write_json(
         folder / "both.json", overwrite=True
     )
     refused = call(folder, *words)

@@ -1,14 +1,30 @@
-"""What a result rests on: rows outside of the measured poses, and corners of workspaces."""
+"""What a result rests on: rows outside of the measured poses, corners of workspaces, and views of boards."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from calib.data.measurements import Measurements
-from calib.diagnosis.coverage import outside, spread_of
+from calib.diagnosis.coverage import (
+    Views,
+    doubtful_views,
+    hardly_moved,
+    outside,
+    spread_of,
+    spread_of_axes,
+)
+from calib.diagnosis.reasons import Why
 from calib.example import paper_measurements
+from calib.fit.estimate.fitting import fit
+from calib.fit.estimate.task import Task
+from calib.fit.registration.table_rows import rows_and_setup
 from calib.robot.robot import Robot
+from tests.hard_cases import made
+from tests.images import BOARD, HOME, arm, cell, mounts, poses, table
 
 TYPES = ("revolute",) * 6
 
@@ -73,3 +89,73 @@ def test_continuous_joints_are_measured_on_a_circle():
 
 def test_the_paper_s_poses_are_no_corner(ur3, paper_joints):
     assert 0.38 < spread(ur3, paper_joints[:30]) < 0.5
+
+
+def test_a_joint_hardly_moved_below_a_third_of_a_radian_or_five_centimetres():
+    """Three joints slide, the fourth turns: spans in metres and radians."""
+    result = made("prismatic")
+    rows = result.fit.geometry.estimate.problem.rows
+
+    def still(*spans: float) -> list[bool]:
+        q = np.linspace(0.0, 1.0, len(rows))[:, None] * spans
+        moved = replace(rows, samples=replace(rows.samples, q=q))
+        return hardly_moved(result.nominal, moved).tolist()
+
+    assert still(0.045, 0.055, 0.3, 0.3) == [True, False, False, True]
+    assert still(0.3, 0.3, 0.045, 0.4) == [False, False, True, False]
+
+
+# Views of boards
+
+
+def fitted(q, kept=None):
+    robot = arm()
+    m = table(q, noise=0.1)
+    if kept is not None:
+        m = m.select(np.array([kept(int(c)) for c in m.corners]))
+    rows, setup = rows_and_setup(robot, m, cell())
+    return fit(Task(robot, cell(), setup, "frames"), rows)
+
+
+def codes(f):
+    return {reason.why for reason in doubtful_views(f)}
+
+
+def test_tilt_is_the_angle_between_sight_and_normal():
+    q = poses(6)
+    T_camera_base, T_tip_board = mounts()
+    T = T_camera_base @ arm().poses(q) @ T_tip_board
+    middle = T[:, :3, :3] @ BOARD.corners.mean(axis=0) + T[:, :3, 3]
+    sight = middle / np.linalg.norm(middle, axis=1, keepdims=True)
+    expected = np.arccos(np.abs(np.sum(sight * T[:, :3, 2], axis=1)))
+    views = Views.of(fitted(q))
+    # Views are in the order of their poses' numbers, which is that of the rows.
+    np.testing.assert_allclose(views.tilt, expected, atol=0.01)
+    np.testing.assert_array_equal(views.corners, len(BOARD.corners))
+
+
+def test_good_views_are_not_doubted():
+    assert codes(fitted(poses(12))) == set()
+
+
+def test_few_corners_are_counted():
+    reasons = list(doubtful_views(fitted(poses(12), kept=lambda corner: corner < 10)))
+    few = next(reason for reason in reasons if reason.why is Why.FEW_CORNERS)
+    assert (few.values["images"], few.values["all"]) == (12, 12)
+
+
+def test_a_board_that_is_seen_head_on_is_doubted():
+    # Only the last joint turns, about an axis near the line of sight: the tilt stays that at home, 18 deg.
+    q = np.repeat(HOME[None], 8, axis=0)
+    q[:, 6] += np.linspace(-0.5, 0.5, 8)
+    assert Why.ONE_AXIS in codes(fitted(q))
+
+
+@pytest.mark.parametrize(("second", "expected"), [(0.0, 0.0), (0.4, 0.4)])
+def test_spread_of_axes_is_that_of_the_second_axis(second, expected):
+    first = np.linspace(-1.0, 1.0, 9)
+    vectors = np.zeros((18, 3))
+    vectors[:9, 0] = first
+    vectors[9:, 1] = second * np.sign(first) * np.sqrt(2.0)
+    spread = spread_of_axes(Rotation.from_rotvec(vectors).as_matrix())
+    assert spread == pytest.approx(expected * np.sqrt(8 / 9), abs=0.03)

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import calib
-from calib.diagnosis.frame_not_found import frame_not_found
 from calib.diagnosis.reasons import NO, Reason, Why
+from calib.diagnosis.usual_mistakes import frame_not_found
 from calib.fit.registration.table_rows import rows_and_setup
 from calib.show.figure_base import styled
 from calib.show.verdict import reason_text

@@ -14,7 +14,7 @@ from calib.diagnosis.patterns import (
     Stack,
     _between,
     _combined,
-    _levelled,
+    _level,
     _within,
     drift,
     even_factors,
@@ -93,7 +93,7 @@ def test_one_degree_of_freedom_that_remains_is_enough():
     assert test.p == pytest.approx(stats.f.sf(test.F, 3, 1))
 
 
-def test_components_are_levelled_by_their_variance_about_the_fit():
+def test_components_are_level_by_their_variance_about_the_fit():
     """Each with a constant of its own: about it the sample variance is one then."""
     rng = np.random.default_rng(0)
     component = np.array([0] * 10 + [1] * 25)
@@ -109,9 +109,9 @@ def test_components_are_levelled_by_their_variance_about_the_fit():
 def test_factors_that_level_sums_of_squares():
     squares, freedom = np.array([18.0, 8.0, 1e-9, 5.0]), np.array([2.0, 2.0, 2.0, 0.0])
     # The third is taken as at least a hundredth of the largest std, the fourth, unknown, as like the largest.
-    np.testing.assert_allclose(_levelled(squares, freedom), 1.0 / np.array([3.0, 2.0, 0.03, 3.0]))
-    np.testing.assert_array_equal(_levelled(np.zeros(2), np.ones(2)), [1.0, 1.0])
-    np.testing.assert_array_equal(_levelled(np.ones(2), np.zeros(2)), [1.0, 1.0])
+    np.testing.assert_allclose(_level(squares, freedom), 1.0 / np.array([3.0, 2.0, 0.03, 3.0]))
+    np.testing.assert_array_equal(_level(np.zeros(2), np.ones(2)), [1.0, 1.0])
+    np.testing.assert_array_equal(_level(np.ones(2), np.zeros(2)), [1.0, 1.0])
 
 
 def test_repeats_are_compared_about_the_mean_of_their_pose():

@@ -13,7 +13,6 @@ from calib.diagnosis.reasons import Why
 from calib.diagnosis.residual_patterns import (
     FEWEST_FREEDOM,
     ROUNDING_NOISE,
-    Order,
     residual_patterns,
 )
 from calib.result.calibrate import calibrate
@@ -74,8 +73,8 @@ def test_no_pattern_is_looked_for_in_rounding_or_where_a_fit_is_nearly_exact(
     ).fit.geometry
     noise = np.median(fitted.estimate.problem.scales)
     assert (fitted.estimate.freedom > FEWEST_FREEDOM and noise > ROUNDING_NOISE) == looked
-    order = Order(np.arange(rows), np.diff(m.joints, axis=0, prepend=m.joints[:1]))
-    found = [reason.why for reason in residual_patterns(fitted, order)]
+    moves = np.diff(m.joints, axis=0, prepend=m.joints[:1])
+    found = [reason.why for reason in residual_patterns(fitted, np.arange(rows), moves)]
     assert found == [Why.DRIFT] * looked
 
 

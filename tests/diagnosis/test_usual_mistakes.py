@@ -9,15 +9,15 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from calib.basics.arrays import read_only
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.diagnosis.reasons import Reason, Why
 from calib.diagnosis.usual_mistakes import (
-    _all_as_good,
+    _choose,
     _counts_of_turned_joints,
-    _Explanation,
     _some_rows,
     check_positions,
     find_usual_mistake,
@@ -30,6 +30,7 @@ from calib.result.calibrate import calibrate
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 from calib.verbs.simulate.truth import draw_truth
+from tests import images
 from tests.places import ROOT
 
 TURN = np.array([[0.36, 0.48, -0.8], [-0.8, 0.6, 0.0], [0.48, 0.64, 0.6]])
@@ -229,18 +230,17 @@ def test_sixty_rows_evenly_over_a_long_table_are_looked_at(ur3: Robot):
 def test_explanations_as_good_as_the_best_are_named_with_it():
     """Ranked by the weighted error, and told apart by the error itself."""
 
-    def explanation(factor: float, error_m: float, why: Why) -> _Explanation:
-        reason = Reason.of(why, given_m=0.5, error_m=error_m)
-        return _Explanation(factor * error_m, reason, turned=False)
+    def explanation(factor: float, error_m: float, why: Why) -> tuple[bool, float, Reason]:
+        return False, factor * error_m, Reason.of(why, given_m=0.5, error_m=error_m)
 
     best = explanation(1.0, 2e-3, Why.OTHER_BASE)
     as_good = explanation(2.0, 1.9e-3, Why.OWN_FRAME)
-    found = _all_as_good([explanation(1.2, 3.1e-3, Why.COLUMNS_REVERSED), as_good, best])
+    found = _choose([explanation(1.2, 3.1e-3, Why.COLUMNS_REVERSED), as_good, best])
     assert (found.why, found.values["error_m"]) == (Why.OTHER_BASE, 2e-3)
     assert found.values["others"] == [{"code": "own_frame", "error_m": 1.9e-3}]
     # Of an exact table errors are rounding.
     exact = explanation(1.0, 1e-12, Why.OTHER_BASE), explanation(1.0, 5e-7, Why.OWN_FRAME)
-    assert len(_all_as_good(list(exact)).values["others"]) == 1
+    assert len(_choose(list(exact)).values["others"]) == 1
 
 
 def positions_while_a_base_joint_turns(robot: Robot, by: float, apart: float) -> Rows:
@@ -298,3 +298,64 @@ def test_a_cell_may_name_targets_that_few_rows_of_a_long_table_see(ur3: Robot):
     table = Measurements(ur3.joint_names, q, np.array(points), targets=names[:119])
     cell = Cell(targets={name: read_only(place) for name, place in places.items()})
     assert find_usual_mistake(ur3, cell, table) is None
+
+
+def test_links_of_camera_and_board_that_are_exchanged_are_named():
+    backwards = images.arm().rebuilt(base="panda_link0", tip="panda_link8")
+    told = find_usual_mistake(backwards, images.cell(), images.table(images.poses(12)))
+    assert told.why == Why.CAMERA_ON_OTHER_LINK
+    assert (told.values["tip"], told.values["base"]) == ("panda_link8", "panda_link0")
+    assert told.values["error_m"] < 5e-3 < 0.03 < told.values["given_m"]
+
+
+@pytest.mark.parametrize(
+    ("change", "why", "values"),
+    [
+        (lambda q: Rotation.from_quat(np.roll(q, 1, 1)), Why.SCALAR_ELSEWHERE, {"scalar": "first"}),
+        (lambda q: Rotation.from_quat(np.roll(q, -1, 1)), Why.SCALAR_ELSEWHERE, {"scalar": "last"}),
+        (lambda q: Rotation.from_quat(q).inv(), Why.ORIENTATIONS_INVERSE, {}),
+    ],
+)
+def test_orientations_that_are_written_otherwise(ur3: Robot, change, why, values):
+    truth, q = draw_truth(ur3, "dh", {}, 1), random_joint_values(ur3, 20, 1)
+    T = truth.poses(q)
+    table = Measurements(
+        ur3.joint_names, q, T[:, :3, 3], kinds=("pose",) * 20, rotations=T[:, :3, :3]
+    )
+    assert find_usual_mistake(ur3, Cell(), table) is None
+    quaternions = Rotation.from_matrix(T[:, :3, :3]).as_quat()
+    told = find_usual_mistake(
+        ur3, Cell(), replace(table, rotations=change(quaternions).as_matrix())
+    )
+    assert told.why == why
+    assert values.items() <= told.values.items()
+    assert told.values["error_rad"] < 0.05 < 1.0 < told.values["given_rad"]
+
+
+@pytest.mark.parametrize(
+    ("change", "why", "values"),
+    [
+        (lambda q: q * [1, 1, 1, 1, 1, -1], Why.ORIENTATIONS_JOINT_TURNED, {}),
+        (lambda q: q + np.pi * np.eye(6)[5], Why.ORIENTATIONS_JOINT_ZERO, {}),
+        (
+            lambda q: q - [0, 0, 0, 0, 0, np.pi / 2],
+            Why.ORIENTATIONS_JOINT_ZERO,
+            {"add_rad": np.pi / 2},
+        ),
+    ],
+)
+def test_the_last_joint_turns_a_target_on_its_axis_and_does_not_move_it(
+    ur3: Robot, change, why, values
+):
+    q = random_joint_values(ur3, 20, 1)
+    T = ur3.poses(q)
+    table = Measurements(
+        ur3.joint_names, change(q), T[:, :3, 3], kinds=("pose",) * 20, rotations=T[:, :3, :3]
+    )
+    told = find_usual_mistake(
+        ur3, Cell(target=read_only(np.zeros(3)), estimate_target=False), table
+    )
+    assert (told.why, told.values["joint"]) == (why, "wrist_3_joint")
+    for name, value in values.items():
+        assert told.values[name] == pytest.approx(value)
+    assert told.values["error_rad"] < 0.05 < 1.0 < told.values["given_rad"]

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.diagnosis.evidence import Evidence
+from calib.diagnosis.evidence import Evidence, ValidationErrors
 from calib.diagnosis.reasons import Reason, Verdict, Why
-from calib.diagnosis.verdict import verdict
+from calib.diagnosis.verdict import judge
 from calib.numerics.errors import CrossValidation, Errors
 from tests.residuals import lengths_and_angles
 
@@ -30,6 +30,10 @@ def errors(rms: float, n: int = 5) -> Errors:
     return Errors.of(np.full((n, 3), rms / np.sqrt(3)))
 
 
+def on_validation(before: float, after: float, aside: int = 0) -> ValidationErrors:
+    return ValidationErrors(errors(before), errors(after), aside, whole=errors(0.26e-3))
+
+
 GOOD = Evidence(
     nominal=validated(2.5e-3),
     calibrated=validated(0.2e-3, 1),
@@ -39,8 +43,7 @@ GOOD = Evidence(
     repeats=np.arange(ROWS),
     pairs=np.zeros(ROWS, dtype=bool),
     outliers=np.arange(ROWS) < 2,
-    validation=(errors(2.7e-3), errors(0.25e-3), 0),
-    validation_with_suspects=errors(0.26e-3),
+    validation=on_validation(2.7e-3, 0.25e-3),
     parameters=27,
     changes=True,
     largest=5e-3,
@@ -84,7 +87,7 @@ def codes(found: Verdict) -> list[Why]:
 
 
 def test_a_good_calibration_is_to_be_used_and_says_by_how_much():
-    result = verdict(replace(GOOD, validation=(errors(2.7e-3), errors(0.25e-3), 1)))
+    result = judge(replace(GOOD, validation=on_validation(2.7e-3, 0.25e-3, aside=1)))
     assert (result.use, codes(result)) == ("use", [Why.GAIN, Why.VALIDATION_GAIN])
     gain, fresh = result.reasons
     before, after = (v.errors_without_outliers["m"].rms for v in (GOOD.nominal, GOOD.calibrated))
@@ -100,7 +103,7 @@ def test_a_good_calibration_is_to_be_used_and_says_by_how_much():
     [
         ({"calibrated": validated(2.9e-3, 1)}, "do not use", Why.NO_BETTER),
         ({"calibrated": GOOD.nominal}, "do not use", Why.NO_BETTER),
-        ({"validation": (errors(2.7e-3), errors(3e-3), 0)}, "do not use", Why.VALIDATION_NO_BETTER),
+        ({"validation": on_validation(2.7e-3, 3e-3)}, "do not use", Why.VALIDATION_NO_BETTER),
         ({"noise": {"m": 0.05}}, "do not use", Why.NOISE_ABSURD),
         ({"nominal": validated(0.3), "largest": 0.4}, "do not use", Why.PARAMETER_ABSURD),
         (
@@ -168,7 +171,7 @@ def test_a_good_calibration_is_to_be_used_and_says_by_how_much():
         ({"doubts": (LOUD, FAR)}, "use with care", Why.TARGET_FAR),
         ({"calibrated": validated(1.1e-3, 1)}, "use with care", Why.MUCH_REMAINS),
         (
-            {"validation": (errors(2.7e-3), errors(2.5e-3), 0)},
+            {"validation": on_validation(2.7e-3, 2.5e-3)},
             "use with care",
             Why.VALIDATION_SMALL_GAIN,
         ),
@@ -192,11 +195,11 @@ def test_a_good_calibration_is_to_be_used_and_says_by_how_much():
             "use with care",
             Why.MANY_OUTLIERS,
         ),
-        ({"validation": (errors(51e-3), errors(40e-3), 0)}, "use with care", Why.VALIDATION_UNLIKE),
+        ({"validation": on_validation(51e-3, 40e-3)}, "use with care", Why.VALIDATION_UNLIKE),
     ],
 )
 def test_each_doubt_is_said_first(change, use, why):
-    result = verdict(replace(GOOD, **change))
+    result = judge(replace(GOOD, **change))
     assert (result.use, result.reasons[0].why) == (use, why)
     absurd = {Why.NOISE_ABSURD, Why.OTHER_BASE, Why.PARAMETER_ABSURD}
     assert (len(result.reasons) == 1) == (why in absurd)
@@ -207,12 +210,12 @@ def test_each_doubt_is_said_first(change, use, why):
 def test_many_flagged_rows_are_accidents_where_they_are_as_far_off_the_nominal_robot():
     accidents = [with_errors_at(v, 20e-3) for v in (GOOD.nominal, GOOD.calibrated)]
     e = replace(GOOD, outliers=FLAGGED, nominal=accidents[0], calibrated=accidents[1])
-    result = verdict(e)
+    result = judge(e)
     assert (result.use, codes(result)) == (
         "use",
         [Why.GAIN, Why.VALIDATION_GAIN, Why.MANY_OUTLIERS],
     )
-    result = verdict(replace(e, nominal=GOOD.nominal))
+    result = judge(replace(e, nominal=GOOD.nominal))
     assert (result.use, codes(result)[0]) == ("do not use", Why.WORSE_WITH_OUTLIERS)
 
 
@@ -226,7 +229,7 @@ def test_orientations_that_no_instrument_measures_are_a_wrong_set_up():
             GOOD.calibrated, residual=turned, errors=off, errors_without_outliers=off
         ),
     )
-    (reason,) = verdict(e).reasons
+    (reason,) = judge(e).reasons
     assert reason.why == Why.ORIENTATION_ABSURD
     assert np.degrees(reason.values["after_rad"]) == pytest.approx(99.24, abs=0.01)
 
@@ -236,7 +239,7 @@ def test_orientations_as_an_instrument_measures_them_are_no_wrong_set_up():
     off = Errors.of(turned, lengths_and_angles(np.ones(turned.shape)))
     calibrated = replace(GOOD.calibrated, errors=off, errors_without_outliers=off)
     assert off["rad"].n == ROWS
-    assert verdict(replace(GOOD, calibrated=calibrated)).use == "use"
+    assert judge(replace(GOOD, calibrated=calibrated)).use == "use"
 
 
 def test_that_no_urdf_holds_what_a_larger_model_does_is_said_before_that_rows_are_few():
@@ -247,8 +250,8 @@ def test_that_no_urdf_holds_what_a_larger_model_does_is_said_before_that_rows_ar
         parameters=60,
         non_geometric=GAINS,
     )
-    assert codes(verdict(e))[0] == Why.NO_URDF_HOLDS
-    assert codes(verdict(replace(e, non_geometric=None)))[0] == Why.TOO_FEW
+    assert codes(judge(e))[0] == Why.NO_URDF_HOLDS
+    assert codes(judge(replace(e, non_geometric=None)))[0] == Why.TOO_FEW
 
 
 def test_a_larger_model_and_rows_outside_are_said_last_and_decide_nothing():
@@ -256,7 +259,7 @@ def test_a_larger_model_and_rows_outside_are_said_last_and_decide_nothing():
         Reason.of(Why.LARGER_MODEL, model="dh+gain", after=errors(5e-5)),
         Reason.of(Why.OUTSIDE, rows=1, row=7, joint="j1", by_rad=0.3),
     )
-    result = verdict(replace(GOOD, notes=notes))
+    result = judge(replace(GOOD, notes=notes))
     assert (result.use, result.reasons[-2:]) == ("use", notes)
     assert notes[0].values == {"model": "dh+gain", "after_m": pytest.approx(5e-5)}
 
@@ -267,7 +270,7 @@ def test_scalars_that_were_not_measured_do_not_count():
     used[:, 0] = True
 
     def poses(**change) -> tuple[int, int, int]:
-        found = verdict(replace(GOOD, used=used, parameters=40, **change)).reasons
+        found = judge(replace(GOOD, used=used, parameters=40, **change)).reasons
         (reason,) = (one for one in found if one.why == Why.FEW_NUMBERS)
         return tuple(reason.values[name] for name in ("poses", "pairs", "numbers"))
 
@@ -276,19 +279,19 @@ def test_scalars_that_were_not_measured_do_not_count():
     used[ROWS // 2 :] = False
     assert poses(pairs=np.arange(ROWS) < ROWS // 2) == (0, 15, 15)
     assert poses(pairs=np.arange(ROWS) < 10) == (5, 10, 15)
-    assert verdict(replace(GOOD, parameters=40)).use == "use"
+    assert judge(replace(GOOD, parameters=40)).use == "use"
 
 
 def test_a_larger_model_that_moves_joints_alone_is_judged_by_what_it_changes():
     """Gains are no lengths and no angles: none of its parameters in metres or radians has moved."""
-    assert verdict(replace(GOOD, largest=0.0)).use == "use"
+    assert judge(replace(GOOD, largest=0.0)).use == "use"
 
 
 def test_what_remains_is_counted_without_the_noise_that_the_best_model_leaves():
     """Nominal 2.5 mm, corrected 0.2 mm, all of it noise or none of it."""
     noise = 0.2e-3 / np.sqrt(3.0) / 1e-4
-    assert replace(GOOD, floor=np.full((ROWS, 3), noise)).remains_held_out() < 0.03
-    clean = replace(GOOD, floor=np.full((ROWS, 3), 0.01)).remains_held_out()
+    assert replace(GOOD, floor=np.full((ROWS, 3), noise)).remains_held_out < 0.03
+    clean = replace(GOOD, floor=np.full((ROWS, 3), 0.01)).remains_held_out
     assert clean == pytest.approx(0.2 / 2.5, rel=0.05)
     # A robot whose errors only a non-geometric model explains is no robot at its noise.
     assert replace(GOOD, **RIGHT).at_noise_level
@@ -296,13 +299,13 @@ def test_what_remains_is_counted_without_the_noise_that_the_best_model_leaves():
 
 
 def test_much_remains_names_the_model_that_leaves_far_less():
-    (reason, *_) = verdict(
+    (reason, *_) = judge(
         replace(GOOD, calibrated=validated(1.1e-3, 1), non_geometric=("dh+gain", errors(1e-4)))
     ).reasons
     assert reason.why == Why.MUCH_REMAINS
     assert (reason.values["model"], reason.values["less_m"]) == ("dh+gain", pytest.approx(1e-4))
     assert reason.values["remains"] == pytest.approx(1.1 / 2.5, rel=0.1)
-    (reason, *_) = verdict(
+    (reason, *_) = judge(
         replace(GOOD, calibrated=validated(1.1e-3, 1), non_geometric=("dh+gain", errors(1e-3)))
     ).reasons
     assert "model" not in reason.values
@@ -310,10 +313,10 @@ def test_much_remains_names_the_model_that_leaves_far_less():
 
 def test_a_drift_that_predicts_nothing_and_a_hidden_scale_are_information():
     hidden = Reason.of(Why.SCALE_HIDDEN, scale=1e-3, reach_m=0.6, effect_m=6e-4)
-    result = verdict(replace(GOOD, doubts=(drifting(0.09), hidden)))
+    result = judge(replace(GOOD, doubts=(drifting(0.09), hidden)))
     assert (result.use, codes(result)[-2:]) == ("use", [Why.DRIFT, Why.SCALE_HIDDEN])
     # Nor where the gain is not proven.
-    result = verdict(replace(GOOD, expected_of_nominal=2.2e-4, doubts=(drifting(-0.2),)))
+    result = judge(replace(GOOD, expected_of_nominal=2.2e-4, doubts=(drifting(-0.2),)))
     assert codes(result)[0] == Why.SMALL_GAIN
 
 
@@ -335,8 +338,8 @@ def test_a_gain_is_proven_where_held_out_errors_fall_by_a_tenth(share, use, why)
     )
     noise = 0.999 * share * 2.5e-3 / np.sqrt(3.0) / 1e-4
     e = replace(GOOD, nominal=nominal, calibrated=calibrated, floor=np.full((ROWS, 3), noise))
-    assert e.remains_held_out() < 0.2
-    result = verdict(e)
+    assert e.remains_held_out < 0.2
+    result = judge(e)
     assert (result.use, result.reasons[0].why) == (use, why)
 
 
@@ -350,7 +353,7 @@ def test_a_gain_is_proven_where_held_out_errors_fall_by_a_tenth(share, use, why)
     ],
 )
 def test_errors_on_validation_rows_must_fall_by_a_tenth(share, use, why):
-    result = verdict(replace(GOOD, validation=(errors(1e-3), errors(share * 1e-3), 0)))
+    result = judge(replace(GOOD, validation=on_validation(1e-3, share * 1e-3)))
     assert result.use == use
     assert why in codes(result)
 
@@ -360,12 +363,12 @@ def test_an_image_tells_six_numbers_of_the_robot_and_repeats_none():
     repeats = np.repeat([*range(9), 8], 3)
     images = replace(GOOD, repeats=repeats, images=np.ones(ROWS, dtype=bool))
     few = [
-        one for one in verdict(replace(images, parameters=28)).reasons if one.why == Why.FEW_NUMBERS
+        one for one in judge(replace(images, parameters=28)).reasons if one.why == Why.FEW_NUMBERS
     ]
     assert {name: few[0].values[name] for name in ("poses", "numbers", "images")} == {
         "poses": 9,
         "numbers": 54,
         "images": 9,
     }
-    enough = verdict(replace(images, parameters=27))
+    enough = judge(replace(images, parameters=27))
     assert Why.FEW_NUMBERS not in [one.why for one in enough.reasons]

@@ -19,9 +19,9 @@ from calib.example import PAPER_TARGET_AS_PRINTED
 from calib.fit.selection.candidates import mark_chosen
 from calib.model.kinematics import Samples
 from calib.numerics.errors import Errors
-from calib.result.calibrate import _validated, calibrate
+from calib.result.calibrate import _assemble_validated, calibrate
 from calib.result.calibration_file import read_result
-from calib.result.fits import fit_table
+from calib.result.table_fits import fit_table
 from calib.robot.gravity import Payload, gravity_loads
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
@@ -402,7 +402,7 @@ def test_rows_that_bend_far_off_the_geometry_are_no_outliers(make_scene, panda, 
     assert after < before
 
 
-def test_every_kind_is_cross_validated_and_judged(case):
+def test_every_kind_is_cross_assemble_validated_and_judged(case):
     scene, c = case
     kinds = set(c.fit.measurements.kinds)
     assert c.cross_validation is not None
@@ -499,7 +499,7 @@ def refused(make_scene):
 def test_where_refits_refuse_a_larger_model_the_next_by_evidence_is_tried(refused):
     m, fits = refused
     done = []
-    result = _validated(m, fits, lambda *counts: done.append(counts))
+    result = _assemble_validated(m, fits, lambda *counts: done.append(counts))
     assert (result.model.name, result.non_geometric.name) == ("dh", "dh+gain")
     assert {c.name: c.chosen for c in result.method.candidates if c.chosen} == {
         "dh": "geometry",
@@ -519,14 +519,14 @@ def test_where_refits_refuse_a_larger_model_the_next_by_evidence_is_tried(refuse
 def test_where_refits_refuse_every_larger_model_there_is_none(refused):
     m, fits = refused
     geometries = tuple(c for c in fits.candidates if "+" not in c.name)
-    result = _validated(m, replace(fits, candidates=geometries), None)
+    result = _assemble_validated(m, replace(fits, candidates=geometries), None)
     assert result.non_geometric is None
     assert [c.name for c in result.method.candidates if c.chosen] == ["dh"]
 
 
 def test_a_larger_model_that_was_named_stays(refused):
     m, fits = refused
-    result = _validated(m, replace(fits, candidates=()), None)
+    result = _assemble_validated(m, replace(fits, candidates=()), None)
     assert result.non_geometric.name == "dh+eccentricity"
     held_out = result.non_geometric.cross_validation.errors_without_outliers
     assert held_out["m"].rms > result.cross_validation.errors_without_outliers["m"].rms

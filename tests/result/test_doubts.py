@@ -15,8 +15,6 @@ from calib.result.calibrate import calibrate
 from calib.result.calibration import Calibration
 from calib.result.doubts import (
     _agreeing_repeats,
-    _all_stated,
-    _hardly_moved,
     _negative_compliances,
     _sole_postures,
     noise_doubts,
@@ -240,20 +238,6 @@ def test_a_sole_posture_is_named_by_its_row_and_the_joint_that_it_alone_moves(ma
     assert reason.values == {"rows": [18], "joints": ["wrist_1_joint"]}
 
 
-def test_a_joint_hardly_moved_below_a_third_of_a_radian_or_five_centimetres():
-    """Three joints slide, the fourth turns: spans in metres and radians."""
-    result = made("prismatic")
-    rows = result.fit.geometry.estimate.problem.rows
-
-    def still(*spans: float) -> list[bool]:
-        q = np.linspace(0.0, 1.0, len(rows))[:, None] * spans
-        moved = replace(rows, samples=replace(rows.samples, q=q))
-        return _hardly_moved(result.nominal, moved).tolist()
-
-    assert still(0.045, 0.055, 0.3, 0.3) == [True, False, False, True]
-    assert still(0.3, 0.3, 0.045, 0.4) == [False, False, True, False]
-
-
 @pytest.mark.parametrize(
     ("value", "half", "negative"),
     [(-3e-5, 1e-5, True), (-1.5e-5, 1e-5, False), (3e-5, 1e-5, False)],
@@ -274,13 +258,26 @@ def test_a_compliance_is_negative_where_twice_its_interval_does_not_reach_zero(
     assert joints == ["elbow_joint"] * negative
 
 
-def test_noise_is_stated_where_every_chosen_row_states_it():
-    """Among the fitted rows, which are those of the table but for the second."""
-    sigma = np.array([1e-4, np.nan, np.nan, 2e-4])
-    fitted = np.array([True, False, True, True])
-    assert _all_stated(sigma, fitted, np.array([0, 2]))
-    assert not _all_stated(sigma, fitted, np.array([0, 1]))
-    assert not _all_stated(None, fitted, np.array([0]))
+@pytest.mark.parametrize(("silent", "why"), [(1, Why.NOISE_ABOVE_SIGMA), (2, Why.NOISE_LARGE)])
+def test_noise_is_stated_if_every_fitted_row_states_it(
+    make_scene, monkeypatch, silent: int, why: Why
+):
+    """The second row, which validates, need not."""
+    scene = arm(make_scene, 63, noise=4e-3)
+    sets = ("estimate", "validate", *("estimate",) * 58)
+    m = replace(scene.points(60), sets=sets)
+    result = calibrate(scene.robot, m, model="dh", validate=False)
+    sigma = np.full(60, 2e-4)
+    sigma[silent] = np.nan
+    monkeypatch.setattr(Measurements, "stated_sigma", {"m": sigma})
+    fitted = result.fit.geometry
+    rows = fitted.estimate.problem.rows
+    stated = replace(rows, sigma={"m": np.full(len(rows), 2e-4)})
+    problem = replace(fitted.estimate.problem, rows=stated)
+    found = noise_doubts(
+        result, replace(fitted, estimate=replace(fitted.estimate, problem=problem)), ()
+    )
+    assert [reason.why for reason in found] == [why]
 
 
 def test_copies_of_rows_are_left_out(make_scene):

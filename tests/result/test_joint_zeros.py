@@ -23,7 +23,7 @@ from calib.result.joint_zeros import (
     reading_offsets,
 )
 from calib.robot.robot import Robot
-from tests.verbs.convert.zeros.arms import (
+from tests.verbs.convert.zero_arms import (
     SERVO_ZEROS,
     TARGET,
     points,

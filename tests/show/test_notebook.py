@@ -33,7 +33,7 @@ def test_a_calibration(default_result: Calibration):
     assert shown["first reason"] == reason_text(c.verdict.reasons[0])
     validated = c.cross_validation.errors_without_outliers
     assert shown["rms error, calibrated (held-out rows)"] == rms_text(validated)
-    assert cells(with_part(c, "trust", verdict=None))["verdict"] == "none"
+    assert cells(with_part(c, "geometry", verdict=None))["verdict"] == "none"
 
 
 def test_a_calibration_with_a_non_geometric_model(calibrated):

@@ -30,9 +30,7 @@ def test_a_calibration_says_verdict_errors_and_rows(default_result: Calibration)
 def test_without_held_out_rows_the_errors_are_those_of_validation_or_fitted_rows(
     default_result: Calibration,
 ):
-    c = with_part(
-        with_part(default_result, "geometry", cross_validation=None), "trust", verdict=None
-    )
+    c = with_part(default_result, "geometry", cross_validation=None, verdict=None)
     where, before, after = before_and_after(c)
     assert where == "validation"
     assert (before["m"].rms, after["m"].rms) == tuple(

@@ -243,6 +243,11 @@ class Rows:
             return np.ones(len(self), dtype=bool)
         return ~self.sole
 
+    @property
+    def is_image(self) -> Mask:
+        """Rows that are corners in images, shape (N,)."""
+        return self.where(lambda kind: kind.optical)
+
     def where(self, test: Callable[[Kind], bool]) -> Mask:
         """Rows of kinds that pass a test, such as ``lambda kind: kind.position``, shape (N,)."""
         result = np.zeros(len(self), dtype=bool)

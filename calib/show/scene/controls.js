@@ -1,4 +1,4 @@
-// Buttons, slider, keys and mouse; what the address asks for; messages of a live page.
+// Buttons, slider, keys and mouse, and the initial view from the address.
 
 // ---- side by side, or one over the other ----
 
@@ -36,11 +36,13 @@ function update() {
   moveRobots();
   drawMarks();
   describe();
+  fillNumbers();
+  drawInset();
+  drawImage();
   viewer.set_dirty();
 }
 
 function goTo(row) {
-  state.alone = null;
   state.row = (row + count) % count;
   if (element("row")) element("row").value = state.row;
   update();
@@ -109,7 +111,7 @@ const pressed = { x: NaN, y: NaN };
 if (count > 1) {
   pane.addEventListener("pointermove", pointAt);
   pane.addEventListener("pointerdown", (event) => Object.assign(pressed, { x: event.clientX, y: event.clientY }), true);
-  // The viewer's own controls keep clicks to themselves; that a button went up they do not hide.
+  // The viewer's own controls stop clicks, but not the release of a button.
   window.addEventListener("pointerup", (event) => {
     const still = Math.hypot(event.clientX - pressed.x, event.clientY - pressed.y) < 4;
     const row = still ? rowAt(event) : null;
@@ -140,7 +142,7 @@ if (element("factor")) {
   });
 }
 
-// A page on paper shows a copy of the scene: what WebGL drew is gone by then.
+// Paper shows a copy of the scene, because WebGL's drawing is gone when the page is printed.
 const paper = document.createElement("canvas");
 paper.id = "paper";
 pane.after(paper);
@@ -149,31 +151,13 @@ window.addEventListener("beforeprint", () => {
   [paper.width, paper.height] = [drawn.width, drawn.height];
   viewer.renderer.render(viewer.scene, viewer.camera);
   paper.getContext("2d").drawImage(drawn, 0, 0);
-  // A4, 1122 by 793 px: picture and labels as on the screen, reduced as a whole.
+  // A4, 1122 by 793 px: picture and labels as on the screen, scaled together.
   const { clientWidth: width, clientHeight: height } = pane;
   const style = { "--w": `${width}px`, "--h": `${height}px`, "--k": Math.min(1122 / width, 793 / height) };
   for (const [name, value] of Object.entries(style)) element("picture").style.setProperty(name, value);
 });
 
-// The server that this page came from tells what meshcat draws, and a pose of the program's own.
-function listen() {
-  const socket = new WebSocket(`ws://${location.host}/live`);
-  socket.binaryType = "arraybuffer";
-  const handle_command = (command) => (command.pose ? show(command.pose) : viewer.handle_command(command));
-  socket.addEventListener("message", ({ data }) => {
-    // As in page.js: the viewer's own method decodes.
-    MeshCat.Viewer.prototype.handle_command_bytearray.call({ handle_command }, new Uint8Array(data));
-  });
-  socket.addEventListener("close", () => fill(element("pose"), "The server has stopped; the picture stays as it is."));
-}
-
-function show(pose) {
-  state.alone = { label: pose.label || "a pose of the program" };
-  for (const who of names) state.alone[who] = floats(pose.robots[who]);
-  update();
-}
-
-// An address may say what is shown at first, such as view.html#row=35&mode=over&factor=50.
+// The address may set the initial view, such as view.html#row=35&mode=over&factor=50.
 function start() {
   const parameters = new URLSearchParams(location.hash.slice(1));
   const mode = parameters.get("mode");
@@ -186,7 +170,7 @@ function start() {
   }
   const pose = Number(parameters.get("pose")) - 1;
   const row = pose in table.labels ? pose : table.labels.indexOf(`row ${parameters.get("row")}`);
-  if (row >= 0) [state.row, state.alone] = [row, null];
+  if (row >= 0) state.row = row;
   if (element("row")) element("row").value = state.row;
   if (bases && ["base", "tracker"].includes(parameters.get("anchor"))) state.anchor = parameters.get("anchor");
   if (both && Object.hasOwn(table.cameras, mode) && mode !== state.mode) {
@@ -203,4 +187,3 @@ window.addEventListener("hashchange", () => {
   arrange();
   update();
 });
-if ("live" in document.body.dataset) listen();

@@ -6,7 +6,7 @@ import base64
 import hashlib
 import json
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,14 +17,11 @@ from numpy.typing import ArrayLike
 import calib.show.figure_base as look
 from calib.basics.files import write_atomically
 
-#: Addresses that a page which came from a server on this computer may connect to: a rule of its security policy.
-_LIVE = "; connect-src 'self' ws://127.0.0.1:* ws://localhost:*"
-
 #: Folder of the templates and scripts.
 _FOLDER = Path(__file__).parent
 
 #: The files of the script of a page of robots, in order.
-_SCRIPTS = ("robots.js", "marks.js", "words.js", "images.js", "controls.js")
+_SCRIPTS = ("robots.js", "marks.js", "inset.js", "image.js", "texts.js", "controls.js")
 
 #: Colours of robots and measured positions.
 COLOURS = {"nominal": look.NOMINAL, "calibrated": look.CALIBRATED, "measured": look.INK}
@@ -69,12 +66,11 @@ class Key(NamedTuple):
     on: bool = True
 
 
-def filled_page(
+def fill_page(
     template: str,
     scene: bytes,
     *,
     table: Mapping[str, Any] | None = None,
-    live: bool = False,
     **content: Any,  # noqa: ANN401  what the template names
 ) -> bytes:
     """Fill in the template of a page.
@@ -83,7 +79,6 @@ def filled_page(
         template: ``"page.html"`` or the name of a template that extends it.
         scene: The scene's message, see `calib.show.scene.scene.SceneWindow.scene`.
         table: Values for the script of a page of robots; None for a page without one.
-        live: The page listens to the server that it came from.
         content: The template's other variables.
 
     Returns:
@@ -92,6 +87,21 @@ def filled_page(
     import jinja2
     from markupsafe import Markup
 
+    viewer = Path(meshcat.viewer_assets_path())
+    scripts = [_safe_text(viewer / "dist/main.min.js"), _safe_text(_FOLDER / "page.js")]
+    if table:
+        joined = "\n".join(_safe_text(_FOLDER / name) for name in _SCRIPTS)
+        scripts.append(f'"use strict";\n(() => {{\n{joined}}})();\n')
+    # The page's security policy: no other script runs, whatever a name may hold.
+    digests = [hashlib.sha256(text.encode()).digest() for text in scripts]
+    sources = " ".join(f"'sha256-{_base64(digest)}'" for digest in digests)
+
+    # The notices that must go with a copy of the viewer: meshcat's own and those of its contents.
+    notices = [viewer / "LICENSE", *sorted((viewer / "dist").glob("main.min.js.*LICENSE*"))]
+    licences = "\n\n".join(_safe_text(path) for path in notices)
+
+    # A block of JSON that no name in it can end.
+    json_text = json.dumps(table, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(_FOLDER),
         autoescape=True,
@@ -99,44 +109,16 @@ def filled_page(
         lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
     )
-    scripts = _scripts(of_robots=bool(table))
-    # A block of JSON that no name in it can end.
-    json_text = json.dumps(table, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
     page = environment.get_template(template).render(
-        hashes=Markup(_policy(scripts, live=live)),
-        live=live,
+        hashes=Markup(sources),
         colours=COLOURS,
-        licences=Markup(_licences()),
+        licences=Markup(licences),
         scene=_base64(scene),
         table=Markup(json_text) if table else "",
         scripts=[Markup(text) for text in scripts],
         **content,
     )
     return page.encode("utf-8", "replace")
-
-
-def _scripts(*, of_robots: bool) -> list[str]:
-    """Return the scripts of a page: meshcat's viewer, the page's, and those of a page of robots."""
-    viewer = Path(meshcat.viewer_assets_path())
-    scripts = [_safe_text(viewer / "dist/main.min.js"), _safe_text(_FOLDER / "page.js")]
-    if of_robots:
-        joined = "\n".join(_safe_text(_FOLDER / name) for name in _SCRIPTS)
-        scripts.append(f'"use strict";\n(() => {{\n{joined}}})();\n')
-    return scripts
-
-
-def _policy(scripts: Sequence[str], *, live: bool) -> str:
-    """Return the page's rule of scripts: no other script runs, whatever a name may hold."""
-    digests = [hashlib.sha256(text.encode()).digest() for text in scripts]
-    sources = " ".join(f"'sha256-{_base64(digest)}'" for digest in digests)
-    return sources + _LIVE if live else sources
-
-
-def _licences() -> str:
-    """Return the notices that must go with a copy of the viewer: meshcat's own and those of its contents."""
-    viewer = Path(meshcat.viewer_assets_path())
-    files = [viewer / "LICENSE", *sorted((viewer / "dist").glob("main.min.js.*LICENSE*"))]
-    return "\n\n".join(_safe_text(path) for path in files)
 
 
 def _safe_text(path: Path) -> str:

@@ -1,5 +1,5 @@
-// What stands about the robots: measured and predicted targets, arrows, frames, instruments, the tracker of a plan.
-// Of more rows than these the arrows are thin and faint, but for that of the row shown.
+// Marks around the robots: measured and predicted targets, arrows, frames, instruments, the tracker of a plan.
+// With more rows than this the arrows are thin and faint, except that of the row shown.
 const crowd = count > 40;
 const faint = { transparent: true, opacity: 0.3, depthWrite: false };
 
@@ -76,7 +76,7 @@ function setLines(object, ends) {
   object.geometry.attributes.position.needsUpdate = true;
 }
 
-// Of a plan: the tracker, the line of sight to each target of the pose shown, and a line to the next pose.
+// For a plan: the tracker, the line of sight to each target of the pose shown, and a line to the next pose.
 const each = targets ? targets.length / 3 / count : 0;
 const sight = targets ? lines("tracker", each, table.colours.beam, 1) : null;
 const next = table.planned ? lines("next", 1, table.colours.way, 1) : null;
@@ -111,8 +111,7 @@ function setArrow(who, row) {
     now.heads.setMatrixAt(0, nothing);
   }
   let end = trueMeasured(who, row);
-  const alone = state.alone && row === state.row;
-  if (!alone && !hasMeasured && both && who === "nominal") end = trueTarget("calibrated", row);
+  if (!hasMeasured && both && who === "nominal") end = trueTarget("calibrated", row);
   if (!end) return;
   const vector = end.sub(trueTarget(who, row)).multiplyScalar(state.factor);
   let length = vector.length();

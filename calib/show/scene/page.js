@@ -10,7 +10,7 @@ function stepBack() {
   stepped = narrow;
 }
 
-// The viewer would be as high as the window, and coarse on a screen with fine pixels.
+// By itself the viewer would be as high as the window, and coarse on a high-resolution screen.
 const fit = viewer.set_3d_pane_size;
 viewer.set_3d_pane_size = () => {
   fit.call(viewer, pane.clientWidth, pane.clientHeight);
@@ -52,7 +52,7 @@ for (const box of document.querySelectorAll("[data-show]")) {
   if (!box.checked) showOrHide(box);
 }
 
-// On a small screen, where the page is stacked, the layers are folded away at first.
+// On a small screen the page is stacked, and the layers are folded at first.
 const layers = document.getElementById("layers");
 const stacked = window.matchMedia("screen and (max-width: 760px), screen and (max-aspect-ratio: 1/1), screen and (max-height: 520px)");
 function fold() {
@@ -61,7 +61,7 @@ function fold() {
 fold();
 stacked.addEventListener("change", fold);
 
-// Labels stay below their robots; one that stands for another arrangement of them is hidden.
+// Labels stay below their robots; those of the other arrangement are hidden.
 const labels = [...document.querySelectorAll(".label")];
 const point = new MeshCat.THREE.Vector3();
 function follow() {
@@ -69,7 +69,7 @@ function follow() {
   for (const label of labels) {
     viewer.scene.updateMatrixWorld();
     point.fromArray(label.dataset.at.split(" ").map(Number)).applyMatrix4(viewer.scene.matrixWorld).project(viewer.camera);
-    // Beside the edge the text stays inside.
+    // Near the edge the text stays inside.
     const half = 0.5 * label.offsetWidth;
     const x = Math.min(Math.max((0.5 + 0.5 * point.x) * pane.clientWidth, half), pane.clientWidth - half);
     label.style.left = x + "px";

@@ -1,12 +1,12 @@
-// Where the robots are: the table that the page brings, the row shown, and what is magnified.
-// Each robot stands at its own base, unless the overlaid ones are to be seen as they were registered.
+// The robots: the page's table of their poses, the row shown, and what is magnified.
+// Each robot stands at its own base, unless the overlaid ones are shown as they were registered.
 const THREE = MeshCat.THREE;
 const table = JSON.parse(document.getElementById("table").textContent);
 const element = (name) => document.getElementById(name);
 const names = Object.keys(table.robots);
 const both = names.length > 1;
 const count = table.labels.length;
-const state = { row: table.start, mode: "side", anchor: "base", factor: table.factor, alone: null };
+const state = { row: table.start, mode: "side", anchor: "base", factor: table.factor };
 
 function floats(text) {
   return new Float32Array(Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0)).buffer);
@@ -21,11 +21,11 @@ for (const who of names) {
   robots[who] = { ...table.robots[who], poses: floats(table.robots[who].poses) };
 }
 const hasMeasured = measured.some((value) => Number.isFinite(value));
-// Base of the nominal robot in the calibrated one's at each row, as registered; null where both are one.
+// Base of the nominal robot in the calibrated one's at each row, as registered; null if they are the same.
 const bases = table.bases ? floats(table.bases) : null;
 const targets = table.targets ? floats(table.targets) : null;
 
-// ---- where a mover is at a row, the calibrated robot's difference magnified ----
+// ---- the pose of a mover at a row, with the calibrated robot's difference magnified ----
 
 const place = new THREE.Vector3(), turn = new THREE.Quaternion();
 const nominalPlace = new THREE.Vector3(), nominalTurn = new THREE.Quaternion(), step = new THREE.Quaternion();
@@ -45,17 +45,16 @@ function robotsFactor() {
 
 function read(who, row, mover, atPlace, atTurn, registered = asRegistered()) {
   const robot = robots[who];
-  const values = state.alone && row === state.row ? state.alone[who] : robot.poses;
-  const start = 7 * ((state.alone && row === state.row ? 0 : row * robot.movers) + mover);
-  atPlace.fromArray(values, start);
-  atTurn.fromArray(values, start + 3);
+  const start = 7 * (row * robot.movers + mover);
+  atPlace.fromArray(robot.poses, start);
+  atTurn.fromArray(robot.poses, start + 3);
   if (!(bases && registered && who === "nominal")) return;
   readBase(row);
   atPlace.applyQuaternion(baseTurn).add(basePlace);
   atTurn.premultiply(baseTurn);
 }
 
-// The displacement from the nominal mover times a factor: the way along a line, the turn about its own axis.
+// The displacement from the nominal mover times a factor: the shift along its line, the turn about its own axis.
 function locate(who, row, mover) {
   read(who, row, mover, place, turn);
   const same = robots[who].same[mover];
@@ -82,9 +81,8 @@ function trueTarget(who, row, registered) {
   return from;
 }
 
-// Where the target was measured, true to scale: side by side as each robot was registered; null where it was not.
+// The measured target, true to scale, side by side as each robot was registered; null if it was not measured.
 function trueMeasured(who, row) {
-  if (state.alone && row === state.row) return null;
   if (!Number.isFinite(measured[3 * row])) return null;
   const at = new THREE.Vector3().fromArray(measured, 3 * row);
   if (!bases || who === "calibrated" || state.mode === "over") return at;

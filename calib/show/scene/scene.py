@@ -21,8 +21,8 @@ from scipy.spatial.transform import Rotation
 import calib.show.figure_base as look
 from calib.basics.arrays import Array
 from calib.robot.robot import Robot
-from calib.show.scene.html_page import Key, Page, filled_page
-from calib.show.scene.puppet import Mesh, Puppet, read_visuals, translation
+from calib.show.scene.html_page import Key, Page, fill_page
+from calib.show.scene.posed_robot import PosedRobot, read_visuals, translation
 
 #: The scene's node that holds the robots.
 SCENE = "robots"
@@ -62,8 +62,8 @@ _Y_TO_Z = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
 class SceneWindow:
     """The commands of a scene, for ``meshcat.Visualizer(window=...)``.
 
-    meshcat's identifiers hold the time and this computer's network address; here they follow from the content, so
-    that the same scene is the same bytes and a mesh that is drawn four times is stored once.
+    meshcat's identifiers hold the time and this computer's network address. Here they follow from the content, so that
+    the same scene is the same bytes, and a mesh that is drawn four times is stored once.
     """
 
     def __init__(self) -> None:
@@ -73,7 +73,7 @@ class SceneWindow:
         """Keep a command, as meshcat's server does."""
         message = command.lower()
         if message["type"] == "set_object":
-            self._share(message["object"], message["path"])
+            self._identify(message["object"], message["path"])
         self._scene["commands"].append(message)
 
     def scene(self) -> bytes:
@@ -81,8 +81,8 @@ class SceneWindow:
         packed: bytes = umsgpack.packb(self._scene)
         return packed
 
-    def _share(self, lowered: dict[str, Any], path: str) -> None:
-        """Identify an object by its path and its geometry by its content, and keep the geometries apart."""
+    def _identify(self, lowered: dict[str, Any], path: str) -> None:
+        """Identify an object by its path and its geometry by its content; store each geometry once, by its name."""
         lowered["object"]["uuid"] = f"object of {path}"
         if "geometries" in lowered:  # one, with its material
             (geometry,) = lowered["geometries"]
@@ -130,7 +130,7 @@ def camera_direction(points: Array, side_view: float = _SIDE_VIEW) -> Array:
 def look_at(
     points: Array, towards_camera: Array, between: tuple[float, float] = (-0.69, 0.75)
 ) -> Camera:
-    """Place a camera as near as it sees all points where no text stands, on a 16:9 screen.
+    """Place a camera as near as possible so that it sees all points clear of the text, on a 16:9 screen.
 
     Args:
         points: shape (N, 3), [m].
@@ -138,25 +138,20 @@ def look_at(
         between: Upper end of the text at the foot and lower end of the heading; the picture is from -1 to 1.
     """
     low, high = between
-    axes = _camera_axes(towards_camera)
+    back = np.cos(_DOWN) * towards_camera + np.sin(_DOWN) * np.array([0.0, 0.0, 1.0])
+    right = np.array([-towards_camera[1], towards_camera[0], 0.0])
+    axes = np.stack([right, np.cross(back, right), back])
     tangents = np.tan(0.5 * np.deg2rad(_FOV_DEG)) * np.array([_ASPECT, 1.0])
     half = tangents * [_WIDTH, 0.5 * (high - low)]
     seen = points @ axes.T
     centre = 0.5 * (seen.min(axis=0) + seen.max(axis=0))
-    for _ in range(3):  # in perspective the middle is not that of the box
+    for _ in range(3):  # in perspective the middle of the picture is not that of the box
         local = seen - centre
         distance = float(np.max(local[:, 2:] + np.abs(local[:, :2]) / half))
         at = local[:, :2] / (distance - local[:, 2:])
         centre[:2] += 0.5 * (at.min(axis=0) + at.max(axis=0)) * distance
     centre[1] -= 0.5 * (low + high) * tangents[1] * distance
     return Camera(centre @ axes, axes, distance)
-
-
-def _camera_axes(towards_camera: Array) -> Array:
-    """Return the camera's axes as rows: right, up, back, shape (3, 3), for a horizontal unit vector to the camera."""
-    back = np.cos(_DOWN) * towards_camera + np.sin(_DOWN) * np.array([0.0, 0.0, 1.0])
-    right = np.array([-towards_camera[1], towards_camera[0], 0.0])
-    return np.stack([right, np.cross(back, right), back])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -206,7 +201,7 @@ def new_scene(camera: Camera, size: float, floor: float) -> Scene:
 
 
 def _draw_floor(node: meshcat.Visualizer, size: float, height: float) -> float:
-    """Draw the lines of the floor at a height [m]; return the edge of a square: 1, 2 or 5 times a power of ten [m]."""
+    """Draw the floor's grid at a height [m]; return the edge of a square [m], which is 1, 2 or 5 times 10^n."""
     power = 10.0 ** np.floor(np.log10(size / _SQUARES))
     step = max(step for step in (1, 2, 5) if step * power <= size / _SQUARES)
     square = float(power * step)
@@ -219,74 +214,41 @@ def _draw_floor(node: meshcat.Visualizer, size: float, height: float) -> float:
     return square
 
 
-def draw_puppet(
+def draw_robot(
     group: meshcat.Visualizer,
-    puppet: Puppet,
+    robot: PosedRobot,
     pose: int,
     material: mc.MeshPhongMaterial,
     ball: float = 0.0,
 ) -> None:
-    """Draw one robot at one pose, each part below its mover.
+    """Draw a robot at one of its poses, each shape below the node of its mover.
 
     Args:
         group: Node of the robot.
-        puppet: The robot.
+        robot: The robot.
         pose: Index of the pose, from 0.
         material: Surface of all parts.
         ball: Radius of the ball at the target [m], which a rod joins to the tip; 0 for none.
     """
-    T_scene_movers = puppet.poses[pose]
-    robot = group["robot"]
-    _draw_parts(robot["links"], T_scene_movers, puppet.parts, material)
-    rods = [(start, end, puppet.radius) for start, end in puppet.rods]
-    if ball:
-        target = len(T_scene_movers) - 1
-        tip = target - 1
-        node = robot["links"][f"{target:03d}"]
-        node.set_transform(T_scene_movers[target])
-        node["ball"].set_object(mc.Sphere(ball), material)
-        rods.append((tip, target, _STALK * ball))
-    _draw_rods(robot["rods"], T_scene_movers[:, :3, 3], rods, material)
-
-
-def _draw_parts(
-    links: meshcat.Visualizer,
-    T_scene_movers: Array,
-    parts: Sequence[tuple[int, Mesh, Array]],
-    material: mc.MeshPhongMaterial,
-) -> None:
-    """Draw the shapes of a robot, each below the node of its mover.
-
-    Args:
-        links: Node of the movers.
-        T_scene_movers: shape (L, 4, 4), the movers in the scene [m].
-        parts: Of each shape the mover's index, from 0, the mesh, and T_mover_shape, (4, 4), [m].
-        material: Surface of the shapes.
-    """
-    for i, (mover, mesh, T_mover_shape) in enumerate(parts):
+    T_scene_movers = robot.poses[pose]
+    links = group["robot"]["links"]
+    for i, (mover, mesh, T_mover_shape) in enumerate(robot.parts):
         link = links[f"{mover:03d}"]
         link.set_transform(T_scene_movers[mover])
         shape = link[f"{i:03d}"]
         shape.set_object(mc.TriangularMeshGeometry(*mesh), material)
         shape.set_transform(T_mover_shape)
-
-
-def _draw_rods(
-    parent: meshcat.Visualizer,
-    origins: Array,
-    rods: Sequence[tuple[int, int, float]],
-    material: mc.MeshPhongMaterial,
-) -> None:
-    """Draw rods between the origins of movers.
-
-    Args:
-        parent: Node of the rods.
-        origins: shape (L, 3), the movers' origins [m].
-        rods: Indices of two movers, and the radius [m].
-        material: Surface of the rods.
-    """
+    rods = [(start, end, robot.radius) for start, end in robot.rods]
+    if ball:
+        target = len(T_scene_movers) - 1
+        tip = target - 1
+        node = links[f"{target:03d}"]
+        node.set_transform(T_scene_movers[target])
+        node["ball"].set_object(mc.Sphere(ball), material)
+        rods.append((tip, target, _STALK * ball))
+    origins = T_scene_movers[:, :3, 3]
     for k, (start, end, radius) in enumerate(rods):
-        node = parent[f"{k:03d}"]
+        node = group["robot"]["rods"][f"{k:03d}"]
         node.set_transform(rod_between(origins[start], origins[end]))
         node["rod"].set_object(mc.Cylinder(1.0, radius), material)
         node["rod"].set_transform(_Y_TO_Z)
@@ -305,7 +267,7 @@ def rod_between(start: Array, end: Array) -> Array:
 
 
 def draw_points(node: meshcat.Visualizer, points: Array, colour: str, radius: float) -> None:
-    """Draw points as balls, or as dots where they are many.
+    """Draw points as balls, or as dots if there are many.
 
     Args:
         node: Node of the points.
@@ -337,7 +299,7 @@ def draw_cloud(node: meshcat.Visualizer, points: ArrayLike, colour: str, edge: f
     levels = [int(colour[i : i + 2], 16) for i in (1, 3, 5)]
     rgb = np.array(levels, dtype=np.float32) / 255
     colours = np.repeat(rgb[:, None], positions.shape[1], axis=1)
-    # three.js takes a size for an angle of view of 90 deg, whatever the camera's is.
+    # three.js scales sizes as if the angle of view were 90 deg.
     size = edge / np.tan(0.5 * np.deg2rad(_FOV_DEG))
     node.set_object(mc.PointCloud(positions, colours, size=float(size)))
 
@@ -385,7 +347,7 @@ def solid(colour: str, *, front: bool = False) -> mc.MeshPhongMaterial:
 
     Args:
         colour: ``"#rrggbb"``.
-        front: Draw it in front of another surface that is a fraction of a millimetre away, without flicker.
+        front: Draw it in front of a surface that is a fraction of a millimetre away, so that neither flickers.
     """
     surface: dict[str, Any] = {
         "color": _number(colour),
@@ -419,24 +381,30 @@ def single_page(
     text: str,
     legend: str,
 ) -> Page:
-    """Make a page of one robot, and of things drawn about it.
+    """Make a page of one robot at one pose, and of things drawn around it.
 
     Args:
         robot: The robot.
         q: shape (m,), its pose [rad or m].
-        points: shape (K, 3), points of the things, in the base [m]: the camera sees them too.
-        draw: Draws the things below the node given, in the base frame; gets the scene's size [m], and returns their
-            entries of the legend.
+        points: shape (K, 3), points of these things in the base [m], so that the camera sees them too.
+        draw: Function of a node and the scene's size [m]: draws the things below the node, in the base frame, and
+            returns their entries of the legend.
         title: The heading.
         text: The sentence below it.
         legend: The robot's entry of the legend.
     """
     visuals, warnings = read_visuals(robot.urdf)
-    puppet = Puppet.of(robot, q[None], visuals, np.eye(4)[None], np.eye(4))
-    size = span(np.concatenate([puppet.outline(), points]))
-    scene, base = _scene_of_one(puppet, points, size)
+    posed = PosedRobot.of(robot, q[None], visuals, np.eye(4)[None], np.eye(4))
+    outline = posed.outline()
+    everything = np.concatenate([outline, points])
+    size = span(everything)
+    camera = look_at(everything, camera_direction(posed.poses[0, :, :3, 3]))
+    scene = new_scene(camera, size, floor=float(outline[:, 2].min()))
+    base = scene.root[SCENE]
+    base.set_transform(translation(-camera.centre))
+    draw_robot(base["nominal"], posed, 0, solid(look.NOMINAL))
     keys = [Key(legend, look.NOMINAL, "nominal"), *draw(base, size)]
-    html = filled_page(
+    html = fill_page(
         "page.html",
         scene.window.scene(),
         keys=keys,
@@ -446,29 +414,6 @@ def single_page(
         warnings=warnings,
     )
     return Page(html, warnings)
-
-
-def _scene_of_one(puppet: Puppet, points: Array, size: float) -> tuple[Scene, meshcat.Visualizer]:
-    """Make a scene with one robot at its first pose.
-
-    Args:
-        puppet: The robot.
-        points: shape (K, 3), points in its base that the camera sees too [m].
-        size: Size of the scene's content [m].
-
-    Returns:
-        The scene, and its node in the robot's base frame.
-    """
-    outline = puppet.outline()
-    everything = np.concatenate([outline, points])
-    origins = puppet.poses[0, :, :3, 3]
-    camera = look_at(everything, camera_direction(origins))
-    floor = float(outline[:, 2].min())
-    scene = new_scene(camera, size, floor)
-    base = scene.root[SCENE]
-    base.set_transform(translation(-camera.centre))
-    draw_puppet(base["nominal"], puppet, 0, solid(look.NOMINAL))
-    return scene, base
 
 
 class Dots(NamedTuple):
@@ -485,7 +430,7 @@ class Dots(NamedTuple):
 
 
 def draw_dots(scene: meshcat.Visualizer, sets: Sequence[Dots], radius: float) -> list[Key]:
-    """Draw the points of each set that has any, with a radius [m]; return the entries of the legend."""
+    """Draw each set that has points, as balls of a radius [m]; return the entries of the legend."""
     keys = []
     for dots in sets:
         if len(dots.points):

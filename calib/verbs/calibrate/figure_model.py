@@ -17,7 +17,7 @@ from calib.camera.optics import CORNER
 from calib.model.families import unit_of
 from calib.numerics.solvers import has_weights_and_priors
 from calib.result.calibration import Calibration
-from calib.result.prediction import ParameterEstimate
+from calib.result.fitted_model import ParameterEstimate
 from calib.show.figure_base import CALIBRATED, INK, NOMINAL, OUTLIER, SOFT
 
 #: Title of the panel of the parameters of each unit.

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from calib.model.families import unit_of
 from calib.model.parameters import FRAME
 from calib.result.calibration import Calibration
-from calib.result.prediction import ParameterEstimate
+from calib.result.fitted_model import ParameterEstimate
 from calib.show.lines import mm, number
 from calib.show.tables import Column, name_column, table_lines
 

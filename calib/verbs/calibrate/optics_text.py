@@ -10,7 +10,7 @@ from calib.basics.arrays import Array
 from calib.camera import optics
 from calib.model.parameters import BOARD, CAMERA, Parameter
 from calib.result.calibration import Calibration
-from calib.result.prediction import ParameterEstimate
+from calib.result.fitted_model import ParameterEstimate
 from calib.show.lines import number, plural
 
 #: Decimals of a number of a lens, by its unit.

@@ -19,7 +19,7 @@ from calib.basics.channels import RESIDUAL_UNITS, Channels
 from calib.model.dh_table import dh_table
 from calib.numerics.errors import Errors, UnitErrors
 from calib.result.calibration import Calibration
-from calib.result.prediction import ParameterEstimate
+from calib.result.fitted_model import ParameterEstimate
 from calib.robot.dh.rows import DHRow
 from calib.show.errors import error_title
 from calib.show.lines import number

@@ -15,7 +15,7 @@ from calib.model.families import FAMILIES, unit_of
 from calib.model.parameters import FRAME, TARGET
 from calib.numerics.errors import Errors
 from calib.result.calibration import Calibration
-from calib.result.prediction import ParameterEstimate
+from calib.result.fitted_model import ParameterEstimate
 from calib.show.doubtful_rows import outliers_text, robustness_text
 from calib.show.errors import error_table, error_title
 from calib.show.lines import mm, number, plural, wrap

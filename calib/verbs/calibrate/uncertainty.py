@@ -32,7 +32,7 @@ from calib.numerics.errors import rms
 from calib.numerics.rigid_motion import without_rigid_motion
 from calib.numerics.solvers import levenberg_marquardt
 from calib.result.calibration import Calibration
-from calib.result.prediction import ParameterEstimate
+from calib.result.fitted_model import ParameterEstimate
 from calib.robot.ranges import spread_poses
 
 #: With fewer samples the ends of a 95 % interval lie beyond them.

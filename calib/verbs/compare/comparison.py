@@ -17,8 +17,7 @@ from calib.data.inputs import ROBOT, RobotInput, chain_of, robot_of
 from calib.diagnosis.reasons import NO
 from calib.errors import ModelError
 from calib.result.calibration import Calibration
-from calib.result.calibration_file import write_table
-from calib.result.result_input import ResultInput, result_of
+from calib.result.calibration_file import ResultInput, result_of, write_table
 from calib.robot.robot import Robot
 from calib.verbs.compare.difference import Differences, Displacement, differences_of
 from calib.verbs.compare.drift import DriftTest

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from calib.show.scene.puppet import translation
+from calib.show.scene.posed_robot import translation
 from calib.verbs.compare.comparison import Comparison
 from calib.verbs.compare.text import sentence
 from calib.verbs.view.view import View, view_of_robots

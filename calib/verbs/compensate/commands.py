@@ -27,7 +27,7 @@ from calib.data.inputs import ROBOT, RobotInput, chain_of, robot_of
 from calib.diagnosis.reasons import NO
 from calib.errors import VerdictError
 from calib.result.calibration import Calibration
-from calib.result.result_input import RESULT, is_result_file, result_of
+from calib.result.calibration_file import RESULT, is_result_file, result_of
 from calib.robot.gravity import Payload
 from calib.robot.ranges import column_limits
 from calib.robot.robot import Robot

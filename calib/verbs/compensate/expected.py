@@ -27,7 +27,7 @@ from calib.basics.values import Value
 from calib.model.kinematics import Samples
 from calib.numerics.errors import CrossValidation
 from calib.result.calibration import Calibration
-from calib.result.prediction import FittedModel
+from calib.result.fitted_model import FittedModel
 from calib.verbs.compensate.nominal_actual import Pair
 from calib.verbs.compensate.pose_covariance import (
     PoseCovariance,

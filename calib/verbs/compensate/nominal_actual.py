@@ -30,7 +30,7 @@ from calib.model.kinematics import Kinematics, Samples
 from calib.model.parameters import TIP, ErrorModel, Parameter
 from calib.numerics.geometry import not_rotations, position_in_tip
 from calib.result.calibration import Calibration, check_same_coupling
-from calib.result.prediction import NonGeometric
+from calib.result.fitted_model import NonGeometric
 from calib.robot.gravity import Payload
 from calib.robot.ranges import spread_poses
 from calib.robot.robot import Robot

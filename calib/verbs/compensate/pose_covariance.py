@@ -28,7 +28,7 @@ from calib.model.kinematics import Samples
 from calib.model.parameters import TARGET, Parameter
 from calib.numerics.rigid_motion import displacements_by
 from calib.result.calibration import Calibration
-from calib.result.prediction import FittedModel, twists_in_base
+from calib.result.fitted_model import FittedModel, twists_in_base
 
 #: Rows whose derivatives are held at a time.
 _AT_A_TIME = 2048

@@ -1,9 +1,10 @@
-"""Placements of a chain whose frames lie as near as they can to where the nominal robot has them.
+"""Placements of a chain whose frames are as near as possible to those of the nominal robot.
 
-A joint's frame may slide along and turn about the joint's axis without any pose changing: that motion G_i commutes
+A joint's frame may slide along and turn about the joint's axis without changing any pose: that motion G_i commutes
 with the joint's own, so that P_i' = P_i G_i, P_(i+1)' = G_i^-1 P_(i+1) are the placements of the same robot. DH rows
-leave that choice to the common normals; `anchored_placements` puts frame i where the next axis, or the tip, lies in
-link i as near as it can to where the nominal robot has it, and else nearest to its nominal pose in link i - 1.
+leave that choice to the common normals. `anchored_placements` chooses frame i so that the next axis, or the tip, is as
+near as possible to its nominal place in link i; what this leaves open is chosen nearest to the nominal pose of frame i
+in link i - 1.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import pinocchio as pin
 
 from calib.basics.arrays import Array, read_only, rigid_inverse
 
-#: Two axes of a link closer to parallel than this do not say how far along them a frame is [rad].
+#: Two axes of a link that are closer to parallel than this do not determine how far along them a frame is [rad].
 PARALLEL_RAD = np.radians(30.0)
 
 #: A distance between two axes below this gives no direction [m].
@@ -70,16 +71,9 @@ def _to_tip(T: Array, nominal: Array, axis: Array) -> Array:
 
 
 def _to_next_axis(T: Array, nominal: Array, axis: Array, next_axis: Array) -> Array:
-    """Return the motion of a frame that brings the next axis nearest to its nominal line.
+    """Return the motion, (4, 4) [m], along and about an axis that brings the next axis nearest to its nominal line.
 
-    Args:
-        T: Pose of the next joint in the frame, shape (4, 4) [m].
-        nominal: Its nominal pose.
-        axis: Axis of the frame's joint, in the frame.
-        next_axis: Axis of the next joint, in the next joint's frame.
-
-    Returns:
-        The motion along and about ``axis``, shape (4, 4) [m].
+    ``T`` and ``nominal`` are the next joint's poses in the frame, ``next_axis`` is in the next joint's frame.
     """
     direction = T[:3, :3] @ next_axis
     point = T[:3, 3]

@@ -15,7 +15,7 @@ from calib.cli.outputs import check_outputs
 from calib.cli.verb import verb
 
 if TYPE_CHECKING:
-    from calib.verbs.convert.camera.options import CameraOptions
+    from calib.verbs.convert.format import CameraOptions
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +49,7 @@ class ChainOptions(CellOptions):
 
 @dataclass(frozen=True, slots=True)
 class ControllerFiles:
-    """Files of the robot's own controller that a new one is made from."""
+    """Files of the robot's own controller from which a new one is made."""
 
     urcontrol: Annotated[
         Path | None,
@@ -97,7 +97,7 @@ class CameraNames:
         str | None,
         typer.Option(
             metavar="JOINT",
-            help="Fixed joint whose origin is changed, so that the optical frame comes out right. "
+            help="Fixed joint whose origin is changed, so that the optical frame gets its estimated pose. "
             "Default: the only one between the link that carries the camera and --camera-frame.",
         ),
     ] = None
@@ -120,7 +120,7 @@ class CameraNames:
 
     def options(self) -> CameraOptions:
         """Return them as a conversion takes them."""
-        from calib.verbs.convert.camera.options import CameraOptions
+        from calib.verbs.convert.format import CameraOptions
 
         return CameraOptions(
             camera=self.camera,
@@ -154,9 +154,9 @@ Examples:
   calib convert result.json --to camera-mount --camera-frame color_optical --move camera_joint -o robot.urdf
   calib convert result.json --camera-frame color_optical -o camera.launch.py
 
-What is written is read back and compared with the robot before it appears; what a format cannot hold is said. A result
-whose verdict is 'do not use', a URDF that states it, and joint zeros that are no better than none, are refused with
-exit status 3, unless --accept is given.
+Every file is read back and compared with the robot before it appears; what a format cannot hold is reported. A result
+whose verdict is 'do not use', a URDF that states this verdict, and joint zeros that are no better than none are refused
+with exit status 3, unless --accept is given.
 """,
     {"{formats}": _formats},
 )
@@ -186,8 +186,8 @@ def convert(
     quiet: Quiet = False,
 ) -> None:
     """Convert SOURCE into the file and print what the format does not hold."""
-    from calib.verbs.convert.conversion import convert as convert_robot
-    from calib.verbs.convert.convert import Options
+    from calib.verbs.convert.convert import convert as convert_robot
+    from calib.verbs.convert.format import Options
     from calib.verbs.convert.text import text
 
     inputs = [

@@ -1,70 +1,190 @@
-"""Convert a robot into the formats that controllers and ROS take.
+"""convert: write a robot in another format, unless the verdict on it is ``do not use``.
 
-What can be read is a row of `KINDS`, what can be written a row of `FORMATS`: files' endings and the function.
+What can be read is a row of `KINDS`, what can be written a row of `FORMATS`; a format is a module with its rows, named
+here.
+
+The verdict stands in a result, or in a comment of a URDF that was written in spite of it (`Urdf.verdict`). A URDF that
+is written states it again; the other formats have no place for it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field, replace
-from functools import partial
+from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
 
 import calib.basics.plugins as plugins
-from calib.basics.values import Value
-from calib.data.inputs import RobotInput
-from calib.errors import CalibError, choices, did_you_mean
+import calib.verbs.convert.camera_intrinsics as camera_intrinsics
+import calib.verbs.convert.camera_mount as camera_mount
+import calib.verbs.convert.dh as dh
+import calib.verbs.convert.origins as origins
+import calib.verbs.convert.pal as pal
+import calib.verbs.convert.robots as robots
+import calib.verbs.convert.static_transform as static_transform
+import calib.verbs.convert.universal_robots as universal_robots
+import calib.verbs.convert.zeros as zeros
+from calib.basics.arguments import check_type
+from calib.basics.files import read_bytes
+from calib.basics.json_files import parsed_json
+from calib.data.inputs import ROBOT, RobotInput
+from calib.errors import CalibError, FileError, VerdictError, choices, did_you_mean
 from calib.result.calibration import Calibration
-from calib.robot.coupled_readings import coupling_lines
-from calib.robot.dh.rows import EQUATIONS, HAYATI, MODIFIED, STANDARD
-from calib.robot.ranges import random_joint_values
-from calib.robot.readback import check_written
+from calib.robot.dh.file import TABLES
 from calib.robot.robot import Robot
-from calib.verbs.convert.camera.intrinsics import write_intrinsics
-from calib.verbs.convert.camera.static_transform import LAUNCH
-from calib.verbs.convert.camera.write import mounted, write_static_transform
-from calib.verbs.convert.dh_files import ENDINGS, DHTables, write_dh
-from calib.verbs.convert.notes import Note
-from calib.verbs.convert.origins import write_origins
-from calib.verbs.convert.pal import write_pal
-from calib.verbs.convert.source import Options as Options, Source as Source
-from calib.verbs.convert.source_kinds import KINDS, YAML, result_source, robot_source, source_kind
-from calib.verbs.convert.universal_robots import read_ur, write_ur_conf, write_ur_yaml
-from calib.verbs.convert.zeros.table import TABLE_ENDINGS
-from calib.verbs.convert.zeros.write import write_zeros
+from calib.robot.xacro_file import is_xacro
+from calib.show.verdict import against, refusal
+from calib.verbs.convert.format import (
+    YAML,
+    CameraOptions as CameraOptions,
+    Conversion as Conversion,
+    Format as Format,
+    Note as Note,
+    Options as Options,
+    Source as Source,
+    SourceKind as SourceKind,
+    parse_yaml,
+)
 
 __all__ = [
     "FORMATS",
     "KINDS",
+    "CameraOptions",
     "Conversion",
     "Format",
+    "Note",
     "Options",
     "Source",
+    "SourceKind",
     "chosen_format",
+    "convert",
     "read_source",
     "register",
+    "source_kind",
 ]
 
-Notes = tuple[Note, ...]
+FORMATS: dict[str, Format] = {
+    **robots.FORMATS,
+    **universal_robots.FORMATS,
+    **origins.FORMATS,
+    **pal.FORMATS,
+    **dh.FORMATS,
+    **zeros.FORMATS,
+    **camera_mount.FORMATS,
+    **static_transform.FORMATS,
+    **camera_intrinsics.FORMATS,
+}
+"""What can be written, by name, as in ``--to``."""
+
+KINDS: dict[str, SourceKind] = {
+    **universal_robots.KINDS,
+    **dh.KINDS,
+    **origins.KINDS,
+    **robots.KINDS,
+}
+"""What can be read, by name; of kinds with the same ending those with a key come first."""
+
+plugins.watch("formats", FORMATS)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Conversion(Value):
-    """A conversion that was done: what was read, and what was written."""
+def register(name: str, row: Format) -> None:
+    """Add a format that robots can be written in.
 
-    #: What was read.
-    source: Source
-    #: Name of the format that was written, one of `FORMATS`.
-    format: str
-    #: The file that was written.
-    path: Path
-    #: What the writer has to say.
-    notes: Notes
-    #: The verdict ``do not use`` and its reason, where one was accepted.
-    against: str = ""
-    #: What went with it.
-    options: Options = field(default_factory=Options)
+    Args:
+        name: Its name, as in ``--to``, which no other format has.
+        row: What it is, the endings of its files, and the function that writes it.
+
+    Raises:
+        CalibError: The name is taken.
+    """
+    if name in FORMATS:
+        raise CalibError(f"The format '{name}' needs a name other than {choices(FORMATS, 60)}.")
+    FORMATS[name] = row
+
+
+def convert(
+    source: Calibration | RobotInput,
+    path: str | Path,
+    *,
+    to: str | None = None,
+    robot: RobotInput | None = None,
+    options: Options | None = None,
+    overwrite: bool = False,
+    accept: bool = False,
+) -> Conversion:
+    """Write a calibration or a robot in the format of a controller, of ROS or of another program.
+
+    What is written is read back and compared with the robot before it appears.
+
+    Args:
+        source: A calibration; a robot; or the path of a result, a controller's file, an origins file, a URDF or a
+            xacro; or the name of a robot.
+        path: The file to write.
+        to: Name of the format, such as ``"dh"``, one of `FORMATS`; None: by the file's ending.
+        robot: The nominal robot, or its URDF, xacro or name; None: that of the calibration.
+        options: What else goes with the conversion, such as ``hash_from``; None: nothing. The arguments of this
+            function take precedence over it.
+        overwrite: Whether an existing file is replaced.
+        accept: Whether to write even if the verdict is ``do not use``, which a URDF then states in a comment, or if
+            joint zeros alone are no better than the nominal robot.
+
+    Returns:
+        What was read and written, and what there is to say about it.
+
+    Raises:
+        ArgumentError: An argument of another type.
+        VerdictError: The verdict on the source is ``do not use``, or joint zeros alone are no better than the nominal
+            robot, and ``accept`` is not given.
+        FileError: A file cannot be read or written.
+        UrdfError: A URDF cannot be read, or, read back, is not the robot.
+        ModelError: The robot has no form in this format, or things do not fit each other.
+        CalibError: Something that the format needs was not given.
+    """
+    check_type(
+        "source",
+        source,
+        (Calibration, Robot, str, Path),
+        f"a Calibration; {ROBOT}; or another file",
+    )
+    check_type("path", path, (str, Path), "the path of the file to write")
+    check_type("to", to, (str, type(None)), f"one of {choices(FORMATS)}, or None")
+    check_type(
+        "options", options, (Options, type(None)), "Options, or None; the format's name is 'to'"
+    )
+    given = options or Options()
+    chosen = replace(
+        given,
+        to=given.to if to is None else to,
+        robot=given.robot if robot is None else robot,
+        overwrite=overwrite or given.overwrite,
+        accept=accept or given.accept,
+    )
+    path = Path(path)
+    content, name = read_source(source, path, chosen)
+    row = FORMATS[name]
+    if chosen.update is not None and not row.updates:
+        able = [other for other, one in FORMATS.items() if one.updates]
+        raise CalibError(
+            f"--update {chosen.update}: the format '{name}' does not copy an existing file; --update is for "
+            f"{choices(able)}."
+        )
+    if chosen.camera != CameraOptions() and not row.of_camera:
+        able = [other for other, one in FORMATS.items() if one.of_camera]
+        raise CalibError(
+            f"A camera or board was named, but the format '{name}' has neither; give --to with {choices(able)}."
+        )
+
+    # If another file is applied to a URDF, the verdict that this URDF states is on an earlier calibration, and does not
+    # count.
+    verdict_against = against(content.verdict)
+    if content.kind == "robot":
+        verdict_against = content.robot.urdf.verdict
+    if verdict_against and not chosen.accept:
+        named = f"'{source}'" if isinstance(source, (str, Path)) else "the calibration"
+        raise VerdictError(refusal(named, verdict_against))
+    urdf = content.robot.urdf.with_verdict(verdict_against)
+    if urdf != content.robot.urdf:
+        content = replace(content, robot=replace(content.robot, urdf=urdf))
+    notes = row.write(content, path, chosen)
+    return Conversion(content, name, path, notes, verdict_against, chosen)
 
 
 def read_source(
@@ -84,17 +204,51 @@ def read_source(
         FileError: The file cannot be read.
         UrdfError: A URDF cannot be read.
         ModelError: Things do not fit each other.
-        CalibError: Something was not given that is needed.
+        CalibError: Something that is needed was not given.
     """
     if isinstance(source, Calibration):
         name = chosen_format(path, options.to, "result")
-        return result_source(source, options, "The calibration"), name
+        return robots.result_source(source, options, "The calibration"), name
     if isinstance(source, Robot):
         name = chosen_format(path, options.to, "robot")
-        return robot_source(source, options), name
+        return robots.robot_source(source, options), name
     kind = source_kind(str(source))
     name = chosen_format(path, options.to, kind)
     return KINDS[kind].read(str(source), options), name
+
+
+def source_kind(source: str) -> str:
+    """Return the kind of a source, by its ending, and of a YAML or JSON file by its keys.
+
+    Args:
+        source: A file, or the name of a robot.
+
+    Returns:
+        The name of a row of `KINDS`.
+
+    Raises:
+        FileError: It is none of them, or a YAML file cannot be read.
+    """
+    ending = "" if is_xacro(source) else Path(source).suffix.lower()
+    keys: tuple[str, ...] = ()
+    if ending == ".json":
+        try:
+            table = parsed_json(read_bytes(source, "JSON file"), source)
+        except FileError:
+            table = None  # its reader reports this
+        keys = tuple(map(str, table)) if isinstance(table, dict) else ()
+    elif ending in TABLES:
+        keys = ("equation",)
+    elif ending in YAML:
+        keys = tuple(map(str, parse_yaml(read_bytes(source, "YAML file"), source, "YAML file")))
+    for name, kind in KINDS.items():
+        if ending in kind.endings and (not kind.key or kind.key in keys):
+            return name
+    raise FileError(
+        f"{source}: neither its ending nor a key says what it is. Give a calibration.conf or a "
+        "kinematics.yaml of Universal Robots, a result (.json), an origins file (.yaml), DH rows (.csv, .json), a "
+        "URDF, a xacro, or the name of a robot such as 'ur3'."
+    )
 
 
 def chosen_format(path: Path, given: str | None, kind: str) -> str:
@@ -125,193 +279,3 @@ def chosen_format(path: Path, given: str | None, kind: str) -> str:
     if given is None:
         fault = f"'{ending}' does not say which format is wanted"
     raise CalibError(f"{path}: {fault}. Give one of: {options}. {plugins.HINT}")
-
-
-# What can be written
-
-
-def _write_urdf(source: Source, path: Path, options: Options) -> Notes:
-    """Write the URDF, read back by Pinocchio and yourdfpy."""
-    robot = source.robot
-    q = random_joint_values(robot)
-    written = robot
-    if source.kind == "robot" and source.nominal is not None:
-        written = source.nominal.with_placements(robot.placements)
-    written = replace(written, urdf=written.urdf.with_verdict(robot.urdf.verdict))
-    check_written(written, robot.poses(q), q)
-    written.urdf.write(path, overwrite=options.overwrite)
-    coupled = robot.reading_coupling
-    if not coupled:
-        return ()
-    known = "" if written.urdf.dh is None else ", or the rows in a comment of the URDF do"
-    return (Note("coupled readings", (coupling_lines(coupled), known)),)
-
-
-def _write_origins(source: Source, path: Path, options: Options) -> Notes:
-    """Write the origins of the chain's joints."""
-    write_origins(source.robot, path, overwrite=options.overwrite)
-    return ()
-
-
-def _write_pal(source: Source, path: Path, options: Options) -> Notes:
-    """Write the corrections of the joints' origins for PAL's robots."""
-    write_pal(source, path, overwrite=options.overwrite)
-    return ()
-
-
-def _write_dh(convention: str | None, source: Source, path: Path, options: Options) -> Notes:
-    """Write DH rows, beside the nominal ones where these are another robot's.
-
-    Without a convention it is that of the rows that the robot was made from, else the standard one.
-    """
-    nominal = None if source.nominal is source.robot else source.nominal
-    notes: Notes = ()
-    if convention is None:
-        made_from = source.robot.urdf.dh
-        convention = STANDARD if made_from is None else made_from.table.convention
-        notes = (Note("rows written", (convention, EQUATIONS[convention])),)
-    tables = DHTables.of(source.robot, nominal, convention)
-    write_dh(tables, path, overwrite=options.overwrite)
-    return notes + tables.notes
-
-
-def _write_ur_yaml(source: Source, path: Path, options: Options) -> Notes:
-    """Write a kinematics.yaml with the robot's own hash."""
-    hash = source.hash
-    numbers = source.numbers
-    notes: Notes = ()
-    if options.hash_from is not None:
-        own_file = read_ur(options.hash_from, urcontrol=options.urcontrol, model=source.model)
-        hash = own_file.hash
-        numbers = own_file.numbers
-        notes = own_file.notes
-    if hash is None:
-        raise CalibError(
-            f"{path}: a kinematics.yaml has the hash of the robot's own calibration, which the ROS "
-            "driver compares with what the controller reports. Give the robot's own "
-            "kinematics.yaml (from ros2 launch ur_calibration calibration_correction.launch.py) or "
-            "its calibration.conf as --hash-from."
-        )
-    written = write_ur_yaml(source, path, hash, like=numbers, overwrite=options.overwrite)
-    return notes + written.notes
-
-
-def _write_camera_mount(source: Source, path: Path, options: Options) -> Notes:
-    """Write the URDF with the camera and the board at their estimated poses."""
-    return _write_urdf(mounted(source, options), path, options)
-
-
-def _write_static_transform(source: Source, path: Path, options: Options) -> Notes:
-    """Write the pose of the camera for ROS 2."""
-    write_static_transform(source, path, options)
-    return ()
-
-
-def _write_intrinsics(name: str, source: Source, path: Path, options: Options) -> Notes:
-    """Write the intrinsics of the camera for ROS or OpenCV."""
-    write_intrinsics(name, source, path, options)
-    return ()
-
-
-def _write_ur_conf(source: Source, path: Path, options: Options) -> Notes:
-    """Write the deltas of a calibration.conf."""
-    return write_ur_conf(source, path, options.update, overwrite=options.overwrite).notes
-
-
-class Format(NamedTuple):
-    """A format that can be written."""
-
-    #: What it is, for texts.
-    what: str
-    #: Endings of its files; none where the name alone chooses it.
-    endings: tuple[str, ...]
-    #: Writes a source to a file that is read back and compared; returns what it has to say.
-    write: Callable[[Source, Path, Options], Notes]
-    #: Whether it may be a copy of a robot's own file, `Options.update`, with new numbers.
-    updates: bool = False
-    #: Whether it is of a camera, and takes the names of `Options.camera`.
-    of_camera: bool = False
-
-
-FORMATS: dict[str, Format] = {
-    "urdf": Format("the URDF", (".urdf", ".xml"), _write_urdf),
-    "ur-yaml": Format("kinematics.yaml of Universal Robots' ROS driver", YAML, _write_ur_yaml),
-    "ur-conf": Format(
-        "DH deltas of a Universal Robots controller", (".conf",), _write_ur_conf, updates=True
-    ),
-    "origins": Format("the joints' origins, for a xacro to load", YAML, _write_origins),
-    "pal": Format("geometric_calibration of PAL's robots", YAML, _write_pal),
-    "dh": Format(
-        "DH rows in the convention that they came in, else standard",
-        ENDINGS,
-        partial(_write_dh, None),
-    ),
-    "modified-dh": Format(
-        "DH rows, modified (Craig's) convention", ENDINGS, partial(_write_dh, MODIFIED)
-    ),
-    "hayati": Format("DH rows with Hayati's beta", ENDINGS, partial(_write_dh, HAYATI)),
-    "zeros": Format("joint zeros to type in", TABLE_ENDINGS, partial(write_zeros, "zeros")),
-    "dynamixel-hardware": Format(
-        "joint zeros as offsets of ROS' dynamixel_hardware",
-        YAML,
-        partial(write_zeros, "dynamixel-hardware"),
-        updates=True,
-    ),
-    "ros2-transmission": Format(
-        "joint zeros as offsets of ros2_control's transmissions",
-        YAML,
-        partial(write_zeros, "ros2-transmission"),
-        updates=True,
-    ),
-    "lerobot": Format(
-        "joint zeros as homing_offset of LeRobot's Feetech servos (SO-100, SO-101)",
-        (".json",),
-        partial(write_zeros, "lerobot"),
-        updates=True,
-    ),
-    "lerobot-dynamixel": Format(
-        "joint zeros as homing_offset of LeRobot's Dynamixel servos",
-        (".json",),
-        partial(write_zeros, "lerobot-dynamixel"),
-        updates=True,
-    ),
-    "camera-mount": Format(
-        "the URDF with the calibrated mount of the camera", (), _write_camera_mount, of_camera=True
-    ),
-    "static-transform": Format(
-        "the camera's pose for ROS 2's static_transform_publisher",
-        (".sh", LAUNCH),
-        _write_static_transform,
-        of_camera=True,
-    ),
-    "camera-info": Format(
-        "the camera's intrinsics for ROS (camera_info)",
-        YAML,
-        partial(_write_intrinsics, "camera-info"),
-        of_camera=True,
-    ),
-    "opencv": Format(
-        "the camera's intrinsics for OpenCV (FileStorage)",
-        YAML,
-        partial(_write_intrinsics, "opencv"),
-        of_camera=True,
-    ),
-}
-"""The formats by name, as in ``--to``."""
-
-plugins.watch("formats", FORMATS)
-
-
-def register(name: str, row: Format) -> None:
-    """Add a format that robots can be written in.
-
-    Args:
-        name: Its name, as in ``--to``, which no other format has.
-        row: What it is, the endings of its files, and the function that writes it.
-
-    Raises:
-        CalibError: The name is taken.
-    """
-    if name in FORMATS:
-        raise CalibError(f"The format '{name}' needs a name other than {choices(FORMATS, 60)}.")
-    FORMATS[name] = row

@@ -10,7 +10,7 @@ import math
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -19,8 +19,19 @@ from numpy.typing import NDArray
 
 from calib.basics.files import read_bytes, write_atomically
 from calib.basics.units import NUMBER
-from calib.errors import FileError
+from calib.errors import CalibError, FileError, choices
 from calib.robot.robot import Robot
+from calib.verbs.convert.format import (
+    YAML,
+    Format,
+    Note,
+    Notes,
+    Options,
+    Source,
+    SourceKind,
+    parse_yaml,
+)
+from calib.verbs.convert.robots import arm_of
 
 #: A number beyond this [m or rad] is a mistake.
 _FARTHEST = 1e6
@@ -85,11 +96,8 @@ def with_origins(robot: Robot, origins: Mapping[str, JointOrigin]) -> Robot:
     """Return a robot with other origins.
 
     Args:
-        robot: The robot; its held joints, and the origins of joints that are not named, stay.
+        robot: The robot; its held joints, and the origins of joints that are not named, are kept.
         origins: The new origins, by the joints' names.
-
-    Returns:
-        The robot.
 
     Raises:
         UrdfError: The URDF has no such joint.
@@ -106,7 +114,7 @@ def write_origins(robot: Robot, path: str | os.PathLike[str], *, overwrite: bool
     Args:
         robot: The robot.
         path: The file.
-        overwrite: Whether a file that exists is replaced.
+        overwrite: Whether an existing file is replaced.
 
     Returns:
         The path.
@@ -148,39 +156,30 @@ def read_origins(path: str | os.PathLike[str], data: bytes | None = None) -> dic
         The origins by the names of the joints.
 
     Raises:
-        FileError: It cannot be read, or is no origins file; the text names file, joint and key.
+        FileError: It cannot be read, or is not an origins file; the text names file, joint and key.
     """
     content = read_bytes(path, _WHAT) if data is None else data
     section = parse_yaml(content, str(path), _WHAT).get("origins")
     if not isinstance(section, dict) or not section:
         raise FileError(
-            f"{path}: this is no origins file: it has no section 'origins:' with a line for each joint, such as "
+            f"{path}: this is not an origins file: it has no section 'origins:' with a line for each joint, such as "
             f"{_EXAMPLE}"
         )
     origins = {}
     for name, value in section.items():
-        origin = _origin(value)
-        if not isinstance(name, str) or origin is None:
+        entries = value if isinstance(value, dict) else {}
+        xyz = _three_numbers(entries.get("xyz"))
+        rpy = _three_numbers(entries.get("rpy"))
+        if not isinstance(name, str) or xyz is None or rpy is None:
             raise FileError(
                 f"{path}, joint '{name}': xyz and rpy are wanted, three numbers [m] and [rad], as in {_EXAMPLE}"
             )
-        origins[name] = origin
+        origins[name] = JointOrigin(xyz, rpy)
     return origins
 
 
-def _origin(value: object) -> JointOrigin | None:
-    """Return the origin of a joint as YAML has it; None if it is none."""
-    if not isinstance(value, dict):
-        return None
-    xyz = _three_numbers(value.get("xyz"))
-    rpy = _three_numbers(value.get("rpy"))
-    if xyz is None or rpy is None:
-        return None
-    return JointOrigin(xyz, rpy)
-
-
 def _three_numbers(value: object) -> tuple[float, ...] | None:
-    """Return three numbers of a text, or of a list as other programs write them; else None."""
+    """Return three numbers from a text, or from a list, as other programs write them; None if it is neither."""
     words = value.split() if isinstance(value, str) else value
     if not isinstance(words, list) or len(words) != 3:
         return None
@@ -192,23 +191,33 @@ def _three_numbers(value: object) -> tuple[float, ...] | None:
     return tuple(numbers)
 
 
-def parse_yaml(data: bytes, source: str, what: str) -> dict[Any, Any]:
-    """Parse a YAML file.
+# As a format and a source of a conversion
 
-    Args:
-        data: The file's bytes.
-        source: The file's name, for the message.
-        what: What the file should be, for the message: ``"origins file"``.
 
-    Returns:
-        The outermost table; empty where the file holds none.
+def _write(source: Source, path: Path, options: Options) -> Notes:
+    """Write the origins of the corrected chain's joints."""
+    write_origins(source.robot, path, overwrite=options.overwrite)
+    return ()
 
-    Raises:
-        FileError: It is no YAML.
-    """
-    try:
-        table = yaml.safe_load(data)
-    except (yaml.YAMLError, ValueError, RecursionError, ArithmeticError) as error:
-        reason = " ".join(str(error).split())  # with line and column
-        raise FileError(f"{source}: this {what} cannot be read as YAML: {reason}") from error
-    return table if isinstance(table, dict) else {}
+
+def _read(source: str, options: Options) -> Source:
+    """Read an origins file, on the given robot."""
+    origins = read_origins(source)
+    if options.robot is None:
+        raise CalibError(
+            f"{source} has the origins of joints alone; give the URDF that they belong to as "
+            "--robot."
+        )
+    nominal = options.load(options.robot)
+    robot = with_origins(nominal, origins)
+    missing = [name for name in origins_of(robot) if name not in origins]
+    notes: Notes = ()
+    if missing:
+        sentence = "The file has no origin of {0}: they stay as they are in the URDF."
+        notes = (Note("joints without origin", sentence, (choices(missing),)),)
+    return Source("origins", robot, nominal, model=arm_of(nominal, options), notes=notes)
+
+
+FORMATS = {"origins": Format("the joints' origins, for a xacro to load", YAML, _write)}
+
+KINDS = {"origins": SourceKind(YAML, "origins", _read)}

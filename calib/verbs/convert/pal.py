@@ -20,13 +20,13 @@ import yaml
 from calib.basics.arrays import Array
 from calib.basics.files import write_atomically
 from calib.errors import CalibError, FileError
-from calib.verbs.convert.origins import JointOrigin, origins_of, parse_yaml
-from calib.verbs.convert.source import Source
+from calib.verbs.convert.format import YAML, Format, Notes, Options, Source, parse_yaml
+from calib.verbs.convert.origins import JointOrigin, origins_of
 
 #: Names of the numbers of a joint, in the order of xyz and rpy.
 _ENDINGS = ("dx", "dy", "dz", "droll", "dpitch", "dyaw")
 
-#: What the names of joints end in, which the keys leave out.
+#: Ending of the joints' names that the keys leave out.
 _JOINT = "_joint"
 
 #: A change of an origin below this is not written [m or rad].
@@ -36,21 +36,8 @@ _LEAST = 1e-12
 _TOLERANCE = 1e-9
 
 
-def write_pal(source: Source, path: Path, *, overwrite: bool = False) -> Path:
-    """Write the corrections of a robot's joint origins as PAL Robotics' robots read them.
-
-    Args:
-        source: The calibrated robot beside the nominal one, whose URDF the robot runs.
-        path: The file.
-        overwrite: Whether a file that exists is replaced.
-
-    Returns:
-        The path.
-
-    Raises:
-        CalibError: The nominal robot is not known.
-        FileError: The file exists or cannot be written, or two joints have one name there.
-    """
+def _write(source: Source, path: Path, options: Options) -> Notes:
+    """Write the corrections of a robot's joint origins as PAL Robotics' robots read them, in m and rad."""
     if source.nominal is None:
         raise CalibError(
             f"{path}: corrections are added to the URDF that the robot runs; give it as --robot."
@@ -62,13 +49,16 @@ def write_pal(source: Source, path: Path, *, overwrite: bool = False) -> Path:
         for ending, change in zip(_ENDINGS, changes.tolist(), strict=True):
             if abs(change) > _LEAST:
                 numbers[f"{name.removesuffix(_JOINT)}_{ending}"] = change
-    data = _yaml({"robot_state_publisher": {"geometric_calibration": numbers}})
+    table = {"robot_state_publisher": {"geometric_calibration": numbers}}
+    text = yaml.safe_dump(table, sort_keys=False, allow_unicode=True, width=math.inf)
+    data = f"# Added to the <origin> of each joint [m, rad], by calib.\n{text}".encode()
     for name, origin in applied(nominal, data, path).items():
         if np.abs(origin.T_parent_joint - corrected[name].T_parent_joint).max() > _TOLERANCE:
             raise FileError(
                 f"{path}: the correction of '{name}' does not read back; rename the joint in the URDF."
             )
-    return write_atomically(path, data, overwrite=overwrite)
+    write_atomically(path, data, overwrite=options.overwrite)
+    return ()
 
 
 def origin_change(origin: JointOrigin, T_parent_joint: Array) -> Array:
@@ -81,8 +71,8 @@ def origin_change(origin: JointOrigin, T_parent_joint: Array) -> Array:
         T_parent_joint: Shape (4, 4), [m], the pose that it becomes.
 
     Returns:
-        dx, dy, dz [m], droll, dpitch, dyaw [rad], shape (6,); of the two triples of angles that give the rotation, the
-        nearer. Where pitch is a right angle, roll and yaw may change by much, and in opposite directions.
+        dx, dy, dz [m], droll, dpitch, dyaw [rad], shape (6,), with the nearer of the two triples of angles that give
+        the rotation. If pitch is a right angle, roll and yaw may change by much, in opposite directions.
     """
     corrected = JointOrigin.of(T_parent_joint)
     roll, pitch, yaw = corrected.rpy
@@ -119,7 +109,4 @@ def applied(
     return result
 
 
-def _yaml(table: Mapping[str, object]) -> bytes:
-    """Return a table as YAML, one number a line."""
-    text: str = yaml.safe_dump(table, sort_keys=False, allow_unicode=True, width=math.inf)
-    return f"# Added to the <origin> of each joint [m, rad], by calib.\n{text}".encode()
+FORMATS = {"pal": Format("geometric_calibration of PAL's robots", YAML, _write)}

@@ -3,15 +3,17 @@
     calibration.conf  ->  nominal rows + deltas  ->  placements  ->  frames near their nominal places  ->  Robot
     kinematics.yaml   ->  placements  ->  Robot
 
-and back, whichever frames the robot's URDF uses, because the arm is recognised in it. What a file has no place for is
-returned as a note; what is written is read back before it appears.
+and back, whichever frames the robot's URDF uses, because the arm is recognised in it. With the file's own kinematics
+K(q) from the controller's base to its flange, the arm is T_base K(q) T_tool; displacements T_base and T_tool, for which
+the file has no place, are noted. What is written is read back before it appears.
 """
 
 from __future__ import annotations
 
 import os
+import shlex
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +21,7 @@ import pinocchio as pin
 
 from calib.basics.arrays import Array, read_only
 from calib.basics.files import write_atomically
-from calib.errors import FileError, ModelError, choices
+from calib.errors import CalibError, FileError, ModelError, choices
 from calib.model.dh_table import dh_table
 from calib.robot.dh.rows import STANDARD
 from calib.robot.generated.universal_robots import MODELS, UrModel, chain_of_rows, ur_model
@@ -27,12 +29,33 @@ from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 from calib.verbs.compensate.nominal_actual import check_same_joints
 from calib.verbs.convert.anchored_placements import anchored_placements
-from calib.verbs.convert.notes import Code, Note
-from calib.verbs.convert.source import Source
-from calib.verbs.convert.ur_arms import at_flange, chain_poses, kinematics_hash, ur_robot
-from calib.verbs.convert.ur_conf import LINEARISED, Conf, conf_bytes, read_nominal
-from calib.verbs.convert.ur_mount import Mount, distance_from, the_mount
-from calib.verbs.convert.ur_yaml import kinematics_bytes, read_kinematics, read_numbers
+from calib.verbs.convert.format import (
+    YAML,
+    Conversion,
+    Format,
+    Note,
+    Notes,
+    Options,
+    Source,
+    SourceKind,
+)
+from calib.verbs.convert.ur_arms import (
+    Mount,
+    at_flange,
+    chain_poses,
+    distance_from,
+    kinematics_hash,
+    the_mount,
+    ur_robot,
+)
+from calib.verbs.convert.ur_files import (
+    LINEARISED,
+    Conf,
+    KinematicsYaml,
+    conf_bytes,
+    kinematics_bytes,
+    read_nominal,
+)
 
 PathLike = str | os.PathLike[str]
 
@@ -48,7 +71,7 @@ _EXACT_ROWS = 1e-6
 #: A displacement below this is rounding [m and rad].
 _ROUNDING = 1e-12
 
-#: A delta this near to the one that it replaces is that one: of theta [rad], a, d [m], alpha [rad].
+#: A delta that differs by less from the one that it replaces is the same: of theta [rad], a, d [m], alpha [rad].
 _SAME = np.array([1e-14, 1e-13, 1e-12, 1e-14])
 
 #: A calibration that moves the flange further may be of another arm [m].
@@ -60,13 +83,13 @@ _FARTHEST = 0.2
 #: Another arm fits a file as well if the flange moves at most this many times as far.
 _FITS_AS_WELL = 3.0
 
-#: Arms whose flanges differ by less are one [m].
+#: Arms whose flanges differ by less are the same [m].
 _ALIKE = 1e-6
 
 #: Decimals of the displacements in notes [m and rad].
 _NOTE_DECIMALS = 9
 
-#: The sine of alpha beyond which its sign tells the sense of a common normal.
+#: If the sine of alpha is larger than this, its sign shows the sense of a common normal.
 _TELLING_SINE = 0.5
 
 
@@ -82,13 +105,12 @@ def read_ur(
 ) -> Source:
     """Read the arm that a ``calibration.conf`` or a ``kinematics.yaml`` describes.
 
-    A ``calibration.conf`` has deltas only: it needs ``urcontrol``, ``robot`` or ``model``. A
-    ``kinematics.yaml`` is of the arm that it is nearest to, unless one is given.
+    A ``calibration.conf`` has deltas only: it needs ``urcontrol``, ``robot`` or ``model``. A ``kinematics.yaml`` is
+    taken for the arm with the nearest kinematics, unless one is given.
 
     Args:
         path: The file; one that ends in ``.conf`` is a ``calibration.conf``.
-        urcontrol: The controller's file with the arm's nominal rows; None: they are those of the
-            robot or the model.
+        urcontrol: The controller's file with the arm's nominal rows; None: they are those of the robot or the model.
         model: The arm or its name, ``"UR5e"``; None: the robot's.
         robot: The nominal robot whose URDF is corrected; None: a bare one of the arm.
 
@@ -99,80 +121,26 @@ def read_ur(
         FileError: A file cannot be read, or its numbers are not those of a calibration of this arm.
         ModelError: The model is not known, or is not that of the robot, or is not given.
     """
-    if Path(path).suffix.lower() == ".conf":
-        return _read_conf(path, urcontrol, model, robot)
-    return _read_yaml(path, urcontrol, model, robot)
-
-
-def _read_yaml(
-    path: PathLike,
-    urcontrol: PathLike | None,
-    model: UrModel | str | None,
-    robot: Robot | None,
-) -> Source:
-    """Read a ``kinematics.yaml``, see `read_ur`."""
-    chain, hash = read_kinematics(path)
-    numbers, _ = read_numbers(path)
-    arm = _given_arm(urcontrol, model, robot)
-    if arm is None:
-        arm = min(MODELS, key=lambda known: distance_from(chain, known))
-    nominal = ur_robot(arm) if robot is None else robot
-    _checked_distance(path, arm, lambda _: chain)
-    placements = the_mount(nominal, arm).placements_of(chain, nominal)
-    corrected = nominal.with_placements(placements)
-    notes = _hash_notes(path, hash)
-    return Source("ur-yaml", corrected, nominal, hash, arm, None, numbers, notes)
-
-
-def _read_conf(
-    path: PathLike,
-    urcontrol: PathLike | None,
-    model: UrModel | str | None,
-    robot: Robot | None,
-) -> Source:
-    """Read a ``calibration.conf``, see `read_ur`."""
-    conf = Conf.read(path)
-
-    def chain_of(arm: UrModel) -> Array:
-        return chain_of_rows(arm.rows + conf.deltas)
-
-    arm = _given_arm(urcontrol, model, robot)
-    if arm is None:
-        raise ModelError(
-            f"{path}: a calibration.conf has only what is added to an arm's nominal rows. Say of "
-            "which arm it is, as in --ur-model UR5e, or give its --urcontrol, or its nominal URDF "
-            "as --robot."
-        )
-    nominal = ur_robot(arm) if robot is None else robot
-    moved = _checked_distance(path, arm, chain_of)
-    placements = the_mount(nominal, arm).placements_of(chain_of(arm), nominal)
-    hash = kinematics_hash(arm.rows + conf.deltas)
-    axes = [np.asarray(joint.axis) for joint in nominal.joints]
-    placements = anchored_placements(placements, nominal.placements, axes)
-    notes: tuple[Note, ...] = ()
-    if urcontrol is None:
-        notes += _arm_notes(path, arm, chain_of, moved)
-    if conf.status != LINEARISED:
-        notes += (Note("not linearised", (str(path), conf.status[:40])),)
-    notes += _hash_notes(path, hash)
-    corrected = nominal.with_placements(placements)
-    return Source("ur-conf", corrected, nominal, hash, arm, conf, None, notes)
-
-
-def _given_arm(
-    urcontrol: PathLike | None, model: UrModel | str | None, robot: Robot | None
-) -> UrModel | None:
-    """Return the arm that was given, by its rows, its robot or its name; None if none was."""
-    named = None if model is None else ur_model(model)
+    arm = None if model is None else ur_model(model)
     if urcontrol is not None:
-        return _arm_of_rows(read_nominal(urcontrol), urcontrol, named)
-    if robot is not None:
-        return the_mount(robot, named).model
-    return named
+        arm = _arm_of_rows(read_nominal(urcontrol), urcontrol, arm)
+    elif robot is not None:
+        arm = the_mount(robot, arm).model
+    if Path(path).suffix.lower() == ".conf":
+        return _read_conf(path, arm, robot, is_certain=urcontrol is not None)
+    file = KinematicsYaml.read(path)
+    if arm is None:
+        arm = min(MODELS, key=lambda known: distance_from(file.chain, known))
+    nominal = ur_robot(arm) if robot is None else robot
+    _checked_distance(path, arm, lambda _: file.chain)
+    placements = the_mount(nominal, arm).placements_of(file.chain, nominal)
+    corrected = nominal.with_placements(placements)
+    notes = _hash_notes(path, file.hash)
+    return Source("ur-yaml", corrected, nominal, arm, file.hash, file, notes)
 
 
 def _arm_of_rows(rows: Array, path: PathLike, model: UrModel | None) -> UrModel:
-    """Return the arm with the rows (6, 4) of a urcontrol.conf; it must be ``model`` if given."""
+    """Return the arm with the rows (6, 4) of a urcontrol.conf, which must be ``model`` if that is given."""
     if model is not None and not model.same(rows):
         raise ModelError(
             f"The rows in [DH] of {path} are not those of the {model.name}. Leave the name of the "
@@ -184,33 +152,61 @@ def _arm_of_rows(rows: Array, path: PathLike, model: UrModel | None) -> UrModel:
     return UrModel(names[0] if names else f"arm of {Path(path).name}", rows)
 
 
-def _arm_notes(path: PathLike, arm: UrModel, chain_of: ChainOf, moved: float) -> tuple[Note, ...]:
-    """Return a note if deltas fit other arms as well: nothing in them tells these apart.
+def _read_conf(
+    path: PathLike, arm: UrModel | None, robot: Robot | None, *, is_certain: bool
+) -> Source:
+    """Read a ``calibration.conf`` of an arm; if this is not certain, note which other arms it fits."""
+    conf = Conf.read(path)
 
-    ``moved`` is how far the deltas move the flange of ``arm`` [m].
-    """
+    def chain_of(known: UrModel) -> Array:
+        return chain_of_rows(known.rows + conf.deltas)
+
+    if arm is None:
+        raise ModelError(
+            f"{path}: a calibration.conf has only what is added to an arm's nominal rows. Say which arm it is for, "
+            "as in --ur-model UR5e, or give its --urcontrol, or its nominal URDF as --robot."
+        )
+    nominal = ur_robot(arm) if robot is None else robot
+    moved = _checked_distance(path, arm, chain_of)
+    placements = the_mount(nominal, arm).placements_of(chain_of(arm), nominal)
+    hash = kinematics_hash(arm.rows + conf.deltas)
+    axes = [np.asarray(joint.axis) for joint in nominal.joints]
+    placements = anchored_placements(placements, nominal.placements, axes)
+    notes: Notes = ()
+    if not is_certain:
+        notes += _arm_notes(path, arm, chain_of, moved)
+    if conf.status != LINEARISED:
+        sentence = "{0} has calibration_status = {1}, not 2 (linearised): the controller may not use these deltas."
+        notes += (Note("not linearised", sentence, (str(path), conf.status[:40])),)
+    notes += _hash_notes(path, hash)
+    return Source("ur-conf", nominal.with_placements(placements), nominal, arm, hash, conf, notes)
+
+
+def _arm_notes(path: PathLike, arm: UrModel, chain_of: ChainOf, moved: float) -> Notes:
+    """Return a note if deltas, which move the flange by ``moved`` [m], fit other arms as well."""
     most = max(_SUSPECT, _FITS_AS_WELL * moved)
     fitting = [known for known in MODELS if distance_from(chain_of(known), known) <= most]
     apart = max((distance_from(known.chain, arm) for known in fitting), default=0.0)
     if apart <= _ALIKE:
         return ()
     names = choices(known.name for known in fitting)
-    return (Note("arm not certain", (str(path), names, arm.name, apart)),)
+    sentence = (
+        "The deltas in {0} fit {1} alike. Taken for another one than the {2}, the flange is up to {3:.0f} mm off; the "
+        "controller's urcontrol.conf (--urcontrol) has the right nominal rows."
+    )
+    return (Note("arm not certain", sentence, (str(path), names, arm.name, apart)),)
 
 
-def _hash_notes(path: PathLike, hash: str | None) -> tuple[Note, ...]:
+def _hash_notes(path: PathLike, hash: str | None) -> Notes:
     """Return a note if a hash is that of a nominal arm."""
-    if any(kinematics_hash(known.rows) == hash for known in MODELS):
-        return (Note("nominal hash", (str(path),)),)
-    return ()
+    if not any(kinematics_hash(known.rows) == hash for known in MODELS):
+        return ()
+    sentence = "{0} has the hash of a nominal arm, which does not identify a particular robot."
+    return (Note("nominal hash", sentence, (str(path),)),)
 
 
 def _checked_distance(path: PathLike, arm: UrModel, chain_of: ChainOf) -> float:
-    """Return how far a calibration moves the flange of an arm [m].
-
-    Raises:
-        FileError: It moves it far more than that of another arm, or than any calibration does.
-    """
+    """Return how far a calibration moves the flange of an arm [m]; `FileError` if that is too far for this arm."""
     moved = distance_from(chain_of(arm), arm)
     if moved <= _SUSPECT:
         return moved
@@ -229,129 +225,64 @@ def _checked_distance(path: PathLike, arm: UrModel, chain_of: ChainOf) -> float:
 # Writing
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class UrWritten:
-    """A file that was written, and displacements of base and flange that it cannot hold.
-
-    With the file's own kinematics K(q) from the controller's base to its flange, the arm is T_base K(q) T_tool.
-    """
-
-    #: The file.
-    path: Path
-    #: Shape (4, 4), [m], in the controller's base; the identity if nothing is lost.
-    T_base: Array
-    #: Shape (4, 4), [m], in the controller's flange; the identity if nothing is lost.
-    T_tool: Array
-    #: What the file cannot hold, and what of another file was kept.
-    notes: tuple[Note, ...]
-
-
-def write_ur_yaml(
-    source: Source,
-    path: PathLike,
-    hash: str,
-    *,
-    like: Array | None = None,
-    overwrite: bool = False,
-) -> UrWritten:
-    """Write a robot as the ``kinematics.yaml`` that the ROS driver and Universal Robots' description take.
-
-    The file is read back and compared before it appears.
+def kinematics_file(
+    source: Source, path: PathLike, hash: str, like: KinematicsYaml | None = None
+) -> tuple[bytes, Array]:
+    """Return a robot as the ``kinematics.yaml`` that the ROS driver and Universal Robots' description take.
 
     Args:
         source: The robot and its nominal robot.
-        path: The file.
+        path: The file, for messages.
         hash: The hash of the robot's own file.
-        like: Numbers of that file, see `kinematics_bytes`; None: those of the source, if it is such
-            a file.
-        overwrite: Whether a file that exists is replaced.
+        like: The robot's own file, see `kinematics_bytes`; None: the source, if it is such a file.
 
     Returns:
-        The file, and what it cannot hold.
+        The file, and the displacement T_tool that it cannot hold, in the controller's flange, shape (4, 4), [m]; the
+        identity if there is none.
 
     Raises:
-        ModelError: No Universal Robots arm, no correction of it, or a file that does not read back.
-        FileError: The file cannot be written, or the hash is none.
+        ModelError: This is not a Universal Robots arm or not a correction of it, or the file does not read back.
+        FileError: The hash is malformed.
     """
     mount, chain = _chain_of(source, path)
     chain = at_flange(chain)
     T_tool = _rounded(chain[6])
-    data = kinematics_bytes(chain, hash, source.numbers if like is None else like)
-    read_back, _ = read_kinematics(path, data)
+    if like is None and isinstance(source.content, KinematicsYaml):
+        like = source.content
+    data = kinematics_bytes(chain, hash, like)
+    read_back = KinematicsYaml.read(path, data).chain
     _check(source.robot, mount, path, (np.eye(4), read_back, T_tool), _EXACT)
-    written = write_atomically(path, data, overwrite=overwrite)
-    return UrWritten(written, np.eye(4), T_tool, _displaced("flange displaced", T_tool))
+    return data, T_tool
 
 
-def write_ur_conf(
-    source: Source,
-    path: PathLike,
-    update: PathLike | None = None,
-    *,
-    overwrite: bool = False,
-) -> UrWritten:
-    """Write a robot as the DH deltas of a ``calibration.conf``.
+def conf_file(
+    source: Source, path: PathLike, updated: Conf | None = None
+) -> tuple[bytes, Array, Array]:
+    """Return a robot as the DH deltas of a ``calibration.conf``.
 
-    The file is read back and compared before it appears. The deltas have the signs and whole turns of those of
-    ``update``, or else of the source, so that what did not change is the same number.
+    The deltas have the signs and whole turns of those of ``updated``, or else of the source, so that unchanged numbers
+    stay the same.
 
     Args:
         source: The robot and its nominal robot.
-        path: The file.
-        update: A ``calibration.conf`` of this arm whose other lines are kept; None: the deltas are
-            written alone.
-        overwrite: Whether a file that exists is replaced.
+        path: The file, for messages.
+        updated: The file of which a copy with new deltas is made; None: the deltas are written alone.
 
     Returns:
-        The file, and what it cannot hold.
+        The file, and the displacements that it cannot hold, shapes (4, 4), [m]: T_base in the controller's base and
+        T_tool in its flange, the identity if there is none.
 
     Raises:
-        ModelError: No Universal Robots arm, no correction of it, or a file that does not read back.
-        FileError: A file cannot be read or written, or ``update`` is of another arm.
+        ModelError: This is not a Universal Robots arm or not a correction of it, or the file does not read back.
+        FileError: ``updated`` is of another arm.
     """
     mount, chain = _chain_of(source, path)
     arm = mount.model
-    updated = None if update is None else _read_updated(update, arm)
-    deltas, T_base, T_tool = _deltas(arm, chain, updated or source.conf)
-    data = conf_bytes(deltas) if updated is None else updated.with_deltas(deltas)
-    read_back = chain_of_rows(arm.rows + Conf.read(path, data).deltas)
-    _check(source.robot, mount, path, (T_base, read_back, T_tool), _EXACT_ROWS)
-    written = write_atomically(path, data, overwrite=overwrite)
-    notes = (
-        *_other_lines(updated, source.conf),
-        *_displaced("base displaced", T_base),
-        *_displaced("flange displaced", T_tool),
-    )
-    return UrWritten(written, T_base, T_tool, notes)
-
-
-def _read_updated(path: PathLike, arm: UrModel) -> Conf:
-    """Read the ``calibration.conf`` that is updated, which must be of this arm."""
-    conf = Conf.read(path)
-    _checked_distance("--update", arm, lambda known: chain_of_rows(known.rows + conf.deltas))
-    return conf
-
-
-def _other_lines(updated: Conf | None, of_source: Conf | None) -> tuple[Note, ...]:
-    """Return a note on the lines of a ``calibration.conf`` that are no deltas: kept or left out."""
-    if updated is not None and updated.others:
-        return (Note("other lines kept", (", ".join(updated.others),)),)
-    if updated is None and of_source is not None and of_source.others:
-        return (Note("other lines left out", (choices(of_source.others),)),)
-    return ()
-
-
-def _deltas(arm: UrModel, chain: Array, reference: Conf | None) -> tuple[Array, Array, Array]:
-    """Return the DH deltas of a chain, and the displacements that rows have no place for.
-
-    Args:
-        arm: The nominal arm.
-        chain: Placements of the calibrated arm, shape (7, 4, 4) [m].
-        reference: The file whose deltas have the wanted signs and turns; None: those near zero.
-
-    Returns:
-        Deltas, shape (6, 4) [rad], [m]; T_base and T_tool of `UrWritten`, shape (4, 4) [m].
-    """
+    reference = source.content if isinstance(source.content, Conf) else None
+    if updated is not None:
+        deltas = updated.deltas
+        _checked_distance("--update", arm, lambda known: chain_of_rows(known.rows + deltas))
+        reference = updated
     nominal = ur_robot(arm)
     placements = the_mount(nominal, arm).placements_of(chain, nominal)
     table = dh_table(nominal.with_placements(placements), STANDARD, like=nominal)
@@ -360,20 +291,32 @@ def _deltas(arm: UrModel, chain: Array, reference: Conf | None) -> tuple[Array, 
     deltas = _in_the_sense_of(rows, arm.rows + reference_deltas) - arm.rows
     is_same = np.abs(deltas - reference_deltas) < _SAME
     deltas = np.where(is_same, reference_deltas, deltas)
-    return deltas, _rounded(table.T_base_0), _rounded(table.T_n_tip)
+    T_base, T_tool = _rounded(table.T_base_0), _rounded(table.T_n_tip)
+
+    data = conf_bytes(deltas) if updated is None else updated.with_deltas(deltas)
+    read_back = chain_of_rows(arm.rows + Conf.read(path, data).deltas)
+    _check(source.robot, mount, path, (T_base, read_back, T_tool), _EXACT_ROWS)
+    return data, T_base, T_tool
+
+
+def _chain_of(source: Source, path: PathLike) -> tuple[Mount, Array]:
+    """Return how the arm of a source is mounted, and its chain, shape (7, 4, 4) [m]."""
+    if source.nominal is None or source.model is None:
+        raise ModelError(
+            f"{path}: this format is for arms of Universal Robots, and the nominal robot is not a known one. "
+            "Name the arm with --ur-model, or give its nominal URDF as --robot."
+        )
+    mount = the_mount(source.nominal, source.model)
+    check_same_joints(source.robot, source.nominal)
+    chain = mount.chain_of(source.robot)
+    _checked_distance(source.robot.urdf.source, mount.model, lambda _: chain)
+    return mount, chain
 
 
 def _in_the_sense_of(rows: Array, reference_rows: Array) -> Array:
-    """Return the same DH rows with senses of the normals, and turns of the angles, as a reference.
+    """Return the same DH rows, (6, 4), with senses of the common normals and turns of the angles as in a reference.
 
-    Of the two senses of a common normal that with the sign of alpha; between parallel axes that with the nearer theta.
-
-    Args:
-        rows: theta, a, d, alpha, shape (6, 4), [rad] and [m].
-        reference_rows: Rows of the wanted senses and turns, shape (6, 4).
-
-    Returns:
-        Rows of the same poses, shape (6, 4).
+    Of the two senses of a normal that with the sign of alpha is taken; between parallel axes that with nearer theta.
     """
     result = np.array(rows)
     for i in range(5):
@@ -394,49 +337,17 @@ def _in_the_sense_of(rows: Array, reference_rows: Array) -> Array:
 
 
 def _rounded(T: Array) -> Array:
-    """Return a pose (4, 4), the identity where it is that but for rounding."""
+    """Return a pose (4, 4), exactly the identity if it is the identity except for rounding."""
     is_identity = np.abs(T - np.eye(4)).max() < _ROUNDING
     return read_only(np.eye(4) if is_identity else T)
 
 
-def _displaced(code: Code, T: Array) -> tuple[Note, ...]:
-    """Return a note on a displacement T (4, 4): three lengths [m] and a rotation vector [rad]."""
-    vector = np.round([*T[:3, 3], *pin.log3(T[:3, :3])], _NOTE_DECIMALS) + 0.0
-    return (Note(code, tuple(vector.tolist())),) if np.any(vector) else ()
-
-
-def _chain_of(source: Source, path: PathLike) -> tuple[Mount, Array]:
-    """Return how the arm of a source is mounted, and its chain, shape (7, 4, 4) [m]."""
-    if source.nominal is None or source.model is None:
-        raise ModelError(
-            f"{path}: this format is for arms of Universal Robots, and the nominal robot is none "
-            "that is known. Name the arm with --ur-model, or give its nominal URDF as --robot."
-        )
-    mount = the_mount(source.nominal, source.model)
-    check_same_joints(source.robot, source.nominal)
-    chain = mount.chain_of(source.robot)
-    _checked_distance(source.robot.urdf.source, mount.model, lambda _: chain)
-    return mount, chain
-
-
 def _check(
-    robot: Robot,
-    mount: Mount,
-    path: PathLike,
-    parts: tuple[Array, Array, Array],
-    exact: float,
+    robot: Robot, mount: Mount, path: PathLike, parts: tuple[Array, Array, Array], exact: float
 ) -> None:
-    """Compare a file that was read back with the robot.
+    """Compare T_base, (4, 4), the chain that was read back, (7, 4, 4), and T_tool, (4, 4) [m], with the robot.
 
-    Args:
-        robot: The robot.
-        mount: How the arm is mounted.
-        path: The file, for the message.
-        parts: T_base (4, 4), the file's chain (7, 4, 4) and T_tool (4, 4), see `UrWritten` [m].
-        exact: Largest difference of poses [m and rad].
-
-    Raises:
-        ModelError: The poses differ by more.
+    `ModelError` if poses differ by more than ``exact`` [m and rad].
     """
     T_base, chain, T_tool = parts
     q = random_joint_values(robot)
@@ -449,3 +360,114 @@ def _check(
             f"rad off; {exact:g} is allowed, so it is not written. Please report this with what was "
             "converted."
         )
+
+
+# As formats and sources of a conversion
+
+
+_DISPLACED = (
+    "by ({0:.6f}, {1:.6f}, {2:.6f}) mm and ({3:.6f}, {4:.6f}, {5:.6f}) mrad (rotation vector), in the axes of the "
+    "controller's"
+)
+
+_BASE_DISPLACED = (
+    f"Not in the file: the first axis lies off {_DISPLACED} base (link 'base'). T_base_frame of the frame of the poses "
+    "becomes T_base^-1 T_base_frame, where T_base is this displacement."
+)
+
+_FLANGE_DISPLACED = (
+    f"Not in the file: the flange lies off {_DISPLACED} flange (link 'tool0'). T_flange_tcp of the tool becomes T_tool "
+    "T_flange_tcp, where T_tool is this displacement."
+)
+
+
+def _displaced(code: str, sentence: str, T: Array) -> Notes:
+    """Return a note on a displacement T, (4, 4) [m]: three lengths [m] and a rotation vector [rad]; none if it is 0."""
+    vector = np.round([*T[:3, 3], *pin.log3(T[:3, :3])], _NOTE_DECIMALS) + 0.0
+    return (Note(code, sentence, tuple(vector.tolist())),) if np.any(vector) else ()
+
+
+def _write_yaml(source: Source, path: Path, options: Options) -> Notes:
+    """Write a kinematics.yaml with the robot's own hash."""
+    hash = source.hash
+    like = None
+    notes: Notes = ()
+    if options.hash_from is not None:
+        own_file = read_ur(options.hash_from, urcontrol=options.urcontrol, model=source.model)
+        hash = own_file.hash
+        like = own_file.content if isinstance(own_file.content, KinematicsYaml) else None
+        notes = own_file.notes
+    if hash is None:
+        raise CalibError(
+            f"{path}: a kinematics.yaml has the hash of the robot's own calibration, which the ROS "
+            "driver compares with what the controller reports. Give the robot's own "
+            "kinematics.yaml (from ros2 launch ur_calibration calibration_correction.launch.py) or "
+            "its calibration.conf as --hash-from."
+        )
+    data, T_tool = kinematics_file(source, path, hash, like)
+    write_atomically(path, data, overwrite=options.overwrite)
+    return notes + _displaced("flange displaced", _FLANGE_DISPLACED, T_tool)
+
+
+def _launch(conversion: Conversion) -> str:
+    """Return the command that starts the ROS driver with the file, in lines of its own, to be copied."""
+    model = conversion.source.model
+    ur_type = "TYPE"
+    if model is not None and model.known:
+        ur_type = model.plain
+    path = shlex.quote(str(conversion.path))
+    if not conversion.path.is_absolute():
+        path = f'"$PWD"/{path}'
+    return (
+        f"  ros2 launch ur_robot_driver ur_control.launch.py ur_type:={ur_type} robot_ip:=ADDRESS \\"
+        f"\n    kinematics_params_file:={path}"
+    )
+
+
+def _write_conf(source: Source, path: Path, options: Options) -> Notes:
+    """Write the deltas of a calibration.conf, alone or in a copy of the controller's own file."""
+    updated = None if options.update is None else Conf.read(options.update)
+    data, T_base, T_tool = conf_file(source, path, updated)
+    write_atomically(path, data, overwrite=options.overwrite)
+    notes: Notes = ()
+    if updated is not None and updated.others:
+        sentence = "{0} are kept as they were: calib does not know how the controller makes them."
+        notes = (Note("other lines kept", sentence, (", ".join(updated.others),)),)
+    if updated is None and isinstance(source.content, Conf) and source.content.others:
+        sentence = (
+            "The file has the deltas alone, without {0}; --update keeps the other lines of a file."
+        )
+        notes = (Note("other lines left out", sentence, (choices(source.content.others),)),)
+    notes += _displaced("base displaced", _BASE_DISPLACED, T_base)
+    return notes + _displaced("flange displaced", _FLANGE_DISPLACED, T_tool)
+
+
+def _read(source: str, options: Options) -> Source:
+    """Read a calibration.conf or a kinematics.yaml, on the given nominal robot or on a bare one."""
+    given = None if options.robot is None else options.load(options.robot)
+    result = read_ur(source, urcontrol=options.urcontrol, model=options.ur_model, robot=given)
+    has_chain = options.base or options.tip or options.held
+    if given is not None or not has_chain:
+        return result
+
+    def on_chain(robot: Robot) -> Robot:
+        base, tip = options.base or robot.base, options.tip or robot.tip
+        return Robot.from_urdf(robot.urdf, base, tip, held=options.held, coupling=options.coupling)
+
+    nominal = on_chain(result.nominal or result.robot)
+    return replace(result, robot=on_chain(result.robot), nominal=nominal)
+
+
+FORMATS = {
+    "ur-yaml": Format(
+        "kinematics.yaml of Universal Robots' ROS driver", YAML, _write_yaml, command=_launch
+    ),
+    "ur-conf": Format(
+        "DH deltas of a Universal Robots controller", (".conf",), _write_conf, updates=True
+    ),
+}
+
+KINDS = {
+    "ur-conf": SourceKind((".conf",), "", _read),
+    "ur-yaml": SourceKind(YAML, "kinematics", _read),
+}

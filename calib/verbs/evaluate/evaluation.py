@@ -29,8 +29,8 @@ from calib.fit.registration.table_rows import rows_and_setup
 from calib.model.error_model import DIRECTIONS
 from calib.model.kinematics import Samples
 from calib.numerics.errors import Errors
+from calib.result.fitted_model import NonGeometric
 from calib.result.image_errors import ImageFigures, length_of_pixels
-from calib.result.prediction import NonGeometric
 from calib.robot.robot import Robot
 
 #: What may be taken from an earlier result.

@@ -1,1 +1,1 @@
-"""Show robots, and what was measured, in the browser."""
+"""Show robots and measurements in the browser."""

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar
 
@@ -42,49 +41,7 @@ class ViewOptions(CellOptions):
     helps: ClassVar[Mapping[str, str]] = TARGET_OF_RESULT
 
 
-@dataclass(frozen=True, slots=True)
-class PageOptions:
-    """The page: served to this computer, or written as a file."""
-
-    output: Annotated[
-        Path | None,
-        typer.Option("-o", "--output", help="Write the page as a file in place of serving it."),
-    ] = None
-    port: Annotated[
-        int,
-        typer.Option(
-            min=0,
-            max=65535,
-            metavar="N",
-            help="Port of 127.0.0.1 at which the page is served; 0: any free one.",
-        ),
-    ] = 0
-    no_browser: Annotated[bool, typer.Option("--no-browser", help="Do not open the browser.")] = (
-        False
-    )
-    force: Force = False
-
-    def show(self, view: View, say: Callable[[str], None]) -> None:
-        """Serve the page, or write it.
-
-        Args:
-            view: What it shows.
-            say: Prints a line.
-        """
-        from calib.verbs.view.live import serve
-        from calib.verbs.view.page import view_page
-
-        if self.output is None:
-            serve(view, port=self.port, browser=not self.no_browser, say=say)
-            return
-        page = view_page(view)
-        page.write(self.output, overwrite=self.force)
-        for warning in page.warnings:
-            say(f"Not drawn as in the URDF: {warning}")
-        say(f"Written: {self.output}")
-
-
-@verb("""Show robots, and what was measured, in the browser.
+@verb("""Show robots and measurements in the browser.
 
 \b
 Examples:
@@ -93,14 +50,13 @@ Examples:
   calib view robot.urdf --calibration result.json --data data.csv -o view.html
 
 One robot, or the nominal and the calibrated side by side: the two URDFs given, or with --calibration the joint origins
-before and after it. --data adds the measured points. The page is served to this computer only, until Ctrl-C; -o writes
-it as a file, which opens without calib.
+before and after it. --data adds the measured points. The page is a file that opens without calib: the one given with
+-o, or a temporary one, which the browser opens, if there is one.
 """)
 def view(
     robot: RobotFile,
     cell_options: ViewOptions,
     table_options: TableOptions,
-    page_options: PageOptions,
     other: Annotated[
         str | None, typer.Argument(metavar="[OTHER]", help="The calibrated robot's URDF.")
     ] = None,
@@ -111,9 +67,13 @@ def view(
         Path | None,
         typer.Option(help="Result of a calibration, as 'calib calibrate --json' writes it."),
     ] = None,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="Write the page to this file.")
+    ] = None,
+    force: Force = False,
     quiet: Quiet = False,
 ) -> None:
-    """Load what is shown, and serve the page or write it."""
+    """Load the robots and the table, write the page, and open it if it is a temporary file."""
     if other is not None and calibration is not None:
         raise CalibError("OTHER and --calibration are both the second robot; leave out one.")
     if data is None and (
@@ -121,14 +81,21 @@ def view(
     ):
         raise CalibError("--points, --columns, --kind, --frame: name the table with --data.")
     inputs = [robot, other, data, cell_options.file, calibration, table_options.points]
-    check_outputs([page_options.output], inputs, force=page_options.force)
+    check_outputs([output], inputs, force=force)
     cell = cell_options.cell()
     if calibration is None:
         arm, measurements = _load(robot, cell, data, table_options)
         shown = _view_of_robots(arm, other, measurements, cell)
     else:
         shown = _view_of_result(robot, cell, cell_options, data, table_options, calibration)
-    page_options.show(shown, _no_text if quiet else partial(print, flush=True))
+    from calib.verbs.view.page import view_page, write_or_open
+
+    page = view_page(shown)
+    written = write_or_open(page, output, overwrite=force)
+    if not quiet:
+        for warning in page.warnings:
+            typer.echo(f"Not drawn as in the URDF: {warning}")
+        typer.echo(f"Written: {written}")
 
 
 def _load(
@@ -180,7 +147,3 @@ def _view_of_robots(
     if cell.target is None and not cell.targets:
         cells = [with_target_link(shown, cell) for shown in (arm, second or arm)]
     return view_of_robots(arm, second, measurements, cells=cells)
-
-
-def _no_text(_text: str) -> None:
-    """Print nothing."""

@@ -1,92 +1,80 @@
-"""The steps of a page of robots: each a row of a table, or of images all corners of one board in one image."""
+"""The steps of a page of robots at a table: each is a row, or of images all corners of one board in one image."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
 
-from calib.basics.arrays import Array, Integers, Mask
+from calib.basics.arrays import Array, Integers, Mask, read_only, rigid_inverse
 from calib.data.measurements import Measurements
 from calib.fit.registration.labels import same_poses
+from calib.robot.robot import Robot
+from calib.show.scene.posed_robot import root_poses
 from calib.verbs.evaluate.evaluation import Evaluation
 
-#: Rows that are shown at most: the page stays quick.
-MOST_ROWS = 400
+#: Largest number of steps that are shown: the page stays quick.
+MOST_STEPS = 400
 
-#: Of `MOST_ROWS`, rows kept free for flagged ones.
-_FLAGGED_ROWS = 50
+#: Of `MOST_STEPS`, the number that is kept free for flagged steps.
+_FLAGGED_STEPS = 50
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Steps:
-    """The N steps of a page."""
-
-    #: One row of each step
-    m: Measurements
-    #: Indices of the rows of each step in the table, from 0
-    rows: tuple[Integers, ...]
-    #: Name of each step, such as ``"row 31"`` or that of an image
-    labels: tuple[str, ...]
-    #: shape (N,), steps with a flagged row
-    flagged: Mask
-    #: shape (2, N), errors of two robots by the unit that they are in, of an image rms; NaN where a step has none
-    errors: dict[str, Array]
-    #: Index of the step that is shown first, from 0
-    start: int
-
-    @property
-    def of_images(self) -> bool:
-        """True if each step is an image."""
-        return bool(np.any(self.m.where(lambda kind: kind.optical)))
-
-    @property
-    def shown(self) -> Integers:
-        """The ascending indices of the steps that are shown: the first one, flagged ones, and an even choice."""
-        count = len(self.flagged)
-        if count <= MOST_ROWS:
-            return np.arange(count)
-        evenly = np.linspace(0, count - 1, MOST_ROWS - _FLAGGED_ROWS).round().astype(int)
-        first_flagged = np.flatnonzero(self.flagged)[: _FLAGGED_ROWS - 1]
-        return np.unique([self.start, *first_flagged, *evenly])
-
-    @property
-    def kinds(self) -> tuple[str, ...]:
-        """``"estimation"``, ``"validation"`` or ``"flagged"`` of each step."""
-        kinds = np.where(self.m.validation, "validation", "estimation")
-        kinds = np.where(self.flagged, "flagged", kinds)
-        return tuple(kinds.tolist())
+#: A link whose pose in the root changes by less than this between two poses of the robot does not move.
+_STILL = 1e-9
 
 
-def steps_of(first: Evaluation, last: Evaluation, flagged: Mask) -> Steps:
-    """Return the steps of a table: its images where all rows are corners in images, else its rows.
+def seen_from_root(e: Evaluation) -> Evaluation:
+    """Reverse the chain of an evaluation if its base moves and its tip does not, as with a camera on the hand.
+
+    The robot then stands on its foot; the board is the measurement frame, which stands still, and the camera is the
+    target, which the hand carries: T_target_tip becomes a T_frame_base, and T_base_frame a T_tip_target.
 
     Args:
-        first: The first robot's residuals.
-        last: The second robot's of the same rows, or again the first's.
-        flagged: shape (M,), the flagged rows.
+        e: The evaluation of a robot; any other one is returned as it is.
     """
-    m = first.measurements
-    rows = _rows_of_steps(m)
-    begins = np.zeros(len(m), dtype=bool)
-    begins[[int(of_step[0]) for of_step in rows]] = True
-    one_each = m.select(begins)
-    flagged_steps = np.array([bool(np.any(flagged[of_step])) for of_step in rows])
-    errors = _errors_by_unit(first, last, rows)
-    leading = next(iter(errors.values()), np.full((2, len(rows)), np.nan))
-    return Steps(
-        m=one_each,
-        rows=rows,
-        labels=_labels(m, rows),
-        flagged=flagged_steps,
-        errors=errors,
-        start=typical_step(leading, one_each.estimation & ~flagged_steps),
+    robot = e.robot
+    if not _moves(robot, robot.base) or _moves(robot, robot.tip):
+        return e
+    m = e.measurements
+    old = e.setup
+    setup = replace(
+        old,
+        groups=old.targets,
+        targets=old.groups,
+        T_frame_base=read_only([rigid_inverse(T) for T in old.T_tip_target]),
+        T_tip_target=read_only([rigid_inverse(T) for T in old.T_frame_base]),
+        unknown=tuple(() for _ in old.targets),
+        frame_given=np.ones(len(old.targets), dtype=bool),
+        target_unknown=np.zeros(len(old.groups), dtype=bool),
+        target_given=np.ones(len(old.groups), dtype=bool),
+        own_axes=np.zeros(len(old.targets), dtype=bool),
+    )
+    return replace(
+        e,
+        robot=robot.rebuilt(base=robot.tip, tip=robot.base),
+        measurements=replace(m, groups=m.targets, targets=m.groups),
+        setup=setup,
     )
 
 
-def _rows_of_steps(m: Measurements) -> tuple[Integers, ...]:
-    """Return the indices of the rows of each step, in the order of the first of them."""
+def _moves(robot: Robot, link: str) -> bool:
+    """Return whether joints of the chain move a link in the root of the URDF."""
+    q = np.zeros((2, len(robot.inputs)))
+    q[1] = 0.1
+    T_root_link: Array = root_poses(robot, robot.readings(q))[link]
+    return bool(np.max(np.abs(T_root_link[1] - T_root_link[0])) > _STILL)
+
+
+def rows_of_steps(m: Measurements) -> tuple[Integers, ...]:
+    """Group the rows of a table into steps: by image if all rows are corners in images, else each row by itself.
+
+    Args:
+        m: The table.
+
+    Returns:
+        Of each step the indices of its rows, from 0; the steps in the order of their first rows.
+    """
     if not len(m) or not np.all(m.where(lambda kind: kind.optical)):
         return tuple(np.arange(len(m))[:, None])
     pose = same_poses(m.joints)
@@ -97,25 +85,18 @@ def _rows_of_steps(m: Measurements) -> tuple[Integers, ...]:
     return tuple(np.array(of_view) for of_view in views.values())
 
 
-def _labels(m: Measurements, rows: Sequence[Integers]) -> tuple[str, ...]:
-    """Return the names of steps: ``row 31``, by their number in the table, or the name of the image."""
-    labels = []
-    for of_step in rows:
-        first = int(of_step[0])
-        image = m.images[first] if m.where(lambda kind: kind.optical)[first] else ""
-        labels.append(image or f"row {m.rows[first]}")
-    return tuple(labels)
-
-
-def _errors_by_unit(
+def errors_by_unit(
     first: Evaluation, last: Evaluation, rows: Sequence[Integers]
 ) -> dict[str, Array]:
-    """Return the errors of two robots at N steps, shape (2, N), rms over the rows of each, by unit; NaN for none.
+    """Compute the errors of two robots at N steps, rms over the rows of each.
 
     Args:
         first: The first robot's residuals.
-        last: The second robot's of the same rows, or again the first's.
-        rows: Indices of the rows of each step, from 0.
+        last: The second robot's at the same rows, or again the first's.
+        rows: Of each step the indices of its rows, from 0.
+
+    Returns:
+        Shape (2, N), by the symbol of the unit; NaN if a step has no error in it.
     """
     errors = {}
     for unit in first.channels.present:
@@ -128,14 +109,16 @@ def _errors_by_unit(
 def typical_step(errors: Array, fitted: Mask) -> int:
     """Return the index of the step that is shown first: the one whose errors, of both robots, are nearest the median.
 
-    Of each robot's errors the steps have ranks; the larger of a step's two distances from the middle rank is least.
+    For each robot the steps are ranked by error. The step is chosen whose larger distance from the middle rank, of the
+    two robots', is least.
 
     Args:
         errors: shape (2, N), in one unit; NaN where none was measured.
-        fitted: shape (N,), the steps to choose from, if any has an error: fitted, and not flagged.
+        fitted: shape (N,), True for steps that were fitted and not flagged; the choice is among these, if any of them
+            has an error.
 
     Returns:
-        The index, from 0; of equal ones the first. 0 where no step has an error.
+        The index, from 0; the first of equal ones, and 0 if no step has an error.
     """
     is_known = np.all(np.isfinite(errors), axis=0)
     steps = np.flatnonzero(is_known & fitted)
@@ -146,3 +129,18 @@ def typical_step(errors: Array, fitted: Mask) -> int:
     ranks = errors[:, steps].argsort(axis=1).argsort(axis=1)
     from_middle = np.abs(ranks - 0.5 * (len(steps) - 1)).max(axis=0)
     return int(steps[from_middle.argmin()])
+
+
+def choose_steps(flagged: Mask, start: int) -> Integers:
+    """Return the ascending indices of the steps that are shown: all, or the first one, flagged ones, an even choice.
+
+    Args:
+        flagged: shape (N,), the flagged steps.
+        start: Index of the step that is shown first.
+    """
+    count = len(flagged)
+    if count <= MOST_STEPS:
+        return np.arange(count)
+    evenly = np.linspace(0, count - 1, MOST_STEPS - _FLAGGED_STEPS).round().astype(int)
+    first_flagged = np.flatnonzero(flagged)[: _FLAGGED_STEPS - 1]
+    return np.unique([start, *first_flagged, *evenly])

@@ -11,7 +11,7 @@ from meshcat import geometry as mc
 from calib.basics.arrays import Array
 from calib.show.figure_base import ESTIMATION, LITTLE_TO_MUCH, NOMINAL, VALIDATION
 from calib.show.scene.html_page import Key, Page
-from calib.show.scene.puppet import translation
+from calib.show.scene.posed_robot import translation
 from calib.show.scene.scene import (
     Dots,
     draw_cloud,

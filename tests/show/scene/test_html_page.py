@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import base64
 import hashlib
-import re
 from html.parser import HTMLParser
 
-from calib.show.scene.html_page import Key, filled_page
+from calib.show.scene.html_page import Key, fill_page
 
 
 class Reader(HTMLParser):
@@ -45,7 +44,7 @@ def make(**changes):
         "grid": 0.1,
         "table": {"labels": ["row 1"]},
     }
-    return filled_page("page.html", b"scene", **{**arguments, **changes})
+    return fill_page("page.html", b"scene", **{**arguments, **changes})
 
 
 def test_only_the_page_s_three_scripts_run_and_nothing_loads():
@@ -66,6 +65,3 @@ def test_only_the_page_s_three_scripts_run_and_nothing_loads():
     for holder in ("Robin Deits", "mrdoob", "Permission is hereby granted"):
         assert holder in reader.scripts[0]
     assert "connect-src" not in policy
-    (live,) = [a["content"] for _, a in Reader(make(live=True)).tags if "http-equiv" in a]
-    (sources,) = re.findall(r"connect-src ([^;]*)", live)
-    assert sources.split() == ["'self'", "ws://127.0.0.1:*", "ws://localhost:*"]

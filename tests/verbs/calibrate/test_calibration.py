@@ -34,7 +34,7 @@ def result(ur3: Robot) -> Calibration:
 
 
 def judged(result: Calibration, use: str) -> Calibration:
-    return with_part(result, "trust", verdict=Verdict(use, (LOST,)))
+    return with_part(result, "geometry", verdict=Verdict(use, (LOST,)))
 
 
 def test_a_urdf_that_is_not_to_be_used_is_not_written(result: Calibration, tmp_path: Path):

@@ -197,10 +197,10 @@ def test_the_same_measurements_are_no_second_opinion(before: Calibration):
 
 
 def test_a_result_that_is_not_to_be_used(before, later):
-    bad = with_part(later("theta3", 1e-3), "trust", verdict=Verdict("do not use", ()))
+    bad = with_part(later("theta3", 1e-3), "geometry", verdict=Verdict("do not use", ()))
     c = compare(before, bad)
     assert (c.outcome, c.why) == ("cannot tell", "bad verdict")
-    careful = compare(before, with_part(bad, "trust", verdict=Verdict("use with care", ())))
+    careful = compare(before, with_part(bad, "geometry", verdict=Verdict("use with care", ())))
     assert careful.outcome == "drift"
 
 

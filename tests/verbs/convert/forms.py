@@ -12,8 +12,8 @@ from calib.data.measurements import Measurements
 from calib.result.calibrate import calibrate
 from calib.result.calibration_file import write_result
 from calib.robot.robot import Robot
-from calib.verbs.convert.conversion import convert
-from calib.verbs.convert.convert import Options
+from calib.verbs.convert.convert import convert
+from calib.verbs.convert.format import Options
 from tests.verbs.convert.ur_cases import CALIBRATIONS, rows, write_deltas
 
 UR3 = next(case for case in CALIBRATIONS if case["robot"] == "UR3")

@@ -1,4 +1,7 @@
-"""Every source in every format: what was written, read by other programs' readers, is the robot that was read."""
+"""Every source in every format: what was written, read by other programs' readers, is the robot that was read.
+
+convert obeys the verdict of a result, and that which a URDF states.
+"""
 
 from __future__ import annotations
 
@@ -14,14 +17,17 @@ import yaml
 from scipy.spatial.transform import Rotation
 
 import calib.example
-from calib.errors import CalibError, ModelError
+from calib.diagnosis.reasons import CARE, NO, Reason, Verdict, Why
+from calib.errors import CalibError, FileError, ModelError, VerdictError
+from calib.result.calibration_file import read_result, write_result
 from calib.robot.generated.universal_robots import chain_of_rows, ur_model
 from calib.robot.robot import Robot
-from calib.verbs.convert.conversion import convert
-from calib.verbs.convert.convert import FORMATS, KINDS, Options, chosen_format
-from calib.verbs.convert.source import Source
-from calib.verbs.convert.source_kinds import source_kind
+from calib.robot.urdf import Urdf
+from calib.verbs.convert.convert import FORMATS, KINDS, chosen_format, convert, source_kind
+from calib.verbs.convert.format import CameraOptions, Options, Source
+from calib.verbs.convert.text import text
 from calib.verbs.convert.ur_arms import chain_poses
+from tests.parts import with_part
 from tests.verbs.convert.forms import UR3, write_forms
 from tests.verbs.convert.ur_cases import CALIBRATIONS, rows, write_deltas
 
@@ -227,3 +233,153 @@ def test_other_robots_have_no_files_of_universal_robots(shop, tmp_path):
         for format in ("ur-yaml", "ur-conf"):
             with pytest.raises(ModelError, match="for arms of Universal Robots"):
                 write(source, tmp_path / "o", format, hash_from=shop / "kinematics.yaml")
+
+
+# Sources
+
+
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [
+        ("result.json", "result"),
+        ("calibration.conf", "ur-conf"),
+        ("kinematics.yaml", "ur-yaml"),
+        ("origins.yaml", "origins"),
+        ("corrected.urdf", "robot"),
+    ],
+)
+def test_the_kind_of_a_file(shop, name, kind):
+    assert source_kind(str(shop / name)) == kind
+    assert source_kind("ur3") == "robot"
+
+
+def test_other_files_are_no_sources(tmp_path):
+    (tmp_path / "x.yaml").write_text("joints: {}\nlimits: {}\n")
+    for name in ("data.bin", "x.yaml"):
+        with pytest.raises(FileError, match="what it is"):
+            source_kind(str(tmp_path / name))
+
+
+# The verdict
+
+
+LOST = Reason.of(Why.PARAMETER_FAR, largest=0.2)
+ENDINGS = {
+    "urdf": ".urdf",
+    "ur-yaml": ".yaml",
+    "ur-conf": ".conf",
+    "origins": ".yaml",
+    "pal": ".yaml",
+    "dynamixel-hardware": ".yaml",
+    "ros2-transmission": ".yaml",
+    "lerobot": ".json",
+    "lerobot-dynamixel": ".json",
+    "camera-mount": ".urdf",
+    "static-transform": ".sh",
+}
+#: Written of results of images alone, which this is not.
+OF_IMAGES = {"camera-info", "opencv"}
+TRACKER = CameraOptions(new_camera_frame="tracker")
+
+
+@pytest.fixture(scope="module")
+def verdicts(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """One robot in every form, and its result with other verdicts."""
+    folder = write_forms(tmp_path_factory.mktemp("forms"))
+    result = read_result(folder / "result.json")
+    for name, use in (("bad", NO), ("care", CARE)):
+        write_result(
+            with_part(result, "geometry", verdict=Verdict(use, (LOST,))), folder / f"{name}.json"
+        )
+    write_result(with_part(result, "geometry", verdict=None), folder / "none.json")
+    convert(str(folder / "bad.json"), folder / "bad.urdf", accept=True)
+    return folder
+
+
+@pytest.mark.parametrize("name", sorted(set(FORMATS) - OF_IMAGES))
+def test_no_format_is_written_of_what_is_not_to_be_used(verdicts: Path, tmp_path: Path, name: str):
+    path = tmp_path / f"made{ENDINGS.get(name, '.csv')}"
+    camera = TRACKER if FORMATS[name].of_camera else CameraOptions()
+    options = Options(
+        to=name, hash_from=verdicts / "calibration.conf", ur_model="UR3", camera=camera
+    )
+    with pytest.raises(VerdictError, match="parameter_far"):
+        convert(str(verdicts / "bad.json"), path, options=options)
+    assert not path.exists()
+    done = convert(str(verdicts / "bad.json"), path, options=options, accept=True)
+    assert done.against.startswith("do not use (parameter_far): ")
+    assert path.exists()
+
+
+def test_a_urdf_states_the_verdict_and_is_else_the_same(verdicts: Path, tmp_path: Path):
+    convert(str(verdicts / "none.json"), tmp_path / "plain.urdf")
+    stated = Urdf.read(verdicts / "bad.urdf")
+    assert "parameter_far" in stated.verdict
+    assert stated.with_verdict("").data == (tmp_path / "plain.urdf").read_bytes()
+
+
+def test_a_urdf_that_states_it_is_refused_like_the_result(verdicts: Path, tmp_path: Path):
+    source, options = str(verdicts / "bad.urdf"), Options(base="base", tip="tool0")
+    for to in ("origins", "urdf"):
+        path = tmp_path / f"made{ENDINGS[to]}"
+        with pytest.raises(VerdictError, match="parameter_far"):
+            convert(source, path, options=replace(options, to=to))
+        assert not path.exists()
+    nominal = replace(options, robot=str(verdicts / "robot.urdf"))
+    convert(source, tmp_path / "again.urdf", options=nominal, accept=True)
+    assert Urdf.read(tmp_path / "again.urdf").verdict == Urdf.read(source).verdict
+
+
+def test_a_file_on_a_urdf_that_states_an_earlier_verdict_does_not_inherit_it(verdicts, tmp_path):
+    options = Options(robot=str(verdicts / "bad.urdf"), base="base", tip="tool0")
+    convert(str(verdicts / "origins.yaml"), tmp_path / "made.urdf", options=options)
+    assert Urdf.read(tmp_path / "made.urdf").verdict == ""
+
+
+@pytest.mark.parametrize(
+    ("source", "said"),
+    [("care.json", "use with care"), ("none.json", "none, the result was not validated")],
+)
+def test_the_verdict_is_printed(verdicts: Path, tmp_path: Path, source: str, said: str):
+    done = convert(str(verdicts / source), tmp_path / "made.csv", to="dh")
+    assert done.against == ""
+    assert f"Verdict on {source}: {said}" in " ".join(text(done, source).split())
+
+
+def test_a_calibration_and_a_robot_are_written_as_their_files_are(verdicts: Path, tmp_path: Path):
+    result = read_result(verdicts / "care.json")
+    expected = convert(
+        verdicts / "care.json", tmp_path / "expected.csv", to="hayati"
+    ).path.read_bytes()
+    made = convert(result, tmp_path / "made.csv", to="hayati")
+    assert made.path.read_bytes() == expected
+    assert made.source.kind == "result"
+    of_robot = convert(result.robot, tmp_path / "robot.csv", to="hayati", robot=result.nominal)
+    assert of_robot.path.read_bytes() == expected
+    assert (
+        convert(result.robot, tmp_path / "robot.urdf").path.read_bytes() == result.robot.urdf.data
+    )
+    with pytest.raises(FileError, match=r"made\.csv"):
+        convert(result, tmp_path / "made.csv", to="hayati")
+    convert(result, tmp_path / "made.csv", to="hayati", overwrite=True)
+
+
+def test_a_calibration_that_is_not_to_be_used_is_refused(verdicts: Path, tmp_path: Path):
+    result = read_result(verdicts / "bad.json")
+    with pytest.raises(VerdictError, match="parameter_far"):
+        convert(result, tmp_path / "made.csv", to="dh")
+    assert convert(result, tmp_path / "made.csv", to="dh", accept=True).against
+
+
+def test_a_file_to_update_is_refused_where_the_format_is_written_anew(
+    verdicts: Path, tmp_path: Path
+):
+    options = Options(update=verdicts / "result.json")
+    for name in ("zeros", "dh", "urdf"):
+        with pytest.raises(CalibError, match="--update"):
+            convert(
+                verdicts / "care.json",
+                tmp_path / f"new{ENDINGS.get(name, '.csv')}",
+                to=name,
+                options=options,
+            )

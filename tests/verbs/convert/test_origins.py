@@ -10,7 +10,14 @@ from calib.errors import FileError, UrdfError
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
-from calib.verbs.convert.origins import origins_of, read_origins, with_origins, write_origins
+from calib.verbs.convert.format import Options
+from calib.verbs.convert.origins import (
+    KINDS,
+    origins_of,
+    read_origins,
+    with_origins,
+    write_origins,
+)
 from tests.places import ROOT
 
 URDF = ROOT / "urdf"
@@ -88,3 +95,12 @@ def test_files_that_are_refused(text: str, said: str, tmp_path: Path):
     (tmp_path / "o.yaml").write_text(text)
     with pytest.raises(FileError, match=said):
         read_origins(tmp_path / "o.yaml")
+
+
+def test_origins_of_some_of_the_joints(tmp_path):
+    lines = (URDF / "ur3_origins.yaml").read_text().splitlines()
+    path = tmp_path / "origins.yaml"
+    path.write_text("\n".join(line for line in lines if "elbow_joint:" not in line) + "\n")
+    on_ur3 = Options(robot=URDF / "ur3.urdf", base="base", tip="tool0")
+    (note,) = KINDS["origins"].read(str(path), on_ur3).notes
+    assert (note.code, note.values) == ("joints without origin", ("'elbow_joint'",))

@@ -12,7 +12,7 @@ import yaml
 
 from calib.errors import CalibError, FileError
 from calib.robot.robot import Robot
-from calib.verbs.convert.conversion import convert
+from calib.verbs.convert.convert import convert
 from calib.verbs.convert.origins import JointOrigin
 from calib.verbs.convert.pal import applied, origin_change
 from tests.places import ROOT

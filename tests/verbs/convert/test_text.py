@@ -1,11 +1,10 @@
-"""A conversion in words: each note has a sentence, and the displacement of the tip is that of the robots."""
+"""A conversion in words: the displacement of the tip is that of the robots, and a note is said once."""
 
 from __future__ import annotations
 
 import re
 from dataclasses import replace
 from pathlib import Path
-from typing import get_args
 
 import numpy as np
 import pytest
@@ -13,10 +12,8 @@ import pytest
 from calib.result.calibration import Calibration
 from calib.robot.ranges import spread_poses
 from calib.robot.robot import Robot
-from calib.verbs.convert.convert import Conversion
-from calib.verbs.convert.notes import Code, Note
-from calib.verbs.convert.text import _NOTES, note_text, text
-from calib.verbs.convert.universal_robots import Source
+from calib.verbs.convert.format import Conversion, Note, Source
+from calib.verbs.convert.text import text
 
 
 @pytest.fixture
@@ -27,23 +24,6 @@ def source(default_result: Calibration) -> Source:
         default_result.nominal,
         verdict=default_result.verdict,
     )
-
-
-def test_every_code_has_a_sentence():
-    assert tuple(_NOTES) == get_args(Code)
-
-
-@pytest.mark.parametrize("code", get_args(Code))
-def test_notes_are_in_mm_and_mrad(code):
-    count = max((int(k) for k in re.findall(r"{(\d)", _NOTES[code])), default=-1) + 1
-    formatted = re.findall(r"{(\d):", _NOTES[code])
-    values = [1.5e-3 if str(k) in formatted else f"name {k}" for k in range(count)]
-    sentence = note_text(Note(code, tuple(values)))
-    assert sentence.endswith((".", "rows."))
-    assert "{" not in sentence
-    for k, value in enumerate(values):
-        shown = {"1.500000", "1.5", "2"} if str(k) in formatted else {value}
-        assert any(word in sentence for word in shown)
 
 
 def test_the_displacement_of_the_tip_is_that_of_the_robots(source: Source, tmp_path: Path):
@@ -74,3 +54,9 @@ def test_a_nominal_robot_has_nothing_to_compare_with(ur3: Robot, tmp_path: Path)
     unknown = text(Conversion(Source("urdf", ur3, None), "dh", path, ()), "ur3.urdf")
     assert " mm (mean)" not in nominal + unknown
     assert "--robot" in unknown
+
+
+def test_a_note_of_reader_and_writer_is_said_once(source: Source, tmp_path: Path):
+    note = Note("far", "It is {0:.0f} mm off.", (2e-3,))
+    told = Conversion(replace(source, notes=(note,)), "dh", tmp_path / "rows.csv", (note,))
+    assert text(told, "result.json").count("It is 2 mm off.") == 1

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,11 +13,10 @@ import pytest
 from calib.errors import FileError, ModelError
 from calib.robot.generated.universal_robots import chain_of_rows, ur_model
 from calib.robot.robot import Robot
-from calib.verbs.convert.source import Source
-from calib.verbs.convert.universal_robots import read_ur, write_ur_conf, write_ur_yaml
-from calib.verbs.convert.ur_arms import chain_poses, kinematics_hash, ur_robot
-from calib.verbs.convert.ur_mount import the_mount
-from calib.verbs.convert.ur_yaml import kinematics_bytes, read_numbers
+from calib.verbs.convert.format import Notes, Options, Source
+from calib.verbs.convert.universal_robots import FORMATS, conf_file, kinematics_file, read_ur
+from calib.verbs.convert.ur_arms import chain_poses, kinematics_hash, the_mount, ur_robot
+from calib.verbs.convert.ur_files import KinematicsYaml, kinematics_bytes
 from tests.places import ROOT
 from tests.verbs.convert.ur_cases import WITH_DELTAS, rows, write_deltas
 
@@ -41,7 +41,13 @@ def codes(notes) -> list[str]:
 
 def of(robot: Robot, nominal: Robot) -> Source:
     """A robot and the arm that it was corrected from."""
-    return Source("robot", robot, nominal, model=the_mount(nominal).model)
+    return Source("robot", robot, nominal, model=the_mount(nominal).model, hash=HASH)
+
+
+def write(source: Source, path: Path, **options) -> Notes:
+    """The notes on a file that was written in the format that its ending says."""
+    name = {".yaml": "ur-yaml", ".conf": "ur-conf"}[path.suffix]
+    return FORMATS[name].write(source, path, Options(**options))
 
 
 def urcontrol_of(table, path: Path) -> Path:
@@ -83,32 +89,42 @@ def test_what_a_file_has_no_place_for_is_said(tip, ur3, tmp_path):
     flange = nominal.rebuilt(tip="tool0").poses(np.zeros(6))[0]
     T_flange_tip = np.linalg.inv(flange) @ nominal.poses(np.zeros(6))[0]
     T_base_arm = np.diag([-1.0, -1.0, 1.0, 1.0]) if tip == "ee_link" else np.eye(4)
-    yaml = write_ur_yaml(of(robot, nominal), tmp_path / "k.yaml", HASH)
-    conf = write_ur_conf(of(robot, nominal), tmp_path / "k.conf")
-    for written in (yaml, conf):
+    source = of(robot, nominal)
+    yaml, conf = tmp_path / "k.yaml", tmp_path / "k.conf"
+    _, T_tool_of_yaml = kinematics_file(source, yaml, HASH)
+    _, T_base, T_tool_of_conf = conf_file(source, conf)
+    assert codes(write(source, yaml)) == ["flange displaced"]
+    notes = write(source, conf)
+    assert codes(notes) == ["base displaced", "flange displaced"]
+    assert notes[0].values[:3] == pytest.approx(T_base[:3, 3], abs=1e-9)
+    assert f"by ({1e3 * T_base[0, 3]:.6f}, " in notes[0].text
+    for path, T_base_of_file, T_tool in (
+        (yaml, np.eye(4), T_tool_of_yaml),
+        (conf, T_base, T_tool_of_conf),
+    ):
         # T_base_tip = T_base_arm T_base K(q) T_tool T_flange_tip
-        again = read_ur(written.path, robot=nominal).robot.poses(Q)
+        again = read_ur(path, robot=nominal).robot.poses(Q)
         kinematics = np.linalg.inv(T_base_arm) @ again @ np.linalg.inv(T_flange_tip)
-        made = T_base_arm @ written.T_base @ kinematics @ written.T_tool @ T_flange_tip
+        made = T_base_arm @ T_base_of_file @ kinematics @ T_tool @ T_flange_tip
         np.testing.assert_allclose(made, robot.poses(Q), rtol=0, atol=2e-9)
-        assert abs(written.T_tool[2, 3]) < 1e-12  # along the axis the sixth joint holds it
-    assert codes(yaml.notes) == ["flange displaced"]
-    assert codes(conf.notes) == ["base displaced", "flange displaced"]
-    assert conf.notes[0].values[:3] == pytest.approx(conf.T_base[:3, 3], abs=1e-9)
+        assert abs(T_tool[2, 3]) < 1e-12  # along the axis the sixth joint holds it
 
 
 def test_a_robot_that_was_calibrated_in_the_factory_is_corrected_further(conf_of, tmp_path):
     factory = read_ur(conf_of(UR3), model="UR3")
     robot = displaced(factory.robot, 1e-4)
-    written = write_ur_yaml(of(robot, factory.robot), tmp_path / "k.yaml", factory.hash)
-    assert codes(written.notes) == ["flange displaced"]
-    again = read_ur(written.path, robot=factory.nominal).robot
-    np.testing.assert_allclose(again.poses(Q) @ written.T_tool, robot.poses(Q), rtol=0, atol=1e-12)
-    conf = write_ur_conf(of(robot, factory.robot), tmp_path / "c.conf")
-    back = conf.T_base @ read_ur(conf.path, model="UR3").robot.poses(Q) @ conf.T_tool
+    source = of(robot, factory.robot)
+    yaml, conf = tmp_path / "k.yaml", tmp_path / "c.conf"
+    assert codes(write(source, yaml)) == ["flange displaced"]
+    again = read_ur(yaml, robot=factory.nominal).robot
+    _, T_tool = kinematics_file(source, yaml, HASH)
+    np.testing.assert_allclose(again.poses(Q) @ T_tool, robot.poses(Q), rtol=0, atol=1e-12)
+    write(source, conf)
+    _, T_base, T_tool = conf_file(source, conf)
+    back = T_base @ read_ur(conf, model="UR3").robot.poses(Q) @ T_tool
     np.testing.assert_allclose(back, robot.poses(Q), rtol=0, atol=1e-12)
     # And its URDF takes another file, its own too.
-    on_it = read_ur(written.path, robot=factory.robot).robot
+    on_it = read_ur(yaml, robot=factory.robot).robot
     np.testing.assert_allclose(on_it.poses(Q), again.poses(Q), rtol=0, atol=1e-12)
     own = read_ur(conf_of(UR3), robot=factory.robot).robot
     np.testing.assert_allclose(own.poses(Q), factory.robot.poses(Q), rtol=0, atol=1e-12)
@@ -121,26 +137,30 @@ def test_rows_of_axes_that_are_almost_parallel(angle, tmp_path):
     placements[2] = placements[2] @ pin.exp6(np.array([0, 0, 0, 0, angle, 0])).homogeneous
     placements[2, 1, 3] += 0.01
     robot = nominal.with_placements(placements)
-    written = write_ur_conf(of(robot, nominal), tmp_path / "c.conf")
-    assert written.notes == ()
-    back = written.T_base @ read_ur(written.path, robot=nominal).robot.poses(Q) @ written.T_tool
+    path = tmp_path / "c.conf"
+    assert write(of(robot, nominal), path) == ()
+    _, T_base, T_tool = conf_file(of(robot, nominal), path)
+    back = T_base @ read_ur(path, robot=nominal).robot.poses(Q) @ T_tool
     np.testing.assert_allclose(back, robot.poses(Q), rtol=0, atol=1e-7)
 
 
 def test_what_a_file_says_of_its_arm_and_hash(conf_of, tmp_path):
     robot = ur_robot("UR10e")
-    path = write_ur_yaml(of(displaced(robot, 3e-4), robot), tmp_path / "k.yaml", HASH).path
+    path = tmp_path / "k.yaml"
+    write(of(displaced(robot, 3e-4), robot), path)
     found = read_ur(path)
     assert (found.model.name, found.hash) == ("UR10e", HASH)
     assert read_ur(path, model="UR12e").model.name == "UR12e"
     path.write_text(path.read_text().replace("hash:", "# hash:"))
     assert read_ur(path, robot=robot).hash is None
     default = kinematics_hash(ur_model("UR5e").rows)
-    write_ur_yaml(of(robot, robot), path, default, overwrite=True)
+    write(replace(of(robot, robot), hash=default), path, overwrite=True)
     assert codes(read_ur(path, robot=robot).notes) == ["nominal hash"]
     conf = conf_of(UR3)
     conf.write_text(f"{conf.read_text()}calibration_status = 1 # 2 == Linearised\n")
-    assert codes(read_ur(conf, model="UR3").notes) == ["arm not certain", "not linearised"]
+    notes = read_ur(conf, model="UR3").notes
+    assert codes(notes) == ["arm not certain", "not linearised"]
+    assert f"up to {1e3 * notes[0].values[3]:.0f} mm off" in notes[0].text
     # The controller's own rows say which arm it is.
     urcontrol = urcontrol_of(rows(UR3["nominal"]), tmp_path / "urcontrol.conf")
     found = read_ur(conf, urcontrol=urcontrol)
@@ -156,7 +176,7 @@ def test_a_file_of_an_arm_of_another_size(conf_of, tmp_path, model):
         read_ur(conf, model=model)
     robot = ur_robot(model)
     with pytest.raises(FileError, match="moves the flange of a"):
-        write_ur_conf(of(robot, robot), tmp_path / "new.conf", conf)
+        write(of(robot, robot), tmp_path / "new.conf", update=conf)
 
 
 def test_names_that_do_not_agree(conf_of, tmp_path, ur3, panda):
@@ -164,20 +184,21 @@ def test_names_that_do_not_agree(conf_of, tmp_path, ur3, panda):
     urcontrol = urcontrol_of(rows(UR3["nominal"]), tmp_path / "urcontrol.conf")
     for words, said in (
         ({"urcontrol": urcontrol, "model": "UR5"}, "are not those of the UR5"),
-        ({"model": "UR5", "robot": ur3}, "is no UR5"),
-        ({"robot": panda}, "is no arm of Universal Robots"),
-        ({}, "Say of which arm it is"),
+        ({"model": "UR5", "robot": ur3}, "is not a UR5"),
+        ({"robot": panda}, "is not an arm of Universal Robots"),
+        ({}, "Say which arm it is for"),
     ):
         with pytest.raises(ModelError, match=said):
             read_ur(conf, **words)
-    path = tmp_path / "out"
+    yaml, new_conf = tmp_path / "out.yaml", tmp_path / "out.conf"
     with pytest.raises(ModelError, match="The robot 'panda' has the joints"):
-        write_ur_yaml(of(panda, ur3), path, HASH)
+        write(of(panda, ur3), yaml)
     with pytest.raises(FileError, match="moves the flange of a UR3 by"):
-        write_ur_conf(of(ur_robot("UR5"), ur_robot("UR3")), path)
+        write(of(ur_robot("UR5"), ur_robot("UR3")), new_conf)
     with pytest.raises(FileError, match="The hash is 'a b'"):
-        write_ur_yaml(of(ur3, ur3), path, "a b")
-    assert not path.exists()
+        write(replace(of(ur3, ur3), hash="a b"), yaml)
+    assert not yaml.exists()
+    assert not new_conf.exists()
 
 
 def test_the_python_of_the_page_runs(conf_of, tmp_path, monkeypatch):
@@ -187,7 +208,7 @@ def test_the_python_of_the_page_runs(conf_of, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     names: dict[str, object] = {}
     exec(compile(code.replace("UR5e", "UR3"), page.name, "exec"), names)
-    assert names["written"].notes == ()
+    assert names["done"].notes == ()
     assert read_ur("kinematics.yaml").hash == UR3["driver_hash"]
     assert Robot.load("ur5e.urdf", "base", "tool0").urdf == names["source"].robot.urdf
 
@@ -211,12 +232,11 @@ def test_the_writers_count_from_the_arm_of_the_source(row, column, change, tmp_p
     arm = source.model
     assert not arm.known
     path = tmp_path / "d.conf"
-    again = write_ur_conf(source, path)
-    assert again.path.read_bytes() == conf.read_bytes()
-    assert again.notes == ()
+    assert write(source, path) == ()
+    assert path.read_bytes() == conf.read_bytes()
     path = tmp_path / "k.yaml"
-    written = write_ur_yaml(source, path, source.hash)
-    found = read_ur(written.path, model=arm).robot.poses(Q)
+    write(source, path)
+    found = read_ur(path, model=arm).robot.poses(Q)
     wanted = chain_poses(chain_of_rows(nominal + SMALL), Q)
     np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-12)
 
@@ -226,16 +246,16 @@ def test_a_file_that_is_read_and_written_is_the_same(tmp_path):
     written = tmp_path / "kinematics.yaml"
     written.write_bytes(kinematics_bytes(chain, "calib_4455573973530731233"))
     source = read_ur(written, model="UR3")
-    again = write_ur_yaml(source, tmp_path / "again.yaml", source.hash).path
+    again = tmp_path / "again.yaml"
+    write(source, again)
     assert again.read_bytes() == written.read_bytes()
     # With the origins of the first joint as they were, its line is that of the robot's own file.
     robot = displaced(source.robot, 1e-4)
     placements = np.array(robot.placements)
     placements[0] = source.robot.placements[0]
     robot = source.robot.with_placements(placements)
-    changed = write_ur_yaml(
-        of(robot, source.robot), tmp_path / "c.yaml", source.hash, like=source.numbers
-    )
-    found, numbers = (read_numbers(one)[0] for one in (changed.path, written))
+    changed = tmp_path / "c.yaml"
+    write(of(robot, source.robot), changed, hash_from=written)
+    found, numbers = (KinematicsYaml.read(one).numbers for one in (changed, written))
     np.testing.assert_array_equal(found[0], numbers[0])
     assert (found[1:] != numbers[1:]).any(axis=1).all()

@@ -12,7 +12,7 @@ import trimesh
 from calib.data.cell import Box
 from calib.robot.meshes import find_mesh, link_shapes, mesh_folders
 from calib.robot.robot import Robot
-from calib.show.scene.puppet import root_poses
+from calib.show.scene.posed_robot import root_poses
 
 
 @cache

@@ -5,18 +5,22 @@ from __future__ import annotations
 import base64
 import json
 import re
+import sys
+import webbrowser
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+import calib
+from calib.errors import FileError
 from calib.show.figure_base import CALIBRATED, NOMINAL, OUTLIER, VALIDATION
-from calib.show.scene.puppet import packed, read_visuals, translation
-from calib.verbs.view.page import FACTORS, magnification, puppets, script_table, view_page
-from calib.verbs.view.view import View, view_of
+from calib.show.scene.posed_robot import packed, read_visuals, translation
+from calib.verbs.view.page import FACTORS, magnification, pose_robots, script_table, view_page
+from calib.verbs.view.view import Measured, View, view_of
 from tests.hard_cases import made
 from tests.show.scene.test_html_page import Reader
-from tests.view_fixtures import scene_of
+from tests.view_fixtures import registered, scene_of, with_points
 
 NASTY = "</script><script>alert(1)</script> \"'&<!-- é漢字 \udcff"
 
@@ -41,7 +45,7 @@ def view(gantry, disturb):
     q = rng.uniform(-0.5, 0.5, (35, 3))
     kinds = ("estimation",) * 30 + ("validation",) * 5
     plain = View(gantry, disturb(gantry), q, kinds=kinds)
-    return replace(plain, measured=plain.predicted[1] + rng.normal(0, 1e-4, (35, 3)))
+    return with_points(plain, plain.predicted[1] + rng.normal(0, 1e-4, (35, 3)))
 
 
 def test_names_add_no_tag_wherever_they_stand(view):
@@ -74,7 +78,7 @@ def test_the_ur3_is_drawn_twice_from_one_copy_of_its_meshes(ur3_view, ur3_page):
 
 def test_the_two_robots_do_not_touch(view):
     table = table_of(view_page(view))
-    shown = puppets(
+    shown = pose_robots(
         view, {name: read_visuals(robot.urdf)[0] for name, robot in view.robots.items()}
     )
     groups = [shown[who].outline() + table["places"][who] for who in shown]
@@ -93,20 +97,20 @@ def test_one_robot_alone_has_no_second_one_and_nothing_to_compare(gantry):
 
 
 def test_poses_points_and_numbers_are_those_of_the_view(view):
-    gap = np.array(view.measured)
+    gap = np.array(view.points)
     gap[3] = np.nan
     errors = np.linalg.norm(gap - view.predicted, axis=2)
-    view = replace(view, measured=gap, errors={"m": errors}, start=30)
-    shown = puppets(
+    view = replace(view, measured=Measured(gap, {"m": errors}), start=30)
+    shown = pose_robots(
         view, {name: read_visuals(robot.urdf)[0] for name, robot in view.robots.items()}
     )
     table = script_table(view, shown)
     json.dumps(table, allow_nan=False)  # plain numbers only
-    for who, puppet in shown.items():
-        count = puppet.poses.shape[1]
+    for who, robot in shown.items():
+        count = robot.poses.shape[1]
         assert table["robots"][who]["movers"] == count
         poses = floats(table["robots"][who]["poses"], 35, count, 7)
-        np.testing.assert_array_equal(poses, packed(puppet.poses))
+        np.testing.assert_array_equal(poses, packed(robot.poses))
     np.testing.assert_allclose(floats(table["measured"], 35, 3), gap, atol=1e-7)
     (unit,) = table["errors"]
     assert (unit["factor"], unit["mark"]) == (pytest.approx(1e3), " mm")
@@ -115,31 +119,33 @@ def test_poses_points_and_numbers_are_those_of_the_view(view):
     assert (table["start"], table["kinds"][30]) == (30, "validation")
     assert (table["instruments"], table["bases"], table["numbers"]) == ([], "", {})
     T = translation([0.001, 0.002, -0.003])
-    apart = script_table(replace(view, T_base_nominal=T), shown)
+    apart = script_table(registered(view, T), shown)
     np.testing.assert_allclose(
         floats(apart["bases"], 35, 7), [[0.001, 0.002, -0.003, 0, 0, 0, 1]] * 35, rtol=1e-6
     )
-    tracked = script_table(replace(view, instruments=translation([3.0, 1.0, 0.5])[None]), shown)
+    stations = translation([3.0, 1.0, 0.5])[None]
+    tracked = script_table(replace(view, measured=replace(view.measured, stations=stations)), shown)
     np.testing.assert_allclose(tracked["instruments"], [[3.0, 1.0, 0.5, 0.0, 0.0, 0.0, 1.0]])
 
 
 def test_typical_arrows_are_well_visible(ur3, ur3_view):
     factor = magnification(ur3_view, 1.0)
     assert factor in FACTORS
-    assert 0.04 < factor * float(np.median(ur3_view.errors["m"][0])) < 0.13
+    assert 0.04 < factor * float(np.median(ur3_view.measured.errors["m"][0])) < 0.13
     # A wild row that was flagged changes nothing.
-    wild = np.array(ur3_view.measured)
+    wild = np.array(ur3_view.points)
     wild[:15] += 100.0
     kinds = ("flagged",) * 15 + ur3_view.kinds[15:]
-    assert magnification(replace(ur3_view, measured=wild, kinds=kinds), 1.0) == factor
+    assert magnification(replace(with_points(ur3_view, wild), kinds=kinds), 1.0) == factor
     assert magnification(View(ur3, ur3, np.zeros((2, 6))), 1.0) == 1
 
 
 def test_the_legend_counts_the_measured_rows(view):
-    gap = np.array(view.measured)
+    gap = np.array(view.points)
     gap[0] = np.nan
     kinds = ("flagged", "flagged", *view.kinds[2:])
-    page = view_page(replace(view, measured=gap, kinds=kinds, verdict="use with care", note="So."))
+    shown = with_points(view, gap)
+    page = view_page(replace(shown, kinds=kinds, verdict="use with care", note="So."))
     text = Reader(page.html).text
     for words in (
         "estimation (28)",
@@ -165,8 +171,52 @@ def test_two_equal_robots_side_by_side_look_equal(view):
 def test_the_tracker_s_view_is_offered_where_frames_were_registered(view):
     T = translation([0.01, 0.0, 0.0])
     for bases, offered in ((np.eye(4), False), (T, True)):
-        html = view_page(replace(view, T_base_nominal=bases)).html
+        html = view_page(registered(view, bases)).html
         assert (b'data-anchor="tracker"' in html) is offered
+
+
+# The page as a file
+
+
+@pytest.fixture
+def opened(monkeypatch):
+    """The addresses that a browser was asked to open, on a computer that has one."""
+    addresses = []
+    monkeypatch.setattr(webbrowser, "open", addresses.append)
+    monkeypatch.setenv("BROWSER", "some")
+    return addresses
+
+
+def test_view_opens_a_temporary_file(gantry, disturb, opened):
+    page = calib.view(made("two_joints"))
+    assert opened == [page.as_uri()]
+    assert "planar: nominal and calibrated" in page.read_text(encoding="utf-8")
+    text = calib.view(gantry, disturb(gantry)).read_text(encoding="utf-8")
+    assert "<strong>First</strong>" in text
+    assert "<strong>" not in calib.view(gantry).read_text(encoding="utf-8")
+
+
+def test_without_a_graphical_browser_view_opens_nothing(gantry, opened, monkeypatch):
+    for name in ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(sys, "platform", "linux")
+    assert calib.view(gantry).exists()
+    assert opened == []
+
+
+def test_view_writes_the_named_file_alone_and_opens_nothing(gantry, opened, tmp_path):
+    path = tmp_path / "view.html"
+    assert calib.view(gantry, path=str(path)) == path
+    first = path.read_bytes()
+    with pytest.raises(FileError):
+        calib.view(made("two_joints"), path=path)
+    assert path.read_bytes() == first
+    assert calib.view(made("two_joints"), path=path, overwrite=True) == path
+    assert path.read_bytes() != first
+    assert opened == []
+    assert list(tmp_path.iterdir()) == [path]
+    with pytest.raises(FileError):
+        calib.view(gantry, path=tmp_path / "none" / "view.html")
 
 
 # In a real browser
@@ -361,7 +411,7 @@ SEEN = """(() => {
 def test_overlaid_one_factor_holds_for_robots_targets_and_arrows(browser, view, tmp_path):
     """Each arrow connects what is seen; at the base or as registered, by old and by new addresses."""
     T = translation([0.02, -0.01, 0.005])
-    apart = replace(view, T_base_nominal=T)
+    apart = registered(view, T)
     page = view_page(apart).write(tmp_path / "v.html").as_uri()
     k = 11
     own = view.predicted[0, k]  # of the nominal robot in its own base
@@ -379,14 +429,14 @@ def test_overlaid_one_factor_holds_for_robots_targets_and_arrows(browser, view, 
             np.testing.assert_allclose(seen["calibrated"], magnified, atol=1e-5)
             shaft, head = seen["arrow"]
             np.testing.assert_allclose(shaft[0], nominal, atol=1e-6)
-            end = nominal + factor * (view.measured[k] - nominal)
+            end = nominal + factor * (view.points[k] - nominal)
             np.testing.assert_allclose(head[1], end, atol=1e-5)
             assert tab.evaluate("document.getElementById('factor').value") == str(factor)
             assert tab.complaints == []
     # Side by side the arrow is the residual of the registered robot, in its own base.
     with browser.open(f"{page}#pose=12&mode=side&arrows=2", size=(1280, 720)) as tab:
         shaft, head = tab.evaluate(SEEN)["arrow"]
-        residual = view.measured[k] - (own + T[:3, 3])
+        residual = view.points[k] - (own + T[:3, 3])
         np.testing.assert_allclose(np.subtract(head[1], shaft[0]), 2 * residual, atol=1e-5)
         assert tab.evaluate("document.getElementById('anchors').hidden")
 
@@ -398,7 +448,7 @@ def test_arrows_of_many_rows_are_faint_but_for_the_row_shown(
 ):
     q = np.random.default_rng(1).uniform(-0.5, 0.5, (count, 3))
     crowd = View(gantry, disturb(gantry), q, kinds=("estimation",) * count)
-    crowd = replace(crowd, measured=crowd.predicted[1])
+    crowd = with_points(crowd, crowd.predicted[1])
     page = view_page(crowd).write(tmp_path / "v.html").as_uri()
     script = (
         "viewer.scene_tree.find(['robots', 'nominal', 'arrows']).object.children"
@@ -411,9 +461,8 @@ def test_arrows_of_many_rows_are_faint_but_for_the_row_shown(
 
 @pytest.mark.slow
 def test_on_a_phone_the_page_is_stacked_and_fits_the_width(browser, view, tmp_path):
-    apart = replace(
-        view, T_base_nominal=translation([0.02, 0.0, 0.0]), verdict="use", note="So. " * 40
-    )
+    apart = registered(view, translation([0.02, 0.0, 0.0]))
+    apart = replace(apart, verdict="use", note="So. " * 40)
     page = view_page(apart).write(tmp_path / "v.html").as_uri()
     box = "document.querySelector('%s').getBoundingClientRect()"
     with browser.open(f"{page}#mode=over", size=(412, 860)) as tab:

@@ -13,9 +13,9 @@ from calib.example import PAPER_TARGET
 from calib.result.calibrate import calibrate
 from calib.result.calibration_file import read_result
 from calib.robot.ranges import column_ranges, random_joint_values
-from calib.show.scene.puppet import translation
+from calib.show.scene.posed_robot import translation
 from calib.show.verdict import reason_text
-from calib.verbs.view.steps import MOST_ROWS
+from calib.verbs.view.steps import MOST_STEPS
 from calib.verbs.view.view import (
     View,
     joint_texts,
@@ -25,6 +25,7 @@ from calib.verbs.view.view import (
 )
 from tests.hard_cases import made, many_rows, with_rows
 from tests.parts import with_part
+from tests.view_fixtures import registered
 
 
 @pytest.fixture(scope="module")
@@ -40,18 +41,19 @@ def stored(result, tmp_path_factory):
 
 def distances(view: View) -> np.ndarray:
     """From measured to predicted target in the picture, shape (2, N)."""
-    return np.linalg.norm(view.measured - view.predicted, axis=2)
+    return np.linalg.norm(view.points - view.predicted, axis=2)
 
 
 def test_predictions_are_those_of_the_robots_in_one_base(ur3, disturb):
     q = np.linspace(-1, 1, 12).reshape(2, 6)
     target = translation([0.0, 0.02, 0.1])
     disturbed = disturb(ur3)
-    view = View(ur3, disturbed, q, T_base_nominal=translation([0.001, 0, 0]), nominal_target=target)
+    view = View(ur3, disturbed, q, nominal_target=target)
+    view = registered(view, translation([0.001, 0, 0]))
     expected = (ur3.poses(q) @ target)[:, :3, 3] + [0.001, 0, 0]
     np.testing.assert_allclose(view.predicted, [expected, disturbed.poses(q)[:, :3, 3]], atol=1e-15)
     assert (view.labels, view.kinds) == (("pose 1", "pose 2"), ("pose",) * 2)
-    assert not view.measures
+    assert not view.has_points
     assert list(View(ur3, None, q).robots) == ["nominal"]
 
 
@@ -59,15 +61,15 @@ def test_predictions_are_those_of_the_robots_in_one_base(ur3, disturb):
 def test_of_many_rows_an_even_choice_is_shown_with_the_flagged_ones():
     c = many_rows(6000)
     view = view_of(c)
-    assert 300 < len(view.q) <= MOST_ROWS
-    assert view.rows == 6000
+    assert 300 < len(view.q) <= MOST_STEPS
+    assert view.measured.rows == 6000
     flagged = {f"row {outlier.row}" for outlier in (*c.rows.outliers, *c.rows.suspects)}
     assert flagged
     assert {n for n, k in zip(view.labels, view.kinds, strict=True) if k == "flagged"} == flagged
     numbers = [int(label.removeprefix("row ")) for label in view.labels]
     assert max(np.diff(numbers)) < 20
     np.testing.assert_array_equal(view.q, c.fit.measurements.joints[np.array(numbers) - 1])
-    np.testing.assert_allclose(distances(view), view.errors["m"], atol=1e-12)
+    np.testing.assert_allclose(distances(view), view.measured.errors["m"], atol=1e-12)
     assert view.kinds[view.start] == "estimation"
 
 
@@ -76,19 +78,19 @@ def test_every_row_is_a_pose_and_a_typical_row_is_shown_first(result):
     assert view.labels == tuple(f"row {row}" for row in range(1, 36))
     assert view.labels[view.start] == "row 5"
     # Of the 28 fitted rows it has neither robot's error far from the median.
-    fitted = view.errors["m"][:, np.array(view.kinds) == "estimation"]
+    fitted = view.measured.errors["m"][:, np.array(view.kinds) == "estimation"]
     assert fitted.shape == (2, 28)
-    below = np.sum(fitted < view.errors["m"][:, [view.start]], axis=1)
+    below = np.sum(fitted < view.measured.errors["m"][:, [view.start]], axis=1)
     assert np.abs(below - 13.5).max() < 4
     assert [view.labels[n] for n in range(35) if view.kinds[n] == "flagged"] == ["row 11", "row 14"]
     assert view.kinds[30:] == ("validation",) * 5
     np.testing.assert_allclose(view.nominal_target[:, :3, 3], np.tile(PAPER_TARGET, (35, 1)))
     np.testing.assert_array_equal(view.calibrated_target[3, :3, 3], result.target)
     assert (view.verdict, view.note) == ("use", reason_text(result.verdict.reasons[0]))
-    assert not len(view.instruments)  # measured in the base itself
-    np.testing.assert_allclose(distances(view), view.errors["m"], atol=1e-12)
+    assert not len(view.measured.stations)  # measured in the base itself
+    np.testing.assert_allclose(distances(view), view.measured.errors["m"], atol=1e-12)
     for k, who in enumerate(("nominal", "calibrated")):
-        rms = np.sqrt(np.mean(view.errors["m"][k, 30:] ** 2))
+        rms = np.sqrt(np.mean(view.measured.errors["m"][k, 30:] ** 2))
         assert rms == pytest.approx(result.errors[who]["validation"]["m"].rms, abs=1e-12)
 
 
@@ -100,8 +102,8 @@ def test_measured_points_are_shown_in_the_base_frame_and_the_tracker_where_it_st
     )
     setup = result.setup.with_poses(T[None], result.setup.T_tip_target)
     view = view_of(with_rows(with_part(result, "geometry", setup=setup), moved))
-    np.testing.assert_allclose(view.measured, result.fit.measurements.points, atol=1e-12)
-    np.testing.assert_allclose(view.instruments, [np.linalg.inv(T)], atol=1e-12)
+    np.testing.assert_allclose(view.points, result.fit.measurements.points, atol=1e-12)
+    np.testing.assert_allclose(view.measured.stations, [np.linalg.inv(T)], atol=1e-12)
 
 
 @pytest.mark.slow
@@ -112,9 +114,9 @@ def test_errors_in_the_picture_are_those_of_the_tables_when_the_frame_is_estimat
     off = np.linalg.norm(calibrated.rows.residual_nominal, axis=1)
     np.testing.assert_allclose(distances(view)[0], off, atol=1e-12)
     # Each of the two finds the tracker elsewhere: without that, the number would be another.
-    elsewhere = distances(replace(view, T_base_nominal=np.eye(4)))[0]
+    elsewhere = distances(registered(view, np.eye(4)))[0]
     assert np.abs(elsewhere - off).max() > 1e-4
-    assert len(view.instruments) == 1
+    assert len(view.measured.stations) == 1
     assert view.is_registered_apart
     assert not view_of(result).is_registered_apart
 
@@ -156,11 +158,11 @@ def test_the_target_and_station_of_the_row_are_shown(ur3):
     )
     calibrated = calibrate(ur3, table, cell=Cell(frames=frames, model="zeros"), validate=False)
     view = view_of(calibrated)
-    np.testing.assert_allclose(view.measured, points, atol=1e-9)
+    np.testing.assert_allclose(view.points, points, atol=1e-9)
     for row in (0, 1):
         t = calibrated.setup.targets.index(table.targets[row])
         np.testing.assert_array_equal(view.calibrated_target[row], calibrated.setup.T_tip_target[t])
-    np.testing.assert_allclose(view.instruments, [np.linalg.inv(frames["far"])], atol=1e-12)
+    np.testing.assert_allclose(view.measured.stations, [np.linalg.inv(frames["far"])], atol=1e-12)
 
 
 def test_one_robot_moves_one_joint_after_the_other(gantry):
@@ -176,11 +178,13 @@ def test_one_robot_moves_one_joint_after_the_other(gantry):
 def test_robots_and_a_table_show_what_evaluate_says(result):
     alone = view_of_robots(result.nominal, None, result.fit.measurements, cells=[result.fit.cell])
     assert (alone.title, alone.calibrated) == ("ur3", None)
-    np.testing.assert_allclose(alone.errors["m"][0], view_of(result).errors["m"][0])
+    np.testing.assert_allclose(
+        alone.measured.errors["m"][0], view_of(result).measured.errors["m"][0]
+    )
     both = view_of_robots(
         result.nominal, result.robot, result.fit.measurements, cells=[result.fit.cell] * 2
     )
-    np.testing.assert_allclose(distances(both), both.errors["m"], atol=1e-12)
+    np.testing.assert_allclose(distances(both), both.measured.errors["m"], atol=1e-12)
     assert both.labels[both.start] == "row 7"  # here outliers count as fitted
     assert [name for name, _ in both.names] == ["Nominal", "Calibrated"]
 
@@ -188,7 +192,7 @@ def test_robots_and_a_table_show_what_evaluate_says(result):
 def test_a_stored_result_shows_the_errors_of_the_fit_from_either_robot(result, stored):
     shown = view_of_result(stored, result.nominal, result.fit.measurements)
     fresh = view_of(result)
-    np.testing.assert_allclose(shown.errors["m"], fresh.errors["m"], atol=1e-9)
+    np.testing.assert_allclose(shown.measured.errors["m"], fresh.measured.errors["m"], atol=1e-9)
     assert (shown.kinds, shown.start, shown.note) == (fresh.kinds, fresh.start, fresh.note)
     other = view_of_result(stored, result.robot, result.fit.measurements)
     np.testing.assert_allclose(shown.predicted, other.predicted, atol=1e-9)
@@ -199,11 +203,11 @@ def test_a_stored_result_shows_the_errors_of_the_fit_from_either_robot(result, s
 
 def test_targets_without_a_table_are_the_result_s_or_the_cell_s(result, stored):
     of_result = view_of_result(stored, result.nominal)
-    np.testing.assert_allclose(of_result.calibrated_target[0, :3, 3], result.target, atol=1e-12)
+    np.testing.assert_allclose(of_result.calibrated_target[:3, 3], result.target, atol=1e-12)
     cell = Cell().with_target([0.1, 0.2, 0.3])
     for view in (
         view_of_result(stored, result.nominal, cell=cell, known=("frame",)),
         view_of_robots(result.nominal, cells=[cell]),
     ):
-        np.testing.assert_allclose(view.nominal_target[0, :3, 3], [0.1, 0.2, 0.3])
-    assert not view_of_robots(result.nominal).nominal_target[0, :3, 3].any()
+        np.testing.assert_allclose(view.nominal_target[:3, 3], [0.1, 0.2, 0.3])
+    assert not view_of_robots(result.nominal).nominal_target[:3, 3].any()

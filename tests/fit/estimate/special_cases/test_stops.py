@@ -11,7 +11,7 @@ from scipy.optimize import minimize
 
 from calib.data.cell import Cell
 from calib.diagnosis.reasons import Why
-from calib.diagnosis.residual_patterns import Order, residual_patterns
+from calib.diagnosis.residual_patterns import residual_patterns
 from calib.fit.estimate import problem as problem_module
 from calib.fit.estimate.fitting import fit
 from calib.fit.estimate.problem import Problem
@@ -22,7 +22,7 @@ from calib.fit.selection.linear_folds import fold_posterior_means
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics
 from calib.numerics.likelihood import GaussianPriors
-from calib.result.prediction import parameter_estimates
+from calib.result.fitted_model import parameter_estimates
 from calib.robot.ranges import random_joint_values
 from calib.verbs.calibrate.uncertainty import _fit_sample
 from tests.fits import joined, place
@@ -427,8 +427,8 @@ def test_what_stops_share_is_no_pattern(ur3):
     for seed in range(5):
         rows, setup = rows_and_setup(ur3, Hand.draw(ur3, 30, 3.0, seed).point_table(), cell)
         fitted = fit(Task(ur3, cell, setup, "dh"), rows)
-        order = Order(np.arange(len(rows)), np.zeros(rows.joints.shape))
-        found += [one.why for one in residual_patterns(fitted, order)]
+        numbers, moves = np.arange(len(rows)), np.zeros(rows.joints.shape)
+        found += [one.why for one in residual_patterns(fitted, numbers, moves)]
     # Of poses of the hand as many: joints that do not repeat displace it more along some directions.
     assert found.count(Why.JOINT_PATTERN) + found.count(Why.DRIFT) <= 1
 

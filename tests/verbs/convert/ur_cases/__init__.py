@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from calib.robot.generated.universal_robots import COLUMNS
-from calib.verbs.convert.ur_conf import conf_bytes
+from calib.verbs.convert.ur_files import conf_bytes
 
 CASES = json.loads(Path(__file__).with_name("cases.json").read_text(encoding="utf-8"))
 CALIBRATIONS = CASES["calibrations"]

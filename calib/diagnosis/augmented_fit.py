@@ -1,0 +1,212 @@
+"""Additional unknowns of a fit, such as the scale error of the instrument: estimated, and tested on held-out rows.
+
+The problem linearised at the fit gets further columns Z; their unknowns b have no prior:
+
+    y = A x + Z b + n,        x_k ~ N(0, tau^2),  n ~ N(0, sigma^2)
+
+The prior standard deviations tau and the noise sigma are estimated again: corrections of the arm that only made up for
+b shrink.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.special import fdtrc
+
+from calib.basics.arrays import Array, Mask
+from calib.fit.estimate.fitting import Fitted
+from calib.fit.estimate.linear import LinearProblem
+from calib.fit.estimate.prior_terms import PriorTerms
+from calib.fit.estimate.stages import Stage
+from calib.numerics.likelihood import GaussianPriors
+
+#: A finding with a smaller p-value is not due to chance.
+UNLIKELY = 1e-3
+
+#: A pattern predicts rows if it lowers the error of held-out blocks by this share.
+PREDICTS = 0.1
+
+#: Number of held-out blocks of consecutive rows.
+_BLOCKS = 8
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AugmentedFit:
+    """Additional unknowns b, estimated jointly with the p parameters of a fit."""
+
+    #: Shape (k,), the additional unknowns
+    b: Array
+    #: Shape (k, k), of ``b``
+    covariance: Array
+    #: Shape (p,), the parameters of the fit, estimated jointly with ``b``
+    x: Array
+    #: Shape (p,), share (0 to 1) to which the measurements rather than the prior determine each parameter
+    determined: Array
+    #: Prior standard deviation of each family, estimated again
+    prior_std: Mapping[str, float]
+
+    def p_value(self, freedom: float, directions: Array | None = None) -> float:
+        """Test b = 0 by F(k, freedom) of b^T C^-1 b / k.
+
+        Args:
+            freedom: Degrees of freedom of the prior standard deviations in C.
+            directions: Test only b along these directions, shape (k', k); None for all of b.
+
+        Returns:
+            The p-value.
+        """
+        if directions is None:
+            directions = np.eye(len(self.b))
+        b = directions @ self.b
+        C = directions @ self.covariance @ directions.T
+        square = float(b @ np.linalg.solve(C, b))
+        return float(fdtrc(len(b), max(freedom, 1.0), square / len(b)))
+
+    @property
+    def std(self) -> Array:
+        """Standard deviation of each additional unknown, shape (k,)."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+
+def estimate_jointly(
+    fitted: Fitted,
+    columns: Array,
+    of_distances: Array | None = None,
+    held: Mask | None = None,
+) -> AugmentedFit:
+    """Estimate additional unknowns jointly with the parameters of a fit, whose linearisation and row weights stay.
+
+    Args:
+        fitted: A fit to N rows of D scalars, with priors of its p parameters.
+        columns: Derivative of the predicted scalars by each of k unknowns, shape (N, D, k), in the units of the rows'
+            channels.
+        of_distances: Derivative of the K predicted known distances between frames [m], shape (K, k); None for zero.
+        held: True for the parameters that b replaces, which are held at zero, shape (p,); None for none.
+
+    Returns:
+        The unknowns, and the parameters estimated with them.
+    """
+    estimate = fitted.estimate
+    augmented = _augment(fitted, columns, of_distances)
+
+    # The additional unknowns have no prior; parameters at their bounds stay there.
+    prior = PriorTerms.of(fitted.task, fitted.kinematics.model, fitted.setup)
+    fixed = {k: float(estimate.x[k]) for k in estimate.at_bound}
+    if held is not None:
+        fixed |= dict.fromkeys(np.flatnonzero(held).tolist(), 0.0)
+    prior = prior.at_bounds(fixed)
+    count = columns.shape[2]
+    prior = replace(
+        prior,
+        families=np.pad(prior.families, ((0, 0), (0, count))),
+        precision=np.pad(prior.precision, (0, count)),
+        mean=np.pad(prior.mean, (0, count)),
+    )
+
+    weights = estimate.problem.weights[None]
+    prior_std = [estimate.prior_std.get(name, 1.0) for name in prior.names]
+    stage = Stage(
+        prior=prior,
+        kept=weights > 0.0,
+        weights=weights,
+        repeat_factor=np.ones(weights.shape),
+        noise=np.array([estimate.noise]),
+        prior_std=np.array([prior_std]),
+        stop_shares=estimate.problem.stop_shares[None],
+    )
+    stage = stage.by_likelihood(augmented, robust=False)
+    fits = stage.fit(augmented)
+    values, covariance = fits[0][0], fits[1][0]
+    p = len(estimate.x)
+    shares_of_prior = np.diag(covariance)[:p] * stage.priors.precision[0, :p]
+    return AugmentedFit(
+        b=values[p:],
+        covariance=covariance[p:, p:],
+        x=values[:p],
+        determined=1.0 - shares_of_prior,
+        prior_std=dict(zip(prior.names, stage.prior_std[0].tolist(), strict=True)),
+    )
+
+
+def _augment(fitted: Fitted, columns: Array, of_distances: Array | None = None) -> LinearProblem:
+    """Linearise the problem of a fit at its solution, with k additional unknowns, the last of p + k parameters.
+
+    They are zero there; arguments are those of `estimate_jointly`.
+    """
+    problem = fitted.estimate.problem
+    linear = problem.linear(fitted.estimate.x)
+    count = columns.shape[2]
+    of_known = np.zeros((len(linear.C), count))
+    if of_distances is not None:
+        sigma = np.array([known.sigma for known in problem.distances])
+        of_known[: len(sigma)] = of_distances / sigma[:, None]
+    standardised = problem.rows.standardise(columns)
+    before, residual = linear.columns[:-1], linear.columns[-1:]
+    return replace(
+        linear,
+        x=np.pad(linear.x, (0, count)),
+        columns=np.concatenate([before, standardised.transpose(2, 1, 0), residual]),
+        C=np.hstack([linear.C, of_known]),
+        held=np.pad(linear.held, (0, count)),
+    )
+
+
+def gain_on_blocks(fitted: Fitted, columns: Array, weights: Array) -> float:
+    """Cross-validate additional unknowns on blocks of consecutive rows.
+
+    Noise, prior standard deviations and weights stay as they are. Only rows count whose frame and target other blocks
+    see too.
+
+    Args:
+        fitted: A fit to N rows of D scalars.
+        columns: Derivative of the predicted scalars by each of k unknowns, shape (N, D, k), in the units of the rows'
+            channels.
+        weights: Weights of the rows, shape (N,).
+
+    Returns:
+        The share by which the error of held-out blocks falls with the unknowns; negative if it rises.
+    """
+    linear = fitted.estimate.problem.linear(fitted.estimate.x)
+    before = _error_of_blocks(fitted, linear, weights)
+    after = _error_of_blocks(fitted, _augment(fitted, columns), weights)
+    if not before > 0.0:
+        return 0.0
+    return 1.0 - after / before
+
+
+def _error_of_blocks(fitted: Fitted, linear: LinearProblem, weights: Array) -> float:
+    """Return the rms error of blocks of rows, each predicted by a fit to the others, in units of the noise."""
+    rows = fitted.estimate.problem.rows
+    block = np.arange(len(rows)) * _BLOCKS // len(rows)
+    masks = block == np.unique(block)[:, None]
+    residuals = _residuals_without_blocks(fitted, linear, weights, masks)
+    weighted = weights > 0.0
+    squares = []
+    for mask, residual in zip(masks, residuals, strict=True):
+        frames, targets = fitted.setup.seen_by(rows.samples.select(~mask & weighted))
+        seen_by_others = frames[rows.samples.frame] & targets[rows.samples.target]
+        predictable = mask & weighted & seen_by_others
+        squares.append(residual[predictable[:, None] & rows.used] ** 2)
+    every = np.concatenate(squares)
+    return float(np.sqrt(np.mean(every))) if len(every) else 0.0
+
+
+def _residuals_without_blocks(
+    fitted: Fitted, linear: LinearProblem, weights: Array, masks: Mask
+) -> Array:
+    """Return the residuals of fits without one block of rows each, at noise and priors of the fit to all rows.
+
+    ``linear`` is the problem of the fit, perhaps with additional unknowns, ``masks``, shape (B, N), are the rows of
+    each block. The residuals of all rows, over the noise of each scalar, are of the shape (B, N, D).
+    """
+    problem = fitted.estimate.problem
+    additional = len(linear.x) - problem.size
+    precision = np.pad(problem.prior_precision, (0, additional))
+    mean = np.pad(problem.prior_mean, (0, additional))
+    noise = np.tile(fitted.estimate.noise, (len(masks), 1))
+    without_block = np.where(masks, 0.0, weights)
+    fits = linear.fit(without_block, problem.stop_shares, noise, GaussianPriors(precision, mean))
+    return np.asarray(linear.residual(fits[0]) / linear.noise_by_scalar(noise))

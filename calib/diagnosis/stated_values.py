@@ -1,0 +1,332 @@
+"""Stated values that the rows contradict: the frame of the base, the instrument's scale, lenses, boards, covariances.
+
+Each is an additional unknown, estimated jointly with the fit (`calib.diagnosis.augmented_fit`). It has no prior itself:
+of a focal length or a board it is besides what the fit changes under the stated prior, so that its standard deviation
+includes the stated one.
+
+A wrong lens or print can fit well: the arm's lengths and the mounts make up for it. If a board of another size has made
+all lengths of the arm grow alike, their priors are wide; with the board's size free they are not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import stdtr
+
+from calib.basics.arrays import Array, Mask
+from calib.camera import optics
+from calib.diagnosis.augmented_fit import UNLIKELY, AugmentedFit, estimate_jointly
+from calib.diagnosis.patterns import FALSE_ALARM
+from calib.diagnosis.reasons import Reason, Why
+from calib.fit.estimate.fitting import Fitted
+from calib.fit.estimate.special_cases.pose_covariances import covariance_support
+from calib.model.dh_table import zero_poses
+from calib.model.families import ANGLE, LENGTH, ZERO
+from calib.numerics.errors import rms
+
+#: A base that has moved is named if its effect on the rows is more than this share of that of the arm's corrections.
+_LIKE_THE_ARM = 0.5
+
+#: No arm is off by more than this share in all its lengths: a larger one is the instrument's scale error.
+_SCALED = 2e-3
+
+#: Relative errors of focal lengths and boards below this are of no consequence.
+_LEAST_SHARE = 1e-3
+
+#: With a smaller p-value an estimate contradicts what was stated with a standard deviation.
+_CONTRADICTS = 0.01
+
+#: Degrees of freedom that prior standard deviations have at least.
+_LEAST_FREEDOM = 3.0
+
+#: Prior standard deviation of a relative change above which nothing was stated.
+_NOT_STATED = 1.0
+
+#: Focal lengths along u and v.
+_FOCAL = (0, 1)
+
+#: Log-likelihood over that of equal covariances up to which stated ones say nothing.
+_NOTHING = 2.0
+
+#: That which they have at least if they are right and say something about so many poses.
+_TELLING = 10.0
+
+
+def contradicted_values(fitted: Fitted, *, scale_certified: bool) -> Iterator[Reason]:
+    """Find stated values that the rows contradict, and covariances that explain nothing.
+
+    Args:
+        fitted: A fit. Unless its prior standard deviations were estimated from the data, only the covariances of poses
+            are examined.
+        scale_certified: Whether the user states that the instrument's scale was certified or checked.
+
+    Yields:
+        A reason for each.
+    """
+    task = fitted.task
+    if task.has_weights_and_priors and task.cell.priors.source == "data":
+        base = motion_of_base(fitted)
+        if (
+            base is not None
+            and base.p < UNLIKELY
+            and base.effect > _LIKE_THE_ARM * base.effect_of_arm
+        ):
+            yield Reason.of(
+                Why.BASE_MOVED,
+                moved_m=base.moved,
+                turned_rad=base.turned,
+                effect_m=base.effect,
+                arm_m=base.effect_of_arm,
+            )
+        scale = instrument_scale(fitted)
+        if scale is not None:
+            if abs(scale.share) > _SCALED and scale.p < FALSE_ALARM:
+                yield Reason.of(Why.LENGTHS_SCALED, scale=scale.share, std=scale.std, p=scale.p)
+            elif scale.measured and not scale_certified:
+                yield Reason.of(
+                    Why.SCALE_HIDDEN,
+                    scale=scale.hidden,
+                    reach_m=scale.reach,
+                    effect_m=scale.hidden * scale.reach,
+                )
+        yield from _wrong_optics(fitted)
+    yield from _idle_covariances(fitted)
+
+
+@dataclass(frozen=True, slots=True)
+class BaseMotion:
+    """Displacement of the base from where a known measurement frame has it, estimated with the arm's corrections."""
+
+    #: Of the first joint's origin [m]
+    moved: float
+    #: Of its axis and about it [rad]
+    turned: float
+    #: The p-value of no motion
+    p: float
+    #: Displacement of the measured positions by it, rms [m]
+    effect: float
+    #: Displacement of these positions by the arm's other corrections, rms [m]
+    effect_of_arm: float
+
+
+def motion_of_base(fitted: Fitted) -> BaseMotion | None:
+    """Estimate the displacement of the base in a frame that was taken as known.
+
+    Across the first joint's axis only an error of this joint's axis in the base does what the base does: there the test
+    is against noise alone. Along and about the axis a motion may be the joint's offset: there it must be far larger
+    than the offsets of the other joints.
+
+    Args:
+        fitted: A fit with prior standard deviations from the data.
+
+    Returns:
+        The motion along the directions that are significant; None if no position was measured in a known frame.
+    """
+    problem, x = fitted.estimate.problem, fitted.estimate.x
+    rows, robot, model = problem.rows, fitted.task.robot, fitted.kinematics.model
+    known = np.array([not directions for directions in fitted.task.setup.unknown])
+    positions = rows.where(lambda kind: kind.position and not kind.own_frame)
+    seen = positions & known[rows.samples.frame]
+    if not np.any(seen):
+        return None
+
+    # The base moves along and about its axes, linear part first; it turns about the first joint's origin.
+    T_frame_target = fitted.kinematics.poses(x, rows.samples)
+    T_frame_base = fitted.estimated_setup().T_frame_base[rows.samples.frame]
+    T_base_first = zero_poses(robot)[0][0]
+    arm = T_frame_target[:, :3, 3] - (T_frame_base @ T_base_first)[:, :3, 3]
+    R = T_frame_base[:, :3, :3]
+    twists = np.zeros((len(R), 6, 6))
+    twists[:, :3, :3] = R
+    twists[:, 3:, 3:] = R
+    twists[:, :3, 3:] = np.cross(R, arm[:, :, None], axis=1)
+    columns = rows.derivative(T_frame_target, twists)
+    columns[~seen] = 0.0
+
+    # It replaces placement and zero of the first joint.
+    first = robot.joints[0].name
+    of_first = np.array([p.place == first and p.factor is None for p in model.parameters])
+    joint = estimate_jointly(fitted, columns, held=of_first)
+
+    # Two shifts and two turns across the first joint's axis, the shift along it, and the turn about it.
+    axis = T_base_first[:3, :3] @ np.asarray(robot.joints[0].axis)
+    normals = np.linalg.svd(axis[None])[2][1:]
+    across = np.block([[normals, np.zeros((2, 3))], [np.zeros((2, 3)), normals]])
+    along = np.concatenate([axis, np.zeros(3)])
+    about = np.concatenate([np.zeros(3), axis])
+    freedom = float(np.sum(joint.determined[model.of_robot & ~of_first]))
+    p_values = (
+        joint.p_value(freedom, across),
+        _p_of_offset(float(along @ joint.b), joint, model.family(LENGTH), (LENGTH,)),
+        _p_of_offset(float(about @ joint.b), joint, model.family(ANGLE, ZERO), (ZERO, ANGLE)),
+    )
+    projections = (across.T @ across, np.outer(along, along), np.outer(about, about))
+    motion = np.zeros(6)
+    significant = [P for P, p in zip(projections, p_values, strict=True) if p < UNLIKELY]
+    if significant:
+        motion = np.sum(significant, axis=0) @ joint.b
+
+    by_base = columns[seen][:, :3] @ motion
+    by_arm = problem.jacobian(x)[seen][:, :3, model.of_robot] @ joint.x[model.of_robot]
+    return BaseMotion(
+        moved=float(np.linalg.norm(motion[:3])),
+        turned=float(np.linalg.norm(motion[3:])),
+        p=min(p_values),
+        effect=rms(np.linalg.norm(by_base, axis=1)),
+        effect_of_arm=rms(np.linalg.norm(by_arm, axis=1)),
+    )
+
+
+def _p_of_offset(offset: float, joint: AugmentedFit, family: Mask, names: tuple[str, ...]) -> float:
+    """Return the p-value of a joint's offset [m] or [rad] that is drawn like those of the other joints, by Student's t.
+
+    ``family``, shape (p,), marks the parameters that are the other joints' offsets; the first of the families ``names``
+    with a prior standard deviation gives that of the offsets. 1 if none has.
+    """
+    stds = [joint.prior_std[name] for name in names if name in joint.prior_std]
+    if not stds or not stds[0]:
+        return 1.0
+    freedom = max(float(np.sum(joint.determined[family])), 1.0)
+    return 2.0 * float(stdtr(freedom, -abs(offset) / stds[0]))
+
+
+@dataclass(frozen=True, slots=True)
+class Scale:
+    """Scale error of the instrument, estimated jointly with the lengths of the arm."""
+
+    #: Share by which all measured lengths are too long
+    share: float
+    #: Its standard deviation, mostly from the uncertainty of the arm's lengths
+    std: float
+    #: The p-value of no scale error
+    p: float
+    #: Distance of the target from the base, rms over the rows [m]
+    reach: float
+    #: Whether any row measures a length; else known distances alone determine the scale
+    measured: bool
+
+    @property
+    def hidden(self) -> float:
+        """Largest share that the rows cannot distinguish from lengths of the arm, at 95 %."""
+        return abs(self.share) + 2.0 * self.std
+
+
+def instrument_scale(fitted: Fitted) -> Scale | None:
+    """Estimate the share by which measured lengths are too long.
+
+    Only rows that measure a length have the scale error, and the known distances between sockets.
+
+    Args:
+        fitted: A fit with prior standard deviations from the data.
+
+    Returns:
+        The scale error; None if no length of the arm is estimated, nothing measures a length, or the scale of a board
+        is estimated, which then is the arm's unit of length.
+    """
+    model, problem = fitted.kinematics.model, fitted.estimate.problem
+    rows = problem.rows
+    lengths = model.of_robot & (np.array(model.units) == "m")
+    board_scale = range(optics.SCALE.start, optics.SCALE.stop)
+    if not np.any(lengths) or any(p.optic in board_scale for _, p in model.optical):
+        return None
+
+    T_frame_target = fitted.kinematics.poses(fitted.estimate.x, rows.samples)
+    T_frame_base = fitted.estimated_setup().T_frame_base[rows.samples.frame]
+    from_base = T_frame_target[:, :3, 3] - T_frame_base[:, :3, 3]
+    growth = np.zeros((len(rows), 6, 1))
+    growth[:, :3, 0] = from_base
+    columns = rows.derivative(T_frame_target, growth)
+    columns[~rows.where(lambda kind: kind.measures_length)] = 0.0
+    known = np.array([[d.length] for d in problem.distances]).reshape(-1, 1)
+    measured = bool(np.any(columns))
+    if not measured and not np.any(known):
+        return None
+
+    joint = estimate_jointly(fitted, columns, known)
+    # The uncertainty is mostly that of the arm's lengths, whose prior is estimated with few degrees of freedom.
+    freedom = float(np.sum(joint.determined[lengths])) - 1.0
+    return Scale(
+        share=float(joint.b[0]),
+        std=float(joint.std[0]),
+        p=joint.p_value(freedom),
+        reach=rms(np.linalg.norm(from_base, axis=1)),
+        measured=measured,
+    )
+
+
+def _wrong_optics(fitted: Fitted) -> Iterator[Reason]:
+    """Find focal lengths and boards that seem to differ from what was stated.
+
+    The share is the actual value over the stated one, less 1; all focal lengths of a camera, or a board's scale along x
+    and y, have the same.
+    """
+    rows, setup = fitted.estimate.problem.rows, fitted.setup
+    values = rows.samples.optics
+    if values is None:
+        return
+    stated = {unknown.parameter.name: unknown.sigma for unknown in setup.optics}
+    for why, owner, columns in (
+        (Why.FOCAL_LENGTH_OFF, optics.CAMERA, _FOCAL),
+        (Why.BOARD_SCALE_OFF, optics.BOARD, tuple(range(optics.SCALE.start, optics.SCALE.stop))),
+    ):
+        for number in np.unique(values[rows.is_image, owner]).astype(int).tolist():
+            prior_shares = []
+            for _, parameter in fitted.kinematics.model.optical:
+                if parameter.optic in columns and parameter.samples == ((owner, number),):
+                    # A focal length changes by pixels, a scale by a share.
+                    size = parameter.nominal if parameter.optic in _FOCAL else 1.0
+                    prior_shares.append(stated[parameter.name] / size)
+            if prior_shares and max(prior_shares) >= _NOT_STATED:
+                continue
+
+            derivative = _derivative_by_share(fitted, (owner, number), columns)
+            joint = estimate_jointly(fitted, derivative)
+            share, std, exact = float(joint.b[0]), float(joint.std[0]), not prior_shares
+            freedom = max(float(np.sum(joint.determined)) - 1.0, _LEAST_FREEDOM)
+            limit = UNLIKELY if exact else _CONTRADICTS
+            if abs(share) > _LEAST_SHARE and joint.p_value(freedom) < limit:
+                yield Reason.of(why, share=share, std=std, exact=exact)
+
+
+def _derivative_by_share(fitted: Fitted, owner: tuple[int, int], columns: tuple[int, ...]) -> Array:
+    """Return the derivative of the predictions by a relative error of columns of the optics, shape (N, D, 1).
+
+    They are those of one camera or board: ``owner`` is the column that has its number, and the number.
+    """
+    rows, x = fitted.estimate.problem.rows, fitted.estimate.x
+    values, stated = fitted.kinematics.optics(x, rows.samples), rows.samples.optics
+    assert values is not None
+    assert stated is not None
+    images = rows.is_image
+    T = fitted.kinematics.poses(x, rows.samples)
+    _, by_optics = optics.image_derivatives(
+        T[images], np.zeros((int(np.sum(images)), 6, 1)), values.values[images]
+    )
+    column_of_owner, number = owner
+    chosen: Mask = values.values[images, column_of_owner] == number
+    result = np.zeros((len(rows), rows.width, 1))
+    of_images = np.zeros((len(by_optics), rows.width))
+    for column in columns:
+        # A focal length grows by a share of the stated one, a scale by the share alone.
+        factor = stated[images, column] if column_of_owner == optics.CAMERA else 1.0
+        of_images[:, :2] += by_optics[:, :, column] * np.reshape(factor * chosen, (-1, 1))
+    result[images, :, 0] = of_images
+    return result
+
+
+def _idle_covariances(fitted: Fitted) -> Iterator[Reason]:
+    """Say if the stated covariances of poses explain their residuals no better than equal ones, as they should.
+
+    They are then in another order, unit or frame, or of other rows; or the robot misses its stops by far more than they
+    say. The fit does not rely on them: their scale is small.
+    """
+    found = covariance_support(fitted.estimate)
+    if found is None:
+        return
+    support, expected = found
+    if support < _NOTHING and expected > _TELLING:
+        scale = fitted.estimate.problem.rows.pose_noise.scale
+        yield Reason.of(Why.COVARIANCES_IDLE, scale=scale)

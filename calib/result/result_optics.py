@@ -1,0 +1,153 @@
+"""Cameras and printed boards of a result: as the fit began with them, and as it estimated them.
+
+A camera's numbers are those that the fit began with plus their changes. Of a board's print the mean of its errors of
+scale along x and y makes the squares, and the markers in them, larger; sag and errors of single corners, which a
+description of a board does not have, are parameters of the result only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from calib.basics.arrays import Array
+from calib.basics.values import ReadOnlyMapping, Value
+from calib.boards.board import Board
+from calib.camera import optics
+from calib.camera.camera import UNKNOWN, Camera
+from calib.camera.lenses import LENSES
+from calib.data.cell import Cell
+from calib.fit.estimate.fitting import Fitted
+from calib.fit.registration.rows import Rows
+from calib.model.parameters import BOARD, CAMERA, Parameter
+from calib.result.fitted_model import FittedModel
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class ResultOptics(Value):
+    """Cameras and printed boards of the images, before and after; all empty without images.
+
+    Cameras by station and boards by target, with the same names as in the cell.
+    """
+
+    #: Cameras with the numbers that the fit began with
+    nominal_cameras: Mapping[str, Camera] = field(default_factory=ReadOnlyMapping)
+    #: Boards as given; those that were not given are missing
+    nominal_boards: Mapping[str, Board] = field(default_factory=ReadOnlyMapping)
+    #: Cameras with their numbers as estimated, and the standard deviations of these;
+    #: `calib.camera.camera_file` writes them for ROS and OpenCV
+    cameras: Mapping[str, Camera] = field(default_factory=ReadOnlyMapping)
+    #: Boards with their squares as estimated: as given, times 1 plus the mean error of scale
+    boards: Mapping[str, Board] = field(default_factory=ReadOnlyMapping)
+
+    def given_to(self, cell: Cell) -> Cell:
+        """Return a cell with the cameras and boards that the fit began with, if it gives none of its own."""
+        return replace(
+            cell,
+            cameras=cell.cameras or self.nominal_cameras,
+            boards=cell.boards or self.nominal_boards,
+        )
+
+
+def result_optics(fitted: Fitted, rows: Rows, geometry: FittedModel) -> ResultOptics:
+    """Return cameras and boards as a fit began with them and as it estimated them.
+
+    Args:
+        fitted: The fit of the geometry.
+        rows: All rows of the table.
+        geometry: The fitted model.
+    """
+    given, setup, values = fitted.task.cell, fitted.setup, rows.samples.optics
+    cameras: dict[str, Camera] = {}
+    boards: dict[str, Board] = {}
+    images = np.flatnonzero(rows.is_image)
+    numbers = np.column_stack([rows.samples.frame, rows.samples.target])[images]
+    places, first = np.unique(numbers, axis=0, return_index=True)
+    for (frame, target), row in zip(places.tolist(), images[first].tolist(), strict=True):
+        station = _key(setup.groups[frame], given.cameras)
+        if station is not None and station not in cameras and values is not None:
+            # With the numbers that the fit begins with: as given, or as the images determine them.
+            camera = given.cameras[station]
+            lens = LENSES[camera.lens]
+            start: Array = values[row, optics.INTRINSICS][: len(lens.names)]
+            sigma = camera.sigma
+            if camera.values is None:
+                sigma = np.full(len(start), UNKNOWN)
+            elif sigma is None:
+                sigma = lens.default_sigma(start, camera.width)
+            cameras[station] = replace(camera, values=start, sigma=sigma)
+        name = _key(setup.targets[target], given.boards)
+        if name is not None:
+            boards.setdefault(name, given.boards[name])
+    return ResultOptics(
+        nominal_cameras=ReadOnlyMapping(cameras),
+        nominal_boards=ReadOnlyMapping(boards),
+        cameras=_estimated_cameras(cameras, geometry),
+        boards=_estimated_boards(boards, geometry),
+    )
+
+
+def _key(name: str, described: Mapping[str, object]) -> str | None:
+    """Return what a cell calls the camera of a station, or the board of a target; None if it has none."""
+    if name in described:
+        return name
+    return "" if "" in described else None
+
+
+def _estimated_cameras(nominal: Mapping[str, Camera], model: FittedModel) -> Mapping[str, Camera]:
+    """Return cameras with their numbers, and the standard deviations of these, as a fit estimated them.
+
+    A number that was not estimated stays as it is, with its standard deviation; so does the standard deviation of one
+    that a bound stopped.
+    """
+    stations = dict(zip(model.setup.places[0], model.setup.groups, strict=True))
+    values = {key: np.array(camera.values) for key, camera in nominal.items()}
+    sigma = {key: np.array(camera.sigma) for key, camera in nominal.items()}
+    for k, parameter, column in _estimated_numbers(model, CAMERA):
+        key = _key(stations[parameter.place], nominal)
+        number = column - optics.INTRINSICS.start
+        if key is not None:
+            values[key][number] += model.x[k]
+            std = model.parameters[k].std
+            sigma[key][number] = std if np.isfinite(std) else sigma[key][number]
+    cameras = {}
+    for key, camera in nominal.items():
+        cameras[key] = replace(camera, values=values[key], sigma=sigma[key])
+    return ReadOnlyMapping(cameras)
+
+
+def _estimated_boards(nominal: Mapping[str, Board], model: FittedModel) -> Mapping[str, Board]:
+    """Return boards with squares and markers as large as estimated, and how well the scale is known now."""
+    targets = dict(zip(model.setup.places[1], model.setup.targets, strict=True))
+    scales: dict[str, list[int]] = {key: [] for key in nominal}
+    for k, parameter, column in _estimated_numbers(model, BOARD):
+        key = _key(targets[parameter.place], nominal)
+        if key is not None and optics.SCALE.start <= column < optics.SCALE.stop:
+            scales[key].append(k)
+
+    boards = {}
+    axes = optics.SCALE.stop - optics.SCALE.start
+    for key, board in nominal.items():
+        numbers = scales[key]
+        boards[key] = board
+        if numbers:
+            factor = 1.0 + float(np.sum(model.x[numbers])) / axes
+            # The variance of the mean of the scales along both axes.
+            std = float(np.sqrt(np.sum(model.covariance[np.ix_(numbers, numbers)]))) / axes
+            boards[key] = replace(
+                board,
+                square=board.square * factor,
+                marker=board.marker * factor,
+                sigma_scale=std if np.isfinite(std) else board.sigma_scale,
+            )
+    return ReadOnlyMapping(boards)
+
+
+def _estimated_numbers(model: FittedModel, family: str) -> Iterator[tuple[int, Parameter, int]]:
+    """Yield index, parameter and column of the optics of each number of cameras, or of boards, that was estimated."""
+    for k, parameter in model.kinematics.model.optical:
+        if parameter.family == family:
+            assert parameter.optic is not None
+            yield k, parameter, parameter.optic

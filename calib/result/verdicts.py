@@ -1,0 +1,223 @@
+"""The verdicts on a result: all figures that they rest on are collected, and judged."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from calib.basics.arrays import Array, Mask
+from calib.basics.channels import Channels
+from calib.diagnosis.evidence import Evidence, ValidationErrors
+from calib.diagnosis.reasons import NO, Reason, Why
+from calib.diagnosis.verdict import judge
+from calib.fit.estimate.fitting import Fitted
+from calib.fit.registration.rows import Rows
+from calib.numerics.errors import Errors
+from calib.numerics.rigid_motion import without_rigid_motion
+from calib.result.calibration import Calibration
+from calib.result.doubts import find_doubts, noise_doubts
+from calib.result.fitted_model import FittedModel
+from calib.robot.ranges import spread_poses
+
+#: A share of validation rows up to which those that do not fit are set aside as accidents.
+_FEW_SUSPECTS = 0.15
+
+#: Parameters of a full geometry for each joint.
+_PER_JOINT = 4
+
+
+def add_verdicts(result: Calibration, rows: Rows) -> Calibration:
+    """Return a result with the verdicts on its geometry and on its non-geometric model.
+
+    Args:
+        result: A cross-validated result, with its measurements and fits in memory.
+        rows: The rows that were fitted; those of sole postures, which no other row can check, count in no error.
+
+    Returns:
+        The same result, each fitted model with its verdict.
+    """
+    doubts = tuple(find_doubts(result, rows))
+    larger, of_larger = result.non_geometric, result.fit.non_geometric
+    usable = None
+    if larger is not None and of_larger is not None:
+        evidence = _collect_evidence(result, larger, of_larger, larger.residual, rows, doubts)
+        larger = replace(larger, verdict=judge(evidence))
+        result = replace(result, non_geometric=larger)
+        assert larger.cross_validation is not None
+        if larger.verdict is not None and larger.verdict.use != NO:
+            usable = larger.name, larger.cross_validation.errors_without_outliers
+
+    geometry, fitted = result.geometry, result.fit.geometry
+    residual = result.rows.residual_calibrated
+    evidence = _collect_evidence(result, geometry, fitted, residual, rows, doubts)
+    evidence = replace(evidence, notes=tuple(_notes(result)), non_geometric=usable)
+    return replace(result, geometry=replace(geometry, verdict=judge(evidence)))
+
+
+def _collect_evidence(
+    result: Calibration,
+    model: FittedModel,
+    fitted: Fitted,
+    residual: Array,
+    rows: Rows,
+    doubts: tuple[Reason, ...],
+) -> Evidence:
+    """Collect the evidence on a model of a result, from its fit and its residuals (N, D) of all rows of the table."""
+    assert result.trust.nominal_cross_validation is not None
+    assert model.cross_validation is not None
+    of_robot = model.model.of_robot
+    lengths_and_angles = of_robot & np.isin(model.model.units, ("m", "rad"))
+    changes = np.abs(model.x[lengths_and_angles])
+    expected, expected_of_nominal = _expected_over_limits(result, model)
+
+    # Repeats of one measurement, and the corners of one image, have one number.
+    labels = np.column_stack([rows.is_image, np.where(rows.is_image, rows.blocks, rows.poses)])
+    _, repeats = np.unique(labels, axis=0, return_inverse=True)
+
+    full_model_parameters = 0
+    if result.method.candidates:  # the data chose the model
+        full_model_parameters = _PER_JOINT * len(result.nominal.inputs) + fitted.setup.count
+
+    m = result.fit.measurements
+    suspects = [suspect.row for suspect in result.rows.suspects]
+    validation = compare_validation_errors(
+        m.validation,
+        np.isin(m.rows, suspects),
+        result.rows.residual_nominal,
+        residual,
+        result.rows.channels,
+    )
+    return Evidence(
+        nominal=result.trust.nominal_cross_validation,
+        calibrated=model.cross_validation,
+        scales=fitted.estimate.problem.scales,
+        used=rows.used & rows.checked[:, None],
+        floor=_noise_floor(result, fitted, doubts),
+        repeats=repeats.reshape(-1),
+        pairs=rows.partner >= 0,
+        outliers=result.fit.geometry.estimate.outliers,
+        validation=validation,
+        doubts=(*noise_doubts(result, fitted, doubts), *doubts),
+        images=rows.is_image,
+        parameters=len(model.model) - len(model.model.optical),
+        full_model_parameters=full_model_parameters,
+        changes=bool(np.any(model.x[of_robot])),
+        largest=float(np.max(changes, initial=0.0)),
+        noise=result.noise.sigma,
+        expected=expected,
+        expected_of_nominal=expected_of_nominal,
+    )
+
+
+def _noise_floor(result: Calibration, fitted: Fitted, doubts: tuple[Reason, ...]) -> Array:
+    """Return the least noise by any model tried over that of a fit, for each scalar, shape (N, D), above 0, at most 1.
+
+    Noise of each channel, as a multiple of the stated sigma, is compared. The part of a fit's noise that exceeds it is
+    lack of model.
+    """
+    problem = fitted.estimate.problem
+    fits = (result.fit.geometry, result.fit.non_geometric)
+    of_fits = [fit.estimate.problem.noise_over_sigma for fit in fits if fit is not None]
+    least = np.min(of_fits, axis=0)
+    share = np.minimum(least / problem.noise_over_sigma, 1.0)
+    for doubt in doubts:
+        if doubt.why is Why.MODEL_LACKS:  # states the noise of the first channel by a larger model
+            unit = problem.rows.channels.units[0]
+            share_of_larger_model = doubt.values[f"less_{unit}"] / doubt.values[f"noise_{unit}"]
+            share[0] = min(share[0], share_of_larger_model)
+    # Scalars that were not measured have the channel -1, the last one.
+    by_channel = np.append(share, 1.0)
+    return np.asarray(by_channel[problem.rows.channels.index])
+
+
+def _expected_over_limits(result: Calibration, model: FittedModel) -> tuple[float, float]:
+    """Return the expected errors over the joint limits, rms [m], of a model of a result and of the nominal robot.
+
+    With the variance v of a predicted position there, mean over 200 joint values, v_0 at the measured poses and the
+    factor f by which extrapolated errors exceed their variance, the model is off by e^2 = v_0 + f (v - v_0). It is d
+    away from the nominal robot, of which (f - 1) (v - v_0) is error of its own: the nominal robot is off by d^2 - (f -
+    1) (v - v_0) + v, and by no less than the model. If the frame was estimated, or no row determines where the base
+    stands, rigid motions of all positions do not count.
+    """
+    samples = result.samples(spread_poses(result.nominal))
+    # T_frame_target, (N, 4, 4), and the derivatives of its position by the p parameters, (N, 3, p).
+    poses, J = model.kinematics.twists(model.x, samples, rotation=False)
+    T_base_tip = result.nominal.poses(samples.q)
+    nominal_points = result.nominal_setup.target_poses(T_base_tip, samples)[:, :3, 3]
+    points = poses[:, :3, 3]
+    away = (nominal_points - points)[:, :, None]
+    if result.method.frame_estimated or not result.rows.tells_place:
+        away = without_rigid_motion(points, away)
+        J = without_rigid_motion(points, J)
+    d_square = float(np.mean(np.sum(away**2, axis=(1, 2))))
+    v = float(np.mean(np.einsum("nip,pq,niq->n", J, model.covariance, J, optimize=True)))
+    v_0 = min(model.expected_measured**2, v)
+    added = v - v_0
+    of_model = v_0 + model.extrapolation * added
+    of_nominal = max(d_square - (model.extrapolation - 1.0) * added + v, of_model)
+    return float(np.sqrt(of_model)), float(np.sqrt(of_nominal))
+
+
+def compare_validation_errors(
+    validation: Mask, suspects: Mask, nominal: Array, calibrated: Array, channels: Channels
+) -> ValidationErrors:
+    """Compare errors on the validation rows, without suspects if they are few.
+
+    One wild row would decide the comparison; many of them are not accidents, and count. Few are no more than one, or
+    `_FEW_SUSPECTS` of the validation rows, but not all.
+
+    Args:
+        validation: True for validation rows, shape (N,).
+        suspects: True for rows whose score is beyond the limit, shape (N,).
+        nominal: Measured minus predicted by the nominal robot, shape (N, D).
+        calibrated: The same by the calibrated robot.
+        channels: The channels of the residuals.
+
+    Returns:
+        Errors of both robots, and the number of rows that were set aside.
+    """
+    aside = suspects & validation
+    many = np.sum(suspects) > max(1, int(_FEW_SUSPECTS * np.sum(validation)))
+    if many or np.array_equal(aside, validation):
+        aside = np.zeros_like(suspects)
+    chosen = validation & ~aside
+    return ValidationErrors(
+        before=Errors.of(nominal[chosen], channels.select(chosen)),
+        after=Errors.of(calibrated[chosen], channels.select(chosen)),
+        aside=int(np.sum(aside)),
+        whole=Errors.of(calibrated[validation], channels.select(validation)),
+    )
+
+
+def _notes(result: Calibration) -> Iterator[Reason]:
+    """Yield reasons that only inform: a non-geometric model, copied rows, validation rows beyond the fitted ranges."""
+    larger, validated = result.non_geometric, result.cross_validation
+    if larger is not None and larger.cross_validation is not None and larger.verdict is not None:
+        errors = larger.cross_validation.errors_without_outliers
+        no_closer = (
+            validated is not None
+            and errors.leading.rms >= validated.errors_without_outliers.leading.rms
+        )
+        why = Why.LARGER_NO_CLOSER if no_closer else Why.LARGER_MODEL
+        yield Reason.of(why, model=larger.name, after=errors, use=larger.verdict.use)
+
+    m = result.fit.measurements
+    if m.copies:
+        yield Reason.of(Why.ROWS_COPIED, rows=len(m.copies), row=m.copies[0])
+
+    rows_outside = result.rows.outside
+    if rows_outside:
+        farthest = max(rows_outside, key=lambda row: row.beyond[0].by)
+        joint = farthest.beyond[0]
+        number = int(np.array(m.rows)[m.validation][farthest.index])
+        values: dict[str, Any] = {"by_m" if joint.prismatic else "by_rad": joint.by}
+        images = np.array(m.images)[m.validation]
+        images_outside = {image for image in images[[row.index for row in rows_outside]] if image}
+        if images_outside:
+            values |= {"images": len(images_outside), "image": str(images[farthest.index])}
+        yield Reason.of(
+            Why.OUTSIDE, rows=len(rows_outside), row=number, joint=joint.joint, **values
+        )

@@ -1,0 +1,216 @@
+"""What a format is: a row of the registry, and what its functions take and return.
+
+A format is written from a `Source` by a function of source, path and `Options`, which returns `Note`s. Each module of a
+format has its rows in ``FORMATS``, and of files that it reads in ``KINDS``; `calib.verbs.convert.convert` puts them
+together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import yaml
+
+from calib.basics.values import Value, keep_read_only
+from calib.data.cell import Cell
+from calib.data.inputs import RobotInput, chain_of, robot_of
+from calib.diagnosis.reasons import Verdict
+from calib.errors import FileError
+from calib.result.calibration import Calibration
+from calib.robot.generated.universal_robots import UrModel
+from calib.robot.robot import Robot
+
+#: Endings of YAML files.
+YAML = (".yaml", ".yml")
+
+
+class Note(NamedTuple):
+    """A note of a conversion: something that is not as it seems, or that a file has no place for."""
+
+    #: What it is about: ``"nominal hash"``.
+    code: str
+    #: Its sentence, with ``{0}``, ``{1}``, ... for the values.
+    sentence: str
+    #: What the sentence names: words, and numbers in SI units [m], [rad].
+    values: tuple[str | float, ...] = ()
+
+    @property
+    def text(self) -> str:
+        """The sentence with its values, lengths in mm and angles in mrad."""
+        shown = [value if isinstance(value, str) else 1e3 * value + 0.0 for value in self.values]
+        return self.sentence.format(*shown)
+
+
+Notes = tuple[Note, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CameraOptions:
+    """Names that the hand-over of a camera needs; all may be left out."""
+
+    #: Name of the camera, as in the column ``group``; None: the only one.
+    camera: str | None = None
+    #: The link that is the camera's optical frame: z along the line of sight, x to the right in the image.
+    camera_frame: str | None = None
+    #: The fixed joint whose origin is changed, so that the optical frame gets its estimated pose; None: the only one
+    #: between the link that carries the camera and the optical frame.
+    move: str | None = None
+    #: Name of a link to add at the optical frame, if the URDF has none.
+    new_camera_frame: str | None = None
+    #: Name of the board, as in the column ``target``; None: the only one.
+    board: str | None = None
+    #: Name of a link to add at the board.
+    new_board_frame: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """Options of a conversion; all may be left out."""
+
+    #: Name of the format to write; None: by the ending of the file.
+    to: str | None = None
+    #: The nominal robot, or its URDF, xacro or name; None: that of a result, or a bare one of ``ur_model``.
+    robot: RobotInput | None = None
+    #: Name of an arm of Universal Robots; None: found from the robot.
+    ur_model: str | None = None
+    #: The arm's file with the nominal rows of a ``calibration.conf``; None: those of the robot or of ``ur_model``.
+    urcontrol: str | Path | None = None
+    #: The robot's own ``kinematics.yaml`` or ``calibration.conf``, whose hash a new ``kinematics.yaml`` keeps.
+    hash_from: str | Path | None = None
+    #: A ``calibration.conf`` whose other lines a new one keeps; or a file of offsets, to which zeros are added.
+    update: str | Path | None = None
+    #: Ticks per turn of a servo's encoder, in which zeros are stored.
+    ticks: int = 4096
+    #: First link of the chain; None: that of the source.
+    base: str | None = None
+    #: Last link of the chain; None: that of the source.
+    tip: str | None = None
+    #: Values of joints that are held, by name [rad or m]; None: those of the source.
+    held: Mapping[str, float] | None = None
+    #: Factors of other joints' readings by name, for each joint whose readings are coupled; None: those of the source.
+    coupling: Mapping[str, Mapping[str, float]] | None = None
+    #: Names that the hand-over of a camera needs.
+    camera: CameraOptions = CameraOptions()
+    #: Whether an existing file is replaced.
+    overwrite: bool = False
+    #: Whether to write even what should not be given to a robot.
+    accept: bool = False
+
+    def __post_init__(self) -> None:
+        """Keep read-only copies of the held values and the couplings."""
+        keep_read_only(self, "held")
+        keep_read_only(self, "coupling")
+
+    def load(self, source: RobotInput) -> Robot:
+        """Return a robot, given or by its URDF, xacro or name, between the links of these options."""
+        if not isinstance(source, Robot):
+            held, coupling = self.held or {}, self.coupling or {}
+            return robot_of(
+                source, Cell(base=self.base, tip=self.tip, held=held, coupling=coupling)
+            )
+        chain = chain_of(source)
+        held = chain.held if self.held is None else self.held
+        coupling = chain.coupling if self.coupling is None else self.coupling
+        base, tip = self.base or source.base, self.tip or source.tip
+        if (base, tip, held, coupling) == (chain.base, chain.tip, chain.held, chain.coupling):
+            return source
+        return Robot.from_urdf(source.urdf, base, tip, held=held, coupling=coupling)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Source(Value):
+    """A robot that was read, and the same chain with nominal kinematics."""
+
+    #: Kind of source, one of `calib.verbs.convert.convert.KINDS`.
+    kind: str
+    #: The robot, calibrated if the file is.
+    robot: Robot
+    #: The nominal robot; None: not known.
+    nominal: Robot | None
+    #: The arm of Universal Robots that it is; None: one of another maker.
+    model: UrModel | None = None
+    #: The name that Universal Robots' ROS driver gives a calibration; None: the file has none.
+    hash: str | None = None
+    #: The file's own content, for the writer of the same format; None: none is kept.
+    content: object = None
+    #: What the reader has to say.
+    notes: Notes = ()
+    #: The verdict of a result; None: another file, or a result that was not validated.
+    verdict: Verdict | None = None
+    #: The result itself; None: another file.
+    calibration: Calibration | None = None
+
+
+class SourceKind(NamedTuple):
+    """A kind of source."""
+
+    #: Endings of its files; ``""`` for the name of a robot.
+    endings: tuple[str, ...]
+    #: The key by which a file is recognised among those of these endings; empty: by its ending alone.
+    key: str
+    #: Reads a file, or the name of a robot.
+    read: Callable[[str, Options], Source]
+
+
+class Format(NamedTuple):
+    """A format that can be written."""
+
+    #: What it is, for texts.
+    what: str
+    #: Endings of its files; none if only its name selects it.
+    endings: tuple[str, ...]
+    #: Writes a source to a file, after reading it back and comparing it; returns what there is to say.
+    write: Callable[[Source, Path, Options], Notes]
+    #: Whether ``Options.update`` may name the robot's own file, of which a copy with new numbers is written.
+    updates: bool = False
+    #: Whether it is about a camera, and takes the names in ``Options.camera``.
+    of_camera: bool = False
+    #: Whether it has the corrected chain, so that the displacement of the tip is printed.
+    has_chain: bool = True
+    #: Paragraphs in words about what was written; None: there is nothing to add.
+    describe: Callable[[Conversion], list[str]] | None = None
+    #: The command that uses the file, printed last; None: there is none.
+    command: Callable[[Conversion], str] | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Conversion(Value):
+    """A finished conversion: what was read, and what was written."""
+
+    #: What was read.
+    source: Source
+    #: Name of the format that was written, one of `calib.verbs.convert.convert.FORMATS`.
+    format: str
+    #: The file that was written.
+    path: Path
+    #: What the writer has to say.
+    notes: Notes
+    #: The verdict ``do not use`` and its reason, if one was accepted.
+    against: str = ""
+    #: What went with it.
+    options: Options = field(default_factory=Options)
+
+
+def parse_yaml(data: bytes, source: str, what: str) -> dict[Any, Any]:
+    """Parse a YAML file.
+
+    Args:
+        data: The file's bytes.
+        source: The file's name, for the message.
+        what: What the file should be, for the message: ``"origins file"``.
+
+    Returns:
+        The outermost table; empty if the file holds none.
+
+    Raises:
+        FileError: It is not YAML.
+    """
+    try:
+        table = yaml.safe_load(data)
+    except (yaml.YAMLError, ValueError, RecursionError, ArithmeticError) as error:
+        reason = " ".join(str(error).split())  # with line and column
+        raise FileError(f"{source}: this {what} cannot be read as YAML: {reason}") from error
+    return table if isinstance(table, dict) else {}

@@ -1,0 +1,146 @@
+"""Results and robots as sources of a conversion, and the URDF that is written of either."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from calib.data.inputs import RobotInput, chain_of
+from calib.errors import CalibError, ModelError
+from calib.result.calibration import Calibration
+from calib.result.calibration_file import read_result
+from calib.robot.coupled_readings import coupling_lines
+from calib.robot.generated.universal_robots import UrModel, ur_model
+from calib.robot.ranges import random_joint_values
+from calib.robot.readback import check_written
+from calib.robot.robot import Robot
+from calib.verbs.compensate.nominal_actual import check_same_joints, is_corrected
+from calib.verbs.convert.format import Format, Note, Notes, Options, Source, SourceKind
+from calib.verbs.convert.ur_arms import Mount, the_mount, ur_robot
+
+
+def result_source(result: Calibration, options: Options, name: str) -> Source:
+    """Return a result as a source, on the given robot, nominal or corrected, or on the URDF that it holds.
+
+    Args:
+        result: The result.
+        options: What goes with the conversion.
+        name: What messages call the result.
+
+    Raises:
+        CalibError: The options name another chain.
+    """
+    nominal = result.nominal
+    robot = result.robot
+    links = (options.base or nominal.base, options.tip or nominal.tip)
+    has_other_links = links != (nominal.base, nominal.tip)
+    has_other_held = options.held and options.held != nominal.held
+    if has_other_links or has_other_held:
+        raise CalibError(
+            f"{name} holds base, tip and held joints; leave out --base, --tip and --hold."
+        )
+    if options.robot is not None:
+        chain = chain_of(nominal)
+        chain_of_result = replace(
+            options, base=chain.base, tip=chain.tip, held=chain.held, coupling=chain.coupling
+        )
+        arm = chain_of_result.load(options.robot)
+        if is_corrected(result, arm):
+            nominal, robot = result.uncorrected(arm), arm
+        else:
+            nominal, robot = arm, result.corrected(arm)
+    notes: Notes = ()
+    if result.non_geometric is not None:
+        sentence = (
+            "The result's non-geometric model '{0}' is not converted: no format written here holds it. "
+            "'calib compensate' uses it."
+        )
+        notes = (Note("geometry alone", sentence, (result.non_geometric.name,)),)
+    return Source(
+        "result",
+        robot,
+        nominal,
+        model=arm_of(nominal, options),
+        notes=notes,
+        verdict=result.verdict,
+        calibration=result,
+    )
+
+
+def robot_source(given: RobotInput, options: Options) -> Source:
+    """Return a robot, or the one in a URDF, a xacro or of a name, as a source beside the given nominal one.
+
+    Args:
+        given: The robot, the path of its file, or its name.
+        options: The nominal robot, base and tip, and the arm of Universal Robots, if they are given.
+    """
+    robot = options.load(given)
+    nominal = None
+    if options.robot is not None:
+        nominal = replace(options, base=robot.base, tip=robot.tip).load(options.robot)
+        check_same_joints(robot, nominal)
+    else:
+        mount = _mount(robot)
+        if mount is not None and mount.nominal:
+            nominal = robot  # an arm with the kinematics of the data sheet is its own nominal robot
+        elif options.ur_model is not None:
+            nominal = ur_robot(options.ur_model).rebuilt(base=robot.base, tip=robot.tip)
+    model = None if nominal is None else arm_of(nominal, options)
+    return Source("robot", robot, nominal, model=model)
+
+
+def arm_of(nominal: Robot, options: Options) -> UrModel | None:
+    """Return the arm of Universal Robots that a nominal robot is; None if it is of another maker.
+
+    Args:
+        nominal: The nominal robot.
+        options: The name of the arm, if it is given.
+
+    Raises:
+        ModelError: It is not the arm that the options name.
+    """
+    if options.ur_model is not None:
+        return the_mount(nominal, ur_model(options.ur_model)).model
+    mount = _mount(nominal)
+    return None if mount is None else mount.model
+
+
+def _mount(robot: Robot) -> Mount | None:
+    """Return how a robot is mounted as an arm of Universal Robots; None if it is of another maker."""
+    try:
+        return the_mount(robot)
+    except ModelError:
+        return None
+
+
+def write_urdf(source: Source, path: Path, options: Options) -> Notes:
+    """Write the URDF, read back by Pinocchio and yourdfpy; see `Format.write`."""
+    robot = source.robot
+    q = random_joint_values(robot)
+    written = robot
+    if source.kind == "robot" and source.nominal is not None:
+        written = source.nominal.with_placements(robot.placements)
+    written = replace(written, urdf=written.urdf.with_verdict(robot.urdf.verdict))
+    check_written(written, robot.poses(q), q)
+    written.urdf.write(path, overwrite=options.overwrite)
+    coupled = robot.reading_coupling
+    if not coupled:
+        return ()
+    known = "" if written.urdf.dh is None else ", or the rows in a comment of the URDF do"
+    sentence = (
+        "The joints of the URDF are at their angles, not at the controller's readings. For calib the cell file says "
+        "{0}{1}."
+    )
+    return (Note("coupled readings", sentence, (coupling_lines(coupled), known)),)
+
+
+FORMATS = {"urdf": Format("the URDF", (".urdf", ".xml"), write_urdf)}
+
+KINDS = {
+    "result": SourceKind(
+        (".json",),
+        "",
+        lambda source, options: result_source(read_result(source), options, source),
+    ),
+    "robot": SourceKind(("", ".urdf", ".xml"), "", robot_source),
+}

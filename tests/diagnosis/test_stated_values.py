@@ -1,0 +1,202 @@
+"""Stated values that the rows contradict: the base, the instrument's scale, lenses, boards, covariances of poses."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calib.data.cell import Cell
+from calib.diagnosis.reasons import Why
+from calib.diagnosis.stated_values import (
+    _idle_covariances,
+    _wrong_optics,
+    instrument_scale,
+    motion_of_base,
+)
+from calib.fit.estimate.fitting import fit
+from calib.fit.estimate.task import Task
+from calib.fit.registration.known_distances import known_distances
+from calib.fit.registration.table_rows import rows_and_setup
+from calib.robot.ranges import random_joint_values
+from tests.covariances import random_covariances
+from tests.fit.estimate.special_cases.test_pose_covariances import table_with
+from tests.images import BOARD, VALUES, arm as camera_arm, camera, cell, poses, table
+from tests.judged import arm, fit_to, moved, table_of
+
+
+@pytest.fixture(scope="module")
+def clean(make_scene):
+    """A wrong UR3 and forty points of it in its base frame."""
+    scene = arm(make_scene, 7)
+    q = random_joint_values(scene.robot, 40, 7)
+    return scene, table_of(scene, q, np.random.default_rng(7))
+
+
+@pytest.mark.parametrize(
+    ("by", "about"),
+    [((4e-3, 3e-3, 0.0), (0.0, 0.0, 0.0)), ((0.0, 0.0, 0.0), (4e-3, -3e-3, 0.0))],
+)
+def test_a_base_that_has_moved_across_its_first_axis(clean, by, about):
+    scene, table = clean
+    motion = motion_of_base(fit_to(scene, moved(table, by, about)))
+    height = scene.robot.placements[0][2, 3]
+    # The first joint's origin, above that of the base, moves with it.
+    origin = np.linalg.norm(np.array(by) + np.cross(about, [0.0, 0.0, height]))
+    assert motion.p < 1e-12
+    assert motion.moved == pytest.approx(origin, abs=1e-4)
+    assert motion.turned == pytest.approx(np.linalg.norm(about), abs=2e-4)
+    if not np.any(about):
+        assert motion.effect == pytest.approx(np.linalg.norm(by), abs=1e-4)
+    # What the arm itself is off by stays.
+    still = motion_of_base(fit_to(scene, table))
+    assert motion.effect_of_arm == pytest.approx(still.effect_of_arm, rel=0.1)
+
+
+def test_a_base_that_stands_where_it_should_has_not_moved(clean):
+    """The first joint's own offset and zero are its own, where the others' are as large."""
+    scene, table = clean
+    motion = motion_of_base(fit_to(scene, table))
+    assert (motion.p > 0.003, motion.effect) == (True, 0.0)
+
+
+def test_a_base_that_stands_lower_than_any_joints_offset(clean):
+    scene, table = clean
+    motion = motion_of_base(fit_to(scene, moved(table, (0.0, 0.0, 12e-3))))
+    assert motion.moved == pytest.approx(12e-3, abs=1e-3)
+
+
+def test_an_unknown_frame_has_no_base_to_be_moved(clean):
+    scene, table = clean
+    assert motion_of_base(fit_to(scene, table, Cell(model="dh", estimate_frame=True))) is None
+
+
+@pytest.mark.parametrize("share", [0.004, -0.004])
+def test_the_scale_of_an_instrument(clean, share):
+    scene, table = clean
+    scale = instrument_scale(fit_to(scene, replace(table, points=(1.0 + share) * table.points)))
+    assert scale.share == pytest.approx(share, abs=3.0 * scale.std)
+    assert scale.std < 1.5e-3
+    assert scale.hidden == pytest.approx(abs(scale.share) + 2.0 * scale.std)
+    assert scale.p < 0.05
+    reach = np.sqrt(np.mean(np.sum(table.points**2, axis=1)))
+    assert scale.reach == pytest.approx(reach, rel=0.01)
+
+
+@pytest.mark.slow
+def test_a_known_distance_between_sockets_tells_the_scale(calibrated):
+    """Sockets measure nothing: only the distance grows, and the error that it then has is found."""
+    scene, result = calibrated("sockets")
+    scale = instrument_scale(result.fit.geometry)
+    assert not scale.measured
+    assert abs(scale.share) < 3.0 * scale.std
+    wrong = tuple(replace(one, length=1.01 * one.length) for one in result.fit.cell.distances)
+    cell = replace(result.fit.cell, distances=wrong)
+    rows, setup = rows_and_setup(scene.robot, result.fit.measurements, cell)
+    task = replace(result.fit.geometry.task, cell=cell, setup=setup)
+    found = fit(replace(task, distances=known_distances(cell, setup)), rows)
+    assert instrument_scale(found).share == pytest.approx(0.01, abs=3.0 * scale.std)
+
+
+def test_zeros_of_joints_cannot_take_a_scale(clean):
+    """Where no length of the arm is estimated, what all lengths grow by has nothing to hide in."""
+    scene, table = clean
+    assert instrument_scale(fit_to(scene, table, Cell(model="zeros"))) is None
+
+
+# Lenses and boards
+
+FOCAL = np.array([1.015, 1.015, 1, 1, 1, 1, 1, 1, 1])
+CLOSE = np.array([1.0, 1.0, 2.0, 2.0, 5e-3, 5e-3, 5e-4, 5e-4, 5e-3])
+
+
+def reasons_of_images(camera, board=BOARD, model="zeros", **made):
+    robot = camera_arm()
+    c = cell(cameras={"": camera}, boards={"": board})
+    rows, setup = rows_and_setup(robot, table(poses(20), noise=0.2, **made), c)
+    return list(_wrong_optics(fit(Task(robot, c, setup, model), rows)))
+
+
+@pytest.mark.parametrize("exact", [True, False])
+def test_a_wrong_focal_length_is_named(exact):
+    stated = camera(values=VALUES["pinhole"] * FOCAL, sigma=np.zeros(9) if exact else CLOSE)
+    (reason,) = reasons_of_images(stated)
+    assert reason.why is Why.FOCAL_LENGTH_OFF
+    assert reason.values["share"] == pytest.approx(1.0 / 1.015 - 1.0, abs=4e-3)
+    assert reason.values["exact"] is exact
+
+
+def test_a_focal_length_of_another_resolution_is_named_with_its_share_of_the_stated_one():
+    half = np.array([2.0, 2.0, 1, 1, 1, 1, 1, 1, 1])
+    (reason,) = reasons_of_images(camera(values=VALUES["pinhole"] * half))
+    assert reason.why is Why.FOCAL_LENGTH_OFF
+    assert reason.values["share"] == pytest.approx(-0.5, abs=0.02)
+
+
+@pytest.mark.parametrize("sigma", [0.0, 0.003])
+def test_a_board_of_another_size_is_named(sigma):
+    stated = replace(BOARD, sigma_scale=sigma)
+    (reason,) = reasons_of_images(camera(sigma=CLOSE), stated, points=1.01 * BOARD.corners)
+    assert reason.why is Why.BOARD_SCALE_OFF
+    assert reason.values["share"] == pytest.approx(0.01, abs=5e-3)
+    assert reason.values["exact"] is (sigma == 0.0)
+
+
+@pytest.mark.parametrize("square", [0.96, 0.9])
+def test_a_wrong_square_is_named_though_all_lengths_of_the_arm_make_up_for_it(square):
+    """Lengths of the arm that have grown alike, by much more than arms are wrong, are no proof of a wide prior."""
+    stated = replace(BOARD, sigma_scale=0.003)
+    (reason,) = reasons_of_images(
+        camera(sigma=CLOSE), stated, model="dh", points=square * BOARD.corners
+    )
+    assert reason.why is Why.BOARD_SCALE_OFF
+    assert reason.values["share"] == pytest.approx(square - 1.0, abs=0.015)
+
+
+@pytest.mark.parametrize("exact", [True, False])
+def test_right_statements_are_not_contradicted(exact):
+    stated = camera(sigma=np.zeros(9) if exact else CLOSE)
+    assert reasons_of_images(stated, replace(BOARD, sigma_scale=0.0 if exact else 0.003)) == []
+
+
+# Covariances of poses
+
+#: The orientation before the position.
+TURNS_FIRST = [3, 4, 5, 0, 1, 2]
+
+
+def reasons_of_covariances(scene, stated, true, rng):
+    cell = Cell(estimate_frame=True)
+    table = table_with(scene, len(true), stated, true, rng)
+    rows, setup = rows_and_setup(scene.robot, table, cell)
+    return list(_idle_covariances(fit(Task(scene.robot, cell, setup, "zeros"), rows)))
+
+
+@pytest.mark.parametrize("scale", [1.0, 0.1])
+def test_covariances_in_another_order_are_named(make_scene, scale):
+    rng = np.random.default_rng(1)
+    true = random_covariances(rng, 40)
+    other = scale**2 * true[:, TURNS_FIRST][:, :, TURNS_FIRST]
+    (reason,) = reasons_of_covariances(make_scene(1, model="zeros"), other, true, rng)
+    assert reason.why is Why.COVARIANCES_IDLE
+    assert reason.values["scale"] < 1.0
+
+
+@pytest.mark.parametrize("scale", [1.0, 0.01])
+def test_right_covariances_are_not(make_scene, scale):
+    rng = np.random.default_rng(2)
+    true = random_covariances(rng, 40)
+    assert reasons_of_covariances(make_scene(2, model="zeros"), scale**2 * true, true, rng) == []
+
+
+def test_equal_covariances_tell_nothing_and_need_not(make_scene):
+    rng = np.random.default_rng(3)
+    equal = np.tile(np.diag(np.repeat([1e-4, 1e-3], 3) ** 2), (40, 1, 1))
+    assert reasons_of_covariances(make_scene(3, model="zeros"), equal, equal, rng) == []
+
+
+def test_poses_without_covariances_are_not_judged(make_scene):
+    rng = np.random.default_rng(4)
+    true = random_covariances(rng, 20)
+    assert reasons_of_covariances(make_scene(4, model="zeros"), None, true, rng) == []

@@ -1,0 +1,81 @@
+"""All figures of a result that its verdicts rest on."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from calib.basics.channels import Channels
+from calib.result.calibration import Calibration
+from calib.result.verdicts import (
+    _collect_evidence,
+    _expected_over_limits,
+    compare_validation_errors,
+)
+from calib.robot.ranges import spread_poses
+from tests.parts import with_part
+
+ALL = Channels.of_unit(np.ones((10, 3), dtype=bool))
+
+
+def test_one_wild_validation_row_is_set_aside():
+    validation = np.arange(10) >= 4
+    nominal, calibrated = np.full((10, 3), 1e-3), np.full((10, 3), 1e-4)
+    nominal[7] = calibrated[7] = 0.05
+    found = compare_validation_errors(validation, np.arange(10) == 7, nominal, calibrated, ALL)
+    assert (found.before["m"].n, found.after["m"].n, found.aside) == (5, 5, 1)
+    assert found.after["m"].rms == pytest.approx(1e-4 * np.sqrt(3))
+    # Stated too is the error with it.
+    assert (found.whole["m"].n, found.whole["m"].max) == (6, pytest.approx(0.05 * np.sqrt(3)))
+
+
+def test_many_rows_that_do_not_fit_are_no_accidents():
+    validation = np.arange(10) >= 4
+    residual = np.full((10, 3), 1e-3)
+    found = compare_validation_errors(validation, np.arange(10) >= 7, residual, residual, ALL)
+    assert (found.before["m"].n, found.aside) == (6, 0)
+
+
+@pytest.mark.parametrize(("name", "places"), [("points", 3), ("set-ups", 3 * 6 + 3), ("poses", 12)])
+def test_a_full_geometry_has_four_parameters_a_joint_besides_frames_and_targets(
+    calibrated, name: str, places: int
+):
+    _, c = calibrated(name)
+
+    def full_model_parameters(result: Calibration) -> int:
+        fitted = result.fit.geometry
+        rows, residual = fitted.estimate.problem.rows, result.rows.residual_calibrated
+        evidence = _collect_evidence(result, result.geometry, fitted, residual, rows, ())
+        return evidence.full_model_parameters
+
+    assert full_model_parameters(c) == 6 * 4 + places
+    # None is asked for if the model was named.
+    assert full_model_parameters(with_part(c, "method", candidates=())) == 0
+
+
+def test_the_nominal_robot_is_off_over_the_joint_limits_by_what_was_corrected(calibrated):
+    """Without uncertainty of the parameters: the distance of both predictions, rms."""
+    _, c = calibrated("known set-ups")
+    certain = with_part(
+        c, "geometry", covariance=np.zeros_like(c.covariance), expected_measured=0.0
+    )
+    of_model, of_nominal = _expected_over_limits(certain, certain.geometry)
+    q = spread_poses(c.nominal)
+    points = c.predict(q, target=c.setup.targets[0], group=c.setup.groups[0])
+    setup = c.nominal_setup
+    T = setup.T_frame_base[0] @ c.nominal.poses(q) @ setup.T_tip_target[0]
+    away = np.linalg.norm(points - T[:, :3, 3], axis=1)
+    assert of_model == 0.0
+    assert of_nominal == pytest.approx(np.sqrt(np.mean(away**2)))
+
+
+def test_over_the_joint_limits_the_variance_of_predictions_counts_for_both_robots(calibrated):
+    """trace(J C J^T), mean over the poses: all of it is expected of a model that is certain where it was measured."""
+    _, c = calibrated("known set-ups")
+    only_there = with_part(c, "geometry", expected_measured=0.0, extrapolation=1.0)
+    certain = with_part(only_there, "geometry", covariance=np.zeros_like(c.covariance))
+    of_model, of_nominal = _expected_over_limits(only_there, only_there.geometry)
+    _, away = _expected_over_limits(certain, certain.geometry)
+    std = c.geometry.pose_std(c.samples(spread_poses(c.nominal)))[:, 0]
+    assert of_model == pytest.approx(np.sqrt(np.mean(std**2)))
+    assert of_nominal == pytest.approx(np.hypot(away, of_model))
