@@ -32,15 +32,16 @@ if TYPE_CHECKING:
     from calib.result.calibration import Calibration as Calibration
     from calib.robot.dh.rows import DHRow as DHRow
     from calib.robot.robot import Robot as Robot
-    from calib.verbs.base_frame.survey import base_frame as base_frame
+    from calib.verbs.base_frame.base_frame import base_frame as base_frame
     from calib.verbs.calibrate.uncertainty import bootstrap as bootstrap
     from calib.verbs.compare.comparison import Comparison as Comparison, compare as compare
-    from calib.verbs.compensate.commands import Commands as Commands, compensate as compensate
+    from calib.verbs.compensate.commands import Commands as Commands
+    from calib.verbs.compensate.compensate import compensate as compensate
     from calib.verbs.compensate.program import Program as Program
     from calib.verbs.convert.convert import convert as convert
     from calib.verbs.evaluate.acceptance import Acceptance as Acceptance, acceptance as acceptance
     from calib.verbs.evaluate.evaluation import Evaluation as Evaluation, evaluate as evaluate
-    from calib.verbs.fleet.tables import fleet as fleet
+    from calib.verbs.fleet.fleet import fleet as fleet
     from calib.verbs.inspect.inspection import inspect as inspect
     from calib.verbs.plan.choice import PlanRequest as PlanRequest
     from calib.verbs.plan.plan import Plan as Plan, plan as plan
@@ -63,8 +64,9 @@ _NAMES = {
     "calib.verbs.evaluate.evaluation": "Evaluation evaluate",
     "calib.boards.board": "Board",
     "calib.camera.camera": "Camera",
-    "calib.verbs.base_frame.survey": "base_frame",
-    "calib.verbs.compensate.commands": "Commands compensate",
+    "calib.verbs.base_frame.base_frame": "base_frame",
+    "calib.verbs.compensate.commands": "Commands",
+    "calib.verbs.compensate.compensate": "compensate",
     "calib.verbs.compensate.program": "Program",
     "calib.verbs.convert.convert": "convert",
     "calib.data.cell": "Cell",
@@ -76,7 +78,7 @@ _NAMES = {
     "calib.verbs.workspace.workspace": "workspace",
     "calib.errors": "CalibError",
     "calib.verbs.inspect.inspection": "inspect",
-    "calib.verbs.fleet.tables": "fleet",
+    "calib.verbs.fleet.fleet": "fleet",
     "calib.verbs.plan.plan": "Plan plan",
     "calib.verbs.evaluate.acceptance": "Acceptance acceptance",
     "calib.verbs.calibrate.uncertainty": "bootstrap",

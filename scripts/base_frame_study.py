@@ -31,10 +31,10 @@ from calib.model.error_model import error_model
 from calib.result.calibrate import calibrate
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
+from calib.verbs.base_frame.axes import nominal_axes, nominal_axes_frame
+from calib.verbs.base_frame.base_frame import BaseFrame, base_frame, frame_of
+from calib.verbs.base_frame.circles import fit_circle, fit_plane
 from calib.verbs.base_frame.findings import with_positive_sense
-from calib.verbs.base_frame.fits import fit_circle, fit_plane
-from calib.verbs.base_frame.frame import BaseFrame, frame_of, nominal_axes, nominal_axes_frame
-from calib.verbs.base_frame.survey import base_frame
 from calib.verbs.base_frame.sweeps import Sweeps
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
@@ -257,7 +257,7 @@ def robot_errors(seed: int) -> tuple[float, float, float]:
 
     arcs = np.radians([270.0, 180.0])
     sweeps = virtual_sweeps(true, T_TRACKER_BASE, SIGMA, arcs=arcs, seed=seed)
-    T_tracker_base = base_frame(sweeps, nominal).frame.T_tracker_base
+    T_tracker_base = base_frame(sweeps, nominal).T_tracker_base
 
     q = random_joint_values(nominal, 40, seed)
     points = add_noise(in_tracker(true, T_TRACKER_BASE, target, q), SIGMA, rng)

@@ -25,7 +25,7 @@ from calib.result.calibration import Calibration
 from calib.robot.gravity import Payload
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
-from calib.verbs.compensate.commands import compensate
+from calib.verbs.compensate.compensate import compensate
 from calib.verbs.compensate.expected import mean_of_chi
 from calib.verbs.compensate.program import Program
 from calib.verbs.simulate.truth import Truth, draw_truth

@@ -30,7 +30,8 @@ from calib.result.calibrate import calibrate
 from calib.result.calibration import Calibration
 from calib.robot.ranges import column_limits, random_joint_values
 from calib.robot.robot import Robot
-from calib.verbs.compensate.commands import Commands, compensate
+from calib.verbs.compensate.commands import Commands
+from calib.verbs.compensate.compensate import compensate
 from calib.verbs.compensate.inverse import Matching, solve
 from calib.verbs.compensate.nominal_actual import Arm
 from calib.verbs.compensate.program import Program

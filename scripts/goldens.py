@@ -80,8 +80,8 @@ def api_survey() -> dict[str, Any]:
     from calib.verbs.base_frame.sweeps import read_sweeps
 
     robot = calib.Robot.load("robot.urdf", base="base", tip="tool0")
-    survey = calib.base_frame(read_sweeps("sweeps.csv"), robot)
-    return {"frame": json_content(np.asarray(survey.frame.T_tracker_base).tolist())}
+    frame = calib.base_frame(read_sweeps("sweeps.csv"), robot)
+    return {"frame": json_content(np.asarray(frame.T_tracker_base).tolist())}
 
 
 def api_workspace() -> dict[str, Any]:

@@ -17,7 +17,7 @@ from calib.result.calibration import Calibration
 from calib.result.calibration_file import read_result
 from calib.robot.ranges import column_limits, random_joint_values
 from calib.robot.robot import Robot
-from calib.verbs.compensate.commands import compensate
+from calib.verbs.compensate.compensate import compensate
 from calib.verbs.compensate.program import Program
 from calib.verbs.plan.choice import PlanRequest
 from calib.verbs.plan.plan import plan

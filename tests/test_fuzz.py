@@ -15,7 +15,7 @@ import calib
 from calib.data.points_file import read_points
 from calib.errors import CalibError
 from calib.example import paper_measurements, paper_urdf
-from calib.verbs.compensate.program_file import read_program
+from calib.verbs.compensate.program_table import read_program
 from calib.verbs.convert.convert import KINDS, source_kind
 from calib.verbs.convert.format import Options
 from calib.verbs.plan.solids import read_solids

@@ -29,7 +29,7 @@ from calib.model.families import FAMILIES, ONE, Factor, Family, JointState, fact
 from calib.result.calibration import Calibration
 from calib.robot.robot import Robot
 from calib.verbs.compare.comparison import compare
-from calib.verbs.compensate.commands import compensate
+from calib.verbs.compensate.compensate import compensate
 from calib.verbs.compensate.program import Program
 from calib.verbs.evaluate.evaluation import evaluate
 from calib.verbs.plan.choice import PlanRequest

@@ -14,7 +14,7 @@ from calib.cli.verb import verb
 from calib.errors import CalibError
 
 if TYPE_CHECKING:
-    from calib.verbs.base_frame.survey import Survey
+    from calib.verbs.base_frame.base_frame import BaseFrame
 
 _File = Path | None
 
@@ -51,7 +51,7 @@ class FrameOutputs:
     )
     force: Force = False
 
-    def write(self, survey: Survey, cell_text: str) -> None:
+    def write(self, frame: BaseFrame, cell_text: str) -> None:
         """Write the files that were asked for."""
         from calib.basics.files import write_atomically
         from calib.result.calibration_file import write_table
@@ -59,7 +59,7 @@ class FrameOutputs:
         if self.cell_out is not None:
             write_atomically(self.cell_out, cell_text.encode(), overwrite=self.force)
         if self.json is not None:
-            write_table(survey.table(), self.json, overwrite=self.force)
+            write_table(frame.table(), self.json, overwrite=self.force)
 
 
 @verb("""Find the robot's base frame in the tracker's from points on its mounting plane and sweeps of joints 1 and 2.
@@ -102,9 +102,9 @@ def base_frame(
     """Survey the base frame, write the files and print frame, sweeps and findings."""
     from calib.basics.units import LENGTH, parse_amount
     from calib.robot.robot import Robot
-    from calib.verbs.base_frame.survey import base_frame as estimate_base_frame
+    from calib.verbs.base_frame.base_frame import base_frame as estimate_base_frame
     from calib.verbs.base_frame.sweeps import read_sweeps
-    from calib.verbs.base_frame.text import cell_text, survey_text
+    from calib.verbs.base_frame.text import base_frame_text, cell_text
 
     if robot is None and cell_options.given:
         raise CalibError("--base and --tip are links of a robot; name it with --robot.")
@@ -120,9 +120,9 @@ def base_frame(
         table_options.points_unit,
     )
     offset = parse_amount(plane_offset, "--plane-offset", LENGTH, "19.05 mm", signed=True)
-    survey = estimate_base_frame(sweeps, arm, plane_offset=offset, robust=robust)
-    lines = survey_text(survey, sweeps.source, arm)
+    frame = estimate_base_frame(sweeps, arm, plane_offset=offset, robust=robust)
+    lines = base_frame_text(frame, sweeps.source, arm)
     base = None if arm is None else arm.base
-    outputs.write(survey, cell_text(survey.frame, sweeps.source, base=base, tip=chain.tip))
+    outputs.write(frame, cell_text(frame, sweeps.source, base=base, tip=chain.tip))
     if not quiet:
         typer.echo("\n".join([*lines, *written_lines(*files)]))

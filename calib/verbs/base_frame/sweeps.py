@@ -27,9 +27,10 @@ from calib.errors import MeasurementError, choices
 #: Name of the points on the mounting plane.
 PLANE = "plane"
 
-#: Their number, where joints are numbered from 0.
+#: Number of the plane among joints, which are numbered from 0.
 _PLANE = -1
 
+#: Words that number a joint, and names of points without their own number.
 _NUMBERED = re.compile(r"(?:joint|axis|sweep|j|a)?[ _\-.]*0*([1-9][0-9]?)", re.IGNORECASE)
 _POINT_NAME = re.compile(r"(.*?)[ _\-.:]*[0-9]+")
 
@@ -44,9 +45,9 @@ class Sweep(Value):
     name: str
     #: Shape (N, 3) in the tracker's frame [m]
     points: Array
-    #: Standard deviation of a coordinate of each point, shape (N,) [m]; None where not given
+    #: Standard deviation of a coordinate of each point, shape (N,) [m]; None if not given
     sigma: Array | None
-    #: Values of the chain's joints, shape (N, n) [rad]; None where not given
+    #: Values of the chain's joints, shape (N, n) [rad]; None if not given
     joints: Array | None
     #: Their numbers in the file, for messages
     rows: tuple[int, ...]
@@ -68,13 +69,13 @@ class Sweeps(Value):
 
     #: The plane first, then the joints in the order of the chain; one of each at most
     sweeps: tuple[Sweep, ...]
-    #: The chain's joints, base to tip; empty where they were not given
+    #: The chain's joints, base to tip; empty if they were not given
     joint_names: tuple[str, ...]
     #: The file's name
     source: str
 
     def label(self, joint: int) -> str:
-        """Return the name of a joint, from 0, or ``joint`` and its number from 1 where it has none."""
+        """Return the name of a joint, from 0, or ``joint`` and its number from 1 if it has none."""
         return self.joint_names[joint] if joint < len(self.joint_names) else f"joint {joint + 1}"
 
 
@@ -91,7 +92,7 @@ def read_sweeps(
         path: A table with the columns ``sweep``, ``x``, ``y``, ``z``, perhaps ``sigma`` and the joints' values; None:
             all is in the list of points.
         joint_names: Of the chain, base to tip; None: the table's columns in a unit of angle, in their order.
-        columns: Names that calib uses by the table's names, or all that is said of the columns; None: nothing is.
+        columns: Names that calib uses by the table's names, or all that is said of the columns; None: nothing is said.
         points: A list of points. Beside a table its points are matched by the column ``point``, or in their order;
             without one, their names say which sweep they are of.
         points_unit: The unit of that list; None: it names one.
@@ -103,11 +104,52 @@ def read_sweeps(
         MeasurementError: Something in the files cannot be used; the text names the file, the row and the remedy.
     """
     listed = None if points is None else read_points(points, points_unit)
-    if path is not None:
-        return _from_table(Table.read(path), joint_names, columns, listed)
-    if listed is None:
-        raise MeasurementError("Give a table of sweeps, or a list of points (--points).")
-    return _from_points(listed, tuple(joint_names or ()))
+    if path is None:
+        if listed is None:
+            raise MeasurementError("Give a table of sweeps, or a list of points (--points).")
+        return _sweeps_of_points(listed, tuple(joint_names or ()))
+
+    table = Table.read(path)
+    named, _ = name_columns(table, joint_names or (), columns)
+    sweep_column = next((c for name, c in named.items() if name.casefold() == "sweep"), None)
+    if sweep_column is None:
+        raise MeasurementError(
+            f"{table.source}: no column 'sweep', which names what was measured in each row: 'plane', or "
+            f"the joint that turned. {list_columns(table)} Another name is mapped by --columns "
+            '"name in the table=sweep".'
+        )
+    names = _angle_columns(named) if joint_names is None else tuple(joint_names)
+    has_joints = any(name in named for name in names)
+    measured_joints = names if has_joints else ()
+    layout = Layout.find(
+        table,
+        measured_joints,
+        dict.fromkeys(measured_joints, "revolute"),
+        columns,
+        "point",
+        points_elsewhere=listed is not None,
+    )
+    layout = replace(layout, groups=(sweep_column,))
+
+    # Rows of the plane need no joint values: they are read as zeros, which nothing uses.
+    joint_columns = {column.index for column in layout.blocks["joints"]}
+    rows = []
+    for row in table.cells:
+        cells = list(row)
+        if _number(row[sweep_column.index], names) == _PLANE:
+            for k in joint_columns:
+                cells[k] = cells[k] or "0"
+        rows.append(cells)
+    values = Measurements(**read_values(replace(table, cells=tuple(rows)), layout, listed))
+    return _split(
+        words=values.groups,
+        points=values.points,
+        numbers=values.rows,
+        source=table.source,
+        joint_names=names,
+        sigma=values.sigma.get("m"),
+        joints=values.joints if has_joints else None,
+    )
 
 
 def _number(word: str, joint_names: Sequence[str]) -> int | None:
@@ -123,82 +165,63 @@ def _number(word: str, joint_names: Sequence[str]) -> int | None:
     return int(match[1]) - 1
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Rows:
-    """All points of a file."""
+def _split(
+    words: Sequence[str],
+    points: Array,
+    numbers: Sequence[int],
+    source: str,
+    joint_names: tuple[str, ...],
+    *,
+    counted: str = "row",
+    sigma: Array | None = None,
+    joints: Array | None = None,
+) -> Sweeps:
+    """Split the N points of a file into sweeps by the word of each, the plane first; raises `MeasurementError`.
 
-    #: The word of each that names its sweep
-    words: Sequence[str]
-    #: (N, 3), [m]
-    points: Array
-    #: Its number in the file
-    numbers: Sequence[int]
-    #: The file's name
-    source: str
-    #: What the numbers count: "row" or "line"
-    counted: str = "row"
-    #: (N,), [m]; None: not given
-    sigma: Array | None = None
-    #: (N, n), [rad]; None: not given
-    joints: Array | None = None
-
-
-def _split(rows: _Rows, joint_names: tuple[str, ...]) -> Sweeps:
-    """Split the points of a file into sweeps, the plane first; raises `MeasurementError`."""
+    Their numbers in the file count what ``counted`` says; the other arguments are as in `Sweep`.
+    """
     by_number: dict[int, list[int]] = {}
-    for i, word in enumerate(rows.words):
+    for i, word in enumerate(words):
         number = _number(word, joint_names)
         if number is None:
             names = ""
             if joint_names:
                 names = f"a joint's name ({choices(joint_names)}), or "
             raise MeasurementError(
-                f"{rows.source}, {rows.counted} {rows.numbers[i]}: '{word}' is not a sweep; "
+                f"{source}, {counted} {numbers[i]}: '{word}' is not a sweep; "
                 f"allowed are '{PLANE}', {names}a joint's number, 'joint 1'."
             )
         by_number.setdefault(number, []).append(i)
-    sweeps = [_sweep(rows, number, members) for number, members in sorted(by_number.items())]
-    return Sweeps(tuple(sweeps), joint_names, rows.source)
+    sweeps = []
+    for number, members in sorted(by_number.items()):
+        is_plane = number == _PLANE
+        sweep = Sweep(
+            joint=None if is_plane else number,
+            name=words[members[0]],
+            points=read_only(points[members]),
+            sigma=None if sigma is None else read_only(sigma[members]),
+            joints=read_only(joints[members]) if joints is not None and not is_plane else None,
+            rows=tuple(numbers[i] for i in members),
+            source=source,
+            counted=counted,
+        )
+        sweeps.append(sweep)
+    return Sweeps(tuple(sweeps), joint_names, source)
 
 
-def _sweep(rows: _Rows, number: int, members: list[int]) -> Sweep:
-    """Return the sweep of some points of a file.
-
-    Args:
-        rows: All points of the file.
-        number: The joint that turns, from 0; -1 for the plane.
-        members: Indices of the sweep's points in ``rows``, from 0.
-    """
-    is_plane = number == _PLANE
-    joints = None
-    if rows.joints is not None and not is_plane:
-        joints = read_only(rows.joints[members])
-    return Sweep(
-        joint=None if is_plane else number,
-        name=rows.words[members[0]],
-        points=read_only(rows.points[members]),
-        sigma=None if rows.sigma is None else read_only(rows.sigma[members]),
-        joints=joints,
-        rows=tuple(rows.numbers[i] for i in members),
-        source=rows.source,
-        counted=rows.counted,
-    )
-
-
-def _from_points(points: Points, joint_names: tuple[str, ...]) -> Sweeps:
+def _sweeps_of_points(points: Points, joint_names: tuple[str, ...]) -> Sweeps:
     """Return the sweeps of a list of points by their names; raises `MeasurementError`."""
     if not points.names:
         raise MeasurementError(
-            f"{points.source}: the points have no names, which would tell their sweeps. Name them "
+            f"{points.source}: the points have no names, which would say what sweep they are of. Name them "
             "'plane_1', 'joint1_01' and so on, or give a table with a column 'sweep'."
         )
     words = [_sweep_word(name, joint_names) for name in points.names]
-    rows = _Rows(words, points.points, points.lines, points.source, counted="line")
-    return _split(rows, joint_names)
+    return _split(words, points.points, points.lines, points.source, joint_names, counted="line")
 
 
 def _sweep_word(name: str, joint_names: tuple[str, ...]) -> str:
-    """Return the word of a point's name that tells its sweep: its last part without number, else the part before."""
+    """Return the word of a point's name for its sweep: its last part without its number, else the part before it."""
     parts = [part.strip() for part in name.split(PARTS)]
     last = parts[-1]
     numbered = _POINT_NAME.fullmatch(last)
@@ -210,62 +233,6 @@ def _sweep_word(name: str, joint_names: tuple[str, ...]) -> str:
     return candidates[0]
 
 
-def _from_table(
-    table: Table,
-    joint_names: Sequence[str] | None,
-    columns: ColumnsInput,
-    points: Points | None,
-) -> Sweeps:
-    """Return the sweeps of a table.
-
-    Args:
-        table: The table.
-        joint_names: Of the chain; None: the table's columns in a unit of angle.
-        columns: What is said of the columns.
-        points: Its points, in a list of their own; None: they are in the table.
-
-    Raises:
-        MeasurementError: See `read_sweeps`.
-    """
-    named, _ = name_columns(table, joint_names or (), columns)
-    sweep_column = _sweep_column(table, named)
-    names = _angle_columns(named) if joint_names is None else tuple(joint_names)
-    has_joints = any(name in named for name in names)
-    measured_joints = names if has_joints else ()
-    layout = Layout.find(
-        table,
-        measured_joints,
-        dict.fromkeys(measured_joints, "revolute"),
-        columns,
-        "point",
-        points_elsewhere=points is not None,
-    )
-    layout = replace(layout, groups=(sweep_column,))
-    cells = _filled_cells(table, layout, sweep_column, names)
-    values = Measurements(**read_values(replace(table, cells=cells), layout, points))
-    rows = _Rows(
-        words=values.groups,
-        points=values.points,
-        numbers=values.rows,
-        source=table.source,
-        sigma=values.sigma.get("m"),
-        joints=values.joints if has_joints else None,
-    )
-    return _split(rows, names)
-
-
-def _sweep_column(table: Table, named: Mapping[str, Column]) -> Column:
-    """Return the column that names the sweep of each row; raises `MeasurementError`."""
-    for name, column in named.items():
-        if name.casefold() == "sweep":
-            return column
-    raise MeasurementError(
-        f"{table.source}: no column 'sweep', which names what was measured in each row: 'plane', or "
-        f"the joint that turned. {list_columns(table)} Another name is mapped by --columns "
-        '"name in the table=sweep".'
-    )
-
-
 def _angle_columns(named: Mapping[str, Column]) -> tuple[str, ...]:
     """Return the columns in a unit of angle that are not orientations, in their order."""
     reserved_names = (*reserved(), *ORIENTATION)
@@ -274,22 +241,3 @@ def _angle_columns(named: Mapping[str, Column]) -> tuple[str, ...]:
         if name not in reserved_names and column.unit and column.unit.quantity == "angle":
             names.append(name)
     return tuple(names)
-
-
-def _filled_cells(
-    table: Table,
-    layout: Layout,
-    sweep_column: Column,
-    joint_names: tuple[str, ...],
-) -> tuple[list[str], ...]:
-    """Return the cells of a table, with zeros for empty joint values of the plane's rows."""
-    joint_columns = {column.index for column in layout.blocks["joints"]}
-    rows = []
-    for row in table.cells:
-        cells = list(row)
-        if _number(row[sweep_column.index], joint_names) == _PLANE:
-            for k, cell in enumerate(row):
-                if k in joint_columns and not cell:
-                    cells[k] = "0"
-        rows.append(cells)
-    return tuple(rows)

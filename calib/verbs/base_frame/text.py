@@ -11,9 +11,8 @@ import pinocchio as pin
 from calib.robot.robot import Robot
 from calib.show.lines import deg, fill, mm
 from calib.show.tables import Column, name_column, table_lines
-from calib.verbs.base_frame.fits import Circle, Plane
-from calib.verbs.base_frame.frame import BaseFrame
-from calib.verbs.base_frame.survey import Survey
+from calib.verbs.base_frame.base_frame import BaseFrame
+from calib.verbs.base_frame.circles import Circle, Plane
 
 _CORRELATED = (
     "{{where}}: the errors of neighbouring points are correlated {} ({{value:.2f}}), so they are not noise and the "
@@ -31,30 +30,30 @@ _FINDINGS = {
 }
 
 
-def survey_text(survey: Survey, source: str, robot: Robot | None) -> list[str]:
-    """Write a survey: the base frame, sweeps, axes, findings.
+def base_frame_text(frame: BaseFrame, source: str, robot: Robot | None) -> list[str]:
+    """Write a base frame with its sweeps, axes and findings.
 
     Args:
-        survey: The survey.
+        frame: The base frame.
         source: The file of sweeps.
-        robot: The robot whose base link is surveyed; None where none was given.
+        robot: The robot whose base link it is; None if none was given.
 
     Returns:
         Paragraphs and lines of at most 100 columns.
     """
-    frame = "z along axis 1, y along axis 2, origin where axis 1 meets the plane"
+    what = "z along axis 1, y along axis 2, origin where axis 1 meets the plane"
     if robot is not None:
-        frame = f"the link '{robot.base}' of {robot.name}"
-    lines = [fill(f"Base frame from {source}: {frame}.")]
-    lines += _frame_text(survey.frame)
-    lines += ["", *_sweeps_table(survey)]
-    if survey.pairs:
-        lines += ["", *_pairs_table(survey)]
+        what = f"the link '{robot.base}' of {robot.name}"
+    lines = [fill(f"Base frame from {source}: {what}.")]
+    lines += _pose_text(frame)
+    lines += ["", *_sweeps_table(frame)]
+    if frame.pairs:
+        lines += ["", *_pairs_table(frame)]
     lines.append("")
-    if not survey.findings:
+    if not frame.findings:
         return [*lines, "No findings: the residuals look like noise."]
     lines.append("Findings:")
-    for finding in survey.findings:
+    for finding in frame.findings:
         sentence = _FINDINGS[finding.code]
         in_mm = 1e3 * finding.value
         text = sentence.format(where=finding.where, value=finding.value, mm=in_mm)
@@ -73,8 +72,8 @@ def _table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
     return table_lines(columns, indented)
 
 
-def _frame_text(frame: BaseFrame) -> Iterator[str]:
-    """Write the pose of the frame and its uncertainty."""
+def _pose_text(frame: BaseFrame) -> Iterator[str]:
+    """Write the pose of the frame, and its standard deviations and 95 % intervals."""
     T = frame.T_tracker_base
     angles = pin.rpy.matrixToRpy(T[:3, :3])
     place = "  ".join(mm(length, 4) for length in T[:3, 3])
@@ -86,22 +85,16 @@ def _frame_text(frame: BaseFrame) -> Iterator[str]:
     yield "Origin of the tracker's frame in the base:"
     yield f"  x y z           {tracker} mm"
     yield ""
-    yield from _uncertainty_table(frame)
-
-
-def _uncertainty_table(frame: BaseFrame) -> list[str]:
-    """Write the table of standard deviations and 95 % intervals, along and about the axes of the base."""
     names = [f"{axis} [mm]" for axis in "xyz"]
     names += [f"about {axis} [mrad]" for axis in "xyz"]
     rows = []
     # Radians in mrad have the same digits as metres in mm.
     for name, std, half_width in zip(names, frame.std, frame.within(0.95), strict=True):
         rows.append((name, mm(std, 4), f"+-{mm(half_width, 4)}"))
-    heads = ("Along and about the axes of the base", "std", "95 % within")
-    return _table(heads, rows)
+    yield from _table(("Along and about the axes of the base", "std", "95 % within"), rows)
 
 
-def _sweeps_table(survey: Survey) -> list[str]:
+def _sweeps_table(frame: BaseFrame) -> list[str]:
     """Write the table of the plane and the circles, with their residuals."""
     heads = (
         "Sweep",
@@ -113,13 +106,13 @@ def _sweeps_table(survey: Survey) -> list[str]:
         "axial rms",
         "max [mm]",
     )
-    rows = [_sweep_row("plane", survey.plane)]
-    rows += [_sweep_row(joint.name, joint.circle) for joint in survey.joints]
+    rows = [_sweep_row("plane", frame.plane)]
+    rows += [_sweep_row(joint.name, joint.circle) for joint in frame.joints]
     return _table(heads, rows)
 
 
 def _sweep_row(name: str, figure: Plane | Circle) -> list[str]:
-    """Cells of a plane or a circle; the residuals of a plane are all axial, those of a circle radial and axial."""
+    """Return the cells of a plane, whose residuals are all axial, or of a circle, whose are radial and axial."""
     residuals = figure.residuals[figure.used]
     cells = [name, str(figure.used.sum())]
     if isinstance(figure, Circle):
@@ -133,11 +126,11 @@ def _sweep_row(name: str, figure: Plane | Circle) -> list[str]:
     return cells
 
 
-def _pairs_table(survey: Survey) -> list[str]:
+def _pairs_table(frame: BaseFrame) -> list[str]:
     """Write the table of angles and distances between neighbouring axes, beside the URDF's."""
     heads = ("To the next axis", "angle [deg]", "std", "nominal", "distance [mm]", "std", "nominal")
     rows = []
-    for pair in survey.pairs:
+    for pair in frame.pairs:
         angles = (pair.angle, pair.angle_std, pair.angle_nominal)
         distances = (pair.distance, pair.distance_std, pair.distance_nominal)
         cells = [pair.joints[0]]

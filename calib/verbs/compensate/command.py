@@ -327,7 +327,7 @@ def _read_program(
 ) -> Program:
     """Read the program for the nominal robot."""
     from calib.basics.units import parse_joint_values
-    from calib.verbs.compensate.program_file import read_program
+    from calib.verbs.compensate.program_table import read_program
 
     return read_program(
         path,
@@ -344,7 +344,7 @@ def _compute(
     """Compute the commands."""
     from calib.basics.units import MASS, parse_amount
     from calib.robot.gravity import Payload
-    from calib.verbs.compensate.commands import compensate as compute_commands
+    from calib.verbs.compensate.compensate import compensate as compute_commands
 
     length, angle = parse_pair(goal_options.tolerance, "--tolerance", "0.05 mm 0.01 deg")
     non_geometric: bool | Payload = not model_options.geometry
@@ -367,7 +367,7 @@ def _compute(
 
 def _write(commands: Commands, outputs: CommandOutputs, orientation: str | None) -> None:
     """Write the table of commands, if it was asked for."""
-    from calib.verbs.compensate.command_table import write_commands
+    from calib.verbs.compensate.program_table import write_commands
 
     if outputs.output is None:
         return

@@ -1,10 +1,10 @@
 """Expected position errors of commands, in the frame of the program, and the sources that they come from.
 
-The position error of the actual robot at a command is taken for normal, with the covariance
+The position error of the actual robot at a command is taken to be normal, with the covariance
 
     S  =  s^2 / 3 I  +  C_position
 
-    s           what the model lacks: held-out errors less the instrument's noise and the variance of the prediction
+    s           errors that the model lacks: held-out errors less the instrument's noise and the prediction's variance
     C_position  of the predicted position, see `calib.verbs.compensate.pose_covariance`
 
 The error to expect is the mean length of such an error, with n = (tr S)^2 / tr S^2 degrees of freedom
@@ -15,15 +15,16 @@ The error to expect is the mean length of such an error, with n = (tr S)^2 / tr 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import chdtri, fdtri, gammaln
 
 from calib.basics.arrays import Array, read_only
-from calib.basics.values import Value
+from calib.basics.values import Value, keep_read_only
 from calib.model.kinematics import Samples
 from calib.numerics.errors import CrossValidation
 from calib.result.calibration import Calibration
@@ -38,20 +39,23 @@ from calib.verbs.compensate.pose_covariance import (
 )
 
 Source = Literal["model", "parameters", "poses", "tool", "base"]
-"""Source of an expected error: what the model lacks; its parameters, at poses like the measured ones; what other
-poses of the program add; a tool that is not the measured target; the base, where its frame was estimated."""
+"""Source of an expected error: errors that the model lacks; its parameters, at poses like the measured ones; what other
+poses of the program add; a tool that is not the measured target; the base, if its frame was estimated."""
 
 NoiseSource = Literal["stated", "repeats", "unknown"]
-"""Source of the instrument's noise: cell or table, repeated poses, or unknown: then it counts as error."""
+"""Source of the instrument's noise: cell or table; repeated poses; or unknown, then it counts as error."""
 
 #: Share of robots whose mean error lies in `ExpectedErrors.band`.
 BAND = 0.8
 
-#: Probability that noise alone lets held-out errors exceed it by so much; what is likelier is no lack of the model.
+#: Units of a pose: of its position and of its orientation.
+_POSE_UNITS = ("m", "rad")
+
+#: Held-out errors that noise alone exceeds with a larger probability than this do not show that the model lacks any.
 _CHANCE = 0.05
 
-#: Degrees of freedom from which on the scatter of repeats tells the noise.
-_TELLING_REPEATS = 6.0
+#: With fewer degrees of freedom, the scatter of repeats does not determine the noise.
+_FEWEST_REPEATS = 6.0
 
 #: Coordinates of a corner in the image.
 _AXES_OF_IMAGE = 2
@@ -60,31 +64,27 @@ _AXES_OF_IMAGE = 2
 _LARGEST_RATIO = 0.25
 
 
-class Contribution(NamedTuple):
-    """Part of the mean square of the position error that one source adds."""
-
-    source: Source
-    #: [m^2]
-    square: float
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class ExpectedErrors(Value):
     """Expected errors of N commands, in the frame of the program."""
 
     #: shape (N, 2), mean distance [m] and angle [rad] of the tool from its wanted pose.
     errors: Array
-    #: One of each source, in the order of `Source`.
-    contributions: tuple[Contribution, ...]
+    #: Part of the mean square of the position error that each source adds [m^2], in the order of `Source`.
+    contributions: Mapping[Source, float]
     #: Degrees of freedom of the mean square error over all rows: how many unknowns they share, and how well their
     #: variances are known.
     freedom: float
-    #: Mean error of the same program in the measurement frame [m]; None: it is that.
+    #: Mean error of the same program in the measurement frame [m]; None if the program is in that frame.
     in_measured_frame: float | None
     #: Source of the instrument's noise.
     noise: NoiseSource
-    #: Whether there are held-out errors; else nothing tells what the model lacks.
+    #: Whether there are held-out errors; without them errors that the model lacks are not known, and not included.
     validated: bool
+
+    def __post_init__(self) -> None:
+        """Keep a read-only copy of the mapping."""
+        keep_read_only(self, "contributions")
 
     @property
     def mean(self) -> float:
@@ -95,8 +95,8 @@ class ExpectedErrors(Value):
     def band(self) -> tuple[float, float]:
         """Ends of the range of the mean error over all rows for `BAND` of robots [m].
 
-        It differs from robot to robot, for the errors of all rows come from the same few unknowns. It is taken for a
-        multiple of chi, the root of chi-squared, whose mean is the one expected.
+        It differs from robot to robot, because the errors of all rows come from the same few unknowns. Its distribution
+        is taken to be a multiple of chi, the root of chi-squared, with the expected mean.
         """
         if not np.isfinite(self.freedom):
             return self.mean, self.mean
@@ -108,11 +108,11 @@ class ExpectedErrors(Value):
     @property
     def largest(self) -> Source:
         """The source that adds most."""
-        return max(self.contributions, key=lambda added: added.square).source
+        return max(self.contributions, key=self.contributions.__getitem__)
 
 
 def expected_errors(pair: Pair, q: Array) -> ExpectedErrors:
-    """Compute the expected errors where a result's robot is sent to joint values.
+    """Compute the expected errors of the true robot at joint values to command.
 
     Args:
         pair: The nominal robot and that of a result, with the tool and the frame of the program.
@@ -121,9 +121,7 @@ def expected_errors(pair: Pair, q: Array) -> ExpectedErrors:
     Returns:
         The errors of the N rows, and their sources.
     """
-    result = pair.result
-    if result is None:
-        raise ValueError("the errors of a robot without a result are not known")
+    result = _result(pair)
     part = result.part(non_geometric=pair.non_geometric)
     views = _views(pair, result, part, q)
     target, tool, arrived = (pose_covariance(part, view) for view in views)
@@ -136,15 +134,15 @@ def expected_errors(pair: Pair, q: Array) -> ExpectedErrors:
         contributions=_contributions(lacking[0], part.expected_measured**2, target, tool, arrived),
         freedom=_freedom(result, arrived, float(lacking[0]), part.cross_validation),
         in_measured_frame=measured,
-        noise=_instrument(result)[0],
+        noise=_instrument_noise(result)[0],
         validated=part.cross_validation is not None,
     )
 
 
 def arrival_covariance(pair: Pair, q: Array) -> Array:
-    """Compute the covariance of the tool's pose where a result's robot is sent to joint values, in the program's frame.
+    """Compute the covariance of the true tool's pose at joint values to command, in the frame of the program.
 
-    It has what the model lacks, in all directions alike, besides the covariance of the predicted pose.
+    Besides the covariance of the predicted pose it has the errors that the model lacks, alike in all directions.
 
     Args:
         pair: The nominal robot and that of a result, with the tool and the frame of the program.
@@ -153,9 +151,7 @@ def arrival_covariance(pair: Pair, q: Array) -> Array:
     Returns:
         Shape (N, 6, 6), along the axes of the frame, linear part first [m, rad].
     """
-    result = pair.result
-    if result is None:
-        raise ValueError("the errors of a robot without a result are not known")
+    result = _result(pair)
     part = result.part(non_geometric=pair.non_geometric)
     target, _, arrived = (pose_covariance(part, view) for view in _views(pair, result, part, q))
     lacking = _lacking(result, part, float(target.mean_square[1]))
@@ -163,29 +159,34 @@ def arrival_covariance(pair: Pair, q: Array) -> Array:
     return np.asarray(arrived.covariance + np.diag(np.repeat(lacking / 3.0, 3)))
 
 
-def _views(
-    pair: Pair,
-    result: Calibration,
-    part: FittedModel,
-    q: Array,
-) -> tuple[View, View, View]:
-    """Return three views of the program's poses.
+def _result(pair: Pair) -> Calibration:
+    """Return the result of a pair; two robots have none, and their errors are not known."""
+    if pair.result is None:
+        raise ValueError("the errors of a robot without a result are not known")
+    return pair.result
 
-    Args:
-        pair: The nominal robot and that of a result.
-        result: The calibration.
-        part: Its geometry or its non-geometric model.
-        q: Joint values to command, shape (N, m), [rad] or [m].
 
-    Returns:
-        The measured target in the measurement frame; the tool there; and the tool in the frame of the program.
+def _views(pair: Pair, result: Calibration, part: FittedModel, q: Array) -> tuple[View, View, View]:
+    """Return views of the measured target, of the tool, and of the tool in the program's frame, at joint values (N, m).
+
+    The first two are in the measurement frame.
     """
-    samples = _samples(pair, part, q)
+    setup = part.setup
+    if pair.target is None:
+        # The target nearest to the tool.
+        away = setup.T_tip_target[:, :3, 3] - pair.actual.T_tip_tool[:3, 3]
+        target = int(np.argmin(np.linalg.norm(away, axis=1)))
+    else:
+        target = setup.targets.index(pair.target)
+    group = 0 if pair.group is None else setup.groups.index(pair.group)
+    load = None if pair.actual.load is None else pair.actual.load(q)
+    samples = Samples(q, np.full(len(q), group), np.full(len(q), target), load)
     T_tip_tool = pair.actual.T_tip_tool if pair.target is None else None
+
     in_base, unknown = pair.group is None, bool(unknown_base_directions(result))
     known = np.zeros((6, 6))
     base = unmodelled_base(result, part) if in_base and unknown else known
-    # Where no positions were measured, what the measurements tell is the base but for its motion as one body.
+    # If no positions were measured, poses in the base are determined up to a rigid motion of the base.
     as_base = not result.rows.tells_place or (in_base and not unknown)
     gauge = known if result.rows.tells_place else None
     return (
@@ -195,25 +196,10 @@ def _views(
     )
 
 
-def _samples(pair: Pair, part: FittedModel, q: Array) -> Samples:
-    """Return joint values (N, m) with loads, seen from the program's frame, at the target nearest to the tool."""
-    setup = part.setup
-    if pair.target is None:
-        away = setup.T_tip_target[:, :3, 3] - pair.actual.T_tip_tool[:3, 3]
-        target = int(np.argmin(np.linalg.norm(away, axis=1)))
-    else:
-        target = setup.targets.index(pair.target)
-    group = 0 if pair.group is None else setup.groups.index(pair.group)
-    load = None if pair.actual.load is None else pair.actual.load(q)
-    return Samples(q, np.full(len(q), group), np.full(len(q), target), load)
-
-
 def _mean_errors(covariance: Array, lacking: Array) -> Array:
-    """Compute the mean distance [m] and angle [rad] of each pose from its wanted one, shape (N, 2).
+    """Return the mean distance [m] and angle [rad] of each pose from its wanted one, (N, 2).
 
-    Args:
-        covariance: shape (N, 6, 6), of the poses.
-        lacking: shape (2,), mean squares of what the model lacks [m^2], [rad^2], in all directions alike.
+    It is that of their covariances (N, 6, 6) and of mean squares of what the model lacks, (2,), [m^2], [rad^2].
     """
     blocks = np.stack([covariance[:, :3, :3], covariance[:, 3:, 3:]], axis=1)
     blocks = blocks + (lacking / 3.0)[:, None, None] * np.eye(3)
@@ -229,19 +215,14 @@ def _freedom(
     lacking: float,
     held_out: CrossValidation | None,
 ) -> float:
-    """Compute the degrees of freedom of the mean square error over the program, a multiple of chi-squared.
+    """Return the degrees of freedom of the mean square error over the program, a multiple of chi-squared.
 
     It is the sum of what the model lacks, s^2, estimated from held-out rows, and of sum_k g_k z_k^2 of the unknowns
-    that the program's rows share, with standard normal z. Their variances g are estimates too: what comes from the
-    priors, b, of prior standard deviations that as many errors tell as there are joints, the rest of the noise.
+    that the program's rows share, with standard normal z. The variances g are estimates as well: the part b that comes
+    from the priors, whose standard deviations are estimated from as many errors as there are joints; and the rest, from
+    the noise.
 
         n  =  (s^2 + sum g)^2 / (s^4 / rows + sum g^2 + b^2 / joints + (sum g - b)^2 / freedom of the noise)
-
-    Args:
-        result: The calibration.
-        arrived: The tool in the frame of the program.
-        lacking: Mean square of what the model lacks [m^2]; 0 without held-out rows.
-        held_out: Errors of held-out rows.
     """
     rows = 1 if held_out is None else max(held_out.errors_without_outliers["m"].n, 1)
     shared = float(np.sum(arrived.shared))
@@ -254,7 +235,7 @@ def _freedom(
 
 
 def mean_of_chi(freedom: ArrayLike) -> Array:
-    """Return the mean of the chi distribution, sqrt(2) Gamma((n + 1) / 2) / Gamma(n / 2), n > 0 its freedom."""
+    """Return the mean of chi, sqrt(2) Gamma((n + 1) / 2) / Gamma(n / 2), with n > 0 degrees of freedom."""
     n = np.asarray(freedom, dtype=np.float64)
     return np.asarray(np.sqrt(2.0) * np.exp(gammaln(0.5 * (n + 1.0)) - gammaln(0.5 * n)))
 
@@ -265,54 +246,71 @@ def _contributions(
     target: PoseCovariance,
     tool: PoseCovariance,
     arrived: PoseCovariance,
-) -> tuple[Contribution, ...]:
-    """Split the mean square of the positions' errors into contributions of all sources, none below 0.
+) -> dict[Source, float]:
+    """Split the mean square of the positions' errors [m^2] into contributions of all sources, none below 0.
 
-    Args:
-        lacking: Mean square of what the model lacks [m^2].
-        near: Of the measured target at the measured poses [m^2].
-        target: The measured target at the program's poses.
-        tool: The tool there.
-        arrived: The tool in the frame of the program.
+    They are what the model lacks; the measured target ``near`` the measured poses; the target at the program's poses;
+    the tool there; and the tool in the frame of the program.
     """
     views = [float(view.mean_square[0]) for view in (target, tool, arrived)]
     # A pose or tool that is known better than the one before it takes its share off the sources before.
     totals = np.minimum.accumulate([near, *views][::-1])[::-1]
     squares = [lacking, *np.diff(totals, prepend=0.0).tolist()]
     sources: tuple[Source, ...] = ("model", "parameters", "poses", "tool", "base")
-    return tuple(map(Contribution, sources, squares))
+    return dict(zip(sources, squares, strict=True))
 
 
 def _lacking(result: Calibration, part: FittedModel, predicted_angle: float) -> Array:
-    """Estimate mean squares of what a model lacks, of positions [m^2] and angles [rad^2], shape (2,); 0 if nothing.
+    """Return mean squares of the errors that a model lacks, of positions [m^2] and angles [rad^2], (2,); 0 if none.
 
-    Args:
-        result: The calibration.
-        part: Its geometry or its non-geometric model.
-        predicted_angle: Mean square of the predicted angles' errors by the covariance [rad^2].
+    The mean square of the predicted angles' errors by the covariance is given, [rad^2].
     """
     if part.cross_validation is None:
         return np.zeros(2)
     errors = part.cross_validation.errors_without_outliers
-    _, sigma, freedom = _instrument(result)
-    scalars = _scalars_per_row(result)
+    _, sigma, freedom = _instrument_noise(result)
     predicted = {"m": part.expected_measured**2, "rad": predicted_angle}
-    excess = []
+    channels = result.rows.channels.select(result.rows.estimation)
+    lacking = []
     for unit in _POSE_UNITS:
-        residuals = _Residuals(errors[unit].n, errors[unit].rms, scalars[unit], predicted[unit])
-        excess.append(residuals.beyond(sigma[unit], freedom[unit]))
-    return np.array(excess)
+        # The mean number of scalars of the fitted rows that measure any in this unit.
+        counts = channels.where(unit).sum(axis=1)
+        scalars = float(counts.sum()) / max(int(np.sum(counts > 0)), 1)
+        rows, rms = errors[unit].n, errors[unit].rms
+        excess = _beyond_noise(rows, rms, scalars, predicted[unit], sigma[unit], freedom[unit])
+        lacking.append(excess)
+    return np.array(lacking)
+
+
+def _beyond_noise(
+    rows: int, rms: float, scalars: float, predicted: float, sigma: float, freedom: float
+) -> float:
+    """Return the mean square of held-out errors beyond noise and prediction, three axes together; 0 if it is by chance.
+
+    With the mean square v = rms^2 / scalars of a held-out scalar and u = predicted / 3 of its prediction by a fit of
+    all rows, the leverage h of a row solves u = v h (1 - h), and v (1 - h) is the variance of the noise and of what the
+    model lacks. The noise sigma of a scalar has degrees of freedom; one of NaN is not known and counts as error.
+    """
+    if not rows or not scalars or not rms:
+        return 0.0
+    u, v = predicted / 3.0, rms**2 / scalars
+    if not np.isfinite(sigma):
+        return 3.0 * max(v - u, 0.0)
+    kept = 0.5 * (1.0 + float(np.sqrt(1.0 - 4.0 * min(u / v, _LARGEST_RATIO))))
+    independent = rows * scalars * kept
+    if np.isfinite(freedom):
+        chance = float(fdtri(independent, freedom, 1.0 - _CHANCE))
+    else:
+        chance = float(chdtri(independent, _CHANCE)) / independent
+    variance = v * kept
+    return 3.0 * (variance - sigma**2) if variance > chance * sigma**2 else 0.0
 
 
 def _lacking_in_images(result: Calibration, part: FittedModel) -> float:
-    """Estimate the mean square of what a model of images lacks, three axes together [m^2]; 0 if chance explains it.
+    """Return the mean square of the errors that a model of images lacks, three axes together [m^2]; 0 if chance has it.
 
     Held-out errors beyond the stated noise of a corner, as lengths at the board, are taken to be alike along the line
     of sight. The corners of an image err together: an image counts as one of them.
-
-    Args:
-        result: The calibration.
-        part: Its geometry or its non-geometric model.
     """
     held_out = part.cross_validation
     sigma = result.noise.sigma_given.get("px")
@@ -327,76 +325,22 @@ def _lacking_in_images(result: Calibration, part: FittedModel) -> float:
     return 3.0 * (variance - sigma**2) * pixel
 
 
-#: Units of a pose: of its position and of its orientation.
-_POSE_UNITS = ("m", "rad")
-
-
-class _Residuals(NamedTuple):
-    """Held-out errors of lengths or of angles."""
-
-    rows: int
-    #: [m] or [rad]
-    rms: float
-    #: Number of scalars of a row
-    scalars: float
-    #: Mean square by the covariance at the measured poses, three axes together [m^2] or [rad^2]
-    predicted: float
-
-    def beyond(self, sigma: float, freedom: float) -> float:
-        """Return the mean square beyond noise and the prediction's variance, three axes together.
-
-        It is 0 where chance explains it.
-
-        With the mean square v of a held-out scalar and u of its prediction by a fit of all rows, the leverage h of a
-        row solves u = v h (1 - h), and v (1 - h) is the variance of the noise and of what the model lacks.
-
-        Args:
-            sigma: The noise of a scalar [m] or [rad]; NaN where it is unknown: then it counts as error.
-            freedom: Its degrees of freedom.
-        """
-        if not self.rows or not self.scalars or not self.rms:
-            return 0.0
-        u, v = self.predicted / 3.0, self.rms**2 / self.scalars
-        if not np.isfinite(sigma):
-            return 3.0 * max(v - u, 0.0)
-        kept = 0.5 * (1.0 + float(np.sqrt(1.0 - 4.0 * min(u / v, _LARGEST_RATIO))))
-        scalars = self.rows * self.scalars * kept
-        if np.isfinite(freedom):
-            chance = float(fdtri(scalars, freedom, 1.0 - _CHANCE))
-        else:
-            chance = float(chdtri(scalars, _CHANCE)) / scalars
-        variance = v * kept
-        return 3.0 * (variance - sigma**2) if variance > chance * sigma**2 else 0.0
-
-
-def _instrument(
+def _instrument_noise(
     result: Calibration,
 ) -> tuple[NoiseSource, dict[str, float], dict[str, float]]:
-    """Return the source of the instrument's noise of lengths; its noise of one scalar; and its degrees of freedom.
-
-    Both by unit: ``"m"`` of lengths [m], ``"rad"`` of angles [rad]; noise of NaN is not known.
-    """
+    """Return the source of the noise of lengths; and by unit a scalar's noise, NaN if unknown, and its freedom."""
     sigma = dict.fromkeys(_POSE_UNITS, np.nan)
     freedom = dict.fromkeys(_POSE_UNITS, 0.0)
     if result.noise.repeats is not None:
         for unit in _POSE_UNITS:
             freedom[unit] = result.noise.repeats.freedoms.get(unit, 0.0)
-            if freedom[unit] >= _TELLING_REPEATS:
+            if freedom[unit] >= _FEWEST_REPEATS:
                 sigma[unit] = result.noise.repeats.within[unit]
     for unit in _POSE_UNITS:
         if unit in result.noise.sigma_given:
             sigma[unit] = result.noise.sigma_given[unit]
             freedom[unit] = np.inf
     source: NoiseSource = "stated" if "m" in result.noise.sigma_given else "repeats"
-    source = source if np.isfinite(sigma["m"]) else "unknown"
+    if not np.isfinite(sigma["m"]):
+        source = "unknown"
     return source, sigma, freedom
-
-
-def _scalars_per_row(result: Calibration) -> dict[str, float]:
-    """Return the mean number of lengths and of angles of the fitted rows that measure any, by unit."""
-    channels = result.rows.channels.select(result.rows.estimation)
-    result_by_unit = {}
-    for unit in _POSE_UNITS:
-        counts = channels.where(unit).sum(axis=1)
-        result_by_unit[unit] = float(counts.sum()) / max(int(np.sum(counts > 0)), 1)
-    return result_by_unit

@@ -6,7 +6,7 @@ its errors add:
 
     dT/dq_j  =  (1 + sum_k x_k df_k/dq_j) dT/d(displacement of joint j),    dq_j = x_1 f_1(q_j) + x_2 f_2(q_j) + ...
 
-Here q_j is the joint's value, which differs from its reading where readings are coupled.
+Here q_j is the joint's value, which differs from its reading if readings are coupled.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -41,19 +40,20 @@ _GAIN = "gain"
 #: Origins of one robot differ by rounding [m; rotation matrices: 1].
 _SAME = 1e-9
 
-#: Two robots whose tools are typically farther apart than this share of their reach are no calibration of each other.
+#: If the tools of two robots are typically farther apart than this share of their reach, one is not a calibration of
+#: the other.
 _NO_CALIBRATION = 0.1
 
 #: What a tool or a frame may be, in messages.
 _POSE = "a pose (4, 4) or a position (3,)"
 
-#: Poses in which that is looked at.
+#: Number of poses at which the tools are compared.
 _POSES = 64
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Arm(Value):
-    """Robot whose errors are known, with a tool; made by `of` or `of_non_geometric`."""
+    """Robot with known errors and a tool; made by `of` or `of_non_geometric`."""
 
     #: With the placements as they are.
     robot: Robot
@@ -84,13 +84,20 @@ class Arm(Value):
             values: The value of each, in its unit.
             load: Load on each joint at joint values, (N, m) to (N, n), [Nm, N]; None: no error needs it.
         """
-        of_terms = np.asarray(values, dtype=np.float64)
-        motion = partial(_motion_per_value, terms, of_terms)
-        motions = _motions(robot, Factor("motion", motion, slope=None))
+        term_values = np.asarray(values, dtype=np.float64)
+        # A parameter for each measured joint moves it, and with it all joints that follow it, by the joint's value.
+        motion_per_value = partial(_motion_per_value, terms, term_values)
+        factor = Factor("motion", motion_per_value, slope=None)
+        joint_names = [joint.name for joint in robot.joints]
+        directions = dict(zip(joint_names, axis_twists(robot), strict=True))
+        motions = []
+        for name in robot.joint_names:
+            direction = directions.get(name, np.zeros(6))
+            motions.append(Parameter(f"{name}.motion", "1", name, direction, _GAIN, factor=factor))
         places = error_model(robot, "frames", target=False).places
         model = ErrorModel("motion", places, (*terms, *motions))
         kinematics = Kinematics(robot, model, np.eye(4), T_tip_tool)
-        x = read_only(np.concatenate([of_terms, np.zeros(len(motions))]))
+        x = read_only(np.concatenate([term_values, np.zeros(len(motions))]))
         return cls(robot, read_only(T_tip_tool), kinematics, x, load)
 
     @classmethod
@@ -115,8 +122,12 @@ class Arm(Value):
         values = model.values(non_geometric.x)[of_joints]
         load: Callable[[Array], Array] | None = None
         if any(term.factor and term.factor.loaded for term in terms):
-            load = partial(_load, non_geometric, nominal, payload)
-        return cls.of(_displaced(nominal, non_geometric), T_tip_tool, terms, values, load)
+            load = partial(NonGeometric.load, non_geometric, nominal, payload=payload)
+        displacements, _ = model.displacements(non_geometric.x)
+        places = (*(joint.name for joint in nominal.joints), TIP)
+        order = [model.places.index(place) for place in places]
+        robot = nominal.with_placements(nominal.placements @ displacements[order])
+        return cls.of(robot, T_tip_tool, terms, values, load)
 
     def poses(self, q: Array) -> Array:
         """Compute T_base_tool, shape (N, 4, 4), [m], at readings of the joints, shape (N, m), [rad] or [m]."""
@@ -125,8 +136,8 @@ class Arm(Value):
     def motion(self, q: Array) -> tuple[Array, Array]:
         """Compute poses of the tool, and its velocity with the value of each joint.
 
-        The change of the load with q is left out of the velocity: it costs an iteration where joint values are looked
-        for, no accuracy.
+        The change of the load with q is left out of the velocity: this costs the search for joint values an iteration,
+        but no accuracy.
 
         Args:
             q: Readings of the joints, shape (N, m), [rad] or [m].
@@ -146,51 +157,13 @@ class Arm(Value):
         return Samples.at(q, None if self.load is None else self.load(q))
 
 
-def _displaced(nominal: Robot, non_geometric: NonGeometric) -> Robot:
-    """Return the nominal robot with the placements of a non-geometric model, those of joints and of the tip."""
-    displacements, _ = non_geometric.model.displacements(non_geometric.x)
-    names = (*(joint.name for joint in nominal.joints), TIP)
-    order = [non_geometric.model.places.index(name) for name in names]
-    return nominal.with_placements(nominal.placements @ displacements[order])
-
-
 def _motion_per_value(terms: Sequence[Parameter], values: Array, state: JointState) -> Array:
-    """Return the motion of a joint per change of its value: 1, and the slopes of its errors.
-
-    Args:
-        terms: Errors of the joints that change with their state.
-        values: The value of each, in its unit, shape (terms,).
-        state: The joint, and the state of all joints in N samples.
-
-    Returns:
-        Shape (N,).
-    """
+    """Return the motion of a joint per change of its value, (N,): 1, and the slopes of its errors."""
     per_value = np.ones(len(state.values))
     for term, value in zip(terms, values, strict=True):
         if term.place == state.joint and term.factor and term.factor.slope:
             per_value += value * term.factor.slope(state)
     return per_value
-
-
-def _motions(robot: Robot, factor: Factor) -> list[Parameter]:
-    """Return a parameter for each measured joint that moves it, and those that follow it.
-
-    Args:
-        robot: With the placements as they are.
-        factor: Motion of a joint per change of its value.
-    """
-    names = [joint.name for joint in robot.joints]
-    directions = dict(zip(names, axis_twists(robot), strict=True))
-    motions = []
-    for name in robot.joint_names:
-        direction = directions.get(name, np.zeros(6))
-        motions.append(Parameter(f"{name}.motion", "1", name, direction, _GAIN, factor=factor))
-    return motions
-
-
-def _load(non_geometric: NonGeometric, nominal: Robot, payload: Payload | None, q: Array) -> Array:
-    """Return the load on each joint, (N, n) [Nm, N], at joint values (N, m)."""
-    return non_geometric.load(nominal, q, payload)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -203,25 +176,26 @@ class Pair(Value):
     actual: Arm
     #: Shape (4, 4), the base in the frame of the poses [m].
     T_frame_base: Array
-    #: Name of the target that the tool is; None where it is none.
+    #: Name of the target that is the tool; None if it is not a target.
     target: str | None = None
-    #: Name of the group whose frame it is; None where it is none.
+    #: Name of the station whose frame it is; None if it is not one of a station.
     group: str | None = None
-    result: Calibration | None = None  #: The calibration of the actual robot; None for two robots.
+    #: The calibration of the actual robot; None for two robots.
+    result: Calibration | None = None
     #: Whether the actual robot is the result's non-geometric model.
     non_geometric: bool = False
 
     def __post_init__(self) -> None:
-        """Refuse two robots that are no calibration of each other."""
+        """Refuse two robots of which one cannot be a calibration of the other."""
         robot = self.nominal.robot
         q = spread_poses(robot, _POSES)
         difference = self.actual.poses(q)[:, :3, 3] - self.nominal.poses(q)[:, :3, 3]
         typical = float(np.median(np.linalg.norm(difference, axis=1)))
         if typical > _NO_CALIBRATION * self.reach:
             raise ModelError(
-                f"The calibrated robot has the tool {1e3 * typical:.0f} mm away from where the nominal robot "
-                f"'{robot.name}' ({robot.urdf.source}) has it; a calibration moves it by millimetres. Give the nominal "
-                "and the calibrated model of one robot, with zero positions that agree."
+                f"The calibrated robot has the tool {1e3 * typical:.0f} mm away from its place on the nominal robot "
+                f"'{robot.name}' ({robot.urdf.source}); a calibration moves it by millimetres. Give nominal and "
+                "calibrated model of the same robot, with the same zero positions."
             )
 
     @property
@@ -243,7 +217,7 @@ def pair_of(
     """Make the pair of nominal and actual robot.
 
     Args:
-        calibration: See `calib.verbs.compensate.commands.compensate`.
+        calibration: See `calib.verbs.compensate.compensate.compensate`.
         nominal: See there.
         tool: See there.
         frame: See there.
@@ -253,29 +227,51 @@ def pair_of(
         The pair.
 
     Raises:
-        ModelError: No nominal robot, one that is not the calibration's, or a tool or frame that there is not.
+        ModelError: No nominal robot, one that is not the calibration's, or a tool or frame that does not exist.
     """
     if isinstance(calibration, Robot):
         return _pair_of_robots(calibration, nominal, tool, frame, non_geometric)
     result = calibration
     nominal = nominal or result.nominal
-    model = result.non_geometric if non_geometric is not False else None
-    payload = non_geometric if isinstance(non_geometric, Payload) else None
     controller = result.uncorrected(nominal) if is_corrected(result, nominal) else nominal
-    known_tool = _tool(result, model, tool)
-    T_frame_base, group = _frame(result, model, frame)
-    if model is None:
-        arm = Arm.of(result.corrected(nominal), known_tool.T_actual)
+    model = result.non_geometric if non_geometric is not False else None
+    setup = result.setup if model is None else model.setup
+
+    target: str | None = None
+    if isinstance(tool, str):
+        target = _find_name(setup.targets, tool, "target")
+        t = setup.targets.index(target)
+        T_tip_tool = setup.T_tip_target[t]
+        # The controller has a target where it was stated, or where it was estimated if nothing was stated.
+        stated = result.nominal_setup if setup.target_given[t] else setup
+        T_tip_tool_nominal = stated.T_tip_target[t]
     else:
-        robot = result.uncorrected(nominal)
-        arm = Arm.of_non_geometric(model, robot, known_tool.T_actual, payload)
-    if payload is not None:
-        _check_compliances(arm)
+        T_tip_tool = T_tip_tool_nominal = _pose(tool, "tool")
+
+    group: str | None = None
+    if isinstance(frame, str):
+        group = _find_name(setup.groups, frame, "station")
+        T_frame_base = read_only(setup.T_frame_base[setup.groups.index(group)])
+    else:
+        T_frame_base = _pose(frame, "frame")
+
+    if model is None:
+        actual = Arm.of(result.corrected(nominal), T_tip_tool)
+    else:
+        payload = non_geometric if isinstance(non_geometric, Payload) else None
+        actual = Arm.of_non_geometric(model, result.uncorrected(nominal), T_tip_tool, payload)
+    if isinstance(non_geometric, Payload):
+        factors = [term.factor for term in actual.kinematics.model.terms]
+        if not any(factor and factor.loaded and not factor.later for factor in factors):
+            raise ModelError(
+                "A payload is given, but the result has no compliances: its commands would be the same "
+                "with any. Leave the payload out; the model 'dh+compliance' estimates compliances."
+            )
     return Pair(
-        nominal=Arm.of(controller, known_tool.T_nominal),
-        actual=arm,
+        nominal=Arm.of(controller, T_tip_tool_nominal),
+        actual=actual,
         T_frame_base=T_frame_base,
-        target=known_tool.target,
+        target=target,
         group=group,
         result=result,
         non_geometric=model is not None,
@@ -289,12 +285,12 @@ def _pair_of_robots(
     frame: ArrayLike | str | None,
     non_geometric: bool | Payload,
 ) -> Pair:
-    """Make the pair of two robots, without a result."""
+    """Make the pair of two robots, without a result; raises `ModelError`."""
     needs_result = any(isinstance(value, (str, Payload)) for value in (tool, frame, non_geometric))
     if nominal is None or needs_result:
         raise ModelError(
             "With a corrected robot in place of a result give the nominal robot too, tool and frame "
-            "as poses, and no payload: it knows no targets, groups and compliances."
+            "as poses, and no payload: it knows no targets, stations or compliances."
         )
     actual = actual.rebuilt(base=nominal.base, tip=nominal.tip)
     check_same_joints(actual, nominal)
@@ -302,65 +298,8 @@ def _pair_of_robots(
     return Pair(Arm.of(nominal, T_tip_tool), Arm.of(actual, T_tip_tool), _pose(frame, "frame"))
 
 
-class _Tool(NamedTuple):
-    """Tool in the tip."""
-
-    #: Where it is, shape (4, 4), [m]
-    T_actual: Array
-    #: Where the controller has it, shape (4, 4), [m]
-    T_nominal: Array
-    #: Name of the target that it is; None where it is none
-    target: str | None
-
-
-def _tool(result: Calibration, model: NonGeometric | None, tool: ArrayLike | str | None) -> _Tool:
-    """Return a tool given as a pose, or by the name of a target.
-
-    Args:
-        result: The calibration.
-        model: Its non-geometric model, whose targets count; None: those of its geometry.
-        tool: See `calib.verbs.compensate.commands.compensate`.
-    """
-    if not isinstance(tool, str):
-        T_tip_tool = _pose(tool, "tool")
-        return _Tool(T_tip_tool, T_tip_tool, None)
-    setup = result.setup if model is None else model.setup
-    target = _name(setup.targets, tool, "target")
-    t = setup.targets.index(target)
-    # The controller has it where it was given. A target that was estimated from scratch has no such place.
-    stated = result.nominal_setup if setup.target_given[t] else setup
-    return _Tool(setup.T_tip_target[t], stated.T_tip_target[t], target)
-
-
-def _frame(
-    result: Calibration, model: NonGeometric | None, frame: ArrayLike | str | None
-) -> tuple[Array, str | None]:
-    """Return the base in a frame given as a pose, or by the name of a group, and that name.
-
-    Args:
-        result: The calibration.
-        model: Its non-geometric model, whose frames count; None: those of its geometry.
-        frame: See `calib.verbs.compensate.commands.compensate`.
-    """
-    if not isinstance(frame, str):
-        return _pose(frame, "frame"), None
-    setup = result.setup if model is None else model.setup
-    group = _name(setup.groups, frame, "group")
-    return read_only(setup.T_frame_base[setup.groups.index(group)]), group
-
-
-def _check_compliances(arm: Arm) -> None:
-    """Refuse a payload for an arm that no load moves."""
-    factors = [term.factor for term in arm.kinematics.model.terms]
-    if not any(factor and factor.loaded and not factor.later for factor in factors):
-        raise ModelError(
-            "A payload is given, but the result has no compliances: its commands would be the same "
-            "with any. Leave the payload out; the model 'dh+compliance' estimates compliances."
-        )
-
-
 def is_corrected(result: Calibration, robot: Robot) -> bool:
-    """Tell a robot with the joint origins that a result corrected from one with those that it began with.
+    """Return whether a robot has the joint origins that a result corrected, or those that the calibration began with.
 
     Args:
         result: The calibration.
@@ -396,8 +335,8 @@ def _other_origins(robot: Robot, reference: Robot) -> list[str]:
     return [name for name, T in robot.origins().items() if np.abs(T - origins[name]).max() > _SAME]
 
 
-def _name(names: Sequence[str], name: str, what: str) -> str:
-    """Return the name, or the only one there is for the empty name; raises `ModelError`."""
+def _find_name(names: Sequence[str], name: str, what: str) -> str:
+    """Return the name if it is one of some names, or the only one for the empty name; raises `ModelError`."""
     if name in names:
         return name
     if not name and len(names) == 1:
@@ -409,7 +348,7 @@ def _name(names: Sequence[str], name: str, what: str) -> str:
 
 
 def _pose(value: ArrayLike | str | None, what: str) -> Array:
-    """Return a pose, shape (4, 4), of a pose or of a position, shape (3,), [m]; the identity of None."""
+    """Return a pose or a position (3,) [m] as a pose (4, 4), and None as the identity; raises `ModelError`."""
     T = np.eye(4)
     values = T if value is None else numbers(what, value, _POSE)
     if values.shape == (3,):

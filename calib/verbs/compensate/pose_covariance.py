@@ -2,12 +2,12 @@
 
     C_pose(q)  =  J C J^T  +  B P B^T
 
-    J   derivative of the tool's pose by the parameters, C their covariance; parameters of a target count only where the
+    J   derivative of the tool's pose by the parameters, C their covariance; parameters of a target count only if the
         tool is that target: any other tool is known in the tip
     B   derivative by a motion of the base, P covariance of what the model leaves out of the first joint's placement
 
-The last term counts in the base only, and only where the measurement frame was estimated: a frame takes up whatever
-displaces the first joint in the base, so that no measurement tells it. What the model has of it is in C, with the
+The last term counts in the base only, and only if the measurement frame was estimated: such a frame absorbs whatever
+displaces the first joint in the base, so that no measurement determines it. What the model has of it is in C, with the
 variance of its prior; the rest is P, with the prior standard deviations of the same families.
 """
 
@@ -25,12 +25,12 @@ from calib.basics.arrays import Array, rigid_inverse
 from calib.model.error_model import DIRECTIONS, OWN, error_model, split_name
 from calib.model.families import FAMILIES
 from calib.model.kinematics import Samples
-from calib.model.parameters import TARGET, Parameter
+from calib.model.parameters import TARGET
 from calib.numerics.rigid_motion import displacements_by
 from calib.result.calibration import Calibration
 from calib.result.fitted_model import FittedModel, twists_in_base
 
-#: Rows whose derivatives are held at a time.
+#: Number of rows whose derivatives are in memory at the same time.
 _AT_A_TIME = 2048
 
 
@@ -70,22 +70,34 @@ def pose_covariance(part: FittedModel, view: View) -> PoseCovariance:
     """Compute the covariance of the poses of a view by the parameters of a fit.
 
     Args:
-        part: A result's geometry or its non-geometric model.
+        part: A result's geometry or its non-geometric model, with p parameters.
         view: The tool, its poses and the frame.
 
     Returns:
         The covariance, and its parts that all rows share.
     """
+    # Of the parameters and of a motion of the base. A tool that is known in the tip does not depend on a target.
+    p = len(part.x)
+    covariance = np.zeros((p + 6, p + 6))
+    covariance[:p, :p] = _determined(part)
+    if view.T_tip_tool is not None:
+        of_target = part.model.family(TARGET)
+        covariance[:p, :p][of_target[:, None] | of_target] = 0.0
+    if view.base is not None:
+        covariance[p:, p:] = view.base
+    # R R^T is the covariance, which may be singular.
+    values, vectors = np.linalg.eigh(covariance)
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+
     derivative = _derivative(part, view)
-    root = _root(_covariance(part, view))
-    unknowns, count = len(root), len(view.samples)
+    count = len(view.samples)
     covariances = []
-    gram = np.zeros((unknowns, unknowns))
+    gram = np.zeros((p + 6, p + 6))
     for first in range(0, count, _AT_A_TIME):
         block = view.samples.select(slice(first, first + _AT_A_TIME))
         J = derivative(block) @ root
         covariances.append(J @ J.swapaxes(1, 2))
-        lengths = J[:, :3].reshape(-1, unknowns)
+        lengths = J[:, :3].reshape(-1, p + 6)
         gram += lengths.T @ lengths / count
     shared = np.maximum(np.linalg.eigvalsh(gram), 0.0)
     by_priors = float(np.sum(gram * (root.T @ _prior_precision(part, view) @ root)))
@@ -95,7 +107,7 @@ def pose_covariance(part: FittedModel, view: View) -> PoseCovariance:
 def unknown_base_directions(result: Calibration) -> tuple[str, ...]:
     """Return the directions of the base that no measurement determines, of `calib.model.error_model.DIRECTIONS`.
 
-    They are those that are estimated of every frame in which positions were measured; all six where none were.
+    They are those that are estimated of every frame in which positions were measured; all six if none were measured.
     """
     rows, setup = result.rows, result.setup
     common = set(DIRECTIONS)
@@ -110,8 +122,7 @@ def unmodelled_base(result: Calibration, part: FittedModel) -> Array:
     """Compute the covariance of the first joint's placement that a model leaves out, as a motion of the base (6, 6).
 
     Every direction of the placement counts that neither a parameter of the model nor a frozen one has, with the prior
-    standard deviation of its family, along the directions of the base that no measurement
-    determines.
+    standard deviation of its family, along the directions of the base that no measurement determines.
 
     Args:
         result: The calibration.
@@ -136,33 +147,22 @@ def unmodelled_base(result: Calibration, part: FittedModel) -> Array:
 
 
 def _left_out(result: Calibration, part: FittedModel) -> Array:
-    """Compute the projection onto the motions of the first joint's placement that a model leaves out.
+    """Return the projection of twists (6, 6) in the first joint's placement onto those that a model leaves out.
 
-        P = I - D^+ D,    D: directions of its errors and of frozen ones, one a row
-
-    Args:
-        result: The calibration.
-        part: Its geometry or its non-geometric model.
-
-    Returns:
-        shape (6, 6), of twists in the frame of the placement, linear part first.
+    P = I - D^+ D,    D: directions of its errors and of frozen ones, one a row
     """
-    joint = result.nominal.joints[0].name
     modelled = [term for term in part.model.terms if term.factor is None]
-    modelled += _frozen(result, part)
-    directions = [term.direction for term in modelled if term.place == joint]
-    spanned = np.array(directions).reshape(-1, 6)
-    return np.asarray(np.eye(6) - np.linalg.pinv(spanned) @ spanned)
-
-
-def _frozen(result: Calibration, part: FittedModel) -> list[Parameter]:
-    """Return frozen parameters of the model's set and of the placements: the user takes them for exact."""
+    # Frozen parameters of the model's set and of the placements: the user takes them for exact.
     sets = {"placement"}
     if part.model.name != OWN:
         sets.add(split_name(part.model.name)[0])
-    models = [error_model(result.nominal, name, target=False) for name in sets]
-    parameters = [parameter for model in models for parameter in model.parameters]
-    return [parameter for parameter in parameters if parameter.name in result.method.frozen]
+    for name in sorted(sets):
+        parameters = error_model(result.nominal, name, target=False).parameters
+        modelled += [p for p in parameters if p.name in result.method.frozen]
+    joint = result.nominal.joints[0].name
+    directions = [term.direction for term in modelled if term.place == joint]
+    spanned = np.array(directions).reshape(-1, 6)
+    return np.asarray(np.eye(6) - np.linalg.pinv(spanned) @ spanned)
 
 
 def _prior_std(result: Calibration, part: FittedModel, family: str) -> float:
@@ -199,28 +199,8 @@ def _derivative(part: FittedModel, view: View) -> Callable[[Samples], Array]:
     return derivative
 
 
-def _root(covariance: Array) -> Array:
-    """Compute R with R R^T a covariance, which may be singular."""
-    values, vectors = np.linalg.eigh(covariance)
-    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
-
-
-def _covariance(part: FittedModel, view: View) -> Array:
-    """Return the covariance of the p parameters and of a motion of the base, shape (p + 6, p + 6)."""
-    covariance = _determined(part)
-    if view.T_tip_tool is not None:
-        of_target = part.model.family(TARGET)
-        covariance = np.where(of_target[:, None] | of_target, 0.0, covariance)
-    p = len(covariance)
-    joint = np.zeros((p + 6, p + 6))
-    joint[:p, :p] = covariance
-    if view.base is not None:
-        joint[p:, p:] = view.base
-    return joint
-
-
 def _prior_precision(part: FittedModel, view: View) -> Array:
-    """Return the precision of the priors of the same, shape (p + 6, p + 6); 0 where there is none.
+    """Return the precision of the priors of the parameters and of a motion of the base, (p + 6, p + 6); 0 without one.
 
     Of the covariance C = (H + L)^-1, with the measurements' H and the priors' L, the share C L C is the priors'.
     """
@@ -237,10 +217,10 @@ def _prior_precision(part: FittedModel, view: View) -> Array:
 
 
 def _determined(part: FittedModel) -> Array:
-    """Return the covariance of the parameters, shape (p, p).
+    """Return the covariance of the parameters, (p, p), with typical errors in place of priors if the fit had none.
 
-    Without priors, what no measurement determines has a standard deviation of a metre or a radian: it is taken to be as
-    large as the errors of its family typically are, C - C_r (C_rr + D)^-1 C_r^T with these variances D.
+    Without priors, what no measurement determines has a standard deviation of a metre or a radian. With the variances D
+    that are typical of the families of the robot's parameters r, it is C - C_r (C_rr + D)^-1 C_r^T.
     """
     of_robot = part.model.of_robot
     if part.prior_std or not np.any(of_robot):
@@ -253,6 +233,6 @@ def _determined(part: FittedModel) -> Array:
 
 
 def _typical(part: FittedModel) -> Array:
-    """Return typical standard deviations of the parameters' families, shape (p,); NaN for frames and targets."""
+    """Return typical standard deviations of the parameters' families, (p,); NaN for frames and targets."""
     families = [FAMILIES.get(parameter.family) for parameter in part.model.parameters]
     return np.array([np.nan if family is None else family.typical for family in families])

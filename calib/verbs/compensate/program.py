@@ -1,4 +1,8 @@
-"""Program: what a robot is to do, row by row: joint values made for the nominal robot, or poses of its tool."""
+"""Program: what a robot is to do, row by row, as joint values planned on the nominal robot or as poses of its tool.
+
+Files are kept apart from the correction: a reader makes a `Program` of a file, `compensate` corrects its targets, and a
+writer makes a file of the `Commands`. `calib.verbs.compensate.program_table` has reader and writer of tables.
+"""
 
 from __future__ import annotations
 
@@ -15,12 +19,6 @@ from calib.errors import ModelError, choices
 from calib.numerics.geometry import not_rotations
 from calib.verbs.compensate.inverse import MATCHES, POSITION
 
-#: Prefix of columns with corrections, in a table of commands.
-CORRECTION = "correction "
-
-#: Column of the expected position error of each row of a table of commands.
-EXPECTED = "expected error"
-
 #: What messages call joint values, and poses.
 _VALUES = "joint values of shape (N, m) or (m,), [rad] or [m]"
 _POSES = "poses of shape (N, 4, 4) or (4, 4), [m]"
@@ -31,7 +29,8 @@ class Program(Value):
     """N rows that a robot is to run through: joint values, poses of the tool, or both.
 
     Raises:
-        ModelError: Neither joint values nor poses, a number or a rotation that is none, or words that do not fit.
+        ModelError: Neither joint values nor poses, numbers that are not finite, a matrix that is not a pose, or a match
+            or a start that does not fit the rows.
     """
 
     #: What messages call each row, such as ``"row 3"``.
@@ -39,20 +38,20 @@ class Program(Value):
     #: shape (N, m), joint values in the order of ``Robot.joint_names`` [rad] or [m]; with ``T_wanted`` those at which
     #: the search for joint values starts; None: poses alone.
     q: Array | None = None
-    #: shape (N, 4, 4), wanted poses of the tool [m]; None: those that the nominal robot reaches at ``q``.
+    #: shape (N, 4, 4), wanted poses of the tool [m]; None: those of the nominal robot at ``q``.
     T_wanted: Array | None = None
-    #: Whether ``T_wanted`` gives the orientation too, or the position alone.
+    #: Whether ``T_wanted`` gives orientations, or positions only.
     oriented: bool = True
     #: What of the poses is to be reached, one of `MATCHES`; None: ``"pose"``, ``"axis"`` with five joints,
-    #: ``"position"`` with fewer or where no orientation is given.
+    #: ``"position"`` with fewer or if no orientation is given.
     match: str | None = None
-    #: Joint values by name [rad] or [m] near which the search for the first of poses alone starts; others start in mid
-    #: range; None: all do.
+    #: Joint values by name [rad] or [m] near which the search for the first pose starts, of a program of poses alone;
+    #: joints that are not named start in mid range; None: all do.
     start: Mapping[str, float] | None = None
-    #: Other columns of the file: header and cells.
+    #: Other columns of a table, header and cells, which its commands get too.
     kept: tuple[tuple[str, tuple[str, ...]], ...] = ()
-    #: Convention of the file's orientations, one of `calib.data.forms.orientations.CONVENTIONS`; empty if there are
-    #: none.
+    #: Convention of a table's orientations, one of `calib.data.forms.orientations.CONVENTIONS`, in which those of its
+    #: commands are written; empty if there are none.
     form: str = ""
 
     def __post_init__(self) -> None:
@@ -63,29 +62,30 @@ class Program(Value):
             check_mapping("start", self.start)
         if not self.labels or (self.q is None and self.T_wanted is None):
             raise ModelError("A program has rows of joint values, of poses, or of both.")
-        allowed = MATCHES if self.oriented else (POSITION,)
-        if self.match not in (None, *allowed):
+        matches = MATCHES if self.oriented else (POSITION,)
+        if self.match not in (None, *matches):
             raise ModelError(
-                f"'{self.match}' cannot be matched; this program's rows allow {choices(allowed)}."
+                f"'{self.match}' cannot be matched; this program's rows allow {choices(matches)}."
             )
         if self.start and self.q is not None:
             raise ModelError("Each row has joint values to start at: leave out the start.")
-        for name, values in (("q", self.q), ("T_wanted", self.T_wanted)):
-            if values is None:
-                continue
-            count = len(self.labels)
-            shape: tuple[int | None, ...] = (count, None) if name == "q" else (count, 4, 4)
-            what = f"{_VALUES if name == 'q' else _POSES}, one for each of the {count} labels"
-            given = finite_numbers(name, values, shape, what)
-            if name == "T_wanted" and not_rotations(given[:, :3, :3]).any():
+        count = len(self.labels)
+        if self.q is not None:
+            allowed = f"{_VALUES}, one for each of the {count} labels"
+            q = finite_numbers("q", self.q, (count, None), allowed)
+            object.__setattr__(self, "q", read_only(q))
+        if self.T_wanted is not None:
+            allowed = f"{_POSES}, one for each of the {count} labels"
+            T_wanted = finite_numbers("T_wanted", self.T_wanted, (count, 4, 4), allowed)
+            if not_rotations(T_wanted[:, :3, :3]).any():
                 raise ModelError(
-                    "T_wanted of a program has a pose that is none: its rotation is not orthonormal."
+                    "T_wanted of a program has a matrix that is not a pose: its rotation is not orthonormal."
                 )
-            object.__setattr__(self, name, read_only(values))
+            object.__setattr__(self, "T_wanted", read_only(T_wanted))
         keep_read_only(self, "start")
 
     def __repr__(self) -> str:
-        """Return one line: the number of rows, and what they give."""
+        """Return one line: the number of rows, and whether they are joint values, poses or positions."""
         what = "joint values"
         if self.T_wanted is not None:
             what = "poses" if self.oriented else "positions"

@@ -19,19 +19,18 @@ from calib.verbs.compensate.expected import BAND
 
 if TYPE_CHECKING:
     from calib.robot.robot import Robot
-    from calib.verbs.compensate.commands import Commands
+    from calib.verbs.compensate.commands import Code, Commands, CommandWarning
     from calib.verbs.compensate.expected import ExpectedErrors, Source
-    from calib.verbs.compensate.warnings import Code, CommandWarning
 
 
 _MM = 1e3
 _DEG = float(np.degrees(1.0))
 
-#: The median distance of a program's positions from those at its joint values, above which these do not belong
+#: If a program's positions and those at its joint values differ by more than this (median), they do not belong
 #: together [m]: no calibration moves a tool so far.
 _MISMATCH = 0.02
 
-#: The same of orientations [deg].
+#: The same for orientations [deg].
 _MISMATCH_DEG = 10.0
 
 #: Angles of a pose below this are rounding [deg].
@@ -43,7 +42,7 @@ _MATCHED = {
     "axis": "position and direction of the tool's z axis",
 }
 
-#: A source of expected errors with a smaller share of their mean square is not shown.
+#: Sources of expected errors with a smaller share of their mean square are not shown.
 _SMALL_SHARE = 0.005
 
 #: Width of the labels of both tables.
@@ -58,14 +57,14 @@ _SOURCES: dict[Source, str] = {
     "base": "the base in the measurement frame",
 }
 
-#: What lowers the contribution of a source, where nothing else is known.
+#: What lowers the contribution of a source, unless the result allows more specific advice.
 _REMEDIES: dict[Source, str] = {
-    "model": "errors remain that no parameter of this model represents, and more poses do not lower them; "
-    "docs/troubleshooting.md.",
+    "model": "look for errors that no parameter of this model represents (docs/troubleshooting.md); more poses do not "
+    "lower them.",
     "parameters": "measure more poses, planned with calib plan --taken, or with less noise.",
-    "poses": "measure where the program is, too: calib plan --taken.",
-    "tool": "measure a target at the tool's working point and give it as --tool target; or several targets, or poses, "
-    "whose places in the tip are known (--fix-target).",
+    "poses": "also measure poses like the program's: calib plan --taken.",
+    "tool": "measure a target at the tool's working point and give it as --tool target; or measure several targets, or "
+    "poses, with known places in the tip (--fix-target).",
     "base": "measure in a frame of known points on the base (--frame known).",
 }
 
@@ -89,61 +88,74 @@ def text(commands: Commands, name: str, written: Path | None) -> str:
     Args:
         commands: The commands.
         name: The file that the actual robot is from.
-        written: The table of commands that was written; None where there is none.
+        written: The table of commands that was written; None if none was.
 
     Returns:
         Verdict, expected errors, program, corrections, notes, and warnings by row, in lines of 100 columns.
     """
+    usage = "Nothing was written; -o commands.csv writes the commands."
+    if written is not None:
+        advice = (
+            "Send the joint values, or send the poses to a controller with the nominal model; one with the corrected "
+            "model would apply the correction twice. Then measure some rows, see docs/compensation.md."
+        )
+        usage = f"Written: {written}\n{fill(advice)}"
     parts = [
         _verdict(commands, name),
         _expected_errors(commands),
         _program(commands),
         _corrections(commands),
         *map(fill, _notes(commands)),
-        _warnings(commands, "without a command", _reasons(commands)),
-        _warnings(commands, "with a warning", commands.warnings),
-        _written(written),
+        _findings_paragraph(commands, "without a command", _reasons(commands)),
+        _findings_paragraph(commands, "with a warning", commands.warnings),
+        usage,
     ]
     return "\n\n".join(part for part in parts if part)
-
-
-def _written(path: Path | None) -> str:
-    """Word which table was written, and how to use it."""
-    if path is None:
-        return "Nothing was written; -o commands.csv writes the commands."
-    advice = (
-        "Send the joint values, or the poses to a controller that keeps its nominal model: one that has the "
-        "corrected model would correct twice. Then measure some rows: docs/compensation.md."
-    )
-    return f"Written: {path}\n{fill(advice)}"
-
-
-def _reasons(commands: Commands) -> list[tuple[CommandWarning, ...]]:
-    """Why each row has no command, as findings of the row; empty for a row that has one."""
-    return [() if reason is None else (reason,) for reason in commands.reasons]
-
-
-def _warnings(commands: Commands, what: str, rows: Sequence[Sequence[CommandWarning]]) -> str:
-    """Write a paragraph of findings with its heading; empty if there are none."""
-    if not any(rows):
-        return ""
-    head = f"Rows {what}: {sum(map(bool, rows))} of {len(commands)}"
-    return "\n".join([head, *_findings(commands, rows)])
 
 
 def no_commands(commands: Commands) -> str:
     """Word the message about rows without a command, with the reasons and the remedy."""
     advice = _mismatch(commands) or (
-        "Check --tool, --poses-in and the units; --tolerance accepts rows with a small remaining error, --match "
-        "position those whose orientation may be free; --skip leaves rows empty, but for the reason."
+        "Check --tool, --poses-in and the units. --tolerance accepts a small remaining error, --match position leaves "
+        "the orientation free, and --skip leaves such rows empty except for the reason."
     )
     missing = sum(~commands.reached)
     head = f"{missing} of {len(commands)} rows have no command, and nothing was written:"
     return "\n".join([head, *_findings(commands, _reasons(commands)), fill(advice)])
 
 
+def _reasons(commands: Commands) -> list[tuple[CommandWarning, ...]]:
+    """Return why each row has no command, as findings about the row; empty for a row that has one."""
+    return [() if reason is None else (reason,) for reason in commands.reasons]
+
+
+def _findings_paragraph(
+    commands: Commands, what: str, rows: Sequence[Sequence[CommandWarning]]
+) -> str:
+    """Write a paragraph of the findings about each row with its heading; empty if there are none."""
+    if not any(rows):
+        return ""
+    head = f"Rows {what}: {sum(map(bool, rows))} of {len(commands)}"
+    return "\n".join([head, *_findings(commands, rows)])
+
+
+def _findings(commands: Commands, rows: Sequence[Sequence[CommandWarning]]) -> list[str]:
+    """Write a line for each code among the findings about the rows, with its first row as the example."""
+    by_code: dict[str, dict[str, CommandWarning]] = {}
+    for label, findings in zip(commands.program.labels, rows, strict=True):
+        for finding in findings:
+            by_code.setdefault(finding.code, {}).setdefault(label, finding)
+    lines = []
+    for by_row in by_code.values():
+        first, *others = by_row
+        more = f"; and {len(others)} more" if others else ""
+        words = finding_text(by_row[first], commands.nominal)
+        lines.append(fill(f"{first}: {words}{more}", "  ", "  "))
+    return lines
+
+
 def finding_text(finding: CommandWarning, robot: Robot) -> str:
-    """Word a finding on a row.
+    """Word a finding about a row.
 
     Args:
         finding: The finding, its numbers in SI units.
@@ -190,7 +202,10 @@ def _verdict(commands: Commands, name: str) -> str:
 
 
 def _expected_errors(commands: Commands) -> str:
-    """Write the expected position error, its sources, and what lowers the largest; empty where it is not known."""
+    """Write the expected position error, its sources, and what lowers the largest; empty if it is not known.
+
+    The table of sources has the mean error that each would leave alone, and its share of the mean square.
+    """
     expected = commands.expected
     if expected is None:
         return ""
@@ -203,26 +218,23 @@ def _expected_errors(commands: Commands) -> str:
         f"{worst}. Of ten calibrations like this one, {10 * BAND:.0f} have a mean between "
         f"{_MM * low:.3f} and {_MM * high:.3f} mm."
     )
-    remedies = map(fill, _remedies(commands, expected))
-    return "\n\n".join([fill(sentence), _sources(expected), *remedies])
 
-
-def _sources(expected: ExpectedErrors) -> str:
-    """Write the table of sources: the mean error that each would leave alone, and its share of the mean square."""
-    total = sum(contribution.square for contribution in expected.contributions)
     columns = [
         name_column("Expected error, by its source", _LABEL),
         Column("mean mm", 9),
         Column("share", 9),
     ]
+    total = sum(expected.contributions.values())
     rows = []
-    for contribution in expected.contributions:
-        share = contribution.square / total if total > 0.0 else 0.0
+    for source, square in expected.contributions.items():
+        share = square / total if total > 0.0 else 0.0
         if share >= _SMALL_SHARE:
             alone = _MM * expected.mean * np.sqrt(share)
-            label = _SOURCES[contribution.source]
-            rows.append((label, f"{alone:.3f}", f"{100.0 * share:.0f} %"))
-    return "\n".join(table_lines(columns, rows))
+            rows.append((_SOURCES[source], f"{alone:.3f}", f"{100.0 * share:.0f} %"))
+    sources = "\n".join(table_lines(columns, rows))
+
+    remedies = map(fill, _remedies(commands, expected))
+    return "\n\n".join([fill(sentence), sources, *remedies])
 
 
 def _remedies(commands: Commands, expected: ExpectedErrors) -> Iterator[str]:
@@ -237,8 +249,9 @@ def _remedies(commands: Commands, expected: ExpectedErrors) -> Iterator[str]:
         )
     if largest == "model" and expected.noise == "unknown":
         yield (
-            "To know better: the instrument's noise was not stated, and held-out errors count in full. State it at the "
-            "calibration (sigma_mm in the cell file, or a column 'sigma [mm]'), or measure some poses repeatedly."
+            "The instrument's noise was not stated, so held-out errors count in full. For a better estimate, state it "
+            "at the calibration (sigma_mm in the cell file, or a column 'sigma [mm]'), or measure some poses "
+            "repeatedly."
         )
     elif largest == "model" and result.non_geometric is not None and not pair.non_geometric:
         yield "To lower it: use the non-geometric model, without --geometry."
@@ -285,25 +298,24 @@ def _corrections(commands: Commands) -> str:
     title = f"By the calibrated model, rows with commands: {int(commands.reached.sum())}"
     columns = [name_column(title, _LABEL)]
     columns += [Column(head, 9) for head in ("max mm", "mean mm", "max deg", "mean deg")]
-    cells = []
+    rows = []
     for label, (lengths, angles) in _errors_and_corrections(commands).items():
-        known_lengths = lengths[np.isfinite(lengths)]
-        known_angles = angles[np.isfinite(angles)]
-        if known_lengths.size or known_angles.size:
-            figures = (*_figures(_MM * known_lengths), *_figures(_DEG * known_angles))
-            cells.append((label, *figures))
-    return "\n".join(table_lines(columns, cells))
+        cells = [label]
+        for values, factor in ((lengths, _MM), (angles, _DEG)):
+            known = factor * values[np.isfinite(values)]
+            if known.size:
+                cells += [f"{known.max():.4f}", f"{known.mean():.4f}"]
+            else:
+                cells += ["-", "-"]
+        if cells[1:] != ["-"] * 4:
+            rows.append(cells)
+    return "\n".join(table_lines(columns, rows))
 
 
 def _errors_and_corrections(commands: Commands) -> dict[str, tuple[Array, Array]]:
-    """Collect errors and corrections of the K rows that have a command, by their label in the table.
+    """Return lengths [m] and angles [rad], all positive or zero, of the K rows that have a command, by their label.
 
-    Args:
-        commands: The commands of a program.
-
-    Returns:
-        Lengths [m] and angles [rad] by label: shapes (K,), of joints (K, prismatic joints) and (K, other joints), all
-        positive or zero; NaN where one is not known.
+    Their shapes are (K,), of joints (K, prismatic joints) and (K, other joints); NaN is not known.
     """
     rows, robot = commands.reached, commands.nominal
     values = {
@@ -320,13 +332,6 @@ def _errors_and_corrections(commands: Commands) -> dict[str, tuple[Array, Array]
     return pairs
 
 
-def _figures(values: Array) -> tuple[str, str]:
-    """Format maximum and mean; dashes where there are no values."""
-    if not values.size:
-        return "-", "-"
-    return f"{values.max():.4f}", f"{values.mean():.4f}"
-
-
 def _notes(commands: Commands) -> Iterator[str]:
     """Word what to check before the commands go to the robot, a note each."""
     pair, robot = commands.pair, commands.nominal
@@ -335,16 +340,16 @@ def _notes(commands: Commands) -> Iterator[str]:
         yield mismatch
     if pair.target is not None:
         yield (
-            f"Set the controller's tool to {_place(pair.nominal.T_tip_tool)} in '{robot.tip}': the poses to send, and "
-            "those computed from joint values, are of it."
+            f"Set the controller's tool to {_place(pair.nominal.T_tip_tool)} in '{robot.tip}'; the poses to send refer "
+            "to that tool."
         )
     if pair.group is not None:
         place = _place(rigid_inverse(pair.T_frame_base))
-        yield f"Set the controller's work object to {place} in '{robot.base}': the poses to send are in it."
+        yield f"Set the controller's work object to {place} in '{robot.base}'; the poses to send refer to it."
 
 
 def _place(T: Array) -> str:
-    """Format a pose as its position [mm] and, where it is turned, its rotation vector [deg]."""
+    """Format a pose as its position [mm] and, if it is rotated, its rotation vector [deg]."""
     turn = _DEG * Rotation.from_matrix(T[:3, :3]).as_rotvec()
     text = f"({_listed(_MM * T[:3, 3])}) mm"
     if np.abs(turn).max() > _ROUNDING_DEG:
@@ -358,7 +363,7 @@ def _listed(values: Array) -> str:
 
 
 def _mismatch(commands: Commands) -> str:
-    """Word that the joint values of a program do not belong to its poses: mostly another tool, or another frame."""
+    """Word that the joint values of a program do not belong to its poses; empty if they do."""
     program, pair = commands.program, commands.pair
     if program.q is None or program.T_wanted is None:
         return ""
@@ -367,9 +372,9 @@ def _mismatch(commands: Commands) -> str:
     median = float(np.median(apart))
     if median >= _MISMATCH:
         return (
-            f"At the program's joint values the nominal robot has the tool {_MM * median:.0f} mm from the program's "
-            "positions (median). Are these of another tool (--tool), in another frame (--poses-in), or measured ones "
-            '(--columns "x=-" leaves one out)? Or are joint readings coupled (--cell)?'
+            f"At the program's joint values the nominal robot's tool is {_MM * median:.0f} mm from the program's "
+            "positions (median). Do these belong to another tool (--tool) or to another frame (--poses-in), or were "
+            'they measured (--columns "x=-" ignores them)? Or are joint readings coupled (--cell)?'
         )
     turns = Rotation.from_matrix(poses[:, :3, :3]).inv() * Rotation.from_matrix(
         program.T_wanted[:, :3, :3]
@@ -378,22 +383,7 @@ def _mismatch(commands: Commands) -> str:
     if not program.oriented or turned_deg < _MISMATCH_DEG:
         return ""
     return (
-        f"At the program's joint values the nominal robot has the tool turned by {turned_deg:.0f} deg from the "
-        "program's orientations (median), in the right places. Are these of another convention (--orientation), or of "
-        "another tool (--tool)?"
+        "At the program's joint values the nominal robot's tool is in the right places, but rotated by "
+        f"{turned_deg:.0f} deg from the program's orientations (median). Do these follow another convention "
+        "(--orientation), or belong to another tool (--tool)?"
     )
-
-
-def _findings(commands: Commands, rows: Sequence[Sequence[CommandWarning]]) -> list[str]:
-    """Write a line for each code among the findings of the rows, with its first row as the example."""
-    by_code: dict[str, dict[str, CommandWarning]] = {}
-    for label, findings in zip(commands.program.labels, rows, strict=True):
-        for finding in findings:
-            by_code.setdefault(finding.code, {}).setdefault(label, finding)
-    lines = []
-    for by_row in by_code.values():
-        first, *others = by_row
-        more = f"; and {len(others)} more" if others else ""
-        words = finding_text(by_row[first], commands.nominal)
-        lines.append(fill(f"{first}: {words}{more}", "  ", "  "))
-    return lines

@@ -26,8 +26,7 @@ from calib.errors import FileError, choices
 
 if TYPE_CHECKING:
     from calib.verbs.fleet.fleet import Fleet
-    from calib.verbs.fleet.fleet_robot import FleetRobot
-    from calib.verbs.fleet.job import FleetOptions
+    from calib.verbs.fleet.job import FleetOptions, FleetRobot
 
 
 @dataclass(frozen=True, slots=True)

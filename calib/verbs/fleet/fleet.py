@@ -1,4 +1,4 @@
-"""run_fleet: calibrate many robots, each from its own data into its own folder, and compare them with each other.
+"""Calibrate many robots, each from its own data into its own folder, and compare them with each other.
 
 Robots are read when their turn has come and calibrated in any executor; the process that reads the inputs writes the
 files too, so that workers on other machines need no shared disk. A robot that fails has a row with the reason, and the
@@ -10,35 +10,34 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
+from calib.basics.arguments import check_callable, check_executor, check_type, wrong_type
 from calib.basics.files import make_folder, write_atomically
 from calib.basics.jobs import Progress, run
 from calib.basics.json_files import json_bytes, plain
 from calib.basics.values import one_line
-from calib.errors import CalibError
+from calib.data.cell import Cell
+from calib.data.inputs import CELL, ROBOT, TABLE, CellInput, RobotInput, TableInput
+from calib.data.measurements import Measurements
+from calib.errors import ArgumentError, CalibError, choices, did_you_mean
+from calib.numerics import solvers
+from calib.robot.robot import Robot
 from calib.robot.urdf import read_urdf
-from calib.verbs.fleet.fleet_robot import FleetRobot, check_names
 from calib.verbs.fleet.job import (
     FleetJob,
-    FleetJobResult,
     FleetOptions,
+    FleetRobot,
     calibrate_job,
+    check_names,
     failed_row,
 )
 from calib.verbs.fleet.outliers import FleetOutlier, fleet_outliers
-from calib.verbs.fleet.record import (
-    ACCEPTED,
-    FAILED,
-    ROWS,
-    WITHHELD,
-    FleetRow,
-    csv_bytes,
-)
 from calib.verbs.fleet.robot_folder import RobotFolder
+from calib.verbs.fleet.rows import ACCEPTED, FAILED, ROW_LAYOUT, WITHHELD, FleetRow, fleet_csv
 
 #: The table of a fleet for a spreadsheet; see docs/fleet.md.
 CSV = "fleet.csv"
@@ -51,6 +50,15 @@ SCHEMA = "fleet 3"
 
 #: URDFs kept in memory while the robots are read: those of a fleet have few, and use them one after the other.
 _KEPT_URDFS = 8
+
+#: One robot for all tables, one for each table by its name, or one for each in their order.
+RobotsInput: TypeAlias = RobotInput | Mapping[str, RobotInput] | Sequence[RobotInput]
+
+#: One cell for all robots, or one for each by its name.
+CellsInput: TypeAlias = CellInput | Mapping[str, CellInput]
+
+#: Options that `fleet` takes by name; the command is that of the command line.
+_OPTIONS = tuple(field.name for field in fields(FleetOptions) if field.name != "command")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -94,7 +102,7 @@ class Fleet:
 
     def table(self) -> dict[str, Any]:
         """Return the content of ``fleet.json``: SI units, with the unit in the keys."""
-        robots = [ROWS.table(row) for row in self.rows]
+        robots = [ROW_LAYOUT.table(row) for row in self.rows]
         outliers = [asdict(outlier) for outlier in self.outliers]
         return {
             "schema": SCHEMA,
@@ -102,6 +110,124 @@ class Fleet:
             "outliers": plain(outliers),
             "notes": [*self.notes],
         }
+
+
+def fleet(
+    robots: RobotsInput,
+    tables: Mapping[str, TableInput],
+    folder: str | Path,
+    *,
+    cell: CellsInput = None,
+    executor: Executor | None = None,
+    progress: Progress | None = None,
+    force: bool = False,
+    **options: Any,  # noqa: ANN401  as of FleetOptions
+) -> Fleet:
+    """Calibrate many robots into a folder: one of its own for each, and the tables ``fleet.csv`` and ``fleet.json``.
+
+    A robot whose folder an earlier run has made of the same inputs, options and version is kept as it is. Of one that
+    fails the folder stays as it was, and the others are finished. One whose verdict is ``do not use`` gets no corrected
+    URDF, unless ``accept`` is set, and an earlier one is removed.
+
+    Args:
+        robots: The nominal robot of all tables: a `Robot`, the path of a URDF or xacro, or a name such as ``"ur3"``; or
+            one for each table, by its name or in their order.
+        tables: The measurements of each robot, or the path of their table, by the robot's name, which is that of its
+            folder.
+        folder: Folder of the results; it is made if missing.
+        cell: The cell of all robots, or the path of a cell file; or one for each, by the robot's name; None: the
+            default `Cell`.
+        executor: Where the robots are calibrated; None: in this process, one after the other. Any of
+            `concurrent.futures`, or Dask's ``Client.get_executor()``.
+        progress: Called after each robot with the numbers of robots done and of all robots.
+        force: Whether finished robots are calibrated again.
+        **options: ``solver``, ``robust`` and ``validate`` as of `calib.calibrate`; ``reports``, whether each robot gets
+            a report (True), which takes longer than its fit; ``target_link``, whether corrected URDFs get a link at the
+            target (False); ``accept``, whether they are also written if the verdict is ``do not use`` (False).
+
+    Returns:
+        A row for each robot, and the outliers among them.
+
+    Raises:
+        ArgumentError: An argument of another type, or an unknown option.
+        CalibError: Names that cannot be those of folders, robots that are not those of the tables, or a worker was
+            killed.
+        FileError: The folder cannot be written.
+
+    Example:
+        fleet = calib.fleet("ur3", {"SN-1": "1.csv", "SN-2": "2.csv"}, "results", reports=False)
+    """
+    defaults = FleetOptions()
+    for name, value in options.items():
+        if name not in _OPTIONS:
+            raise ArgumentError(
+                f"There is no option '{name}' of a fleet{did_you_mean(name, _OPTIONS)}; there are {choices(_OPTIONS)}."
+            )
+        kind = type(getattr(defaults, name))
+        check_type(name, value, kind, "True or False" if kind is bool else "the name of a solver")
+        if name == "solver":
+            solvers.check_name(value)
+    check_type("tables", tables, Mapping, f"a mapping from names of robots to {TABLE}")
+    check_type("folder", folder, (str, Path), "the path of a folder")
+    check_executor(executor)
+    check_callable("progress", progress)
+    by_name = _robots_by_name(robots, tables)
+    cells = _cells_by_name(cell, tables)
+    members = []
+    for name, table in tables.items():
+        check_type("tables", name, str, "a mapping from names of robots, which are texts")
+        check_type(f"tables[{name!r}]", table, (Measurements, str, Path), TABLE)
+        members.append(FleetRobot.of_values(name, by_name[name], table, cells[name]))
+    chosen = FleetOptions(**options)
+    return run_fleet(members, folder, chosen, executor=executor, progress=progress, force=force)
+
+
+def _robots_by_name(
+    robots: RobotsInput, tables: Mapping[str, TableInput]
+) -> Mapping[str, RobotInput]:
+    """Return the robot of each table by the table's name."""
+    if isinstance(robots, (Robot, str, Path)):
+        return dict.fromkeys(tables, robots)
+    if isinstance(robots, Mapping):
+        _check_all_given("robots", robots, tables)
+        by_name = dict(robots)
+    elif isinstance(robots, Sequence):
+        if len(robots) != len(tables):
+            raise CalibError(
+                f"The numbers of robots ({len(robots)}) and of tables ({len(tables)}) differ: give one robot for all, "
+                "or one for each."
+            )
+        by_name = dict(zip(tables, robots, strict=True))
+    else:
+        raise wrong_type("robots", robots, f"{ROBOT}; or a mapping or sequence of these")
+    for name, robot in by_name.items():
+        check_type(f"robots[{name!r}]", robot, (Robot, str, Path), ROBOT)
+    return by_name
+
+
+def _cells_by_name(cell: CellsInput, tables: Mapping[str, TableInput]) -> Mapping[str, CellInput]:
+    """Return the cell of each robot by its name."""
+    if not isinstance(cell, Mapping):
+        check_type("cell", cell, (Cell, str, Path, type(None)), f"{CELL}; or a mapping of these")
+        return dict.fromkeys(tables, cell)
+    _check_all_given("cell", cell, tables)
+    for name, one in cell.items():
+        check_type(f"cell[{name!r}]", one, (Cell, str, Path, type(None)), CELL)
+    return cell
+
+
+def _check_all_given(
+    argument: str, given: Mapping[str, Any], tables: Mapping[str, TableInput]
+) -> None:
+    """Refuse a mapping that lacks one of the tables' names, or has another one."""
+    missing = [name for name in tables if name not in given]
+    others = [str(name) for name in given if name not in tables]
+    if missing or others:
+        faults = [f"lacks {choices(missing)}"] * bool(missing)
+        faults += [f"has {choices(others)}, without a table"] * bool(others)
+        raise CalibError(
+            f"The argument '{argument}' {' and '.join(faults)}; its names must be those of 'tables'."
+        )
 
 
 def run_fleet(
@@ -113,11 +239,7 @@ def run_fleet(
     progress: Progress | None = None,
     force: bool = False,
 ) -> Fleet:
-    """Calibrate many robots into a folder: one of its own for each, and the tables ``fleet.csv`` and ``fleet.json``.
-
-    A robot whose folder an earlier run has made of the same inputs, options and version is kept as it is. Of one that
-    fails the folder stays as it was. One whose verdict is ``do not use`` gets no corrected URDF, unless
-    ``options.accept`` is set, and an earlier one is removed.
+    """Calibrate many robots into a folder, as `fleet` does.
 
     Args:
         robots: The robots.
@@ -126,7 +248,7 @@ def run_fleet(
         executor: Where the robots are calibrated; None: in this process, one after the other. Any of
             `concurrent.futures`, or Dask's ``Client.get_executor()``.
         progress: Called after each robot with the numbers of robots done and of all robots.
-        force: Whether finished robots are calibrated anew.
+        force: Whether finished robots are calibrated again.
 
     Returns:
         A row for each robot, and the outliers among them.
@@ -137,115 +259,63 @@ def run_fleet(
     """
     check_names((robot.name, f"Robot {i}") for i, robot in enumerate(robots, 1))
     path = make_folder(folder)
-    options = options or FleetOptions()
-    state = _Run(path, options, len(robots), progress)
-    jobs = state.jobs(robots, force=force)
-    for number, result in run(calibrate_job, options, jobs, executor):
-        state.write(number, result)
-    calibrated = state.compared(robots)
-    _write_tables(calibrated, path)
-    return calibrated
+    chosen = options or FleetOptions()
+    rows: dict[str, FleetRow] = {}  # of the robots that are done, in any order
+    sent: list[
+        tuple[RobotFolder, str]
+    ] = []  # folder and fingerprint of each job, in the order of the jobs
+    kept = 0
 
+    def finish(row: FleetRow) -> None:
+        """Add the row of a robot that is done."""
+        rows[row.name] = row
+        if progress is not None:
+            progress(len(rows), len(robots))
 
-class _Run:
-    """A run of `run_fleet`: reads the robots, writes their files, and collects their rows in any order."""
-
-    def __init__(
-        self,
-        folder: Path,
-        options: FleetOptions,
-        count: int,
-        progress: Progress | None,
-    ) -> None:
-        """Begin a run; ``count`` is the number of all robots, the others are as of `run_fleet`."""
-        self._folder = folder
-        self._options = options
-        self._count = count
-        self._progress = progress
-        #: Folder and fingerprint of each job, in the order of the jobs
-        self._sent: list[tuple[RobotFolder, str]] = []
-        #: Rows of the robots that are done, by name
-        self._rows: dict[str, FleetRow] = {}
-        #: Number of robots taken from an earlier run
-        self._kept = 0
-
-    def jobs(self, robots: Sequence[FleetRobot], *, force: bool) -> Iterator[FleetJob]:
-        """Read one robot after the other, and yield those that must be calibrated.
-
-        Args:
-            robots: All robots.
-            force: Whether finished robots are calibrated anew.
-
-        Yields:
-            The jobs. Robots that cannot be read and those that are kept get their row here.
-        """
+    def jobs() -> Iterator[FleetJob]:
+        """Read one robot after the other, and yield those that must be calibrated; finish the others."""
+        nonlocal kept
         read_robot = lru_cache(maxsize=_KEPT_URDFS)(read_urdf)
         for robot in robots:
             try:
-                nominal, measurements, cell = robot.load(read_robot)
+                job = FleetJob(robot.name, *robot.load(read_robot))
             except Exception as error:  # noqa: BLE001  a fault with one robot must not cost the others
-                self._add(failed_row(robot.name, error))
+                finish(failed_row(robot.name, error))
                 continue
-            job = FleetJob(robot.name, nominal, measurements, cell)
-            folder = RobotFolder(self._folder / robot.name)
-            fingerprint = job.fingerprint(self._options)
-            row = None if force else self._kept_row(folder, fingerprint)
-            if row is None:
-                self._sent.append((folder, fingerprint))
+            robot_folder = RobotFolder(path / robot.name)
+            fingerprint = job.fingerprint(chosen)
+            row = None if force else robot_folder.finished_row(fingerprint)
+            # A finished robot is kept if its URDF is there or not as `accept` has it.
+            contrary = WITHHELD if chosen.accept else ACCEPTED
+            if row is None or row.urdf == contrary:
+                sent.append((robot_folder, fingerprint))
                 yield job
             else:
-                self._kept += 1
-                self._add(row)
+                kept += 1
+                finish(row)
 
-    def write(self, number: int, result: FleetJobResult) -> None:
-        """Write the files of a calibrated robot, and add its row; if they cannot be written, a failed one.
-
-        Args:
-            number: Number of the job, from 0, in the order of `jobs`.
-            result: Its result.
-        """
-        row = result.row
-        folder, fingerprint = self._sent[number]
+    for number, (row, files) in run(calibrate_job, chosen, jobs(), executor):
+        robot_folder, fingerprint = sent[number]
         if row.status != FAILED:
             try:
-                folder.write(fingerprint, row, result.files)
+                robot_folder.write(fingerprint, row, files)
             except CalibError as error:
                 row = failed_row(row.name, error)
-        self._add(row)
+        finish(row)
 
-    def compared(self, robots: Sequence[FleetRobot]) -> Fleet:
-        """Return the fleet when all robots are done, their rows in the order of ``robots``."""
-        rows = tuple(self._rows[robot.name] for robot in robots)
-        outliers, notes = fleet_outliers(rows)
-        return Fleet(rows, outliers, notes, self._kept)
-
-    def _kept_row(self, folder: RobotFolder, fingerprint: str) -> FleetRow | None:
-        """Return the row of a finished robot if also its URDF is as ``accept`` has it; None: it must be calibrated."""
-        row = folder.finished_row(fingerprint)
-        contrary = WITHHELD if self._options.accept else ACCEPTED
-        if row is None or row.urdf == contrary:
-            return None
-        return row
-
-    def _add(self, row: FleetRow) -> None:
-        """Add the row of a robot that is done."""
-        self._rows[row.name] = row
-        if self._progress is not None:
-            self._progress(len(self._rows), self._count)
+    in_order = tuple(rows[robot.name] for robot in robots)
+    outliers, notes = fleet_outliers(in_order)
+    calibrated = Fleet(in_order, outliers, notes, kept)
+    _write_tables(calibrated, path)
+    return calibrated
 
 
 def _write_tables(calibrated: Fleet, folder: Path) -> None:
     """Write ``fleet.json`` and ``fleet.csv``."""
     content = json_bytes(calibrated.table())
     write_atomically(folder / JSON, content, overwrite=True)
-    reasons = _reasons(calibrated.outliers)
-    content = csv_bytes(calibrated.rows, reasons)
+    reasons: dict[str, list[str]] = {}
+    for outlier in calibrated.outliers:
+        reasons.setdefault(outlier.name, []).append(outlier.text)
+    content = fleet_csv(calibrated.rows, reasons)
     write_atomically(folder / CSV, content, overwrite=True)
-
-
-def _reasons(outliers: Sequence[FleetOutlier]) -> Mapping[str, Sequence[str]]:
-    """Return the texts of the outliers by the robot's name."""
-    texts: dict[str, list[str]] = {}
-    for outlier in outliers:
-        texts.setdefault(outlier.name, []).append(outlier.text)
-    return texts

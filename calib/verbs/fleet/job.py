@@ -1,28 +1,144 @@
-"""The calibration of one robot of a fleet as a job for any worker: from inputs to the contents of the robot's files.
+"""One robot of a fleet: its inputs, read when its turn has come, and its calibration as a job for any worker.
 
 A job and its result can be pickled, and the worker writes nothing: workers on other machines need no shared disk.
 """
 
 from __future__ import annotations
 
+import hashlib
+import json
+import re
 import tempfile
-from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, fields, is_dataclass, replace
 from pathlib import Path
 
+import numpy as np
+
 import calib.basics.plugins as plugins
-from calib.basics.values import keep_read_only
+from calib.basics.tables import Table
 from calib.data.cell import Cell
+from calib.data.columns import column_names
+from calib.data.forms.column_options import ColumnsInput, column_options
+from calib.data.inputs import CellInput, RobotInput, TableInput, inputs_of
 from calib.data.measurements import Measurements
 from calib.errors import CalibError
 from calib.result.calibrate import calibrate
 from calib.result.calibration import Calibration
 from calib.robot.robot import Robot
+from calib.robot.urdf import Urdf
 from calib.verbs.calibrate.report import write_report
-from calib.verbs.fleet.fingerprint import fingerprint
-from calib.verbs.fleet.record import FAILED, WITHHELD, FleetRow
 from calib.verbs.fleet.robot_folder import SCHEMA, URDF
+from calib.verbs.fleet.rows import FAILED, WITHHELD, FleetRow
 from calib.version import __version__
+
+#: Pattern of the names that a robot, and so its folder, may have.
+_NAME = re.compile(r"[^\W_](?:[\w .+-]{0,98}[\w+-])?")
+
+#: Inputs of one robot: the nominal robot, its measurements, its cell.
+FleetInputs = tuple[Robot, Measurements, Cell]
+
+#: Function that returns the URDF of a file (URDF or xacro) or of a robot's name such as ``"ur3"``.
+UrdfReader = Callable[[str], Urdf]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FleetRobot:
+    """One robot of a fleet, whose inputs are read when its turn has come."""
+
+    #: Unique in the fleet; the name of its folder
+    name: str
+    #: Reads the robot's inputs. Its argument reads URDFs and keeps the last ones, which many robots may share
+    load: Callable[[UrdfReader], FleetInputs]
+
+    @classmethod
+    def of_files(
+        cls,
+        name: str,
+        robot: str | Path,
+        data: str | Path,
+        cell: Cell | None = None,
+        *,
+        columns: ColumnsInput = None,
+        points: str | Path | None = None,
+        points_unit: str | None = None,
+    ) -> FleetRobot:
+        """Return a robot that is read from files; nothing is read yet.
+
+        Args:
+            name: Unique name of the robot and its folder.
+            robot: URDF or xacro, or a name of example-robot-data such as ``"ur3"``.
+            data: Table of measurements.
+            cell: Its cell; None: the default `Cell`.
+            columns: What is said of the table's columns, see `Measurements.read`; None: nothing.
+            points: List of measured points; None: the table has the positions.
+            points_unit: Unit of that list, ``"mm"``; None: the list names it.
+        """
+        given_cell = cell or Cell()
+        options = column_options(columns)
+
+        def load(read_robot: UrdfReader) -> FleetInputs:
+            """Read the table, the URDF, and the measurements of the chain's joints."""
+            table = Table.read(data)
+            urdf = read_robot(str(robot))
+            nominal = Robot.from_urdf(
+                urdf,
+                given_cell.base,
+                given_cell.tip,
+                column_names(table, options),
+                given_cell.held,
+                given_cell.coupling,
+            )
+            measurements = Measurements.read(
+                table,
+                nominal.joint_names,
+                nominal.joint_types,
+                options,
+                given_cell.kind,
+                points,
+                points_unit,
+            )
+            return nominal, measurements, given_cell
+
+        return cls(name, load)
+
+    @classmethod
+    def of_values(
+        cls, name: str, robot: RobotInput, table: TableInput, cell: CellInput = None
+    ) -> FleetRobot:
+        """Return a robot of values, or of the paths and names that they are read from when its turn has come.
+
+        Args:
+            name: Unique name of the robot and its folder.
+            robot: The nominal robot, the path of its URDF or xacro, or its name such as ``"ur3"``.
+            table: Its measurements, or the path of their table.
+            cell: Its cell, or the path of a cell file; None: the default `Cell`.
+        """
+
+        def load(read_robot: UrdfReader) -> FleetInputs:
+            """Return the inputs; those that are named by a path are read."""
+            return inputs_of(robot, table, cell, read=read_robot)
+
+        return cls(name, load)
+
+
+def check_names(names: Iterable[tuple[str, str]]) -> None:
+    """Check that names of robots can be those of folders, and that no two are equal apart from capitals.
+
+    Args:
+        names: Each name, and its place for the message (``"Robot 1"``, ``"fleet.csv, line 2"``).
+
+    Raises:
+        CalibError: A name is not allowed, or was there before.
+    """
+    earlier = set()
+    for name, place in names:
+        if not _NAME.fullmatch(name) or name.casefold() in earlier:
+            raise CalibError(
+                f"{place}: {name!r} cannot be the name of a robot's folder. A name has 1 to 100 letters, digits, and "
+                "'_', '-', '+', '.' or blanks between them, and is no other robot's, capitals aside."
+            )
+        earlier.add(name.casefold())
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +155,7 @@ class FleetOptions:
     reports: bool = True
     #: Whether the corrected URDFs get a link at the target
     target_link: bool = False
-    #: Whether URDFs are written also where the verdict is ``do not use``
+    #: Whether URDFs are also written if the verdict is ``do not use``
     accept: bool = False
     #: The command that made the reports, to be shown in them
     command: str = ""
@@ -55,7 +171,7 @@ class FleetJob:
     robot: Robot
     #: Its measured rows
     measurements: Measurements
-    #: Its measurement setup
+    #: Its cell
     cell: Cell
 
     def fingerprint(self, options: FleetOptions) -> str:
@@ -70,7 +186,7 @@ class FleetJob:
         Returns:
             64 hexadecimal digits.
         """
-        # By every field, the source's name too, which no comparison of measurements counts.
+        # By every field, the source's name too, which does not count when measurements are compared.
         names = [f.name for f in fields(Measurements)]
         rows = {name: getattr(self.measurements, name) for name in names}
         urdf_source = self.robot.urdf.source
@@ -80,21 +196,44 @@ class FleetJob:
         return fingerprint(*inputs, relevant, contents, __version__, SCHEMA)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class FleetJobResult:
-    """The result of one robot, not written yet."""
+def fingerprint(*values: object) -> str:
+    """Return the SHA-256 of values: of dataclasses by the fields that count in a comparison, of arrays by every bit.
 
-    #: Its row of the fleet's table; its status is `FAILED` if there is no result
-    row: FleetRow
-    #: Content of each file, by name; none if the robot failed
-    files: Mapping[str, bytes] = field(default_factory=dict)
+    Args:
+        values: Values that JSON has, arrays, paths, bytes, mappings, and dataclasses of these.
 
-    def __post_init__(self) -> None:
-        """Keep a read-only copy of the files."""
-        keep_read_only(self, "files")
+    Returns:
+        64 hexadecimal digits.
+
+    Raises:
+        TypeError: A value is of another type.
+
+    Example:
+        >>> fingerprint("a", 1.0) == fingerprint("a", 1.0)
+        True
+        >>> fingerprint("a", 1.0) == fingerprint("a1.0")
+        False
+    """
+    text = json.dumps(values, default=_parts)
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
-def calibrate_job(options: FleetOptions, job: FleetJob) -> FleetJobResult:
+def _parts(value: object) -> object:
+    """Return a value that JSON does not have as its type's name and the values it consists of."""
+    kind = type(value).__name__
+    if is_dataclass(value) and not isinstance(value, type):
+        compared = [f.name for f in fields(value) if f.compare]
+        return [kind, *((name, getattr(value, name)) for name in compared)]
+    if isinstance(value, (np.ndarray, np.generic)):
+        return [kind, value.dtype.str, value.shape, value.tobytes().hex()]
+    if isinstance(value, Mapping):
+        return [kind, *value.items()]
+    if isinstance(value, (bytes, Path)):
+        return [kind, str(value)]
+    raise TypeError(f"a value of type {kind} has no fingerprint")
+
+
+def calibrate_job(options: FleetOptions, job: FleetJob) -> tuple[FleetRow, dict[str, bytes]]:
     """Calibrate one robot; an error becomes a failed row, so that the other robots are finished.
 
     Args:
@@ -102,7 +241,7 @@ def calibrate_job(options: FleetOptions, job: FleetJob) -> FleetJobResult:
         job: The robot and its data.
 
     Returns:
-        The row, and the contents of the files.
+        The row, and the content of each file by its name; there are none if the robot failed.
     """
     try:
         calibration = calibrate(
@@ -118,8 +257,8 @@ def calibrate_job(options: FleetOptions, job: FleetJob) -> FleetJobResult:
             _write_files(calibration, row, options, Path(folder))
             files = {file.name: file.read_bytes() for file in Path(folder).iterdir()}
     except Exception as error:  # noqa: BLE001  a fault with one robot must not cost the others
-        return FleetJobResult(failed_row(job.name, error))
-    return FleetJobResult(row, files)
+        return failed_row(job.name, error), {}
+    return row, files
 
 
 def failed_row(name: str, error: Exception) -> FleetRow:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,8 +13,7 @@ from calib.cli.options import ColumnChoice, FitOptions, ModelOptions, is_list
 from calib.errors import CalibError, choices
 
 if TYPE_CHECKING:
-    from calib.robot.urdf import Urdf
-    from calib.verbs.fleet.fleet_robot import FleetInputs, FleetRobot
+    from calib.verbs.fleet.job import FleetInputs, FleetRobot, UrdfReader
 
 #: Columns that a manifest must have.
 NEEDED = ("name", "robot", "data")
@@ -32,7 +31,7 @@ def read_manifest(
     column_options: ColumnChoice,
     points_unit: str | None,
 ) -> tuple[FleetRobot, ...]:
-    """Read a manifest; the robots themselves are read later, where they are calibrated.
+    """Read a manifest; the robots themselves are read later, when their turn has come.
 
     Args:
         path: The manifest, a CSV table.
@@ -44,17 +43,16 @@ def read_manifest(
         A robot a row.
 
     Raises:
-        CalibError: A column is missing or unknown, a cell is empty, or a name is no folder's or there twice.
+        CalibError: A column is missing or unknown, a cell is empty, or a name cannot be a folder's or occurs twice.
     """
     from calib.basics.tables import Table
-    from calib.verbs.fleet.fleet_robot import FleetRobot, check_names
+    from calib.verbs.fleet.job import FleetRobot, check_names
 
     # Options that are wrong for every robot are refused before the work.
     column_options.parsed()
     cell_options.cell()
     table = Table.read(path)
     header = _checked_header(path, table.header)
-    defaults = _Defaults(path.parent, cell_options, column_options, points_unit)
     robots, places = [], []
     for line, row in zip(table.lines, table.cells, strict=True):
         where = f"{path.name}, line {line}"
@@ -62,7 +60,8 @@ def read_manifest(
         if not cells.keys() >= set(NEEDED):
             raise CalibError(f"{where}: a cell is empty; each robot has {choices(NEEDED)}.")
         places.append((cells["name"], where))
-        robots.append(FleetRobot(cells["name"], partial(_load, where, cells, defaults)))
+        load = partial(_load, where, cells, path.parent, cell_options, column_options, points_unit)
+        robots.append(FleetRobot(cells["name"], load))
     if not robots:
         raise CalibError(f"{path.name}: there are no robots in it, only a header.")
     check_names(places)
@@ -86,54 +85,34 @@ def _checked_header(path: Path, labels: Sequence[str]) -> list[str]:
     return header
 
 
-@dataclass(frozen=True, slots=True)
-class _Defaults:
-    """Options of the command line, which hold for all robots."""
-
-    #: The manifest's, where relative paths begin
-    folder: Path
-    cell_options: FitOptions
-    column_options: ColumnChoice
-    points_unit: str | None
-
-
 def _load(
     where: str,
     cells: Mapping[str, str],
-    defaults: _Defaults,
-    urdf_of: Callable[[str], Urdf],
+    folder: Path,
+    cell_options: FitOptions,
+    column_options: ColumnChoice,
+    points_unit: str | None,
+    read_urdf: UrdfReader,
 ) -> FleetInputs:
-    """Read the robot of a row.
+    """Read the inputs of the robot of a row, by its cells that are not empty; the options hold for what they omit."""
+    from calib.verbs.fleet.job import FleetRobot
 
-    Args:
-        where: The row, for messages.
-        cells: Its cells that are not empty, by column.
-        defaults: Options for what it does not say.
-        urdf_of: Reads a URDF, or returns one that was read already.
-    """
-    from calib.verbs.fleet.fleet_robot import FleetRobot
-
-    folder = defaults.folder
-    cell_options = options_of_row(cells, folder, defaults.cell_options)
     changes: dict[str, Any] = {n: cells[n] for n in ("orientation", "joint_unit") if n in cells}
     if "columns" in cells:
         changes["columns"] = _split(cells["columns"])
-    columns = replace(defaults.column_options, **changes)
-    points, points_unit = None, None
-    if "points" in cells:
-        points = folder / cells["points"]
-        points_unit = cells.get("points_unit", defaults.points_unit)
+    columns = replace(column_options, **changes)
+    has_points = "points" in cells
     try:
         robot = FleetRobot.of_files(
             cells["name"],
             _source(cells["robot"], folder),
             folder / cells["data"],
-            cell_options.cell(),
+            options_of_row(cells, folder, cell_options).cell(),
             columns=columns.parsed(),
-            points=points,
-            points_unit=points_unit,
+            points=folder / cells["points"] if has_points else None,
+            points_unit=cells.get("points_unit", points_unit) if has_points else None,
         )
-        return robot.load(urdf_of)
+        return robot.load(read_urdf)
     except CalibError as error:
         raise CalibError(f"{where}: {error}") from error
 
@@ -161,21 +140,11 @@ def _split(cell: str) -> list[str]:
 
 
 def _source(robot: str, folder: Path) -> str:
-    """Return the robot's file, with the arguments behind a xacro, or its name in example-robot-data.
-
-    Args:
-        robot: As the manifest has it; a relative path begins at ``folder``.
-        folder: The manifest's.
-    """
-    is_file = _is_file(robot, folder)
-    if not is_file or robot.startswith("~"):
-        return robot
-    # As text: what follows a xacro is no path.
-    return os.path.join(folder, robot)  # noqa: PTH118
-
-
-def _is_file(robot: str, folder: Path) -> bool:
-    """Tell a file from the name of a robot in example-robot-data."""
+    """Return a robot's file, relative to the manifest's folder unless absolute, or its name in example-robot-data."""
     from calib.robot.xacro_file import is_xacro
 
-    return bool(is_xacro(robot)) or bool(Path(robot).suffix) or (folder / robot).is_file()
+    is_file = is_xacro(robot) or Path(robot).suffix or (folder / robot).is_file()
+    if not is_file or robot.startswith("~"):
+        return robot
+    # As text: arguments that follow a xacro are not part of the path.
+    return os.path.join(folder, robot)  # noqa: PTH118

@@ -1,25 +1,25 @@
-"""Fleet outliers: robots whose figures are unlike those of the other robots of their kind.
+"""Fleet outliers: robots whose figures differ from those of the other robots of their kind.
 
 A figure x of robot i is compared with those of all robots of its kind by
 
     z_i = (x_i - median) / scale_i,   scale_i = max(1.4826 MAD, floor, std_i)
 
-with the median absolute deviation MAD, which outliers hardly move, a floor below which differences do not matter, and
-the figure's own standard deviation where it has one. Errors and noise are compared by their logarithms. A robot is
-flagged where |z| exceeds a limit that in one of twenty fleets without outliers is exceeded anywhere among its n robots
-and k figures, were they normally distributed:
+with the median absolute deviation MAD, which outliers hardly change, a floor below which differences do not matter, and
+the figure's own standard deviation if it has one. Errors and noise are compared by their logarithms. A robot is flagged
+if |z| exceeds a limit that, for normally distributed figures, only one of twenty fleets without outliers exceeds
+anywhere among its n robots and k figures:
 
     limit = quantile of Student's t with 0.41 n degrees of freedom at 1 - 0.05 / (2 n k)
 
 The degrees of freedom make up for the MAD's own scatter; 0.41 is just below what simulations of 5 to 500 robots gave.
-Half of the 0.05 is spent on the errors and the noise, the other half on the parameters. Of robots with the same
-data one counts in n, median and MAD, and all are compared.
+Half of the 0.05 is spent on the errors and the noise, the other half on the parameters. Robots with the same data are
+all compared, but count once in n, median and MAD.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,10 +27,10 @@ from scipy.special import stdtrit
 
 from calib.basics.arrays import Array, Mask
 from calib.basics.channels import RESIDUAL_UNITS
-from calib.verbs.fleet.record import DONE, FleetParameter, FleetRow
+from calib.verbs.fleet.rows import DONE, FleetParameter, FleetRow
 from calib.verbs.fleet.text import data_text, few_text, figure_text
 
-#: Robots of a kind that are needed to compare them.
+#: Robots of a kind that it takes to compare them.
 FEWEST = 5
 
 #: Probability that a fleet without outliers has a flagged robot.
@@ -58,11 +58,11 @@ _ERRORS = (
 
 @dataclass(frozen=True, slots=True)
 class FleetOutlier:
-    """One figure by which a robot is unlike the others, or data that it shares with another."""
+    """One figure in which a robot differs from the others, or data that it shares with another."""
 
     #: The robot's name
     name: str
-    #: Name of the figure or parameter, or ``"data"``, of which all numbers are NaN
+    #: Name of the figure or parameter; or ``"data"``, with NaN for all numbers
     figure: str
     #: Unit of ``value`` and ``usual``; ``""`` for data
     unit: str = ""
@@ -118,13 +118,25 @@ def fleet_outliers(
     kinds = list(dict.fromkeys(row.kind for row in done))
     for kind in kinds:
         alike = [row for row in done if row.kind == kind]
-        count = int(np.sum(_counted(alike)))
+        # Of robots with the same data the first one counts in median and MAD.
+        _, first = np.unique([row.measured for row in alike], return_index=True)
+        counted = np.zeros(len(alike), dtype=np.bool_)
+        counted[first] = True
+        count = len(first)
         if count >= FEWEST:
-            outliers += _flagged_robots(alike)
+            outliers += _unusual_figures(alike, counted)
         else:
             robot_name = kind.split()[0] if len(kinds) > 1 else ""
             notes.append(few_text(len(alike), count, FEWEST, robot_name))
-    return _sorted(outliers, rows), tuple(notes)
+
+    place = {row.name: i for i, row in enumerate(rows)}
+
+    def key(outlier: FleetOutlier) -> tuple[int, float]:
+        """Return the robot's place, and minus |z|."""
+        height = math.inf if math.isnan(outlier.z) else abs(outlier.z)
+        return place[outlier.name], -height
+
+    return tuple(sorted(outliers, key=key)), tuple(notes)
 
 
 def limit(robots: int, figures: int, chance: float = CHANCE) -> float:
@@ -166,67 +178,31 @@ def scores(values: Array, stds: Array, floor: float, counted: Mask) -> Array:
         return np.where(deviations == 0.0, 0.0, deviations / scale)
 
 
-def _sorted(outliers: Sequence[FleetOutlier], rows: Sequence[FleetRow]) -> tuple[FleetOutlier, ...]:
-    """Return outliers in the order of the robots, of each robot the same data first, then the largest |z|."""
-    place = {row.name: i for i, row in enumerate(rows)}
+def _unusual_figures(rows: Sequence[FleetRow], counted: Mask) -> Iterator[FleetOutlier]:
+    """Yield the outliers among the robots of one kind, of the errors and noise first, then of the parameters.
 
-    def key(outlier: FleetOutlier) -> tuple[int, float]:
-        """Return the robot's place, and minus |z|."""
-        height = math.inf if math.isnan(outlier.z) else abs(outlier.z)
-        return place[outlier.name], -height
-
-    return tuple(sorted(outliers, key=key))
-
-
-def _counted(rows: Sequence[FleetRow]) -> Mask:
-    """Return the robots that count in median and MAD, shape (n,): of those with the same data the first."""
-    data = [row.measured for row in rows]
-    _, first = np.unique(data, return_index=True)
-    mask = np.zeros(len(rows), dtype=np.bool_)
-    mask[first] = True
-    return mask
-
-
-def _flagged_robots(rows: Sequence[FleetRow]) -> Iterator[FleetOutlier]:
-    """Yield the outliers among the robots of one kind, of the errors and noise first, then of the parameters."""
-    counted = _counted(rows)
+    Robots that are not ``counted``, a mask (n,), are compared, but count neither in median and MAD nor in the limit.
+    """
     for figures in (_error_figures(rows), _parameter_figures(rows)):
-        shared = [figure for figure in figures if _is_shared(figure, counted)]
+        # A figure is compared if enough robots have it.
+        shared = [f for f in figures if np.isfinite(f.values[counted]).sum() >= FEWEST]
         for figure in shared:
-            bound = limit(int(np.sum(counted)), len(shared), 0.5 * CHANCE)
-            yield from _flagged(rows, figure, counted, bound)
-
-
-def _is_shared(figure: _Figure, counted: Mask) -> bool:
-    """Check that enough robots have the figure to compare them."""
-    present = np.isfinite(figure.values[counted])
-    return int(np.sum(present)) >= FEWEST
-
-
-def _flagged(
-    rows: Sequence[FleetRow],
-    figure: _Figure,
-    counted: Mask,
-    bound: float,
-) -> Iterator[FleetOutlier]:
-    """Yield the robots whose |z| of a figure exceeds ``bound``."""
-    z = scores(figure.values, figure.stds, figure.floor, counted)
-    usual = figure.shown(np.nanmedian(figure.values[counted]))
-    flagged = np.flatnonzero(np.abs(z) > bound)
-    for i in flagged.tolist():
-        value = figure.shown(figure.values[i])
-        score = float(z[i])
-        text = figure_text(figure.name, figure.unit, value, usual, score, bound)
-        yield FleetOutlier(
-            name=rows[i].name,
-            figure=figure.name,
-            unit=figure.unit,
-            value=value,
-            usual=usual,
-            z=score,
-            limit=bound,
-            text=text,
-        )
+            bound = limit(int(counted.sum()), len(shared), 0.5 * CHANCE)
+            z = scores(figure.values, figure.stds, figure.floor, counted)
+            usual = figure.shown(np.nanmedian(figure.values[counted]))
+            for i in np.flatnonzero(np.abs(z) > bound).tolist():
+                value, score = figure.shown(figure.values[i]), float(z[i])
+                text = figure_text(figure.name, figure.unit, value, usual, score, bound)
+                yield FleetOutlier(
+                    name=rows[i].name,
+                    figure=figure.name,
+                    unit=figure.unit,
+                    value=value,
+                    usual=usual,
+                    z=score,
+                    limit=bound,
+                    text=text,
+                )
 
 
 def _error_figures(rows: Sequence[FleetRow]) -> list[_Figure]:
@@ -245,7 +221,10 @@ def _error_figures(rows: Sequence[FleetRow]) -> list[_Figure]:
 
 def _parameter_figures(rows: Sequence[FleetRow]) -> list[_Figure]:
     """Return the changes of the parameters that the measurements of any robot determine."""
-    determined = [_determined(row) for row in rows]
+    determined = []
+    for row in rows:
+        by_name = {p.name: p for p in row.parameters if not math.isnan(p.std)}
+        determined.append(by_name)
     units: dict[str, str] = {}
     for parameters in determined:
         for name, parameter in parameters.items():
@@ -259,15 +238,6 @@ def _parameter_figures(rows: Sequence[FleetRow]) -> list[_Figure]:
         floor = _FLOORS.get(unit, 0.0)
         figures.append(_Figure(name, unit, changes, stds, floor, logarithmic=False))
     return figures
-
-
-def _determined(row: FleetRow) -> Mapping[str, FleetParameter]:
-    """Return the parameters of a robot that its measurements determine, by name."""
-    parameters = {}
-    for parameter in row.parameters:
-        if not math.isnan(parameter.std):
-            parameters[parameter.name] = parameter
-    return parameters
 
 
 def _same_data(rows: Sequence[FleetRow]) -> Iterator[FleetOutlier]:

@@ -15,7 +15,7 @@ from typing import Any
 from calib.basics.files import make_folder, remove, write_atomically
 from calib.basics.json_files import json_bytes
 from calib.errors import CalibError
-from calib.verbs.fleet.record import ROWS, FleetRow
+from calib.verbs.fleet.rows import ROW_LAYOUT, FleetRow
 
 #: The corrected URDF in a robot's folder.
 URDF = "corrected.urdf"
@@ -49,7 +49,7 @@ class RobotFolder:
             same_inputs = table["fingerprint"] == fingerprint
             files = [self.path / name for name in table["files"]]
             complete = all(file.is_file() for file in files)
-            row: FleetRow = ROWS.read(FleetRow, table["row"])
+            row: FleetRow = ROW_LAYOUT.read(FleetRow, table["row"])
         except (OSError, ValueError, KeyError, TypeError):
             return None
         if not (same_schema and same_inputs and complete):
@@ -83,10 +83,10 @@ class RobotFolder:
         self._write_file(MADE, json_bytes(finished))
 
     def _check_owner(self, files: Mapping[str, bytes]) -> None:
-        """Raise `CalibError` where a file would be overwritten, or a URDF stand beside, that no fleet has written."""
+        """Raise `CalibError` for a file that no fleet has written, if it would be replaced or is a corrected URDF."""
         if (self.path / MADE).exists():
             return
-        # A URDF that is not written for its verdict must not be another's either, beside this result.
+        # If no URDF is written because of its verdict, another's must not stand beside this result either.
         for name in (*files, URDF):
             file = self.path / name
             if file.exists():
@@ -100,7 +100,8 @@ class RobotFolder:
             names = json.loads((self.path / MADE).read_bytes())["files"]
         except (OSError, ValueError, KeyError, TypeError):
             return []
-        return [name for name in names if _is_listed_name(name)]
+        # Only plain names, as calib lists them: a list that somebody changed reaches no other folder.
+        return [n for n in names if isinstance(n, str) and Path(n).name == n and n != MADE]
 
     def _write_file(self, name: str, content: bytes) -> None:
         """Write one file of the folder, over an earlier one."""
@@ -113,10 +114,5 @@ def _made_table(fingerprint: str, row: FleetRow, files: Sequence[str]) -> dict[s
         "schema": SCHEMA,
         "fingerprint": fingerprint,
         "files": files,
-        "row": ROWS.table(row),
+        "row": ROW_LAYOUT.table(row),
     }
-
-
-def _is_listed_name(name: object) -> bool:
-    """Tell the plain names that calib lists from others: a list that somebody changed reaches no other folder."""
-    return isinstance(name, str) and Path(name).name == name and name != MADE

@@ -1,6 +1,6 @@
 """A fleet in words: a row for each robot, the fleet's outliers, failed robots, and their counts.
 
-A fleet is here the content of its file ``fleet.json``; see docs/fleet.md.
+A fleet is given here as the content of its file ``fleet.json``; see docs/fleet.md.
 """
 
 from __future__ import annotations
@@ -12,10 +12,10 @@ from typing import Any
 from calib.basics.channels import RESIDUAL_UNITS
 from calib.show.lines import fill, plural
 
-#: Of more robots than this only those are listed that somebody should look at.
+#: If there are more robots than this, only those that somebody should look at are listed.
 LISTED = 40
 
-#: Robots with the same data that are named; the others are counted.
+#: At most this many robots with the same data are named; the others are counted.
 _MOST_NAMES = 3
 
 _OUTLIERS = "Fleet outliers:"
@@ -33,7 +33,7 @@ _SIZES = {
 
 
 def figure_text(figure: str, unit: str, value: float, usual: float, z: float, limit: float) -> str:
-    """Word a figure that is unlike that of the other robots.
+    """Word a figure that differs from that of the other robots.
 
     Args:
         figure: Name of the figure.
@@ -110,17 +110,15 @@ def fleet_cells(fleet: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
             if robot["name"] in outliers or robot["verdict"] not in ("use", "")
         ]
     heads = ["robot", "verdict", "urdf", "model", *_SIZES, "rows", "out"]
-    return heads, [_cells(robot) for robot in shown]
-
-
-def _cells(robot: Mapping[str, Any]) -> list[str]:
-    """Cells of a robot."""
-    model = robot["model"]
-    if robot["non_geometric"]:
-        model += f" ({robot['non_geometric']})"
-    sizes = [_leading_size(robot[key]) for key in _SIZES.values()]
-    words = [robot["name"], robot["verdict"] or "-", robot["urdf"] or "-", model]
-    return [*words, *sizes, str(robot["rows"]), str(robot["outliers"])]
+    rows = []
+    for robot in shown:
+        model = robot["model"]
+        if robot["non_geometric"]:
+            model += f" ({robot['non_geometric']})"
+        words = [robot["name"], robot["verdict"] or "-", robot["urdf"] or "-", model]
+        sizes = [_leading_size(robot[key]) for key in _SIZES.values()]
+        rows.append([*words, *sizes, str(robot["rows"]), str(robot["outliers"])])
+    return heads, rows
 
 
 def _leading_size(by_unit: Mapping[str, float | None]) -> str:
@@ -143,72 +141,41 @@ def fleet_text(fleet: Mapping[str, Any], kept: int) -> Iterator[str]:
     Yields:
         The paragraphs.
     """
-    outliers = _texts_by_name(fleet, of_data=False)
-    copies = _texts_by_name(fleet, of_data=True)
+    unusual: dict[str, list[str]] = {}
+    copies: dict[str, list[str]] = {}
+    for outlier in fleet["outliers"]:
+        texts = copies if outlier["figure"] == "data" else unusual
+        texts.setdefault(outlier["name"], []).append(outlier["text"])
     withheld = [robot["name"] for robot in fleet["robots"] if robot["urdf"] == "withheld"]
+    calibrated = [robot for robot in fleet["robots"] if not robot["message"]]
+    failed: dict[str, list[str]] = {}  # names by message
+    for robot in fleet["robots"]:
+        if robot["message"]:
+            failed.setdefault(robot["message"], []).append(robot["name"])
+
     sections = {
-        _OUTLIERS: _lines_by_name(outliers),
-        _COPIES: _lines_by_name(copies),
+        _OUTLIERS: [f"{name}: {'; '.join(texts)}" for name, texts in unusual.items()],
+        _COPIES: [f"{name}: {'; '.join(texts)}" for name, texts in copies.items()],
         _WITHHELD: [", ".join(withheld)] if withheld else [],
-        _FAILED: _failures(fleet),
+        _FAILED: [f"{', '.join(names)}: {message}" for message, names in failed.items()],
     }
     for head, lines in sections.items():
         if lines:
             filled = [fill(line, "  ", "  ") for line in lines]
             yield "\n".join([head, *filled, ""])
     yield from map(fill, fleet["notes"])
-    counts = {
-        "by an earlier run": kept,
-        "outliers": len(outliers),
-        "copies": len(copies),
-        "withheld": len(withheld),
-    }
-    yield fill(_counts(fleet, counts))
 
-
-def _texts_by_name(fleet: Mapping[str, Any], *, of_data: bool) -> dict[str, list[str]]:
-    """Collect the texts of a fleet's outliers by the robot's name.
-
-    Args:
-        fleet: The content of ``fleet.json``.
-        of_data: Whether the outliers are robots with the data of others; else those with an unusual figure.
-    """
-    texts: dict[str, list[str]] = {}
-    for outlier in fleet["outliers"]:
-        if (outlier["figure"] == "data") == of_data:
-            texts.setdefault(outlier["name"], []).append(outlier["text"])
-    return texts
-
-
-def _lines_by_name(texts_by_name: Mapping[str, Sequence[str]]) -> list[str]:
-    """Put the texts of each robot behind its name, in a line."""
-    return [f"{name}: {'; '.join(texts)}" for name, texts in texts_by_name.items()]
-
-
-def _failures(fleet: Mapping[str, Any]) -> list[str]:
-    """Write a line for each message of robots that failed, behind their names; ``fleet`` as of ``fleet.json``."""
-    names: dict[str, list[str]] = {}
-    for robot in fleet["robots"]:
-        message = robot["message"]
-        if message:
-            names.setdefault(message, []).append(robot["name"])
-    return [f"{', '.join(failed)}: {message}" for message, failed in names.items()]
-
-
-def _counts(fleet: Mapping[str, Any], counts: Mapping[str, int]) -> str:
-    """Count the robots of a fleet by their outcome, in a sentence."""
-    calibrated = [robot for robot in fleet["robots"] if not robot["message"]]
     count = len(fleet["robots"])
-    text = f"{len(calibrated)} of {count} robots calibrated"
+    sentence = f"{len(calibrated)} of {count} robots calibrated"
     verdicts = Counter(robot["verdict"] or "no verdict" for robot in calibrated)
     if verdicts:
         words = ", ".join(f"{number} {verdict}" for verdict, number in verdicts.most_common())
-        text += f" ({words})"
-    if counts["by an earlier run"]:
-        text += f", {counts['by an earlier run']} of them by an earlier run"
-    text += f"; {plural(counts['outliers'], 'fleet outlier')}"
-    if counts["copies"]:
-        text += f", {counts['copies']} with the data of another"
-    if counts["withheld"]:
-        text += f", {counts['withheld']} without a corrected URDF"
-    return f"{text}, {count - len(calibrated)} failed."
+        sentence += f" ({words})"
+    if kept:
+        sentence += f", {kept} of them by an earlier run"
+    sentence += f"; {plural(len(unusual), 'fleet outlier')}"
+    if copies:
+        sentence += f", {len(copies)} with the data of another"
+    if withheld:
+        sentence += f", {len(withheld)} without a corrected URDF"
+    yield fill(f"{sentence}, {count - len(calibrated)} failed.")

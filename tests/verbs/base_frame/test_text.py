@@ -5,7 +5,8 @@ import pinocchio as pin
 import pytest
 
 from calib.data.cell import Cell
-from calib.verbs.base_frame.frame import BaseFrame
+from calib.verbs.base_frame.base_frame import BaseFrame
+from calib.verbs.base_frame.circles import fit_plane
 from calib.verbs.base_frame.text import cell_text
 
 
@@ -14,7 +15,9 @@ from calib.verbs.base_frame.text import cell_text
 )
 def test_the_cell_file_is_the_frame_to_the_last_digits(tmp_path, twist):
     T = pin.exp6(np.array(twist)).homogeneous
-    frame, path = BaseFrame(T, 1e-10 * np.eye(6), np.full(6, np.inf)), tmp_path / "frame.toml"
+    plane = fit_plane(np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]]))
+    frame = BaseFrame(T, 1e-10 * np.eye(6), np.full(6, np.inf), plane)
+    path = tmp_path / "frame.toml"
     path.write_text(cell_text(frame, 'my "sweeps".csv', base="base", tip="tool0"), encoding="utf-8")
     cell = Cell.read(path)
     assert (cell.base, cell.tip, cell.estimate_frame) == ("base", "tool0", False)

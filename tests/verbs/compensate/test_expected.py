@@ -22,11 +22,11 @@ from calib.verbs.compensate.expected import (
     BAND,
     ExpectedErrors,
     Source,
+    _beyond_noise,
     _contributions,
     _freedom,
     _lacking_in_images,
     _mean_errors,
-    _Residuals,
     expected_errors,
 )
 from calib.verbs.compensate.nominal_actual import pair_of
@@ -41,7 +41,7 @@ TOOL = np.array([0.0, 0.05, 0.15])
 
 def squares(found: ExpectedErrors) -> dict[str, float]:
     """Mean square of each source [mm^2]."""
-    return {one.source: 1e6 * one.square for one in found.contributions}
+    return {source: 1e6 * square for source, square in found.contributions.items()}
 
 
 @pytest.mark.parametrize(
@@ -71,7 +71,7 @@ def test_the_mean_of_unlike_axes_is_that_of_draws():
 
 def with_mean(mean: float, freedom: float) -> ExpectedErrors:
     """Expected errors of one row."""
-    return ExpectedErrors(np.array([[mean, 0.0]]), (), freedom, None, "stated", validated=True)
+    return ExpectedErrors(np.array([[mean, 0.0]]), {}, freedom, None, "stated", validated=True)
 
 
 def known_to(*shared: float, by_priors: float = 0.0) -> PoseCovariance:
@@ -111,12 +111,12 @@ def test_variances_are_known_as_well_as_what_tells_them():
 
 def test_contributions_are_the_mean_square_and_none_is_negative():
     rising = _contributions(1.0, 2.0, known_to(5.0), known_to(9.0), known_to(10.0))
-    assert [one.square for one in rising] == pytest.approx([1.0, 2.0, 3.0, 4.0, 1.0])
-    assert tuple(one.source for one in rising) == get_args(Source)
+    assert list(rising.values()) == pytest.approx([1.0, 2.0, 3.0, 4.0, 1.0])
+    assert tuple(rising) == get_args(Source)
     falling = _contributions(1.0, 2.0, known_to(5.0), known_to(3.0), known_to(10.0))
-    assert [one.square for one in falling] == pytest.approx([1.0, 2.0, 1.0, 0.0, 7.0])
+    assert list(falling.values()) == pytest.approx([1.0, 2.0, 1.0, 0.0, 7.0])
     known_better = _contributions(0.0, 4.0, known_to(3.0), known_to(2.0), known_to(2.0))
-    assert [one.square for one in known_better] == pytest.approx([0.0, 2.0, 0.0, 0.0, 0.0])
+    assert list(known_better.values()) == pytest.approx([0.0, 2.0, 0.0, 0.0, 0.0])
 
 
 def test_held_out_errors_beyond_noise_and_prediction():
@@ -125,20 +125,24 @@ def test_held_out_errors_beyond_noise_and_prediction():
     variance = noise**2 + lack**2
     held_out = variance / (1.0 - leverage)
     predicted = 3.0 * variance * leverage
-    residuals = _Residuals(30, float(np.sqrt(3.0 * held_out)), 3.0, predicted)
-    assert residuals.beyond(noise, np.inf) == pytest.approx(3.0 * lack**2)
-    assert residuals.beyond(noise, 60.0) == pytest.approx(3.0 * lack**2)
+    rms = float(np.sqrt(3.0 * held_out))
+
+    def beyond(sigma: float, freedom: float, rows: int = 30) -> float:
+        return _beyond_noise(rows, rms, 3.0, predicted, sigma, freedom)
+
+    assert beyond(noise, np.inf) == pytest.approx(3.0 * lack**2)
+    assert beyond(noise, 60.0) == pytest.approx(3.0 * lack**2)
     # Noise that nobody states counts as error, so that near the measured poses the held-out error is expected.
-    assert residuals.beyond(np.nan, 0.0) + predicted == pytest.approx(3.0 * held_out)
+    assert beyond(np.nan, 0.0) + predicted == pytest.approx(3.0 * held_out)
     # A tenth more than the noise is by chance; of many rows it is not.
-    louder = noise * np.sqrt(1.0 + (lack / noise) ** 2) / np.sqrt(1.1)
-    assert residuals.beyond(float(louder), np.inf) == 0.0
-    assert residuals._replace(rows=3000).beyond(float(louder), np.inf) > 0.0
-    assert residuals._replace(rows=3000).beyond(float(louder), 20.0) == 0.0
-    # One length of a distance tells a third of three coordinates.
-    alone = residuals._replace(scalars=1.0, rms=float(np.sqrt(held_out)))
-    assert alone.beyond(noise, np.inf) == pytest.approx(3.0 * lack**2)
-    assert residuals._replace(rows=0).beyond(np.nan, 0.0) == 0.0
+    louder = float(noise * np.sqrt(1.0 + (lack / noise) ** 2) / np.sqrt(1.1))
+    assert beyond(louder, np.inf) == 0.0
+    assert beyond(louder, np.inf, rows=3000) > 0.0
+    assert beyond(louder, 20.0, rows=3000) == 0.0
+    # One length of a distance has a third of three coordinates.
+    alone = _beyond_noise(30, float(np.sqrt(held_out)), 1.0, predicted, noise, np.inf)
+    assert alone == pytest.approx(3.0 * lack**2)
+    assert beyond(np.nan, 0.0, rows=0) == 0.0
 
 
 #: Kinds of results; those that take longest are slow.

@@ -12,10 +12,9 @@ from calib.robot.ranges import column_limits, random_joint_values
 from calib.robot.robot import Robot
 from calib.verbs.compensate.inverse import (
     Matching,
-    _Attempt,
     _by_whole_turns,
-    _Task,
-    following,
+    _step_inside,
+    follow,
     solve,
     start_values,
 )
@@ -166,7 +165,7 @@ def path(arm: Arm, count: int) -> np.ndarray:
 
 def test_a_path_is_followed_in_one_branch(arm):
     wanted = path(arm, 40)
-    found = following(arm, wanted, START, POSE)
+    found = follow(arm, wanted, START, POSE)
     assert found.T_base_tool == pytest.approx(wanted, abs=1e-9)
     assert found.q[0] == pytest.approx(START, abs=1e-9)
     steps = np.abs(np.diff(found.q, axis=0)).max(axis=1)
@@ -177,7 +176,7 @@ def test_poses_far_from_each_other_are_found_all_the_same(arm):
     q = np.radians(
         [[20, -60, 70, -40, 60, 0], [150, -120, -70, 30, -60, 90], [-90, -20, 90, 0, 120, -100.0]]
     )
-    found = following(arm, arm.poses(q), START, POSE)
+    found = follow(arm, arm.poses(q), START, POSE)
     assert found.T_base_tool == pytest.approx(arm.poses(q), abs=1e-8)
     limits = column_limits(arm.robot)
     assert ((found.q >= limits[:, 0]) & (found.q <= limits[:, 1])).all()
@@ -186,14 +185,12 @@ def test_poses_far_from_each_other_are_found_all_the_same(arm):
 def test_the_first_is_the_solution_nearest_to_the_start(arm):
     wanted = arm.poses(START[None])
     other = START + np.radians([0, 0, 0, 0, 0, -360.0])
-    assert following(arm, wanted, other, POSE).q[0] == pytest.approx(other, abs=1e-9)
+    assert follow(arm, wanted, other, POSE).q[0] == pytest.approx(other, abs=1e-9)
     # The wrist turned over is another way to hold the same pose.
-    flipped = following(arm, wanted, START * [1, 1, 1, 1, -1, 1] + [0, 0, 0, 0, 0, np.pi], POSE).q[
-        0
-    ]
+    flipped = follow(arm, wanted, START * [1, 1, 1, 1, -1, 1] + [0, 0, 0, 0, 0, np.pi], POSE).q[0]
     assert arm.poses(flipped[None]) == pytest.approx(wanted[0][None], abs=1e-8)
     assert np.abs(flipped - START).max() > 1.0
-    assert following(arm, wanted, flipped + 0.05, POSE).q[0] == pytest.approx(flipped, abs=1e-8)
+    assert follow(arm, wanted, flipped + 0.05, POSE).q[0] == pytest.approx(flipped, abs=1e-8)
 
 
 def test_the_start_is_named_or_in_the_middle(arm):
@@ -216,25 +213,35 @@ def test_a_start_that_the_chain_does_not_have_is_refused(arm):
         start_values(arm.robot, {"elbow_joint": Length(0.3)})
 
 
-def test_joints_at_a_limit_are_pushed_outwards_only(arm):
+def test_joints_at_a_limit_are_held_if_the_step_pushes_them_through_it():
     limits = np.tile([-1.0, 1.0], (6, 1))
-    task = _Task(arm, np.eye(4)[None], np.zeros((1, 6)), POSE, limits, pulled=False)
     q = np.array([[1.0, 1.0, -1.0, -1.0, 0.5, 3.0]])
-    dq = np.array([[0.1, -0.1, 0.1, -0.1, 9.0, 0.0]])
-    assert task.pushes(q, dq).tolist() == [[True, False, False, True, False, False]]
-    assert task.clip(q).tolist() == [[1.0, 1.0, -1.0, -1.0, 0.5, 1.0]]
+    # Each joint alone moves its own scalar of the error.
+    jacobian, undamped = np.eye(6)[None], np.zeros(1)
+    error = np.array([[0.1, -0.1, 0.1, -0.1, 0.2, 0.0]])
+    dq = _step_inside(jacobian, error, undamped, None, q, limits)
+    assert dq[0] == pytest.approx([0.0, -0.1, 0.1, 0.0, 0.2, 0.0])
+    # No joint moves farther than 0.3 rad or m in a step, and the direction stays.
+    long = _step_inside(jacobian, 10.0 * error, undamped, None, q, limits)
+    assert long == pytest.approx(1.5 * dq)
 
 
-def test_rows_are_exchanged_in_a_copy():
-    zeros = _Attempt(np.zeros((3, 6)), np.zeros((3, 4, 4)), np.zeros((3, 6, 6)), np.zeros((3, 6)))
-    ones = _Attempt(*(values[:1] + 1.0 for values in zeros))
-    exchanged = zeros.with_rows(np.array([1]), ones)
-    assert exchanged.miss == pytest.approx([0.0, np.sqrt(6.0), 0.0])
-    assert exchanged.squared_error == pytest.approx([0.0, 6.0, 0.0])
-    for values, before in zip(exchanged, zeros, strict=True):
-        assert (values[[0, 2]] == 0.0).all()
-        assert (values[1] == 1.0).all()
-        assert (before == 0.0).all()
+def test_each_row_of_a_solution_is_its_own(arm):
+    """Rows that rest early, that are missed and that take longer do not mix, and starts stay as they were."""
+    q = START + np.array([[0.0], [0.02], [0.3], [0.1]])
+    wanted = arm.poses(q)
+    wanted[2, :3, 3] += 5.0
+    starts = np.tile(START, (4, 1))
+    before = starts.copy()
+    found = solve(arm, wanted, starts, POSE)
+    np.testing.assert_array_equal(starts, before)
+    for i in (0, 1, 3):
+        alone = solve(arm, wanted[i : i + 1], starts[i : i + 1], POSE)
+        assert found.q[i] == pytest.approx(alone.q[0], abs=1e-12)
+        assert found.T_base_tool[i] == pytest.approx(wanted[i], abs=1e-9)
+    poses, twists = arm.motion(found.q)
+    assert found.T_base_tool == pytest.approx(poses, abs=1e-12)
+    assert found.twists == pytest.approx(twists, abs=1e-12)
 
 
 def test_a_joint_turns_by_whole_turns_to_the_seed_unless_a_limit_is_in_the_way(arm):

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from calib.robot.robot import Robot
-from calib.verbs.compensate.commands import Commands, compensate
-from calib.verbs.compensate.expected import Contribution, Source
+from calib.verbs.compensate.commands import Code, Commands, CommandWarning
+from calib.verbs.compensate.compensate import compensate
+from calib.verbs.compensate.expected import Source
 from calib.verbs.compensate.program import Program
 from calib.verbs.compensate.text import (
     _REMEDIES,
@@ -21,7 +22,6 @@ from calib.verbs.compensate.text import (
     finding_text,
     text,
 )
-from calib.verbs.compensate.warnings import Code, CommandWarning
 from tests.hard_cases import made
 
 
@@ -57,8 +57,7 @@ def said(found: Commands) -> str:
 def mainly(found: Commands, source: Source, **changes: object) -> Commands:
     """The commands with expected errors of one source above all."""
     squares = dict.fromkeys(get_args(Source), 1e-08) | {source: 1e-6}
-    contributions = tuple(Contribution(name, square) for name, square in squares.items())
-    expected = replace(found.expected, contributions=contributions, **changes)
+    expected = replace(found.expected, contributions=squares, **changes)
     return replace(found, expected=expected)
 
 

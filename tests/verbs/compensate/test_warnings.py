@@ -9,11 +9,12 @@ import pytest
 
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
-from calib.verbs.compensate.commands import Commands, compensate
+from calib.verbs.compensate.commands import Commands, CommandWarning
+from calib.verbs.compensate.compensate import compensate
 from calib.verbs.compensate.inverse import Matching
 from calib.verbs.compensate.nominal_actual import Arm
 from calib.verbs.compensate.program import Program
-from calib.verbs.compensate.warnings import CommandWarning
+from calib.verbs.compensate.warnings import find_warnings
 from tests.hard_cases import made
 from tests.verbs.compensate.arms import off
 
@@ -174,3 +175,17 @@ def test_a_jump_is_said_also_across_rows_without_a_command(ur3):
     moved = np.abs(found.q[42] - found.q[33]).max()
     assert warned(found, "jump")[42] == ("jump", (moved,), "elbow_joint", "row 34")
     assert word.numbers[0] > np.radians(10.0)
+
+
+def test_a_pose_that_misses_more_than_its_joint_values_is_ambiguous(ur3):
+    poses = ur3.poses([GOOD] * 3)
+    poses[0, :3, 3] = 5.0  # without a command
+    found = compensate(off(ur3), Program.of_poses(poses, [GOOD] * 3), nominal=ur3)
+    by_pose, left = found.left_by_pose.copy(), found.left.copy()
+    by_pose[1] += 1e-4
+    left[2] += 1e-4
+    changed = replace(found, left_by_pose=by_pose, left=left)
+    changed = replace(changed, warnings=find_warnings(changed, (1e-8, 1e-8)))
+    none, word, nothing = warned(changed, "ambiguous pose")
+    assert word.numbers == pytest.approx(by_pose[1])
+    assert none is nothing is None

@@ -9,7 +9,7 @@ from pathlib import Path
 import calib.example
 from calib.data.cell import Cell
 from calib.robot.robot import Robot
-from calib.verbs.fleet.fleet_robot import FleetRobot
+from calib.verbs.fleet.job import FleetRobot
 from calib.verbs.simulate.scenario import Scenario
 
 #: Position of the target in the tip [m].

@@ -1,4 +1,4 @@
-"""A fleet: complete folders, interrupted runs continued, robots that fail alone, any executor."""
+"""A fleet: complete folders, interrupted runs continued, robots that fail alone, any executor, inputs of any form."""
 
 from __future__ import annotations
 
@@ -13,12 +13,13 @@ from pathlib import Path
 
 import pytest
 
-from calib.errors import CalibError
+import calib
+from calib.errors import ArgumentError, CalibError, ModelError
+from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
-from calib.verbs.fleet.fleet import run_fleet
-from calib.verbs.fleet.fleet_robot import FleetRobot
-from calib.verbs.fleet.job import FleetOptions
-from calib.verbs.fleet.record import ACCEPTED, DONE, FAILED, WITHHELD, WRITTEN
+from calib.verbs.fleet.fleet import Fleet, run_fleet
+from calib.verbs.fleet.job import FleetOptions, FleetRobot
+from calib.verbs.fleet.rows import ACCEPTED, DONE, FAILED, WITHHELD, WRITTEN
 from calib.verbs.simulate.scenario import Scenario
 from tests.places import ROOT
 from tests.verbs.fleet.arms import CELL, arm, arms, files
@@ -185,6 +186,10 @@ def test_a_robot_that_is_not_to_be_used_gets_no_urdf_unless_it_is_accepted(right
     out = tmp_path / "out"
     calibrated = run_fleet(right, out, JUDGED)
     assert [row.urdf for row in calibrated.rows] == [WRITTEN, WITHHELD]
+    for row in calibrated.rows:
+        assert row.unseen == "cross-validation"
+        assert row.unseen_rms == row.held_out_rms
+        assert row.held_out_rms["m"] > 0.0
     assert [row.name for row in calibrated.withheld] == ["right"]
     assert not calibrated.failed
     assert set(files(out / "right")) == MADE - {"corrected.urdf"}
@@ -236,3 +241,81 @@ def test_somebody_s_urdf_is_not_left_beside_a_result_that_has_none(right, tmp_pa
     calibrated = run_fleet(right[1:], tmp_path / "out", JUDGED)
     assert "corrected.urdf exists already" in calibrated.failed[0].message
     assert set(files(folder)) == {"corrected.urdf"}
+
+
+# Robots, tables and cells as users have them
+
+NAMES = ("arm-0", "arm-1")
+AS_QUICK = {"validate": False, "reports": False}
+
+
+@pytest.fixture(scope="module")
+def tables(shop: Path) -> dict[str, Path]:
+    return {name: shop / f"{name}.csv" for name in NAMES}
+
+
+@pytest.fixture(scope="module")
+def fleet(shop: Path, tables) -> Fleet:
+    return calib.fleet(shop / "robot.urdf", tables, shop / "results", cell=CELL, **AS_QUICK)
+
+
+def test_one_robot_for_all_tables(shop: Path, fleet: Fleet):
+    assert [(row.name, row.status) for row in fleet.rows] == [(name, DONE) for name in NAMES]
+    assert all((shop / "results" / name / "corrected.urdf").exists() for name in NAMES)
+
+
+@pytest.mark.parametrize("form", ["robot", "sequence", "mapping"])
+@pytest.mark.usefixtures("fleet")
+def test_values_and_one_robot_for_each_table_make_the_same_fleet(shop, tables, tmp_path, form):
+    path = str(shop / "robot.urdf")
+    robot = Robot.load(path, "base", "tool0")
+    robots = {"robot": robot, "sequence": [path, robot], "mapping": {"arm-1": path, "arm-0": robot}}
+    read = {
+        name: calib.Measurements.read(table, robot.joint_names) for name, table in tables.items()
+    }
+    cells = dict.fromkeys(NAMES, CELL)
+    calib.fleet(robots[form], read, tmp_path, cell=cells, **AS_QUICK)
+    made, expected = files(tmp_path), files(shop / "results")
+    assert made["arm-0/corrected.urdf"] == expected["arm-0/corrected.urdf"]
+    assert made["arm-1/corrected.urdf"] == expected["arm-1/corrected.urdf"]
+
+
+@pytest.mark.usefixtures("fleet")
+def test_a_second_run_keeps_what_is_finished(shop: Path, tables):
+    again = calib.fleet(shop / "robot.urdf", tables, shop / "results", cell=CELL, **AS_QUICK)
+    assert again.kept == 2
+
+
+def test_a_robot_that_cannot_be_read_fails_alone(shop: Path, tables, tmp_path: Path):
+    robots = {"arm-0": "no such robot", "arm-1": shop / "robot.urdf"}
+    made = calib.fleet(robots, tables, tmp_path, cell=CELL, **AS_QUICK)
+    assert [row.status for row in made.rows] == [FAILED, DONE]
+
+
+@pytest.mark.parametrize(
+    ("changes", "error", "words"),
+    [
+        ({"robots": 3}, ArgumentError, "'robots'"),
+        ({"robots": [3, 4]}, ArgumentError, "robots"),
+        ({"solver": "nix"}, ModelError, "'nix'"),
+        ({"robots": ["ur3"]}, CalibError, r"robots \(1\) and of tables \(2\)"),
+        ({"robots": {"arm-0": "ur3"}}, CalibError, "lacks 'arm-1'"),
+        ({"robots": {"arm-0": "ur3", "arm-1": "ur3", "x": "ur3"}}, CalibError, "has 'x'"),
+        ({"tables": ["a.csv"]}, ArgumentError, "'tables'"),
+        ({"tables": {"a": 3}}, ArgumentError, "tables"),
+        ({"folder": 3}, ArgumentError, "'folder'"),
+        ({"cell": 3}, ArgumentError, "'cell'"),
+        ({"cell": {"arm-0": CELL}}, CalibError, "lacks 'arm-1'"),
+        ({"report": True}, ArgumentError, "did you mean 'reports'"),
+        ({"reports": "no"}, ArgumentError, "'reports'"),
+    ],
+)
+def test_wrong_arguments_are_named(tables, tmp_path: Path, changes, error, words):
+    given = {"robots": "ur3", "tables": tables, "folder": tmp_path / "new", **changes}
+    with pytest.raises(error, match=words):
+        calib.fleet(**given)
+    assert not (tmp_path / "new").exists()
+
+
+def test_a_fleet_in_one_line(fleet: Fleet):
+    assert repr(fleet) == "Fleet(2 robots, 0 failed, 0 withheld, 0 outliers, 0 kept)"

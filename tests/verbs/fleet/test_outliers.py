@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from calib.verbs.fleet.outliers import FEWEST, fleet_outliers, limit, scores
-from calib.verbs.fleet.record import DONE, FAILED, FleetParameter, FleetRow
+from calib.verbs.fleet.rows import DONE, FAILED, FleetParameter, FleetRow
 from calib.verbs.fleet.text import few_text
 
 
@@ -115,6 +115,18 @@ def test_robots_are_compared_with_their_own_kind():
     outliers, notes = fleet_outliers([*rows, *others, single])
     assert outliers == ()
     assert notes[0] == few_text(robots=1, counted=1, needed=FEWEST, kind="panda")
+
+
+def test_a_figure_is_compared_if_enough_robots_have_it():
+    for count in (FEWEST - 1, FEWEST):
+        rows = fleet_of(FEWEST + 3)
+        for k in range(count):
+            change = 1.0 if k == 0 else 1e-6 * k
+            own = FleetParameter("rare", "m", change, 1e-5)
+            rows[k] = replace(rows[k], parameters=(*rows[k].parameters, own))
+        outliers, _ = fleet_outliers(rows)
+        expected = [("r0", "rare")] if count == FEWEST else []
+        assert [(one.name, one.figure) for one in outliers] == expected
 
 
 def test_parameters_that_are_not_determined_are_not_compared():

@@ -1,4 +1,4 @@
-"""The base frame from a plane and two circles: the paper's construction, its derivatives, its intervals."""
+"""The frame that a plane and two axes make: the paper's construction, its derivatives, its intervals."""
 
 from dataclasses import replace
 
@@ -9,14 +9,9 @@ import pytest
 from calib.basics.arrays import rigid_inverse
 from calib.errors import UrdfError
 from calib.robot.robot import Robot
-from calib.verbs.base_frame.fits import Circle, Plane, fit_circle, fit_plane
-from calib.verbs.base_frame.frame import (
-    BaseFrame,
-    Line,
-    frame_of,
-    nominal_axes,
-    nominal_axes_frame,
-)
+from calib.verbs.base_frame.axes import Line, nominal_axes, nominal_axes_frame
+from calib.verbs.base_frame.base_frame import BaseFrame, frame_of
+from calib.verbs.base_frame.circles import Circle, Plane, fit_circle, fit_plane
 
 SIGMA = 33e-6
 T_TRUE = pin.exp6(np.array([2.0, 1.0, -0.5, 0.3, -0.8, 1.2])).homogeneous
@@ -112,6 +107,17 @@ def test_errors_are_those_of_the_covariance_and_within_the_cramer_rao_bound(arcs
     if arcs[0] > 200.0:
         assert np.median(np.linalg.norm(xi[:, :3], axis=1)) < 0.05e-3
         assert np.median(np.linalg.norm(xi[:, 3:], axis=1)) < 0.1e-3
+
+
+def test_degrees_of_freedom_are_those_of_the_figures_that_a_component_depends_on():
+    plane, first, second = figures(rng=np.random.default_rng(3))
+    dof = frame_of(plane, first, second).dof
+    # Along z it is the plane, across it circle 1; about z circle 2, and a little the tilt of axis 1.
+    assert dof[[0, 1, 3, 4]] == pytest.approx(first.dof)
+    assert dof[2] == pytest.approx(plane.dof, rel=1e-6)
+    assert second.dof < dof[5] < first.dof + second.dof
+    given = frame_of(*figures(rng=np.random.default_rng(3), given=True))
+    assert np.isinf(given.dof).all()
 
 
 @pytest.mark.slow

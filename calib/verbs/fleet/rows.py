@@ -1,4 +1,4 @@
-"""The row of a robot in a fleet's tables, small enough to hold those of ten thousand robots in memory."""
+"""The row of a robot in a fleet's tables, small enough to keep those of ten thousand robots in memory."""
 
 from __future__ import annotations
 
@@ -18,7 +18,6 @@ from calib.diagnosis.reasons import NO
 from calib.model.parameters import FRAME, TARGET
 from calib.numerics.errors import Errors
 from calib.result.calibration import Calibration
-from calib.robot.robot import Robot
 
 #: Status of a robot that has a result.
 DONE = "done"
@@ -35,11 +34,17 @@ WITHHELD = "withheld"
 #: State of a corrected URDF: written in spite of the verdict ``do not use``, which was accepted.
 ACCEPTED = "accepted"
 
-#: Columns of `FleetRow` that are no columns of ``fleet.csv``; the message is its last one.
+#: Attributes of `FleetRow` that are not columns of ``fleet.csv``, or not in their place: the message is the last one.
 _NOT_IN_CSV = ("message", "kind", "measured", "parameters")
 
-#: Digits of joint values and measurements that a hash counts: a nanometre and a nanoradian. Files hold a few digits, in
-#: degrees or radians.
+#: Attributes of `FleetRow` with a number for each unit.
+_BY_UNIT = ("nominal_rms", "calibrated_rms", "unseen_rms", "held_out_rms", "sigma")
+
+#: Unit of a column, and factor to it, by the unit of its numbers: angles are small.
+_CSV_UNITS = {"m": ("mm", 1e3), "rad": ("mrad", 1e3)}
+
+#: Decimals of joint values and measurements that a hash counts, a nanometre and a nanoradian: files have fewer digits,
+#: in degrees or radians.
 _HASHED_DIGITS = 9
 
 #: Stands in a hash for values that were not measured [m, rad].
@@ -56,16 +61,16 @@ class FleetParameter:
     unit: str
     #: Calibrated minus nominal; of a target its position in the tip
     change: float
-    #: Standard deviation; NaN where the measurements do not determine the parameter, or a bound stopped it
+    #: Standard deviation; NaN if the measurements do not determine the parameter, or a bound stopped it
     std: float
 
 
 @dataclass(frozen=True, slots=True)
 class FleetRow:
-    """One robot of a fleet. Numbers that do not exist are NaN, texts ``""``.
+    """One robot of a fleet; texts that do not exist are ``""``.
 
     Errors and noise are by unit: ``"m"`` of lengths [m], ``"rad"`` of angles [rad], ``"px"`` of image coordinates [px].
-    A unit that was not measured is missing; of a robot that failed the mappings are empty.
+    A unit that was not measured is missing; the mappings of a robot that failed are empty.
     """
 
     #: Its name
@@ -114,43 +119,47 @@ class FleetRow:
         Args:
             name: The robot's name.
             calibration: Its calibration.
-            accept: Whether its URDF is written also where the verdict is ``do not use``.
+            accept: Whether its URDF is also written if the verdict is ``do not use``.
 
         Returns:
             The row.
         """
         verdict = "" if calibration.verdict is None else calibration.verdict.use
+        urdf = WRITTEN
+        if verdict == NO:
+            urdf = ACCEPTED if accept else WITHHELD
+        calibrated = calibration.errors["calibrated"]
+        held_out_rms: dict[str, float] = {}
+        if calibration.cross_validation is not None:
+            held_out_rms = _rms_by_unit(calibration.cross_validation.errors_without_outliers)
+        # Validation rows come before held-out ones.
+        unseen, unseen_rms = "", held_out_rms
+        if calibrated["validation"].units:
+            unseen, unseen_rms = "validation", _rms_by_unit(calibrated["validation"])
+        elif calibration.cross_validation is not None:
+            unseen = "cross-validation"
+        robot, measurements = calibration.nominal, calibration.fit.measurements
         non_geometric = calibration.non_geometric
-        nominal_errors = calibration.errors["nominal"]
-        calibrated_errors = calibration.errors["calibrated"]
-        unseen, unseen_rms = _unseen_error(calibration)
         return cls(
             name=name,
             status=DONE,
             verdict=verdict,
-            urdf=_urdf_state(verdict, accept=accept),
+            urdf=urdf,
             model=calibration.model.name,
             non_geometric="" if non_geometric is None else non_geometric.name,
-            rows=int(calibration.fit.measurements.estimation.sum()),
+            rows=int(measurements.estimation.sum()),
             outliers=len(calibration.rows.outliers),
-            nominal_rms=_rms_by_unit(nominal_errors["estimation"]),
-            calibrated_rms=_rms_by_unit(calibrated_errors["estimation"]),
+            nominal_rms=_rms_by_unit(calibration.errors["nominal"]["estimation"]),
+            calibrated_rms=_rms_by_unit(calibrated["estimation"]),
             unseen=unseen,
             unseen_rms=unseen_rms,
-            held_out_rms=_held_out_rms(calibration),
+            held_out_rms=held_out_rms,
             sigma=calibration.noise.sigma,
-            kind=_kind(calibration.nominal),
-            data=calibration.fit.measurements.source,
-            measured=measured_hash(calibration.fit.measurements),
+            kind=" ".join([robot.name, robot.base, robot.tip, *robot.joint_names]),
+            data=measurements.source,
+            measured=measured_hash(measurements),
             parameters=_parameters(calibration),
         )
-
-
-def _urdf_state(verdict: str, *, accept: bool) -> str:
-    """Return the state of the corrected URDF by the verdict: `WRITTEN`, `WITHHELD` or `ACCEPTED`."""
-    if verdict != NO:
-        return WRITTEN
-    return ACCEPTED if accept else WITHHELD
 
 
 def _rms_by_unit(errors: Errors) -> dict[str, float]:
@@ -158,31 +167,8 @@ def _rms_by_unit(errors: Errors) -> dict[str, float]:
     return {unit: errors[unit].rms for unit in errors.units}
 
 
-def _held_out_rms(calibration: Calibration) -> dict[str, float]:
-    """Return the errors of cross-validation without outliers, by unit; empty if there was none."""
-    cross_validation = calibration.cross_validation
-    if cross_validation is None:
-        return {}
-    return _rms_by_unit(cross_validation.errors_without_outliers)
-
-
-def _unseen_error(calibration: Calibration) -> tuple[str, dict[str, float]]:
-    """Return the kind of rows that were not fitted, and the errors on them: validation rows before held-out ones."""
-    validation = calibration.errors["calibrated"]["validation"]
-    if validation.units:
-        return "validation", _rms_by_unit(validation)
-    if calibration.cross_validation is None:
-        return "", {}
-    return "cross-validation", _held_out_rms(calibration)
-
-
-def _kind(robot: Robot) -> str:
-    """Return the text that robots must share to be compared."""
-    return " ".join([robot.name, robot.base, robot.tip, *robot.joint_names])
-
-
 def _parameters(calibration: Calibration) -> tuple[FleetParameter, ...]:
-    """Return the parameters that robots can be compared by: the place of an instrument is no property of a robot."""
+    """Return the parameters that robots are compared by: not those of frames, which are of the instrument's place."""
     compared = []
     pairs = zip(calibration.parameters, calibration.model.parameters, strict=True)
     for estimated, parameter in pairs:
@@ -197,77 +183,50 @@ def _parameters(calibration: Calibration) -> tuple[FleetParameter, ...]:
     return tuple(compared)
 
 
-#: Attributes with a number for each unit.
-_BY_UNIT = ("nominal_rms", "calibrated_rms", "unseen_rms", "held_out_rms", "sigma")
-
 #: Layout of a row in a JSON file.
-ROWS = JsonLayout({}, {})
+ROW_LAYOUT = JsonLayout({}, {})
 
 
-def csv_bytes(rows: Sequence[FleetRow], reasons: Mapping[str, Sequence[str]]) -> bytes:
+def fleet_csv(rows: Sequence[FleetRow], reasons: Mapping[str, Sequence[str]]) -> bytes:
     """Return the table for a spreadsheet: UTF-8, one line for each robot, lengths in mm, angles in mrad.
 
     Figures of a unit that no robot measured have no column.
 
     Args:
         rows: The robots.
-        reasons: Texts why a robot is a fleet outlier, by the robot's name; robots without are none.
-
-    Returns:
-        The file's content; cells of numbers that do not exist are empty.
+        reasons: Texts why a robot is a fleet outlier, by the robot's name.
     """
-    columns = _csv_columns(rows)
+    measured = {unit for row in rows for unit in row.nominal_rms}
+    units = [unit for unit in RESIDUAL_UNITS if unit in measured]
+    heads, columns = [], []
+    for name in (f.name for f in fields(FleetRow)):
+        values = [getattr(row, name) for row in rows]
+        if name in _BY_UNIT:
+            for unit in units:
+                shown, factor = _CSV_UNITS.get(unit, (unit, 1.0))
+                heads.append(f"{name} [{shown}]")
+                columns.append([_number_cell(numbers.get(unit), factor) for numbers in values])
+        elif name not in _NOT_IN_CSV:
+            heads.append(name)
+            columns.append(values)
+    outliers = ["; ".join(reasons.get(row.name, ())) for row in rows]
+    messages = [" ".join(row.message.split()) for row in rows]
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    heads = [_csv_head(name, unit) for name, unit in columns]
-    writer.writerow((*heads, "outlier", "message"))
-    for row in rows:
-        cells = [_csv_cell(row, name, unit) for name, unit in columns]
-        outlier = "; ".join(reasons.get(row.name, ()))
-        message = " ".join(row.message.split())
-        writer.writerow((*cells, outlier, message))
+    writer.writerow([*heads, "outlier", "message"])
+    writer.writerows(zip(*columns, outliers, messages, strict=True))
     return text.getvalue().encode("utf-8", "backslashreplace")
 
 
-def _csv_columns(rows: Sequence[FleetRow]) -> list[tuple[str, str]]:
-    """Return the columns of the table: the attribute, and the unit of its number; empty where it has none."""
-    measured = {unit for row in rows for unit in row.nominal_rms}
-    units = [unit for unit in RESIDUAL_UNITS if unit in measured]
-    columns = []
-    for name in (f.name for f in fields(FleetRow)):
-        if name in _BY_UNIT:
-            columns += [(name, unit) for unit in units]
-        elif name not in _NOT_IN_CSV:
-            columns.append((name, ""))
-    return columns
-
-
-#: Unit of a column, and factor to it, by the unit of its numbers: angles are small.
-_CSV_UNITS = {"m": ("mm", 1e3), "rad": ("mrad", 1e3)}
-
-
-def _csv_head(name: str, unit: str) -> str:
-    """Return the head of the column of an attribute, with the unit: ``"sigma [mm]"``."""
-    if not unit:
-        return name
-    shown, _ = _CSV_UNITS.get(unit, (unit, 1.0))
-    return f"{name} [{shown}]"
-
-
-def _csv_cell(row: FleetRow, name: str, unit: str) -> object:
-    """Return the cell of an attribute: a number in mm or mrad, empty for none; texts and counts as they are."""
-    value = getattr(row, name)
-    if not unit:
-        return value
-    number = value.get(unit, math.nan)
-    if math.isnan(number):
+def _number_cell(number: float | None, factor: float) -> str:
+    """Return a number times a factor, to 6 digits; empty for none."""
+    if number is None or math.isnan(number):
         return ""
-    _, factor = _CSV_UNITS.get(unit, (unit, 1.0))
     return f"{factor * number:.6g}"
 
 
 def measured_hash(measurements: Measurements) -> str:
-    """Return a hash of joint values and measurements, independent of the rows' order and of the file.
+    """Return a SHA-256 of joint values and measurements, independent of the rows' order and of the file.
 
     Args:
         measurements: N rows.

@@ -11,13 +11,13 @@ import pytest
 
 from calib.basics.json_files import json_bytes
 from calib.data.measurements import Measurements
-from calib.verbs.fleet.record import (
+from calib.verbs.fleet.rows import (
     DONE,
     FAILED,
-    ROWS,
+    ROW_LAYOUT,
     FleetParameter,
     FleetRow,
-    csv_bytes,
+    fleet_csv,
     measured_hash,
 )
 
@@ -51,13 +51,13 @@ def test_the_same_measurements_in_another_order_or_unit_have_the_same_hash(paper
 
 
 def test_a_row_survives_its_file():
-    table = json.loads(json_bytes(ROWS.table(ROW)))
-    assert repr(ROWS.read(FleetRow, table)) == repr(ROW)
+    table = json.loads(json_bytes(ROW_LAYOUT.table(ROW)))
+    assert repr(ROW_LAYOUT.read(FleetRow, table)) == repr(ROW)
 
 
 def test_the_csv_table_is_in_mm_with_texts_and_empty_cells():
     failed = FleetRow("SN-2", FAILED, "no rows,\n  at all")
-    content = csv_bytes([ROW, failed], {"SN-1": ["noise 9 mm", "p 20 mm"]})
+    content = fleet_csv([ROW, failed], {"SN-1": ["noise 9 mm", "p 20 mm"]})
     first, second = csv.DictReader(content.decode().splitlines())
     assert first["nominal_rms [mm]"] == "3"
     assert first["held_out_rms [mm]"] == "0.0812346"
@@ -71,12 +71,12 @@ def test_the_csv_table_is_in_mm_with_texts_and_empty_cells():
 
 
 def test_names_that_utf_8_does_not_have_are_escaped():
-    content = csv_bytes([replace(ROW, data="a\udcff.csv")], {})
+    content = fleet_csv([replace(ROW, data="a\udcff.csv")], {})
     assert b"a\\udcff.csv" in content
 
 
 @pytest.mark.parametrize("text", ["a,b", 'say "x"'])
 def test_texts_with_commas_and_quotes_survive(text):
-    content = csv_bytes([replace(ROW, data=text)], {})
+    content = fleet_csv([replace(ROW, data=text)], {})
     (row,) = csv.DictReader(content.decode().splitlines())
     assert row["data"] == text

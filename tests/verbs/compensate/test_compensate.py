@@ -11,17 +11,12 @@ from calib.errors import VerdictError
 from calib.result.calibrate import calibrate
 from calib.robot.ranges import column_limits, random_joint_values
 from calib.robot.robot import Robot
-from calib.verbs.compensate.command_table import write_commands
-from calib.verbs.compensate.commands import (
-    _motions_by,
-    _poses_to_send,
-    _SolvedProgram,
-    compensate,
-)
+from calib.verbs.compensate.compensate import _find_poses_to_send, _motions_by, compensate
 from calib.verbs.compensate.expected import expected_errors
-from calib.verbs.compensate.inverse import Matching, Solution, solve
+from calib.verbs.compensate.inverse import Matching, solve
 from calib.verbs.compensate.nominal_actual import Arm, pair_of
 from calib.verbs.compensate.program import Program
+from calib.verbs.compensate.program_table import write_commands
 from tests.hard_cases import made, table
 from tests.verbs.compensate.arms import off, turned
 
@@ -146,14 +141,13 @@ def test_a_redundant_arm_arrives_with_the_elbow_where_the_controller_puts_it(pan
     true, matching = off(panda), Matching(match, 0.01)
     pair = pair_of(true, panda)
     wanted = panda.poses(PANDA)
-    starts = Solution(PANDA[None], *pair.nominal.motion(PANDA[None]))
-    solved = solve(pair.actual, wanted, starts.q, matching)
-    T_send, left = _poses_to_send(_SolvedProgram(pair, matching, wanted, starts, solved))
+    solved = solve(pair.actual, wanted, PANDA[None], matching)
+    T_send, left = _find_poses_to_send(pair, matching, wanted, PANDA[None], solved.q)
     assert left[0, 0] < 1e-12
     # Its own choice of the elbow would have cost this much.
-    naive = solve(pair.nominal, pair.nominal.poses(solved.q), starts.q, POSE)
+    naive = solve(pair.nominal, pair.nominal.poses(solved.q), PANDA[None], POSE)
     assert matching.misses(pair.actual.poses(naive.q), wanted)[0, 0] > 1e-10
-    controlled = solve(pair.nominal, T_send, starts.q, POSE)
+    controlled = solve(pair.nominal, T_send, PANDA[None], POSE)
     assert matching.misses(true.poses(controlled.q), wanted)[0, 0] < 1e-12
 
 
@@ -187,6 +181,21 @@ def test_what_is_left_free_stays_as_the_program_has_it(ur3, match):
     assert found.match == match
     assert POSE.misses(ur3.poses(found.q_nominal), wanted).max() < 1e-9
     assert POSE.misses(off(ur3).poses(found.q), wanted).max() > 1e-4
+
+
+def test_a_full_pose_out_of_reach_is_matched_in_part(ur3):
+    """The arm is nearly stretched out, and its tool turned over: only the position can be had."""
+    q = np.array([np.radians([10.0, -60.0, 8.0, -60.0, 40.0, 0.0]), START])
+    wanted = ur3.poses(q)
+    wanted[0, :3, :3] = wanted[0, :3, :3] @ np.diag([1.0, -1.0, -1.0])
+    program = Program.of_poses(wanted, q)
+    assert compensate(off(ur3), program, nominal=ur3).reached.tolist() == [False, True]
+    found = compensate(off(ur3), replace(program, match="position"), nominal=ur3)
+    assert found.reached.all()
+    arrived = ur3.poses(found.q_nominal)
+    assert arrived[:, :3, 3] == pytest.approx(wanted[:, :3, 3], abs=1e-9)
+    # The pose that can be had in full stays as it was.
+    assert arrived[1] == pytest.approx(wanted[1], abs=1e-9)
 
 
 def test_a_program_of_points_leaves_the_nominal_robot_as_it_is_turned(ur3):

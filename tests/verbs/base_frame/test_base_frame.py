@@ -12,8 +12,8 @@ from calib.basics.arrays import rigid_inverse
 from calib.basics.json_files import json_bytes
 from calib.errors import MeasurementError
 from calib.robot.robot import Robot
-from calib.verbs.base_frame.frame import nominal_axes
-from calib.verbs.base_frame.survey import base_frame, between
+from calib.verbs.base_frame.axes import between, nominal_axes
+from calib.verbs.base_frame.base_frame import base_frame
 from calib.verbs.base_frame.sweeps import Sweep, Sweeps
 from tests.verbs.base_frame.virtual_sweeps import virtual_sweeps
 
@@ -53,7 +53,7 @@ def test_the_frame_is_the_urdf_s_base_wherever_the_joints_stand(base: str, home)
     robot = Robot.load("ur3", base=base, tip="tool0")
     sweeps = virtual_sweeps(robot, T_TRUE, 0.0, arcs=np.full(6, 2.0), home=home)
     found = base_frame(sweeps, robot)
-    assert np.abs(error(found.frame.T_tracker_base)).max() < 1e-8
+    assert np.abs(error(found.T_tracker_base)).max() < 1e-8
     for pair in found.pairs:
         assert pair.angle == pytest.approx(pair.angle_nominal, abs=1e-7)
         assert pair.distance == pytest.approx(pair.distance_nominal, abs=1e-8)
@@ -62,7 +62,7 @@ def test_the_frame_is_the_urdf_s_base_wherever_the_joints_stand(base: str, home)
 
 def test_without_a_robot_it_is_the_paper_s_frame(ur3, without):
     exact = virtual_sweeps(ur3, T_TRUE, 0.0, arcs=ARCS, values=False)
-    found = base_frame(exact).frame.T_tracker_base
+    found = base_frame(exact).T_tracker_base
     # Axis 2 of a UR points along -y of its `base`.
     assert np.abs(error(found, T_TRUE @ np.diag([-1.0, -1.0, 1.0, 1.0]))).max() < 1e-8
     assert np.isnan(base_frame(without).pairs[0].angle_nominal)
@@ -74,7 +74,7 @@ def test_axes_are_where_they_are_in_both_frames(ur3, with_values):
         assert np.linalg.norm(joint.direction - line.direction) < 5e-4
         off = joint.point - line.point
         assert np.linalg.norm(off - line.direction * (off @ line.direction)) < 3e-4
-        T = found.frame.T_base_tracker
+        T = found.T_base_tracker
         seen = T[:3, :3] @ joint.circle.point + T[:3, 3]
         assert seen == pytest.approx(joint.point, abs=1e-12)
     assert found.findings == ()
@@ -114,7 +114,7 @@ def test_the_table_has_everything(ur3, with_values):
     found = base_frame(with_values, ur3)
     table = json.loads(json_bytes(found.table()))
     assert table["schema"] == "base-frame 2"
-    assert np.array_equal(table["frame"]["T_tracker_base"], found.frame.T_tracker_base)
+    assert np.array_equal(table["frame"]["T_tracker_base"], found.T_tracker_base)
     joint = table["joints"][1]
     assert joint["name"] == ur3.joint_names[1]
     assert joint["base"]["point_m"] == found.joints[1].point.tolist()
@@ -124,8 +124,8 @@ def test_the_table_has_everything(ur3, with_values):
 
 
 def test_the_offset_lowers_the_origin(ur3, with_values):
-    frame = base_frame(with_values, ur3).frame.T_tracker_base
-    lowered = base_frame(with_values, ur3, plane_offset=0.01905).frame.T_tracker_base
+    frame = base_frame(with_values, ur3).T_tracker_base
+    lowered = base_frame(with_values, ur3, plane_offset=0.01905).T_tracker_base
     assert error(lowered, frame) == pytest.approx([0, 0, 0.01905, 0, 0, 0], abs=1e-4)
 
 
