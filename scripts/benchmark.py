@@ -25,14 +25,13 @@ from pathlib import Path
 
 from benchmark_one import TARGET, best_time
 from studies import core_count, show_progress, study_parser, table_lines
+from trials import Task, run_trials
 
 from calib.data.cell import Cell
 from calib.example import paper_measurements, paper_urdf
 from calib.robot.robot import Robot
 from calib.verbs.plan.plan import plan
 from calib.verbs.simulate.scenario import Scenario
-from calib.verbs.simulate.study import study
-from calib.verbs.simulate.trial import Trials
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 PAGE = DOCS / "performance.md"
@@ -108,15 +107,15 @@ def calibration_table(sizes: Sequence[int]) -> Iterator[str]:
     yield from table_lines(titles, rows)
 
 
-def study_times(trials: Trials, count: int) -> tuple[float, float]:
+def study_times(task: Task, count: int) -> tuple[float, float]:
     """Return the times of a study of so many robots, by one process and by one for each core [s]."""
     began = time.perf_counter()
-    study(trials, count)
+    run_trials(task, count)
     serial = time.perf_counter() - began
     with ProcessPoolExecutor(core_count()) as executor:
-        study(trials, 2 * core_count(), executor=executor)  # processes started, modules loaded
+        run_trials(task, 2 * core_count(), executor=executor)  # processes started, modules loaded
         began = time.perf_counter()
-        study(trials, count, executor=executor)
+        run_trials(task, count, executor=executor)
         parallel = time.perf_counter() - began
     return serial, parallel
 
@@ -129,10 +128,10 @@ def study_table(count: int) -> Iterator[str]:
     rows = []
     kinds = (("dh", False), ("dh", True), ("auto", True))
     for model, validate in show_progress(kinds, "studies"):
-        trials = Trials(Scenario(robot), Cell(model=model), count=30, validate=validate)
+        task = Task(Scenario(robot), Cell(model=model), count=30, validate=validate)
         fewer = count if model == "dh" else max(count // 10, 20)
         title = f"model {model}, cross-validated" if validate else f"model {model}"
-        times = study_times(trials, fewer)
+        times = study_times(task, fewer)
         rows.append([title, *(f"{count / fewer * seconds:.1f} s" for seconds in times)])
     began = time.perf_counter()
     plan(robot, Cell(model="hayati", target=TARGET), collisions=None)

@@ -40,10 +40,8 @@ from calib.fit.registration.table_rows import rows_and_setup
 from calib.model.families import FAMILIES
 from calib.model.kinematics import Samples
 from calib.robot.robot import Robot
-from calib.verbs.simulate.camera.cell import CameraCell, draw_camera_cell
-from calib.verbs.simulate.camera.pictures import Pictures, take_pictures
 from calib.verbs.simulate.disturbances import Encoder
-from calib.verbs.simulate.scenario import Scenario
+from calib.verbs.simulate.scenario import Scenario, Simulated, VirtualCell
 
 BOARD = Board(
     pattern="charuco", columns=7, rows=5, square=0.03, marker=0.022, dictionary="DICT_5X5_100"
@@ -122,26 +120,28 @@ class Figures:
 
 def draw(
     name: str, camera_on: str, board_on: str, seed: int, setting: Setting = USUAL
-) -> CameraCell:
+) -> VirtualCell:
     """Draw a virtual cell."""
     robot = Robot.load(name, base=camera_on, tip=board_on)
     scenario = Scenario(
         robot,
-        Cell(kind="pixel"),
+        Cell(kind="pixel", cameras={"": setting.camera}, boards={"": BOARD}),
         model=MODEL,
         noise=None,
         sigma={"px": NOISE},
         sizes=setting.sizes,
         encoder=setting.encoder,
     )
-    return draw_camera_cell(scenario, setting.camera, BOARD, seed)
+    return scenario.draw(seed)
 
 
-def table_of(pictures: Pictures) -> Measurements:
+def table_of(simulated: Simulated) -> Measurements:
     """Return the table of the corners in pictures."""
+    pictures = simulated.pictures
+    assert pictures is not None
     number = len(pictures.picture)
     return Measurements(
-        joint_names=pictures.cell.truth.nominal.joint_names,
+        joint_names=simulated.truth.nominal.joint_names,
         joints=pictures.readings[pictures.picture],
         points=np.full((number, 3), np.nan),
         kinds=("pixel",) * number,
@@ -159,7 +159,7 @@ def against_the_bound(
     cell = draw(name, camera_on, board_on, seed, setting)
     size_alone = Camera(width=setting.camera.width, height=setting.camera.height)
     known = Cell(cameras={"": size_alone}, boards={"": BOARD})
-    m = table_of(take_pictures(cell, cell.views(setting.pictures, seed), seed))
+    m = table_of(cell.measure(cell.poses(setting.pictures, seed), seed))
     rows, setup = rows_and_setup(cell.truth.nominal, m, known)
     task = Task(cell.truth.nominal, known, setup, MODEL)
     fitted = fit(task, rows)
@@ -178,20 +178,21 @@ def against_the_bound(
     )
 
 
-def fresh_rows(cell: CameraCell, fitted: Rows, seed: int, setting: Setting) -> Rows:
+def fresh_rows(cell: VirtualCell, fitted: Rows, seed: int, setting: Setting) -> Rows:
     """Return noiseless images at fresh poses, joints as read, predicted by the lens that a fit began with."""
-    views = cell.views(FRESH, seed, validation=True)
+    views = cell.poses(FRESH, seed, validation=True)
     exact = replace(cell, scenario=replace(cell.scenario, encoder=Encoder()))
-    pictures = take_pictures(exact, views, seed + 100_000)
+    simulated = exact.measure(views, seed + 100_000)
+    assert simulated.pictures is not None
     known = Cell(cameras={"": setting.camera}, boards={"": BOARD})
-    rows, _ = rows_and_setup(cell.truth.nominal, table_of(pictures), known)
+    rows, _ = rows_and_setup(cell.truth.nominal, table_of(simulated), known)
     assert rows.samples.optics is not None
     assert fitted.samples.optics is not None
     optics = rows.samples.optics.copy()
     optics[:, INTRINSICS] = fitted.samples.optics[0, INTRINSICS]
     assert set(optics[:, CORNER]) <= set(fitted.samples.optics[:, CORNER])
     samples = replace(rows.samples, optics=read_only(optics))
-    return replace(rows, samples=samples, measured=pictures.true_pixels)
+    return replace(rows, samples=samples, measured=simulated.pictures.true_pixels)
 
 
 def of_predictions(jacobian: Array, covariance: Array) -> Array:
@@ -239,7 +240,7 @@ def start_ratio(arm: tuple[str, str, str], seed: int, *, known: bool) -> float:
     exact_corners = replace(BOARD, sigma_corner=0.0)
     camera = STATED if known else SIZE_ALONE
     given = Cell(cameras={"": camera}, boards={"": exact_corners})
-    m = table_of(take_pictures(cell, cell.views(FEW, seed), seed))
+    m = table_of(cell.measure(cell.poses(FEW, seed), seed))
     rows, setup = rows_and_setup(cell.truth.nominal, m, given)
     task = Task(cell.truth.nominal, given, setup, MODEL)
     true_places = setup.with_poses(cell.truth.T_frame_base, cell.truth.T_tip_target)
@@ -252,11 +253,13 @@ def place_error(arm: tuple[str, str, str], seed: int, pictures: int, model: str)
     """Fit one cell with a model, and return how far the board's middle is off in the camera at fresh poses, rms [m]."""
     cell = draw(*arm, seed)
     known = Cell(cameras={"": STATED}, boards={"": BOARD})
-    m = table_of(take_pictures(cell, cell.views(pictures, seed), seed))
+    m = table_of(cell.measure(cell.poses(pictures, seed), seed))
     rows, setup = rows_and_setup(cell.truth.nominal, m, known)
     fitted = fit(Task(cell.truth.nominal, known, setup, model), rows)
-    views = cell.views(FRESH, seed, validation=True)
-    true = take_pictures(cell, views, seed + 100_000).T_camera_board
+    views = cell.poses(FRESH, seed, validation=True)
+    fresh = cell.measure(views, seed + 100_000).pictures
+    assert fresh is not None
+    true = fresh.T_camera_board
     found = fitted.kinematics.poses(fitted.estimate.x, Samples.at(views))
     away = (found[:, :3, :3] - true[:, :3, :3]) @ BOARD.centre + found[:, :3, 3] - true[:, :3, 3]
     return float(np.sqrt(np.mean(np.sum(away**2, axis=1))))

@@ -48,7 +48,7 @@ Kept = Mapping[str, Mapping[str, Any]]
 #: Verbs whose text is not kept: it is long, and their files have all of its numbers.
 SILENT = ("fit", "fleet")
 
-#: Verbs whose figures depend on the maximum of a restricted likelihood; so do studies.
+#: Verbs whose figures depend on the maximum of a restricted likelihood.
 LIKELIHOOD = ("fit", "demo", "fleet")
 
 #: Options before a file that a command writes.
@@ -263,7 +263,7 @@ def comparison_of(name: str, cases: Mapping[str, list[str]]) -> Comparison:
     """Return how a case is compared: loosely if it, or one whose files it reads, maximises a likelihood."""
     for needed in with_needed([name], cases):
         words = cases[needed]
-        if not words or words[0] in LIKELIHOOD or "--study" in words:
+        if not words or words[0] in LIKELIHOOD:
             return LOOSE
     return STRICT
 

@@ -16,6 +16,7 @@ from dataclasses import replace
 
 import numpy as np
 from studies import core_count, print_table, process_pool, study_parser
+from trials import Task, Trials, run_trials
 
 from calib.basics.arrays import Array
 from calib.data.cell import Box, Cell, Reflector, Tracker
@@ -29,8 +30,6 @@ from calib.verbs.plan.forecast import Forecast, Workspace
 from calib.verbs.plan.plan import Plan, plan
 from calib.verbs.plan.sensitivity import Sensitivity
 from calib.verbs.simulate.scenario import Scenario
-from calib.verbs.simulate.study import Study, study
-from calib.verbs.simulate.trial import Trials
 
 
 def ur3() -> Robot:
@@ -130,7 +129,7 @@ def obstacle_rows(candidates: int) -> Iterator[list[str]]:
     yield ["moves between poses that are not free", str(len(planned.blocked))]
 
 
-def simulate(runs: int, model: str, count: int, poses: Array | None = None) -> Study:
+def simulate(runs: int, model: str, count: int, poses: Array | None = None) -> Trials:
     """Simulate calibrations.
 
     Args:
@@ -140,16 +139,15 @@ def simulate(runs: int, model: str, count: int, poses: Array | None = None) -> S
         poses: shape (count, 6), the poses [rad]; None: random ones that differ each time.
     """
     cell = paper_cell(model)
-    trials = Trials(
+    task = Task(
         scenario=Scenario(ur3(), cell=cell, model=model),
         cell=cell,
         poses=poses,
-        sets=() if poses is None else ("estimate",) * len(poses),
         count=count,
         validate=False,
     )
     with process_pool(core_count()) as executor:
-        return study(trials, runs, executor=executor)
+        return run_trials(task, runs, executor=executor)
 
 
 def comparison_rows(runs: int, candidates: int) -> Iterator[list[str]]:

@@ -33,10 +33,9 @@ from calib.fit.registration.rows import Rows
 from calib.fit.registration.table_rows import rows_and_setup
 from calib.numerics.correlated_noise import PoseNoise
 from calib.robot.robot import Robot
-from calib.verbs.simulate.camera.cell import CameraCell, draw_camera_cell
-from calib.verbs.simulate.camera.pictures import Pictures, take_pictures
 from calib.verbs.simulate.disturbances import Encoder
-from calib.verbs.simulate.scenario import Scenario
+from calib.verbs.simulate.readings import Pictures
+from calib.verbs.simulate.scenario import Scenario, VirtualCell
 
 #: Steps of the encoders [deg].
 STEPS = (0.0, 0.005, 0.02, 0.1)
@@ -62,21 +61,32 @@ class Figures:
 WAYS = ("equal", "covariances alone", "covariances", "known")
 
 
-def draw(arm: tuple[str, str, str], step: float, seed: int) -> CameraCell:
+def draw(arm: tuple[str, str, str], step: float, seed: int) -> VirtualCell:
     """Draw a virtual cell with encoders of these steps [deg]."""
     name, camera_on, board_on = arm
     scenario = Scenario(
         Robot.load(name, base=camera_on, tip=board_on),
-        Cell(kind="pixel"),
+        Cell(
+            kind="pixel",
+            cameras={"": STATED},
+            boards={"": replace(BOARD, sigma_corner=0.0)},
+        ),
         model=MODEL,
         noise=None,
         sigma={"px": NOISE},
         encoder=Encoder(angle=np.deg2rad(step)),
     )
-    return draw_camera_cell(scenario, STATED, replace(BOARD, sigma_corner=0.0), seed)
+    return scenario.draw(seed)
 
 
-def table_of(cell: CameraCell, q: Array, T: Array, covariances: Array | None) -> Measurements:
+def take_pictures(cell: VirtualCell, q: Array, seed: int) -> Pictures:
+    """Take a picture at each of some joint values, shape (n, m), [rad] or [m]."""
+    pictures = cell.measure(q, seed).pictures
+    assert pictures is not None
+    return pictures
+
+
+def table_of(cell: VirtualCell, q: Array, T: Array, covariances: Array | None) -> Measurements:
     """Return the table of the board's poses in the camera, shape (n, 4, 4) [m]."""
     return Measurements(
         joint_names=cell.truth.nominal.joint_names,
@@ -90,13 +100,13 @@ def table_of(cell: CameraCell, q: Array, T: Array, covariances: Array | None) ->
 
 def poses_of(pictures: Pictures) -> tuple[Array, Array]:
     """Return the board's poses in the camera, shape (n, 4, 4) [m], and their covariances at 1 px, shape (n, 6, 6)."""
-    cell = pictures.cell
-    assert cell.camera.values is not None
+    camera, printed = pictures.equipment.camera, pictures.equipment.printed
+    assert camera.values is not None
     views = []
     for k in range(len(pictures.images)):
         own = pictures.picture == k
-        views.append((cell.printed.corners[pictures.corner[own]], pictures.pixels[own]))
-    found = planar_poses(views, LENSES[cell.camera.lens], cell.camera.values)
+        views.append((printed.corners[pictures.corner[own]], pictures.pixels[own]))
+    found = planar_poses(views, LENSES[camera.lens], camera.values)
     poses = [pose for pose in found if pose is not None]
     assert len(poses) == len(views)
     return np.array([p.T_camera_board for p in poses]), np.array([p.covariance for p in poses])
@@ -106,7 +116,7 @@ def figures_of(case: tuple[tuple[str, str, str], float], seed: int) -> Figures:
     """Fit one cell in each way."""
     arm, step = case
     cell = draw(arm, step, seed)
-    pictures = take_pictures(cell, cell.views(PICTURES, seed), seed)
+    pictures = take_pictures(cell, cell.poses(PICTURES, seed), seed)
     T, covariances = poses_of(pictures)
     fresh = fresh_table(cell, seed)
     known = Cell(estimate_frame=True)
@@ -126,10 +136,10 @@ def figures_of(case: tuple[tuple[str, str, str], float], seed: int) -> Figures:
     return Figures(tuple(error for error, _ in judged), tuple(share for _, share in judged))
 
 
-def fresh_table(cell: CameraCell, seed: int) -> Measurements:
+def fresh_table(cell: VirtualCell, seed: int) -> Measurements:
     """Return noiseless poses of the board, at joint values that are exact."""
     exact = replace(cell, scenario=replace(cell.scenario, encoder=Encoder()))
-    q = cell.views(FRESH, seed, validation=True)
+    q = cell.poses(FRESH, seed, validation=True)
     return table_of(cell, q, take_pictures(exact, q, seed + 100_000).T_camera_board, None)
 
 

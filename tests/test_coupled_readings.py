@@ -21,7 +21,7 @@ from calib.verbs.compensate.compensate import compensate
 from calib.verbs.compensate.program import Program
 from calib.verbs.plan.choice import PlanRequest
 from calib.verbs.plan.plan import plan
-from calib.verbs.simulate.scenario import Scenario, Simulated
+from calib.verbs.simulate.scenario import Scenario, Simulated, simulate
 
 ELBOW, LIFT, WRIST_1, WRIST_2 = (
     "elbow_joint",
@@ -47,8 +47,7 @@ def coupled() -> Robot:
 @pytest.fixture(scope="module")
 def simulated(coupled: Robot) -> Simulated:
     scenario = Scenario(coupled, cell=CELL, model="dh", noise=NOISE)
-    q, sets = scenario.poses(3, 35, 10)
-    return scenario.draw(3).measure(q, 3, sets)
+    return simulate(scenario, 35, 10, seed=3)
 
 
 @pytest.fixture(scope="module")

@@ -25,6 +25,7 @@ CORE = (
     "numerics",
     "model",
     "data",
+    "instruments",
     "fit",
     "diagnosis",
     "result",

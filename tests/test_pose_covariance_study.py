@@ -28,7 +28,7 @@ def test_steps_of_joints_scatter_poses_as_they_are_said_to(study):
     """Against poses by the true robot, with joints that are uniform within steps."""
     arm, step = study.ARMS[2], 0.1
     cell = study.draw(arm, step, 1)
-    views = cell.views(25, 1)
+    views = cell.poses(25, 1)
     fitted_pictures = study.take_pictures(cell, views, 1)
     table = study.table_of(cell, views, fitted_pictures.T_camera_board, None)
     known = study.Cell(estimate_frame=True)

@@ -149,3 +149,23 @@ def with_mesh(tmp_path: Path):
         return Urdf.read(folder / "r.urdf")
 
     return make
+
+
+def moved(scene: dict, pattern: str) -> np.ndarray:
+    """The transforms of some nodes, shape (N, 4, 4)."""
+    found = [
+        np.array(c["matrix"]).reshape(4, 4).T
+        for c in scene["commands"]
+        if c["type"] == "set_transform" and re.fullmatch(f"/robots/{pattern}", c["path"])
+    ]
+    return np.array(found)
+
+
+def positions(scene: dict, node: str) -> np.ndarray:
+    """The points of a cloud or of lines, shape (N, 3)."""
+    (command,) = [
+        c for c in scene["commands"] if c["type"] == "set_object" and c["path"] == f"/robots/{node}"
+    ]
+    (name,) = command["object"]["geometries"]
+    packed = scene["geometries"][name]["data"]["attributes"]["position"]["array"]
+    return np.frombuffer(packed.data, dtype="<f4").reshape(-1, 3).astype(float)

@@ -154,13 +154,7 @@ def test_a_fleet_in_processes_has_the_plugins_and_depends_on_their_contents(run,
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("table")
-def test_studies_and_bootstraps_in_processes_have_the_plugins(run, folder):
-    study = (
-        "simulate ur3 --cell cell.toml --study 2 --count 40 --fit-model zeros+ripple --workers 2"
-    )
-    done = run(folder, *study.split())
-    assert done.code == 0, done.err
-    assert "zeros" in done.out
+def test_bootstraps_in_processes_have_the_plugins(run, folder):
     sampled = []
     for workers in ("1", "2"):
         bootstrap = (

@@ -1,128 +1,94 @@
-"""Candidates: joint values at which the robot can be measured, drawn evenly over its joint ranges.
+"""Candidates: joint values at which the robot can be measured, drawn and sifted by conditions until there are enough.
 
-A scrambled Sobol sequence over the ranges is sifted by conditions, the cheap ones first, until there are enough. The
-poses that lie in the measurement region, whatever else is wrong with them, are kept too: they are where accuracy is
-wanted.
+For an instrument that sees most poses, they are a scrambled Sobol sequence over the joints' ranges. Poses in the
+measurement region are kept too, even if another condition refuses them: accuracy is wanted there.
+
+At random joint values a camera rarely sees its board. So viewpoints are drawn first, and inverse kinematics brings the
+robot near to each, starting from the joint values whose view is nearest. The pose that it reaches is tested, not the
+one that was wanted.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Literal, NamedTuple
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import chain
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from calib.basics.arrays import Array, read_only
+from calib.basics.arrays import Array, Mask, read_only
 from calib.basics.jobs import Progress
 from calib.basics.units import UNITS
 from calib.errors import ModelError
-from calib.robot.ranges import column_limits, joint_ranges, margins_by_joint
+from calib.instruments.instrument import Condition, Instrument, Sightline
+from calib.robot.ranges import column_limits, joint_ranges, margins_by_joint, spread_between
 from calib.robot.robot import Robot
+from calib.verbs.compensate.inverse import POSE, Matching, solve
+from calib.verbs.compensate.nominal_actual import Arm
 
-Reason = Literal[
-    "region",
-    "tracker_range",
-    "reflector_cone",
-    "beam",
-    "limits",
-    "focus",
-    "tilt",
-    "image",
-    "collision",
-]
-
-#: What is easily mistaken where no image can be taken.
+#: Hint on the usual mistake if no image can be taken.
 _HOW_THEY_FACE = (
     " Check how both are turned (--camera-at, --board-at): z of a camera is its line of sight, and z of a board points "
     "into the page, so that one that lies face up is turned by 180 deg about x."
 )
 
-#: Poses of one batch; a power of two keeps the sequence even.
-_BATCH = 4096
-
-#: At most this many times the wanted number are drawn.
-_MOST = 40
-
-#: At most this many are drawn until the first that can be measured.
-_NONE_YET = 10 * _BATCH
-
 #: Steps to a degree or millimetre of planned joint values, so that robot, table and plan have the same numbers.
 _STEPS = 1000
 
+#: Number of viewpoints drawn for each one that is tried: the robot tries the nearest ones.
+_CHOICE = 8
 
-class Condition(NamedTuple):
-    """Condition that a pose must pass.
+#: Number of joint values among which those to start from are chosen.
+_STARTS = 2048
 
-    That of the region says where accuracy is wanted, the others what can be measured.
-    """
+#: Distance that counts as much as a rotation by one radian, between views and for inverse kinematics [m].
+_RADIAN = 0.3
 
-    #: Word for why a pose is refused that does not pass.
-    reason: Reason
-    #: Function of joint values, shape (n, m), [rad] or [m], that returns whether each pose passes, shape (n,).
-    passes: Callable[[Array], NDArray[np.bool_]]
+#: Largest number of steps of the inverse kinematics.
+_STEPS_TO_REACH = 8
+
+_TURN = 2.0 * np.pi
+
+
+class Drawing(NamedTuple):
+    """Numbers of poses that are drawn."""
+
+    #: Number of candidates that is enough, unless another one is given.
+    enough: int
+    #: Number of poses in a batch; a power of two keeps the sequence even.
+    batch: int
+    #: Largest number of draws for each wanted candidate, or of batches if that is more.
+    most: int
+    #: Largest number of batches without any pose that can be measured.
+    none_yet: int
+
+
+#: For an instrument that sees most poses.
+EVEN = Drawing(enough=20_000, batch=4096, most=40, none_yet=10)
+
+#: Towards viewpoints: an image has many rows, and good images are similar.
+TOWARDS_VIEWPOINTS = Drawing(enough=600, batch=512, most=10, none_yet=8)
 
 
 class Pool(NamedTuple):
     """Candidates of a plan."""
 
-    #: Shape (n, m), the poses that passed all conditions, all different, [rad] or [m]; fewer than were wanted where
-    #: drawing ended before.
+    #: Shape (n, m), the poses that passed all conditions, all different, [rad] or [m]; fewer than were wanted if too
+    #: many had to be drawn.
     q: Array
-    #: Shape (k, m), the first poses in the region, at most as many as candidates were wanted, whatever else refused
-    #: them, [rad] or [m].
+    #: Shape (k, m), poses over which accuracy counts, even if they cannot be measured, [rad] or [m].
     workspace: Array
-    #: Number of poses that were drawn.
-    drawn: int
-    #: Number that each condition refused, of those that had passed the ones before it.
-    refused: dict[str, int]
-
-
-class Draws(NamedTuple):
-    """Numbers of poses at which drawing ends."""
-
-    #: Candidates that are enough, 1 or more.
-    enough: int
-    #: Poses drawn of which none can be measured.
-    none_yet: int
-    #: Poses drawn, however few can be measured.
-    most: int
-
-    def most_after(self, measurable: Array) -> int:
-        """Return the number of poses at which drawing ends, where those (n, m) can be measured so far."""
-        return self.most if len(measurable) else self.none_yet
-
-
-class _Sifted(NamedTuple):
-    """Poses that were drawn, sifted by the conditions."""
-
-    #: Number of poses that were drawn.
-    drawn: int
-    #: Shape (k, m), those in the region, [rad] or [m].
-    in_region: Array
-    #: Shape (n, m), those that passed all conditions, [rad] or [m].
+    #: Shape (k, m), as many poses at which something can be measured, [rad] or [m].
     measurable: Array
-    #: Number that each condition refused, by its reason.
+    #: Number of poses that were drawn.
+    drawn: int
+    #: Number of poses that each condition refused, of those that had passed the conditions before it.
     refused: dict[str, int]
 
-    def joined(self, other: _Sifted) -> _Sifted:
-        """Return these poses with others behind them, and the sums of the numbers drawn and refused.
 
-        Concatenates ``in_region``, joint values of the poses in the region, shape (k, m), and ``measurable``, of those
-        that passed all conditions, shape (n, m), [rad] or [m]; adds up ``drawn``, the number drawn, and ``refused``,
-        the number that each condition refused, by its reason.
-
-        Args:
-            other: Poses of the same robot, sifted by the same conditions.
-        """
-        return _Sifted(
-            drawn=self.drawn + other.drawn,
-            in_region=np.concatenate([self.in_region, other.in_region]),
-            measurable=np.concatenate([self.measurable, other.measurable]),
-            refused={
-                reason: number + other.refused[reason] for reason, number in self.refused.items()
-            },
-        )
+def drawing_of(instrument: Instrument) -> Drawing:
+    """Return how candidates of an instrument are drawn."""
+    return TOWARDS_VIEWPOINTS if instrument.VIEWPOINT_NUMBERS else EVEN
 
 
 def draw(
@@ -135,91 +101,128 @@ def draw(
 ) -> Pool:
     """Draw readings, evenly over the joints' ranges, until enough have passed all conditions, or too many are drawn.
 
-    Too many are 40 times as many as are wanted (but no fewer than 163,840), or 40,960 of which none has passed. Values
-    are rounded to whole steps of 0.001 deg or 0.001 mm, as tables are written.
+    Values are rounded to whole steps of 0.001 deg or 0.001 mm, as tables are written.
 
     Args:
         robot: The robot, with m measured joints.
-        ranges: Lowest and highest value of each joint, shape (m, 2), [rad] or for sliding joints [m], in the order of
-            ``robot.joint_names``, see `planning_ranges`.
-        conditions: Tests that a pose must pass: each has a ``reason``, a word, and a function ``passes`` of joint
-            values, shape (n, m), that returns True for those that pass, shape (n,). Applied in this order, that with
-            the reason ``"region"``, if any, first.
+        ranges: Lowest and highest value of each joint, shape (m, 2), [rad] or for sliding joints [m], see
+            `planning_ranges`.
+        conditions: What a pose must pass, in this order; that with the reason ``"region"``, if any, first.
         count: Number of candidates that is enough, 1 or more.
         seed: Seed of the Sobol sequence: the same one draws the same poses.
         progress: Called after each batch with the number of candidates so far and ``count``; None: nothing is called.
 
     Returns:
-        ``q``, joint values of the candidates, shape (n, m), [rad] or [m]: poses that passed, each once, in the order
-        drawn; n is ``count``, or less where too many were drawn or poses were repeated. ``workspace``, shape (at most
-        ``count``, m): the first poses that passed the region's condition (without one, all that were drawn), whether or
-        not they passed the others. ``drawn``, the number of poses drawn, and ``refused``, the number that each reason
-        refused, of those that had passed the conditions before it.
+        The candidates in the order drawn. The workspace are the first poses that passed the region's condition (without
+        one, all that were drawn), as many as are wanted.
 
     Raises:
         ModelError: No pose passed.
     """
-    draws = Draws(count, _NONE_YET, _MOST * max(count, _BATCH))
-    batches = (batch[: _MOST * count] for batch in _batches(robot, ranges, seed))
-    return collect(batches, conditions, draws, progress)
+    batches = (batch[: EVEN.most * count] for batch in _even_batches(robot, ranges, seed))
+    return _collect(batches, conditions, EVEN, count, progress)
 
 
-def collect(
-    batches: Iterator[Array],
+def draw_towards(
+    instrument: Instrument,
+    sightline: Sightline,
+    ranges: Array,
     conditions: Sequence[Condition],
-    draws: Draws,
+    count: int,
+    seed: int,
     progress: Progress | None = None,
 ) -> Pool:
-    """Sift batches of poses until enough have passed all conditions, or too many are drawn.
+    """Draw readings that bring a robot near the viewpoints of an instrument, until enough have passed all conditions.
 
     Args:
-        batches: Joint values of poses without end, shape (any number, m) each, [rad] or for sliding joints [m].
-        conditions: Tests that a pose must pass, see `draw`.
-        draws: How many are enough, and how many too many.
-        progress: Called after each batch with the number of candidates so far and the number wanted; None: nothing is
-            called.
+        instrument: Has the viewpoints.
+        sightline: The instrument and its target.
+        ranges: Lowest and highest value of each joint, shape (m, 2), [rad] or for sliding joints [m]. Readings beyond
+            them are refused for ``"limits"``, before all other reasons.
+        conditions: What a pose must pass, in this order.
+        count: Number of candidates that is enough, 1 or more.
+        seed: The same one draws the same poses.
+        progress: Called after each batch with the number of candidates so far and ``count``; None: nothing is called.
 
     Returns:
-        The pool, see `draw`.
+        The candidates. The workspace are as many poses spread over the joints' ranges, wherever the instrument looks.
 
     Raises:
-        ModelError: No pose passed.
+        ModelError: The target is seen at no pose that was drawn.
     """
-    count = draws.enough
-    sifted = _sift(next(batches), conditions)
-    while len(sifted.measurable) < count and sifted.drawn < draws.most_after(sifted.measurable):
+    robot = sightline.robot
+
+    def are_within(q: Array) -> Mask:
+        """Test whether all joints are within their ranges."""
+        values = robot.input_values(q)
+        return np.asarray(((values >= ranges[:, 0]) & (values <= ranges[:, 1])).all(axis=1))
+
+    within = Condition("limits", are_within)
+    batches = _batches_near_viewpoints(instrument, sightline, ranges, seed)
+    pool = _collect(batches, [within, *conditions], TOWARDS_VIEWPOINTS, count, progress)
+    workspace = robot.readings(spread_between(ranges, len(pool.q)))
+    return pool._replace(workspace=read_only(workspace), measurable=pool.q)
+
+
+def _collect(
+    batches: Iterator[Array],
+    conditions: Sequence[Condition],
+    drawing: Drawing,
+    count: int,
+    progress: Progress | None,
+) -> Pool:
+    """Sift batches of poses (any number, m) until enough have passed all conditions, or too many are drawn."""
+    refused: dict[str, int] = dict.fromkeys((condition.reason for condition in conditions), 0)
+    first = next(batches)
+    measurable, in_region, drawn = first[:0], first[:0], 0
+    for batch in chain([first], batches):
+        drawn += len(batch)
+        in_region_now = passed = batch
+        for condition in conditions:
+            passes = condition.passes(passed) if len(passed) else np.zeros(0, dtype=np.bool_)
+            refused[condition.reason] += int(np.sum(~passes))
+            passed = passed[passes]
+            if condition.reason == "region":
+                in_region_now = passed
+        in_region = np.concatenate([in_region, in_region_now])
+        measurable = np.concatenate([measurable, passed])
         if progress is not None:
-            progress(len(sifted.measurable), count)
-        sifted = sifted.joined(_sift(next(batches), conditions))
-    if progress is not None:
-        progress(min(len(sifted.measurable), count), count)
-    if not len(sifted.measurable):
-        _refuse_all(sifted.drawn, sifted.refused)
-    q = _without_repeats(sifted.measurable)
-    workspace = sifted.in_region[:count]
-    return Pool(read_only(q[:count]), read_only(workspace), sifted.drawn, sifted.refused)
+            progress(min(len(measurable), count), count)
+        most = drawing.most * max(count, drawing.batch)
+        if not len(measurable):
+            most = drawing.none_yet * drawing.batch
+        if len(measurable) >= count or drawn >= most:
+            break
+    if not len(measurable):
+        is_image = bool({"focus", "tilt", "image"} & refused.keys())
+        parts = ", ".join(f"{number} by {reason}" for reason, number in refused.items() if number)
+        raise ModelError(
+            f"None of {drawn} poses drawn can be measured; refused: {parts}. Widen the region or the joint ranges, "
+            f"move the {'board or the camera' if is_image else 'tracker'}, or drop a condition."
+            f"{_HOW_THEY_FACE if is_image else ''}"
+        )
+    # Narrow ranges have few values of whole steps, which are drawn repeatedly.
+    _, once = np.unique(measurable, axis=0, return_index=True)
+    q = read_only(measurable[np.sort(once)][:count])
+    workspace = read_only(in_region[:count])
+    return Pool(q, workspace, workspace, drawn, refused)
 
 
-def _batches(robot: Robot, ranges: Array, seed: int) -> Iterator[Array]:
-    """Yield batches of readings at joint values from a scrambled Sobol sequence over their ranges, without end.
-
-    Args:
-        robot: The robot, with m measured joints.
-        ranges: Lowest and highest value of each joint, shape (m, 2), [rad] or for sliding joints [m].
-        seed: Seed of the scrambling.
-
-    Yields:
-        Readings, shape (4096, m), [rad] or [m], rounded to whole steps of 0.001 deg or 0.001 mm, at which the joints
-        are within their ranges.
-    """
-    # Not above: SciPy's distributions take as long to import as the rest of calib.
+def _even_batches(robot: Robot, ranges: Array, seed: int) -> Iterator[Array]:
+    """Yield batches of readings (n, m) at joint values from a scrambled Sobol sequence over ranges (m, 2)."""
+    # Imported late: SciPy's distributions take as long as the rest of calib.
     from scipy.stats import qmc
 
     sequence = qmc.Sobol(len(ranges), scramble=True, seed=seed)
     is_coupled = bool(robot.reading_coupling)
-    low, high = _ranges_less_rounding(robot, ranges).T if is_coupled else ranges.T
+    low, high = ranges.T
+    if is_coupled:
+        # Narrowed by what the joints move if all readings are rounded, at most to the middle.
+        moved = np.abs(robot.reading_matrix) @ (0.5 / _STEPS * _table_units(robot))
+        moved = np.minimum(moved, 0.5 * np.ptp(ranges, axis=1))
+        low, high = low + moved, high - moved
     while True:
-        unit = sequence.random(_BATCH)
+        unit = sequence.random(EVEN.batch)
         values = low + unit * (high - low)
         if is_coupled:
             yield rounded(robot, robot.readings(values))
@@ -227,76 +230,55 @@ def _batches(robot: Robot, ranges: Array, seed: int) -> Iterator[Array]:
             yield rounded(robot, values, ranges)
 
 
-def _ranges_less_rounding(robot: Robot, ranges: Array) -> Array:
-    """Return ranges of joints less what they move by if all readings are rounded, at most to their middle.
+def _batches_near_viewpoints(
+    instrument: Instrument, sightline: Sightline, ranges: Array, seed: int
+) -> Iterator[Array]:
+    """Yield batches of readings (n, m) that bring the robot near viewpoints."""
+    # Imported late: SciPy's distributions take as long as the rest of calib.
+    from scipy.stats import qmc
+
+    robot = sightline.robot
+    slides = np.array([joint.type == "prismatic" for joint in robot.inputs])
+    sequence = qmc.Sobol(instrument.VIEWPOINT_NUMBERS, scramble=True, seed=seed)
+    starts = robot.readings(spread_between(ranges, _STARTS))
+    views = _coordinates(sightline.target_poses(starts))
+    while True:
+        unit = sequence.random(_CHOICE * TOWARDS_VIEWPOINTS.batch)
+        T_instrument_target = instrument.viewpoints(unit)
+        wanted = _coordinates(T_instrument_target)
+        # The nearest by squared distances, without the terms that are the same for all starts.
+        start = np.argmin(np.sum(views**2, axis=1) - 2.0 * wanted @ views.T, axis=1)
+        distance = np.linalg.norm(views[start] - wanted, axis=1)
+        near = np.argsort(distance)[: TOWARDS_VIEWPOINTS.batch]
+        T_base_tip = sightline.tip_poses(T_instrument_target[near])
+        q = reach(robot, ranges, T_base_tip, starts[start[near]])
+        # Revolute joints are moved by whole turns into their ranges, if possible.
+        values = robot.input_values(q)
+        inside = values - _TURN * np.round((values - ranges.mean(axis=1)) / _TURN)
+        yield rounded(robot, robot.readings(np.where(slides, values, inside)))
+
+
+def reach(robot: Robot, ranges: Array, T_base_tip: Array, start: Array) -> Array:
+    """Bring the tip of a robot near poses by a few steps of inverse kinematics.
 
     Args:
-        robot: The robot, with m measured joints whose readings are coupled.
+        robot: The robot.
         ranges: Lowest and highest value of each joint, shape (m, 2), [rad] or for sliding joints [m].
-    """
-    half_steps = 0.5 / _STEPS * _table_units(robot)
-    moved = np.abs(robot.reading_matrix) @ half_steps
-    moved = np.minimum(moved, 0.5 * np.ptp(ranges, axis=1))
-    return np.column_stack([ranges[:, 0] + moved, ranges[:, 1] - moved])
-
-
-def _sift(q: Array, conditions: Sequence[Condition]) -> _Sifted:
-    """Test poses by each condition in turn; what one refuses, the later ones do not see.
-
-    Args:
-        q: Joint values of n poses, shape (n, m), [rad] or for sliding joints [m].
-        conditions: Tests, each with a ``reason``, a word, and a function ``passes`` of joint values, shape (n, m), that
-            returns True for those that pass, shape (n,); in the order to apply.
+        T_base_tip: Wanted poses, shape (N, 4, 4), [m].
+        start: Readings to start from, shape (N, m), [rad] or [m].
 
     Returns:
-        ``drawn``, the number n; ``measurable``, joint values of the poses that pass all conditions; ``in_region``, of
-        those that pass the conditions up to the one with the reason ``"region"`` (without it all n poses); and
-        ``refused``, how many poses each reason refused.
+        Readings, shape (N, m), [rad] or [m]; those of an arm without redundant joints may be beyond their ranges.
     """
-    in_region = measurable = q
-    refused: dict[str, int] = dict.fromkeys((condition.reason for condition in conditions), 0)
-    for condition in conditions:
-        passes = np.zeros(0, dtype=np.bool_)
-        if len(measurable):
-            passes = condition.passes(measurable)
-        refused[condition.reason] += int(np.sum(~passes))
-        measurable = measurable[passes]
-        if condition.reason == "region":
-            in_region = measurable
-    return _Sifted(len(q), in_region, measurable, refused)
+    arm = Arm.of(robot, np.eye(4))
+    return solve(arm, T_base_tip, start, Matching(POSE, _RADIAN), ranges, steps=_STEPS_TO_REACH).q
 
 
-def _refuse_all(drawn: int, refused: Mapping[str, int]) -> None:
-    """Raise the error that no pose can be measured, with the reasons.
-
-    Args:
-        drawn: Number of poses that were drawn.
-        refused: Number of poses that were refused, by reason; reasons with 0 are left out of the message.
-
-    Raises:
-        ModelError: Always.
-    """
-    instrument, hint = "tracker", ""
-    if {"focus", "tilt", "image"} & refused.keys():
-        instrument, hint = "board or the camera", _HOW_THEY_FACE
-    parts = ", ".join(f"{number} by {reason}" for reason, number in refused.items() if number)
-    raise ModelError(
-        f"None of {drawn} poses drawn can be measured; refused: {parts}. Widen the region or the "
-        f"joint ranges, move the {instrument}, or drop a condition.{hint}"
-    )
-
-
-def _without_repeats(q: Array) -> Array:
-    """Return each pose once, where it was drawn first: narrow ranges have few values of whole steps.
-
-    Args:
-        q: Joint values of n poses in the order drawn, shape (n, m), [rad] or [m].
-
-    Returns:
-        The different rows of ``q`` in the same order, shape (n or fewer, m).
-    """
-    _, first = np.unique(q, axis=0, return_index=True)
-    return q[np.sort(first)]
+def _coordinates(T: Array) -> Array:
+    """Return poses (n, 4, 4) as coordinates (n, 12) [m], so that distances weigh translations and rotations."""
+    # A small rotation by an angle a changes the nine entries of the matrix by a sqrt(2) in all.
+    turns = T[:, :3, :3].reshape(-1, 9) * (_RADIAN / np.sqrt(2.0))
+    return np.concatenate([T[:, :3, 3], turns], axis=1)
 
 
 def planning_ranges(
@@ -311,11 +293,11 @@ def planning_ranges(
     Args:
         robot: The robot, with m measured joints.
         narrowed: Lowest and highest value by the joint's name [rad] or for sliding joints [m], for the joints whose
-            range is to be narrowed. The others go everywhere they can: those that turn through one whole turn at most,
-            the one nearest to zero, and sliding ones without limits 1 m to both sides of zero.
-        margin: Distance to the URDF's limits of joints that turn [rad]; sliding joints keep 5 mm, unless it is 0.
-        turns: True: joints that turn, and are not narrowed, go from limit to limit, also where these are more than a
-            turn apart, or infinite.
+            range is to be narrowed. The others go everywhere they can: revolute joints through one whole turn at most,
+            the one nearest to zero, and sliding joints without limits 1 m to both sides of zero.
+        margin: Distance to the URDF's limits of revolute joints [rad]; sliding joints keep 5 mm, unless it is 0.
+        turns: True: revolute joints that are not narrowed go from limit to limit, even if these are more than a turn
+            apart, or infinite.
 
     Returns:
         Shape (m, 2), lowest and highest value, [rad] or [m], in the order of ``robot.joint_names``, read-only.
@@ -358,7 +340,7 @@ def rounded(robot: Robot, q: Array, ranges: Array | None = None) -> Array:
     if ranges is not None:
         low, high = ranges.T / unit * _STEPS
         counts = np.clip(counts, np.ceil(low), np.floor(high))
-    # The number in a table, times the factor that its reader uses: the same to the last bit.
+    # The number in a table, times the factor that its reader uses, so that both are equal to the last bit.
     return np.asarray(counts / _STEPS * unit)
 
 

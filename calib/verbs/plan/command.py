@@ -1,34 +1,31 @@
-"""``calib plan``: a robot in, the poses to measure out, and the accuracy to expect; images and touches of a board."""
+"""``calib plan``: a robot in, the poses to measure out, and the accuracy to expect, of a tracker or of a camera."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import typer
 
 from calib.cli.loading import load
-from calib.cli.notices import say_accepted
-from calib.cli.options import Accept, CellOptions, Force, Quiet, RobotFile, Seed
+from calib.cli.options import CellOptions, Force, Quiet, RobotFile, Seed
 from calib.cli.outputs import check_outputs, written_lines
 from calib.cli.terminal import stages_bar
 from calib.cli.verb import verb
-from calib.errors import CalibError, VerdictError
-from calib.verbs.plan.image_command import ImageOptions, board_of
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from calib.basics.arrays import Array
     from calib.data.cell import Cell
+    from calib.instruments.camera import SightLimits
     from calib.robot.robot import Robot
     from calib.verbs.plan.choice import PlanRequest
     from calib.verbs.plan.collision import CollisionCheck
-    from calib.verbs.plan.plan import Plan
-    from calib.verbs.workspace.region import Region
 
 _File = Path | None
+
+#: Stands for a pose in the help.
+_POSE = '"X Y Z UNIT RX RY RZ UNIT"'
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,6 +75,97 @@ class PoseOptions:
         ),
     ] = None
 
+    def request(self, arm: Robot, sight: SightLimits) -> PlanRequest:
+        """Return the request for the poses that are wanted; raises `CalibError` for a text that an option refuses."""
+        from calib.basics.units import ANGLE, parse_amount, parse_joint_values
+        from calib.verbs.compensate.inverse import start_values
+        from calib.verbs.plan.choice import PlanRequest
+
+        start = None
+        if self.start:
+            start = start_values(arm, parse_joint_values(self.start, "--start"), 0.0)
+        return PlanRequest(
+            self.count,
+            self.validation,
+            self.criterion,
+            self.candidates,
+            parse_amount(self.margin, "--margin", ANGLE, "5 deg"),
+            start=start,
+            seed=self.seed,
+            sight=sight,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class ImageOptions:
+    """Images of a printed board, and where camera and board roughly are."""
+
+    camera_at: Annotated[
+        str | None,
+        typer.Option(
+            metavar=_POSE,
+            help="Approximate pose of the camera in its link, with a rotation vector; z is the line of sight, "
+            "and y points "
+            "down in the image. Default: the link is the camera's optical frame.",
+        ),
+    ] = None
+    board_at: Annotated[
+        str | None,
+        typer.Option(
+            metavar=_POSE,
+            help="Approximate pose of the board in its link, with a rotation vector; x points along its columns, z "
+            "into the page.",
+        ),
+    ] = None
+    distance: Annotated[
+        str | None,
+        typer.Option(
+            metavar='"NEAREST FARTHEST UNIT"',
+            help="Distances between which the camera is in focus. Default: those at which the board fills 15 to "
+            "80 % of "
+            "the image.",
+        ),
+    ] = None
+    tilt: Annotated[
+        str,
+        typer.Option(
+            metavar="ANGLE", help="Largest angle between the board's normal and the line of sight."
+        ),
+    ] = "55 deg"
+    share: Annotated[
+        float,
+        typer.Option(
+            metavar="SHARE",
+            help="Share of the board's corners that each image must show, from 0 to 1.",
+        ),
+    ] = 1.0
+
+    def in_cell(self, cell: Cell) -> Cell:
+        """Return a cell with its camera and board at the places that were given; it is unchanged without a camera."""
+        from calib.basics.arrays import rigid_inverse
+
+        if cell.cameras and self.camera_at is not None:
+            T_link_camera = pose_of(self.camera_at, "--camera-at")
+            cell = replace(cell, T_frame_base=rigid_inverse(T_link_camera), frames={})
+        if cell.cameras and self.board_at is not None:
+            T = pose_of(self.board_at, "--board-at")
+            cell = replace(cell, target=T[:3, 3], target_rotation=T[:3, :3], targets={})
+        return cell
+
+    def limits(self) -> SightLimits:
+        """Return where the board may be in the camera; raises `CalibError` for a text that an option refuses."""
+        from calib.basics.units import ANGLE, LENGTH, parse_amount, parse_quantities
+        from calib.instruments.camera import SightLimits
+
+        distances = None
+        if self.distance is not None:
+            example = "300 900 mm"
+            near, far = parse_quantities(self.distance, "--distance", {LENGTH: 2}, example)[LENGTH]
+            distances = float(near), float(far)
+        return SightLimits(
+            distances, parse_amount(self.tilt, "--tilt", ANGLE, "55 deg"), self.share
+        )
+
 
 @dataclass(frozen=True, slots=True)
 class SceneOptions:
@@ -102,6 +190,16 @@ class SceneOptions:
         ),
     ] = None
 
+    def check(self) -> CollisionCheck | None:
+        """Return what is checked for collisions; None: nothing."""
+        from calib.basics.units import LENGTH, parse_amount
+        from calib.verbs.plan.collision import CollisionCheck
+
+        clearance = parse_amount(self.clearance, "--clearance", LENGTH, "1 mm")
+        folders = tuple(self.package_dir or ())
+        check = CollisionCheck(clearance, self.floor, package_dirs=folders)
+        return check if self.collisions else None
+
 
 @dataclass(frozen=True, slots=True)
 class PlanOutputs:
@@ -115,7 +213,6 @@ class PlanOutputs:
         _File, typer.Option(help="Write a page that shows the plan in 3D, to open in a browser.")
     ] = None
     force: Force = False
-    accept: Accept = False
 
 
 @verb("""Plan the poses of a calibration: which to measure, in which order, and how accurate the robot will be.
@@ -128,206 +225,91 @@ Examples:
   calib plan robot.urdf --taken measured.csv --count 5 --validation 0 -o next.csv
   calib plan robot.urdf --camera-on tool0 --camera 1280x720 --camera-at "0 60 30 mm"
     --board-on base_link --board board.toml --board-at "500 0 0 mm 180 0 0 deg" -o images.csv
-  calib plan robot.urdf --touch result.json --pointer "0 0 120 mm" -o touch.csv
 
 Put boxes, reflector, noise and joint ranges into the cell file. Drive the poses from top to bottom, write what was
 measured into the empty columns, and give the table to calib calibrate, which leaves out rows that stay empty. With
---camera images of a printed board are planned: save each under the name in the table, for calib detect. With --touch
-a calibration is checked: drive a pointer to corners of the board.
+--camera images of a printed board are planned: save each under the name in the table, for calib detect.
 """)
 def plan(
     robot: RobotFile,
     cell_options: PlanCellOptions,
-    pose_options: PoseOptions,
-    image_options: ImageOptions,
-    scene_options: SceneOptions,
+    poses: PoseOptions,
+    images: ImageOptions,
+    scene: SceneOptions,
     outputs: PlanOutputs,
     quiet: Quiet = False,
 ) -> None:
-    """Plan poses, images or touches, write the files and print the plan."""
-    files = (outputs.output, outputs.json, outputs.view)
-    inputs = [
-        robot,
-        cell_options.file,
-        scene_options.region,
-        pose_options.taken,
-        image_options.touch,
-    ]
-    check_outputs(files, inputs, force=outputs.force)
-    cell = cell_options.cell()
-    if image_options.touch is not None:
-        _touch(robot, cell, image_options, scene_options, outputs, quiet=quiet)
-        return
-    collisions = _collision_check(scene_options)
-    arm = _load_chain(robot, cell, pose_options.taken)
-    taken, first_row = _read_taken(arm, pose_options.taken, of_images=bool(cell.cameras))
-    request = _request(arm, pose_options, of_images=bool(cell.cameras))
-    with stages_bar(quiet=quiet) as progress:
-        shared = {"taken": taken, "collisions": collisions, "progress": progress}
-        if cell.cameras:
-            planned = _plan_images(arm, cell, image_options, request, scene_options, shared)
-        else:
-            planned = _plan(arm, cell, request, scene_options, shared)
-    _write(planned, outputs, first_row)
-    if not quiet:
-        from calib.verbs.plan.text import plan_text
-
-        typer.echo("\n".join([plan_text(planned), "", *written_lines(*files)]))
-
-
-def _load_chain(robot: str, cell: Cell, taken: Path | None) -> Robot:
-    """Load the robot; without a tip the chain is that of the joints in the table of poses already measured."""
+    """Load robot and cell, plan the poses, write table, JSON and page, and print the plan."""
     from calib.basics.tables import Table
     from calib.data.columns import column_names
-
-    joints = None if taken is None else column_names(Table.read(taken))
-    return load(robot, cell, joints)
-
-
-def _request(arm: Robot, options: PoseOptions, *, of_images: bool) -> PlanRequest:
-    """Return the request for the poses that are wanted."""
-    from calib.basics.units import ANGLE, parse_amount, parse_joint_values
-    from calib.verbs.compensate.inverse import start_values
-    from calib.verbs.plan.choice import PlanRequest
-    from calib.verbs.plan.images.plan import CANDIDATES
-
-    usual = CANDIDATES if of_images else PlanRequest().candidates
-    request = PlanRequest(
-        options.count,
-        options.validation,
-        options.criterion,
-        usual if options.candidates is None else options.candidates,
-        parse_amount(options.margin, "--margin", ANGLE, "5 deg"),
-        seed=options.seed,
-    )
-    if not options.start:
-        return request
-    return replace(
-        request, start=start_values(arm, parse_joint_values(options.start, "--start"), 0.0)
-    )
-
-
-def _collision_check(options: SceneOptions) -> CollisionCheck | None:
-    """Return what is checked for collisions; None: nothing."""
-    from calib.basics.units import LENGTH, parse_amount
-    from calib.verbs.plan.collision import CollisionCheck
-
-    clearance = parse_amount(options.clearance, "--clearance", LENGTH, "1 mm")
-    folders = tuple(options.package_dir or ())
-    check = CollisionCheck(clearance, options.floor, package_dirs=folders)
-    return check if options.collisions else None
-
-
-def _read_region(arm: Robot, cell: Cell, path: Path | None) -> Region | None:
-    """Read the region for the (first) target; None without one."""
+    from calib.result.calibration_file import write_table
+    from calib.verbs.plan.plan import plan as plan_poses, refuse_region
+    from calib.verbs.plan.plan_file import next_number, plan_table, read_poses, write_plan
+    from calib.verbs.plan.sensitivity import instrument_of
+    from calib.verbs.plan.text import plan_text
     from calib.verbs.workspace.region_file import read_region
 
-    if path is None:
-        return None
-    target = next(iter(cell.targets.values()), cell.target)
-    return read_region(path, arm, target)
-
-
-def _read_taken(arm: Robot, path: Path | None, *, of_images: bool) -> tuple[Array | None, int]:
-    """Read the poses that are measured already.
-
-    Returns:
-        Their joint values, None without a table; and the number of the plan's first row, or image, behind theirs.
-    """
-    from calib.verbs.plan.images.plan_file import next_number
-    from calib.verbs.plan.plan_file import read_poses
-
-    if path is None:
-        return None, 1
-    measured = read_poses(path, arm, taken=True)
-    first_row = next_number(path) if of_images else max(measured.last_row, 0) + 1
-    return measured.joints, first_row
-
-
-def _plan(
-    arm: Robot,
-    cell: Cell,
-    request: PlanRequest,
-    scene_options: SceneOptions,
-    shared: Mapping[str, Any],
-) -> Plan:
-    """Plan the poses of an instrument, with the arguments that images are planned with, too."""
-    from calib.verbs.plan.plan import plan as plan_poses
-
-    region = _read_region(arm, cell, scene_options.region)
-    return plan_poses(arm, cell, request, region=region, **shared)
-
-
-def _plan_images(
-    arm: Robot,
-    cell: Cell,
-    image_options: ImageOptions,
-    request: PlanRequest,
-    scene_options: SceneOptions,
-    shared: Mapping[str, Any],
-) -> Plan:
-    """Plan images of a board."""
-    from calib.verbs.plan.images.plan import plan_images
-    from calib.verbs.plan.reaching import reach
-
-    if scene_options.region is not None:
-        raise CalibError("--region is for targets; where the board is seen is said by --board-at.")
-    wanted = replace(image_options.request(), poses=request)
-    return plan_images(arm, cell, wanted, reach, **shared)
-
-
-def _touch(
-    robot: str,
-    cell: Cell,
-    image_options: ImageOptions,
-    scene_options: SceneOptions,
-    outputs: PlanOutputs,
-    *,
-    quiet: bool,
-) -> None:
-    """Plan to touch corners of a calibrated board."""
-    from calib.result.calibration_file import read_result
-    from calib.show.verdict import against, refusal
-    from calib.verbs.plan.touch import plan_touch
-    from calib.verbs.plan.touch_file import write_touch
-    from calib.verbs.plan.touch_text import no_touch_text, touch_text
-
-    assert image_options.touch is not None
-    if outputs.json is not None or outputs.view is not None:
-        raise CalibError("--touch writes a table (-o), no --json and no --view.")
-    result = read_result(image_options.touch)
-    stated = against(result.verdict)
-    if stated and not outputs.accept:
-        raise VerdictError(refusal(f"'{image_options.touch}'", stated))
-    load(robot, replace(cell, base=result.nominal.base, tip=result.nominal.tip))
-    touches = plan_touch(
-        result,
-        board_of(cell, result.optics.nominal_boards),
-        image_options.tool(),
-        image_options.ids(),
-        collisions=_collision_check(scene_options),
-    )
-    if not touches.usable.any():
-        raise CalibError(no_touch_text(touches))
+    files = (outputs.output, outputs.json, outputs.view)
+    check_outputs(files, [robot, cell_options.file, scene.region, poses.taken], force=outputs.force)
+    cell = images.in_cell(cell_options.cell())
+    # Without a tip the chain is that of the joints in the table of poses already measured.
+    joints = None if poses.taken is None else column_names(Table.read(poses.taken))
+    arm = load(robot, cell, joints)
+    request = poses.request(arm, images.limits())
+    instrument = instrument_of(cell, request.sight)
+    region = None
+    if scene.region is not None:
+        refuse_region(instrument)
+        target = next(iter(cell.targets.values()), cell.target)
+        region = read_region(scene.region, arm, target)
+    taken: Array | None = None
+    first_row = 1
+    if poses.taken is not None:
+        measured = read_poses(poses.taken, arm, taken=True)
+        taken, first_row = measured.joints, next_number(instrument, measured)
+    with stages_bar(quiet=quiet) as progress:
+        planned = plan_poses(
+            arm,
+            cell,
+            request,
+            region=region,
+            taken=taken,
+            collisions=scene.check(),
+            progress=progress,
+        )
     if outputs.output is not None:
-        write_touch(touches, outputs.output, overwrite=outputs.force)
-    if not quiet:
-        typer.echo("\n".join([touch_text(touches), "", *written_lines(outputs.output)]))
-    say_accepted(f"'{image_options.touch}'", stated)
-
-
-def _write(planned: Plan, outputs: PlanOutputs, first_row: int) -> None:
-    """Write the files that were asked for."""
-    from calib.result.calibration_file import write_table
-    from calib.verbs.plan.images.plan_file import write_image_plan
-    from calib.verbs.plan.plan_file import plan_table, write_plan
-
-    if outputs.output is not None:
-        write = write_plan if planned.sight is None else write_image_plan
-        write(planned, outputs.output, overwrite=outputs.force, first_row=first_row)
+        write_plan(planned, outputs.output, overwrite=outputs.force, first_row=first_row)
     if outputs.json is not None:
         write_table(plan_table(planned), outputs.json, overwrite=outputs.force)
     if outputs.view is not None:
-        from calib.verbs.plan.view import plan_page
+        from calib.verbs.plan.view import plan_page  # with meshcat
 
         plan_page(planned, first_row=first_row).write(outputs.view, overwrite=outputs.force)
+    if not quiet:
+        typer.echo("\n".join([plan_text(planned), "", *written_lines(*files)]))
+
+
+def pose_of(text: str, option: str) -> Array:
+    """Parse a pose, a position with or without a rotation vector.
+
+    Args:
+        text: As typed, such as ``0 0 100 mm 0 0 90 deg``.
+        option: The option that it was given with, for messages.
+
+    Returns:
+        Shape (4, 4), [m].
+
+    Raises:
+        CalibError: It is another text.
+    """
+    import numpy as np
+    from scipy.spatial.transform import Rotation
+
+    from calib.basics.units import ANGLE, LENGTH, parse_quantities
+
+    example = "0 0 100 mm 0 0 90 deg"
+    values = parse_quantities(text, option, {LENGTH: 3, ANGLE: 3}, example)
+    T = np.eye(4)
+    T[:3, 3] = values.get(LENGTH, [0.0, 0.0, 0.0])
+    T[:3, :3] = Rotation.from_rotvec(values.get(ANGLE, [0.0, 0.0, 0.0])).as_matrix()
+    return T

@@ -1,12 +1,12 @@
-"""Forecast of what a calibration will reach, before anything is measured.
+"""Forecast of the accuracy that a calibration will reach, before anything is measured.
 
 The parameters' covariance after a fit of the linearised measurements,
 
     C = (diag(1 / tau^2) + sum_i A_i^T A_i)^-1,
 
-gives the standard deviation of each parameter, and that of a predicted position, sqrt(tr(J C J^T)). One calibration's
-rms error over the workspace is a draw: rms^2 = x^T B x with x ~ N(0, C), a sum of chi-squares weighted by the
-eigenvalues of C B. It knows nothing of errors that the model lacks.
+gives the standard deviation of each parameter, and that of a predicted position, sqrt(tr(J C J^T)). The rms error of a
+single calibration over the workspace is random: rms^2 = x^T B x with x ~ N(0, C), a sum of chi-squares weighted by the
+eigenvalues of C B. Errors that the model lacks are not included.
 """
 
 from __future__ import annotations
@@ -27,16 +27,17 @@ from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.fit.registration.registration import register
 from calib.fit.registration.table_rows import rows_and_setup
+from calib.instruments.camera import is_image
 from calib.robot.kernel import over_blocks
 from calib.robot.ranges import spread_between
 from calib.robot.robot import Robot
 from calib.verbs.plan.candidates import planning_ranges
 from calib.verbs.plan.sensitivity import Sensitivity
 
-#: Poses over which a forecast without a plan is made.
+#: Number of poses over which accuracy is forecast without a plan.
 _POSES = 4096
 
-#: Share of calibrations whose rms lies inside the range.
+#: Share of calibrations whose rms error lies within the range.
 _RANGE = 0.90
 
 
@@ -56,16 +57,10 @@ class Workspace(NamedTuple):
         """Differentiate what is measured, and the positions of the targets, at the poses over which accuracy counts.
 
         Args:
-            sensitivity: The nominal robot in its cell, with k targets, under the error model of the fit with p
-                parameters.
+            sensitivity: The nominal robot in its cell under the error model of the fit.
             q: Joint values of n poses, shape (n, m), [rad] or for sliding joints [m], columns as ``robot.joint_names``.
-            measurable: Joint values of n poses at which something can be measured, shape (n, m), for what is measured
-                in a part of the workspace only, such as images; None: those of ``q``.
-
-        Returns:
-            Derivatives by the parameters: ``measured``, of the d scalars measured at a pose, shape (n, d, p), in
-            standard deviations of the noise per unit; ``located``, of the positions of the targets, shape (n, 3 k, p),
-            [m per unit]. And ``rank``, the number of parameters or combinations that all these poses determine.
+            measurable: As many poses at which something is measured, shape (n, m), for an instrument that sees only a
+                part of the workspace; None: those of ``q``.
         """
         if measurable is None:
             measurable = q
@@ -76,11 +71,7 @@ class Workspace(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Forecast(Value):
-    """Accuracy that a calibration at some poses will reach.
-
-    The variances are of what is measured over the workspace, as the calibrated robot predicts it, in variances of the
-    noise.
-    """
+    """Accuracy that a calibration at some poses will reach."""
 
     #: Names of the p parameters.
     names: tuple[str, ...]
@@ -106,18 +97,19 @@ class Forecast(Value):
     rank: int
     #: Number of parameters.
     columns: int
-    #: Number that the poses of the whole workspace could determine.
+    #: Number of those that the poses of the whole workspace could determine.
     workspace_rank: int
-    #: Mean over the workspace of the variance of what is measured at a pose, in variances of the noise.
+    #: Mean over the workspace of the variance with which the calibrated robot predicts all scalars at a pose, added up,
+    #: in variances of the noise.
     mean_variance: float
-    #: Largest over the workspace, likewise.
+    #: The largest such variance over the workspace.
     worst_variance: float
     #: Observability indices by name, ``"O1"`` to ``"O5"``.
     indices: Mapping[str, float]
 
     def __post_init__(self) -> None:
-        """Keep a read-only copy of the mapping."""
-        keep_read_only(self, "indices")
+        """Keep read-only copies of the mappings."""
+        keep_read_only(self, "indices", "sigma")
 
     @classmethod
     def of(cls, sensitivity: Sensitivity, workspace: Workspace, q: Array) -> Forecast:
@@ -126,17 +118,10 @@ class Forecast(Value):
         The parameters' covariance after the fit, by measurements and priors, is propagated to the workspace.
 
         Args:
-            sensitivity: The nominal robot in its cell under the error model of the fit with p parameters;
-                ``precision``, shape (p,), is 1 / tau^2 of their priors.
-            workspace: The poses over which accuracy counts, with the derivatives there, by the parameters, of what is
-                measured and of the targets' positions.
+            sensitivity: The nominal robot in its cell under the error model of the fit.
+            workspace: The poses over which accuracy counts.
             q: Joint values of the N poses to measure, shape (N, m), [rad] or for sliding joints [m], columns as
                 ``robot.joint_names``.
-
-        Returns:
-            Expected standard deviations of the parameters, in their units, and which of them the N poses determine; rms
-            with its range of 90 %, and largest standard deviation, of predicted positions (x, y, z together) over the
-            workspace [m]; the noise by unit; ranks and observability indices.
         """
         measured = sensitivity.measured(q)
         root = covariance_root(measured, sensitivity.precision)
@@ -163,19 +148,18 @@ class Forecast(Value):
         )
 
 
+@lru_cache(maxsize=4)
+def _chi_squares(count: int) -> Array:
+    """Return draws of independent chi-squares of one degree of freedom, (20000, count), always the same ones."""
+    # Kept, because drawing them takes longer than a forecast.
+    return np.random.default_rng(20170401).chisquare(1, size=(20_000, count))
+
+
 def _range_of_rms(squares: Array) -> tuple[float, float]:
-    """Compute between which rms position errors over the workspace 90 % of calibrations lie.
+    """Return between which rms errors over the workspace [m] 90 % of calibrations lie, by random draws.
 
-    The squared rms is x^T S x with x ~ N(0, I): a sum of chi-squares of one degree of freedom, weighted by the
-    eigenvalues of S. Its quantiles are those of 20,000 draws, always the same ones.
-
-    Args:
-        squares: S = root^T B root, shape (p, p) [m^2], with a root of the covariance of the p parameters, C = root
-            root^T, and the mean B of J^T J over the positions, with the derivative J, shape (3, p), of one of them by
-            the parameters.
-
-    Returns:
-        The quantiles 0.05 and 0.95 of the rms error [m].
+    With C = root root^T and the mean B of J^T J over the positions, the squared rms is x^T S x with x ~ N(0, I) and
+    S = root^T B root, ``squares`` (p, p) [m^2]: a sum of chi-squares weighted by the eigenvalues of S.
     """
     weights = np.maximum(np.linalg.eigvalsh(squares), 0.0)
     draws = _chi_squares(len(squares)) @ weights
@@ -185,18 +169,17 @@ def _range_of_rms(squares: Array) -> tuple[float, float]:
 
 
 def forecast(robot: Robot, cell: Cell, joints: ArrayLike) -> Forecast:
-    """Forecast the accuracy of a calibration that is measured at poses, over the joint ranges.
+    """Forecast the accuracy, over the joint ranges, of a calibration from measurements at some poses.
 
     Args:
         robot: The nominal robot.
-        cell: The measurement setup that the fit will use: frames, targets, noise, priors and model; the model
-            ``"auto"`` is taken as ``"placement"``. Its ``ranges`` narrow the joint ranges.
+        cell: What the fit will use; the model ``"auto"`` is taken as ``"placement"``. Its ``ranges`` narrow the joint
+            ranges.
         joints: Joint values of the N poses to measure, shape (N, m), [rad] or for sliding joints [m], columns as
             ``robot.joint_names``.
 
     Returns:
-        The expected standard deviations of the parameters, in their units, and of predicted positions [m], over 4096
-        poses that are spread over the joint ranges.
+        The forecast, over 4096 poses that are spread over the joint ranges.
 
     Raises:
         ModelError: A kind of measurement, or a parameter, that cannot be planned for.
@@ -209,14 +192,15 @@ def forecast(robot: Robot, cell: Cell, joints: ArrayLike) -> Forecast:
 
 
 def position_std(sensitivity: Sensitivity, measured: Array, joints: Array) -> Array:
-    """Forecast how far a calibrated robot's targets are from where it predicts them, at single poses.
+    """Forecast the error of predicted positions of a calibrated robot's targets at single poses.
 
-    The root of the variances of x, y, z added up, sqrt(tr(J C J^T)); its rms over the workspace is `Forecast.rms`.
+    It is sqrt(tr(J C J^T)), the root of the sum of the variances of x, y, z; its rms over the workspace is
+    `Forecast.rms`.
 
     Args:
-        sensitivity: The nominal robot in its cell, with k targets, under the error model of the fit.
+        sensitivity: The nominal robot in its cell, with k targets.
         measured: Joint values of the poses to measure and to fit, shape (N, m), [rad] or for sliding joints [m].
-        joints: Joint values of the poses in question, shape (n, m), likewise.
+        joints: Joint values of the poses in question, shape (n, m), [rad] or [m].
 
     Returns:
         Shape (n, k), [m].
@@ -229,17 +213,16 @@ def position_std(sensitivity: Sensitivity, measured: Array, joints: Array) -> Ar
 def forecast_of_table(robot: Robot, cell: Cell, measurements: Measurements) -> Forecast | None:
     """Forecast a fit of a table's estimation rows, by their poses alone.
 
-    The measured values serve to register the target, and for distances the anchor: these are then taken to be where the
-    table puts them.
+    The measured values only serve to register the target, and for distances the anchor.
 
     Args:
         robot: The nominal robot.
-        cell: The measurement setup that the fit will use: frames, targets, noise, priors and model.
-        measurements: The table: joint values and what was measured there; rows of the set ``validate`` do not count.
+        cell: What the fit will use.
+        measurements: The table; rows of the set ``validate`` do not count.
 
     Returns:
-        The forecast, over 4096 poses that are spread over the joint ranges; None where rows are of several kinds,
-        targets or stations, or of a kind whose poses cannot be chosen freely, such as a ball in a socket, or images.
+        The forecast, over 4096 poses that are spread over the joint ranges; None for rows of several kinds, targets or
+        stations, for a kind whose poses cannot be chosen freely, such as a ball in a socket, and for images.
 
     Raises:
         ModelError: A parameter that cannot be planned for.
@@ -248,7 +231,7 @@ def forecast_of_table(robot: Robot, cell: Cell, measurements: Measurements) -> F
     fitted = measurements.select(measurements.estimation)
     sorts = set(zip(fitted.kinds, fitted.targets, fitted.groups, strict=True))
     kind = fitted.kinds[0]
-    if len(sorts) > 1 or not registry.get(kind).free or registry.get(kind).optical:
+    if len(sorts) > 1 or not registry.get(kind).free or is_image(registry.get(kind)):
         return None
     rows, setup = rows_and_setup(robot, measurements, cell)
     rows = rows.select(measurements.estimation)
@@ -272,13 +255,12 @@ def covariance_root(measured: Array, precision: Array) -> Array:
 
         C = (diag(1 / tau^2) + sum_i A_i^T A_i)^-1
 
-    By a QR decomposition of measurements and priors below each other: what a fine instrument determines, and what
-    nothing but a weak prior holds, are too far apart for their squares.
+    It is found by a QR decomposition of measurements and priors, one above the other: directions that an accurate
+    instrument determines, and those that only a weak prior holds, differ too much for their squares.
 
     Args:
-        measured: Derivatives A of the d scalars measured at each of n poses by the p parameters, shape (n, d, p), in
-            standard deviations of the noise per unit of the parameter.
-        precision: 1 / tau^2 of each parameter's prior, with its standard deviation tau in its unit, shape (p,).
+        measured: Whitened derivatives A of the d scalars measured at each of n poses, shape (n, d, p).
+        precision: 1 / tau^2 of each parameter's prior, shape (p,).
 
     Returns:
         The root, upper triangular, shape (p, p), rows in the parameters' units.
@@ -290,24 +272,15 @@ def covariance_root(measured: Array, precision: Array) -> Array:
 
 
 def _spreads(workspace: Workspace, root: Array) -> tuple[Array, Array, Array]:
-    """Propagate the covariance C = root root^T of p parameters to a workspace of n poses with k targets.
+    """Propagate the covariance C = root root^T to the n poses of a workspace with k targets.
 
-    Args:
-        workspace: Derivatives by the parameters at the n poses: ``measured``, of the d scalars measured at a pose,
-            shape (n, d, p), in standard deviations of the noise per unit; and ``located``, of the positions of the
-            targets, shape (n, 3 k, p), [m per unit].
-        root: A root of the covariance, shape (p, p), rows in the parameters' units.
-
-    Returns:
-        The variance of each target's position, x, y, z added up, shape (n k,) [m^2], the k targets at the first pose
-        first; the variance of what is predicted for the d scalars at each pose, added up, shape (n,), in variances of
-        the noise; and root^T B root, shape (p, p) [m^2], with the mean B of J^T J over the n k positions, J of each of
-        shape (3, p).
+    The results are the variance of each target's position, (n k,) [m^2]; that of all scalars at each pose, added up,
+    (n,), in variances of the noise; and root^T B root, (p, p) [m^2], with the mean B of J^T J over all positions.
     """
     p = len(root)
 
     def work(block: slice) -> tuple[Array, Array, Array]:
-        """Return these three for a slice of the poses, the last one as a sum over its positions, not a mean."""
+        """Return these for a slice of the poses, the last one as a sum over its positions."""
         moves = workspace.located[block].reshape(-1, p) @ root
         by_target = moves.reshape(-1, 3 * p)
         measured = workspace.measured[block]
@@ -327,27 +300,11 @@ def information(A: Array) -> Array:
     """Compute the information matrix sum_i A_i^T A_i of measurements at n poses.
 
     Args:
-        A: Derivative of the d scalars at each pose by p parameters (or coordinates along p directions of these), in
-            standard deviations of the noise per unit, shape (n, d, p); n may be 0. A derivative in other units gives
-            the same sum.
+        A: Derivative of the d scalars at each pose by p parameters (or coordinates along p directions of these), shape
+            (n, d, p); n may be 0.
 
     Returns:
         Shape (p, p), symmetric, per product of two parameters' units.
     """
     flat = A.reshape(-1, A.shape[2])
     return np.asarray(flat.T @ flat)
-
-
-@lru_cache(maxsize=4)
-def _chi_squares(count: int) -> Array:
-    """Return random draws of independent chi-squares of one degree of freedom, always the same ones.
-
-    They are kept: drawing them takes longer than a forecast.
-
-    Args:
-        count: Number of chi-squares of each draw.
-
-    Returns:
-        Shape (20000, count), [-], one draw a row.
-    """
-    return np.random.default_rng(20170401).chisquare(1, size=(20_000, count))

@@ -1,7 +1,7 @@
-"""Optimal design: a choice of candidates that determines parameters or predictions best, by exchange.
+"""Optimal design: the choice of candidates that determines parameters or predictions best, by exchange.
 
-With the whitened derivative A_i (d x p) of what is measured at pose i, the poses of a design S and what is known before
-give the information matrix, and its inverse is the covariance of the parameters:
+Let A_i (d x p) be the whitened derivative of what is measured at pose i. The poses of a design S and what is known
+before give the information matrix M, whose inverse is the covariance C of the parameters:
 
     M = K + sum_(i in S) A_i^T A_i,    C = M^-1
 
@@ -9,10 +9,10 @@ give the information matrix, and its inverse is the covariance of the parameters
 - ``A``: smallest tr(W C), W = 1 / step^2 of each parameter: the sum of their variances, in squares of their steps;
 - ``V``: smallest tr(B C), B the mean of J^T J over the poses that matter: the mean variance of a predicted position.
 
-With C of the design without one pose, G = A_x C A_x^T and E = A_x C W C A_x^T, adding x multiplies det M by det(I + G)
-and lessens tr(W C) by tr((I + G)^-1 E). All candidates are tried at once, and each pose of the design in turn is
-exchanged for the best until nothing gets better (V. Fedorov, 1972). Without priors no design of N poses has a largest
-variance tr(A_i C A_i^T) over its candidates below rank / N (J. Kiefer, J. Wolfowitz, 1960).
+With C of the design without one pose, G = A_x C A_x^T and E = A_x C W C A_x^T, adding the candidate x multiplies det M
+by det(I + G) and reduces tr(W C) by tr((I + G)^-1 E). All candidates are tried at once, and each pose of the design in
+turn is exchanged for the best one until nothing improves (V. Fedorov, 1972). Without priors, the largest variance
+tr(A_i C A_i^T) over the candidates is at least rank / N for any design of N poses (J. Kiefer, J. Wolfowitz, 1960).
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ from calib.verbs.plan.forecast import information
 
 Indices = NDArray[np.int_]
 
-#: A direction whose information is less than this share of the strongest one's is unobservable [-].
+#: A direction with less than this share of the information on the strongest one is unobservable [-].
 _UNSEEN = 1e-10
 
-#: A parameter whose effect on what is measured is less than this share of the strongest one's is rounding [-].
+#: A parameter with less than this share of the strongest one's effect on what is measured has none: rounding [-].
 _ROUNDING = 1e-12
 
-#: A gain below this, in log det M or relative to tr(W C), is rounding.
+#: Least improvement that is not rounding, in log det M or relative to tr(W C).
 _LEAST_GAIN = 1e-7
 
 #: Random starts of the exchange on the short list.
@@ -46,13 +46,13 @@ SHORT = 5000
 #: Steps of the multiplicative algorithm that ranks candidates for the short list.
 _RANKING_STEPS = 25
 
-#: Information on each direction of the basis when nothing is known, in units of a mean candidate's. Its inverse square
-#: times the rounding of a double is how exactly `_gains` compares candidates.
+#: Information on each direction of the basis if nothing is known, in units of a mean candidate's. `_gains` compares
+#: candidates with the precision of a double divided by its square.
 _LEASH = 1e-6
 
 
 class Basis(NamedTuple):
-    """Directions that a pool of candidates can tell apart, scaled so that a mean candidate's information is I."""
+    """Directions that a pool of candidates observes, scaled so that a mean candidate's information is I."""
 
     #: Shape (p, r), a unit of each of the r coordinates as a change of the p parameters, in their units.
     directions: Array
@@ -63,10 +63,7 @@ class Basis(NamedTuple):
 
     @classmethod
     def of(cls, mean_information: Array, known: Array, weight: Array | None) -> Basis:
-        """Find the directions of the p parameters that a pool of candidates can tell apart.
-
-        In these coordinates the information of a mean candidate is the identity, however different the parameters'
-        units.
+        """Find the directions of the p parameters that a pool of candidates observes.
 
         Args:
             mean_information: Mean of A^T A over the candidates, shape (p, p), with the derivative A, shape (d, p), of
@@ -75,45 +72,25 @@ class Basis(NamedTuple):
             known: Information of priors and of poses measured already, shape (p, p), in the same units.
             weight: T of a criterion tr(T C) with the covariance C of the parameters, shape (p, p): W of ``A`` or B of
                 ``V``; None for ``D``, which maximises the determinant of the information.
-
-        Returns:
-            ``directions``, shape (p, r): columns are changes of the parameters, in their units, in which those that no
-            candidate observes follow as ``known`` ties them. ``known`` along these, shape (r, r), plus 1e-6 I, so that
-            it can be inverted. ``target``, T along these, shape (r, r), or None for ``D``.
         """
-        observable, unobservable = _directions(mean_information)
-        # What is known ties directions that the pool does not see to those that it sees: they follow.
+        effect = np.sqrt(np.diag(mean_information))
+        # A parameter without any effect is not scaled up, such as a joint's angle if the target is on its axis.
+        moves = effect > _ROUNDING * effect.max()
+        scale = 1.0 / np.where(moves, effect, 1.0)
+        scaled = np.where(np.outer(moves, moves), mean_information, 0.0) * np.outer(scale, scale)
+        values, vectors = np.linalg.eigh(scaled)
+        is_seen = values > _UNSEEN * values[-1]
+        observable = scale[:, None] * vectors[:, is_seen] / np.sqrt(values[is_seen])
+        unobservable = scale[:, None] * vectors[:, ~is_seen]
+        # Priors tie unobservable directions to observable ones, and so they follow these.
         stiffness = np.linalg.pinv(unobservable.T @ known @ unobservable, hermitian=True)
         follow = stiffness @ (unobservable.T @ known @ observable)
         directions = observable - unobservable @ follow
-        before = directions.T @ known @ directions + _LEASH * np.eye(directions.shape[1])
+        before = directions.T @ known @ directions
+        before += _LEASH * np.eye(directions.shape[1])  # so that it can be inverted
         if weight is None:
             return cls(directions, before, None)
         return cls(directions, before, directions.T @ weight @ directions)
-
-
-def _directions(mean_information: Array) -> tuple[Array, Array]:
-    """Split the space of p parameters into directions that a mean candidate observes, and those that it does not.
-
-    Args:
-        mean_information: Mean of A^T A over the candidates, shape (p, p), with the derivative A, shape (d, p), of the d
-            scalars measured at one pose by the parameters, in standard deviations of the noise per unit of the
-            parameter.
-
-    Returns:
-        Changes of the parameters, in their units, as columns: r directions in which the mean information is the
-        identity, shape (p, r); and those with 1e-10 or less of the strongest one's information, each parameter scaled
-        by its own, shape (p, p - r).
-    """
-    effect = np.sqrt(np.diag(mean_information))
-    # What moves nothing but for rounding is not scaled up: a target on an axis does not tell that joint's angle.
-    moves = effect > _ROUNDING * effect.max()
-    scale = 1.0 / np.where(moves, effect, 1.0)
-    scaled = np.where(np.outer(moves, moves), mean_information, 0.0) * np.outer(scale, scale)
-    values, vectors = np.linalg.eigh(scaled)
-    seen = values > _UNSEEN * values[-1]
-    observable = scale[:, None] * vectors[:, seen] / np.sqrt(values[seen])
-    return observable, scale[:, None] * vectors[:, ~seen]
 
 
 def choose(
@@ -124,16 +101,15 @@ def choose(
     restarts: int = RESTARTS,
     rank: Array | None = None,
 ) -> Indices:
-    """Choose the best design of different candidates that is found, by the criterion of a basis.
+    """Choose a design of different candidates by the criterion of a basis, the best one that is found.
 
-    Poses are exchanged within a short list, the 5000 candidates that `ranking` puts first, from several random starts;
-    the best of these designs is then improved by exchanges with all candidates.
+    Poses are exchanged within a short list, the `SHORT` candidates that `ranking` puts first, from several random
+    starts; the best of these designs is then improved by exchanges with all candidates.
 
     Args:
         blocks: Whitened derivatives of the d scalars measured at each of n candidates, along the r directions of the
             basis, shape (n, d, r), [-].
-        basis: The r directions, with ``known``, the information before the first pose, shape (r, r), and ``target``,
-            the matrix T of the criterion tr(T C) with the covariance C, shape (r, r), or None for the determinant.
+        basis: The directions, and the criterion.
         count: Number of poses of the design, at most n.
         seed: Seed of the random starts.
         restarts: Number of random starts, 1 or more.
@@ -151,7 +127,7 @@ def choose(
     for start in range(restarts):
         design = rng.choice(len(few), count, replace=False)
         if basis.target is not None and start % 2 == 0:
-            # The determinant has fewer local optima: where poses are few, its design is the better start, as a rule.
+            # The determinant has fewer local optima: if poses are few, its design is usually the better start.
             design, _ = exchange(few, basis._replace(target=None), design)
         design, cost = exchange(few, basis, design)
         if cost < least:
@@ -161,20 +137,19 @@ def choose(
 
 
 def exchange(blocks: Array, basis: Basis, start: Indices, count: int = 0) -> tuple[Indices, float]:
-    """Exchange each pose of a design for the best candidate until nothing gets better.
+    """Exchange each pose of a design for the best candidate until nothing improves.
 
     Args:
         blocks: Whitened derivatives of the d scalars measured at each of n candidates, along the r directions of the
             basis, shape (n, d, r), [-].
-        basis: The r directions, with ``known``, the information before the first pose, shape (r, r), and ``target``,
-            the matrix T of the criterion tr(T C) with the covariance C, shape (r, r), or None for the determinant.
+        basis: The directions, and the criterion.
         start: The design to begin with: indices of candidates, from 0, all different, shape (N,); N may be 0.
-        count: Number of poses of the design: where ``start`` has fewer, the best ones are first added one by one; a
-            longer start keeps its number.
+        count: Number of poses of the design: if ``start`` has fewer, the best ones are first added one by one; a longer
+            start keeps its number.
 
     Returns:
-        The design, indices of different candidates from 0, shape (max(N, count),); and its cost, less for a better one:
-        -log det M with the information matrix M = C^-1 along the directions, or tr(T C).
+        The design, indices of different candidates from 0, shape (max(N, count),); and its cost: -log det M, or
+        tr(T C).
     """
     design = start.tolist()
     while len(design) < count:
@@ -189,7 +164,8 @@ def exchange(blocks: Array, basis: Basis, start: Indices, count: int = 0) -> tup
         if trial != design:
             cost = _cost(basis.known + information(blocks[trial]), basis)
         least_gain = _LEAST_GAIN * (1.0 if basis.target is None else abs(least))
-        # By the cost, not the gain: without one of few poses little is known, and rounding would go in circles.
+        # Compared by the cost, not the gain: without one of few poses little is known, and rounding errors of the gain
+        # would lead in circles.
         if cost < least - least_gain:
             design, least, unchanged = trial, cost, 0
         else:
@@ -199,49 +175,36 @@ def exchange(blocks: Array, basis: Basis, start: Indices, count: int = 0) -> tup
 
 
 def _best_addition(blocks: Array, basis: Basis, design: list[int], *likely: int) -> int:
-    """Find the candidate that improves a design most, by the criterion of the basis.
+    """Find the candidate outside a design that improves it most; first guesses save time and change nothing.
 
-    `_gains` are computed only of candidates whose upper bound `_most` is not below the gain of a good one.
-
-    Args:
-        blocks: Whitened derivatives of the d scalars measured at each of n candidates, along the r directions of the
-            basis, shape (n, d, r), [-].
-        basis: The r directions, with ``known``, the information before the first pose, shape (r, r), and ``target``,
-            the matrix T of the criterion tr(T C) with the covariance C, shape (r, r), or None for the determinant.
-        design: Indices of candidates, from 0, that are chosen already and not added again; it may be empty.
-        likely: Indices of candidates, not in ``design``, that may well be the best: a first guess, which saves time and
-            changes nothing.
-
-    Returns:
-        Index of the candidate, from 0.
+    `_gains` are computed only for candidates whose upper bound reaches the gain of a good one.
     """
     C = np.linalg.inv(basis.known + information(blocks[design]))
-    bound = _most(blocks, C, basis.target)
+    bound = _gain_bounds(blocks, C, basis.target)
     bound[design] = -1.0
     first = [int(np.argmax(bound)), *likely]
     least = _gains(blocks[first], C, basis.target).max()
-    bound[first] = np.inf  # the bound of the best one may round to less than its gain
+    bound[first] = np.inf  # by rounding, the bound of the best one may be less than its gain
     promising = np.flatnonzero(bound >= least)
     gains = _gains(blocks[promising], C, basis.target)
     return int(promising[np.argmax(gains)])
 
 
 def ranking(blocks: Array, basis: Basis) -> Array:
-    """Compute how much an optimal design with as many poses as it likes would rely on each candidate.
+    """Compute how much an optimal design with any number of poses would rely on each candidate.
 
-    The multiplicative algorithm (S. Silvey, D. Titterington, B. Torsney, 1978) moves the weights w of candidates, which
-    add up to 1, towards the optimal ones, 25 times: w_i <- w_i (s_i / sum_j w_j s_j)^a, a = 1 for the determinant, else
-    1/2. At the optimum the sensitivity s is largest on the support of w. What is known before does not count.
+    The multiplicative algorithm (S. Silvey, D. Titterington, B. Torsney, 1978) moves the weights w of the candidates,
+    whose sum is 1, towards the optimal ones: w_i <- w_i (s_i / sum_j w_j s_j)^a, a = 1 for the determinant, else 1/2.
+    At the optimum the sensitivity s is largest where w is not 0. What is known before does not count.
 
     Args:
         blocks: Whitened derivatives A of the d scalars measured at each of n candidates, along the r directions of the
             basis, shape (n, d, r), [-].
-        basis: ``basis.target``, the matrix T of the criterion tr(T C) with the covariance C, shape (r, r), or None for
-            the determinant.
+        basis: The criterion.
 
     Returns:
         The sensitivity s of each candidate, shape (n,): tr(A C A^T), or tr(A C T C A^T), with C the inverse of the
-        weighted mean of A^T A; the larger, the more the design relies on a candidate.
+        weighted mean of A^T A; larger if the design relies more on the candidate.
     """
     n, rows, r = blocks.shape
     flat = blocks.reshape(-1, r)
@@ -251,7 +214,7 @@ def ranking(blocks: Array, basis: Basis) -> Array:
         M = (flat * np.repeat(weights, rows)[:, None]).T @ flat
         C = np.linalg.inv(M + _LEASH * np.eye(r))
         if basis.target is not None:
-            # A target without zero directions has a root; products round.
+            # So that the target has a root, and is symmetric in spite of rounding.
             leash = _LEASH * np.trace(basis.target)
             C = C @ (basis.target + leash * np.eye(r)) @ C
             C = 0.5 * (C + C.T)
@@ -263,39 +226,20 @@ def ranking(blocks: Array, basis: Basis) -> Array:
 
 
 def short_list(rank: Array, count: int) -> Indices:
-    """Return the candidates with the largest values of `ranking`.
-
-    Args:
-        rank: The `ranking` of n candidates, shape (n,), larger for those that matter more.
-        count: Number of candidates to return.
-
-    Returns:
-        Indices of the candidates, from 0, in rising order, shape (count,), or (n,) where there are fewer.
-    """
+    """Return the indices of the candidates with the largest values of `ranking` (n,), in rising order."""
     return np.sort(np.argsort(-rank, kind="stable")[:count])
 
 
-def _most(blocks: Array, C: NDArray[np.floating[Any]], target: Array | None) -> Array:
-    """Bound from above what adding each candidate gains, at a fifth of the price of `_gains`.
+def _gain_bounds(blocks: Array, C: NDArray[np.floating[Any]], target: Array | None) -> Array:
+    """Bound from above what adding each candidate gains (n,), at a fifth of the cost of `_gains`.
 
-        det(I + G) <= (1 + tr G / d)^d,    tr((I + G)^-1 E) <= tr E
-
-    with G = A C A^T and E = A C T C A^T of a candidate's derivative A.
-
-    Args:
-        blocks: Whitened derivatives A of the d scalars measured at each of n candidates, along the r directions of a
-            `Basis`, shape (n, d, r), [-].
-        C: Covariance of the r coordinates by the design without them, shape (r, r).
-        target: T of the criterion tr(T C), W or B along the directions, shape (r, r); None for ``D``, the determinant.
-
-    Returns:
-        Upper bound of what `_gains` returns of each candidate, shape (n,).
+    det(I + G) <= (1 + tr G / d)^d,    tr((I + G)^-1 E) <= tr E
     """
     n, d, r = blocks.shape
     K = C if target is None else C @ target @ C
 
     def work(block: slice) -> Array:
-        """Return the trace of A K A^T of each candidate of a slice of them, shape (part,), with K = C or C T C."""
+        """Return tr(A K A^T) of each candidate of a slice."""
         A = blocks[block].reshape(-1, r)
         AK = (A @ K).reshape(-1, d * r)
         return np.asarray(np.einsum("nk,nk->n", AK, A.reshape(-1, d * r)))
@@ -307,23 +251,14 @@ def _most(blocks: Array, C: NDArray[np.floating[Any]], target: Array | None) -> 
 
 
 def _gains(blocks: Array, C: NDArray[np.floating[Any]], target: Array | None) -> Array:
-    """Compute what adding each candidate to a design gains.
+    """Compute what adding each candidate to a design of covariance C (r, r) gains: det(I + G), or the fall of tr(T C).
 
-    With G = A C A^T and E = A C T C A^T of a candidate's derivative A, the determinant of the information C^-1 is
-    multiplied by det(I + G), and tr(T C) falls by tr((I + G)^-1 E).
-
-    Args:
-        blocks: Whitened derivatives A of the d scalars measured at each of n candidates, along the r directions of a
-            `Basis`, shape (n, d, r), [-].
-        C: Covariance of the r coordinates by the design without them, shape (r, r).
-        target: T of the criterion tr(T C), W or B along the directions, shape (r, r); None for ``D``, the determinant.
-
-    Returns:
-        Shape (n,), larger for a better candidate: det(I + G) for ``D``, else how far tr(T C) falls.
+    G = A C A^T and E = A C T C A^T of a candidate's derivative A in ``blocks`` (n, d, r), and tr(T C) falls by
+    tr((I + G)^-1 E).
     """
     n, d, r = blocks.shape
     both = C if target is None else np.hstack([C, C @ target @ C])
-    # One product for G and E: their small matrices lie side by side, (n, d, 1 or 2, d).
+    # G and E by one product, side by side: shape (n, d, 1 or 2, d).
     Y = (blocks.reshape(-1, r) @ both).reshape(n, -1, r)
     products = np.matmul(Y, blocks.transpose(0, 2, 1)).reshape(n, d, -1, d)
     I_plus_G = np.eye(d) + products[:, :, 0]
@@ -334,17 +269,7 @@ def _gains(blocks: Array, C: NDArray[np.floating[Any]], target: Array | None) ->
 
 
 def _cost(M: Array, basis: Basis) -> float:
-    """Compute the value of a criterion for a design; less is better.
-
-    Args:
-        M: Information matrix of the design and of what is known before, along the r directions of the basis, shape
-            (r, r); its inverse C is their covariance.
-        basis: ``basis.target``, the matrix T of the criterion tr(T C), W of ``A`` or B of ``V`` along the directions,
-            shape (r, r); None for ``D``.
-
-    Returns:
-        -log det M for ``D``, else tr(T M^-1).
-    """
+    """Return the criterion of a design with the information M (r, r), less for a better one: -log det M or tr(T C)."""
     if basis.target is None:
         return -float(np.linalg.slogdet(M)[1])
     return float(np.trace(np.linalg.solve(M, basis.target)))

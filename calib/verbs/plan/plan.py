@@ -1,15 +1,15 @@
 """plan: a robot in a cell in, the poses to measure out, in the order to drive.
 
-The order of the work: candidates inside the joint ranges, in the region, in the tracker's sight and free of collision;
-the choice under the model that the fit will use; poses to validate with; the order to drive; the forecast.
+The order of the work: candidates inside the joint ranges that the instrument sees, in the region and free of collision;
+the choice under the model that the fit will use; poses to validate with; the order to drive; the forecast. The cell has
+the instrument: a tracker and its targets, or a camera and a board.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,24 +19,27 @@ from calib.basics.arrays import Array, read_only
 from calib.basics.values import Value, keep_read_only, shown_by
 from calib.data.cell import Cell
 from calib.data.inputs import CellInput, RobotInput, cell_of, robot_of
+from calib.errors import CalibError
+from calib.instruments.instrument import Condition, Instrument, Sightline
 from calib.robot.robot import Robot
-from calib.verbs.plan.candidates import Condition, Pool, draw, planning_ranges
-from calib.verbs.plan.choice import Choice, PlanRequest, choose_poses
+from calib.verbs.plan.bodies import collision_model, free_lines_of_sight
+from calib.verbs.plan.candidates import Pool, draw, draw_towards, drawing_of, planning_ranges
+from calib.verbs.plan.choice import PlanRequest, choose_poses
 from calib.verbs.plan.collision import CollisionCheck, CollisionModel
-from calib.verbs.plan.forecast import Forecast
-from calib.verbs.plan.images.sight import CameraSight
+from calib.verbs.plan.forecast import Forecast, Workspace
 from calib.verbs.plan.notes import Note
-from calib.verbs.plan.ordering import Blocked, Route
-from calib.verbs.plan.route import route
-from calib.verbs.plan.sensitivity import Sensitivity
-from calib.verbs.plan.sight import in_cone, in_range, target_positions
+from calib.verbs.plan.route import Blocked, find_route
+from calib.verbs.plan.sensitivity import Sensitivity, instrument_of
 from calib.verbs.workspace.region import Region
 
 #: Called with the stage of the work, how much of it is done, and all of it.
 Progress = Callable[[str, int, int], None]
 
-#: Poses among which those to drive by are looked for.
+#: Number of poses among which those to drive by are looked for.
 _STOPS = 4000
+
+#: The print's scale is worth a remark if the error without its uncertainty is a smaller share of that with it.
+_MATTERS = 0.7
 
 _USUAL_REQUEST = PlanRequest()
 _USUAL_CHECK = CollisionCheck()
@@ -50,6 +53,8 @@ class Plan(Value):
     robot: Robot
     #: The cell that was planned for.
     cell: Cell
+    #: What measures the targets.
+    instrument: Instrument
     #: The request.
     request: PlanRequest
     #: Shape (K, m), joint values [rad] or [m], whole steps of 0.001 deg or mm, columns as ``robot.joint_names``.
@@ -62,8 +67,8 @@ class Plan(Value):
     targets: tuple[str, ...]
     #: Shape (targets, 4, 4), their poses in the tip [m].
     T_tip_target: Array
-    #: shape (K, targets, 3), each target as the nominal robot predicts it, in the measurement frame if that is known,
-    #: else in the base [m].
+    #: shape (K, targets, 3), each target (of a board its centre) as the nominal robot predicts it, in the measurement
+    #: frame if that is known, else in the base [m].
     expected: Array
     #: The parameter set planned for.
     model: str
@@ -71,18 +76,18 @@ class Plan(Value):
     kind: str
     #: Forecast of the fit of taken poses and planned ones.
     forecast: Forecast
-    #: Forecast of a fit of the poses taken alone; None where none are taken.
+    #: Forecast of a fit of the poses taken alone; None if none are taken.
     before: Forecast | None
     #: Forecast of as many poses drawn at random from the same candidates, in place of the planned ones: the median of
     #: several draws.
     at_random: Forecast
     #: Forecasts for other numbers of planned poses, in rising order, that of the plan among them.
     ladder: tuple[tuple[int, Forecast], ...]
-    #: Candidates drawn.
+    #: Number of candidates drawn.
     drawn: int
-    #: Of these, those that can be measured.
+    #: Number of these that can be measured.
     candidates: int
-    #: Number of those drawn that were refused, by reason, see `calib.verbs.plan.candidates.Reason`.
+    #: Number of these that were refused, by reason, in the order of the conditions.
     refused: Mapping[str, int]
     #: The sum over all moves of the largest move of a joint [rad] or [m].
     travel: float
@@ -90,8 +95,6 @@ class Plan(Value):
     blocked: tuple[Blocked, ...]
     #: Remarks for the person who measures.
     notes: tuple[Note, ...]
-    #: The camera and the board, and where the board may be in the camera; None where no images are planned.
-    sight: CameraSight | None = None
 
     def __repr__(self) -> str:
         """One line: the robot, numbers of poses, expected error."""
@@ -102,17 +105,22 @@ class Plan(Value):
         return str(shown_by("verbs.plan.text").plan_html(self))
 
     def summary(self) -> str:
-        """Return the plan as text, without colours, as ``calib plan`` prints it."""
+        """Return the plan as text, as ``calib plan`` prints it."""
         return str(shown_by("verbs.plan.text").plan_text(self))
 
     def __post_init__(self) -> None:
         """Keep a read-only copy of the mapping."""
         keep_read_only(self, "refused")
 
+    @property
+    def sightline(self) -> Sightline:
+        """The instrument and its first target, with the chain between them, if it is known where it stands."""
+        T_instrument_base = self.instrument.T_instrument_base
+        assert T_instrument_base is not None
+        return Sightline(self.robot, T_instrument_base, self.T_tip_target[0])
+
     def places(self, q: Array) -> Array:
         """Predict the position of each target in the robot's base, by the nominal robot.
-
-        Uses ``robot`` and ``T_tip_target``, the poses of its k targets in the tip, shape (k, 4, 4), [m].
 
         Args:
             q: Joint values of N poses, shape (N, m), [rad] or for sliding joints [m], columns as ``robot.joint_names``.
@@ -120,7 +128,7 @@ class Plan(Value):
         Returns:
             Shape (N, k, 3), [m], in the order of ``targets``.
         """
-        by_target = [target_positions(self.robot, T, q) for T in self.T_tip_target]
+        by_target = [(self.robot.poses(q) @ T)[:, :3, 3] for T in self.T_tip_target]
         return np.stack(by_target, axis=1)
 
     @property
@@ -145,18 +153,20 @@ def plan(
     """Plan the poses of a calibration: which to measure, and in which order to drive.
 
     Args:
-        robot: The nominal robot; or the path of a URDF or xacro, or a name such as ``"ur3"``, with the cell's base and
+        robot: The nominal robot, from the link of the instrument (of a tracker, any link that does not move) to the
+            link of the targets; or the path of a URDF or xacro, or a name such as ``"ur3"``, with the cell's base and
             tip, or the URDF's root and its farthest link.
-        cell: What the fit will use, model and priors with it, and what stands around the robot: boxes, tracker,
-            reflector, joint ranges; or the path of a cell file; None: the default cell. The model ``"auto"`` is planned
-            for as ``"placement"``, the largest geometry.
-        request: Numbers of poses to fit and to validate with, criterion, number of candidates, margin to the limits of
-            joints that turn [rad], the robot's joint values before the first move, and the seed.
+        cell: What the fit will use, model and priors included, and the surroundings: boxes, joint ranges, tracker and
+            reflector. With a camera and a board, ``T_frame_base`` is the pose of the camera's link in the camera, and
+            ``target`` and ``target_rotation`` are the pose of the board in its link, to a few centimetres and degrees.
+            Or the path of a cell file; None: the default cell. The model ``"auto"`` is planned for as ``"placement"``,
+            the largest geometry.
+        request: Numbers of poses, criterion, margin to joint limits, start, seed, and where a board may be in a camera.
         region: Voxels of the robot's base frame in which the first target is to lie; None: anywhere.
         taken: Joint values of poses that are measured already, shape (T, m) or (m,), [rad] or for sliding joints [m],
             columns as ``robot.joint_names``: the plan adds to them; None: none.
-        collisions: How poses and moves are checked for collisions of the robot and its targets with the robot itself,
-            the cell's boxes and the mounting plane; None: they are not.
+        collisions: How poses and moves are checked for collisions of the robot and what it holds with the robot itself,
+            the cell's boxes and the mounting plane, and lines of sight; None: they are not checked.
         progress: Called with the stage of the work, ``"candidates"`` or ``"choice"``, how much of it is done, and all
             of it; None: nothing is called.
 
@@ -174,60 +184,60 @@ def plan(
     check_type("region", region, (Region, type(None)), "a Region, or None")
     check_type("collisions", collisions, (CollisionCheck, type(None)), "a CollisionCheck, or None")
     check_callable("progress", progress)
+    instrument = instrument_of(known, request.sight)
+    if request.candidates is None:
+        request = replace(request, candidates=drawing_of(instrument).enough)
+    assert request.candidates is not None
     request.check(request.candidates)
-    measured = read_only(
-        np.zeros((0, len(arm.inputs))) if taken is None else arm.columns(taken, "taken")
-    )
-    sensitivity = Sensitivity.of(arm, known)
-    body = _collision_model(sensitivity, collisions)
-    pool = _draw(sensitivity, request, region, body, stage(progress, "candidates"))
-    return planned_of(
-        Planned(sensitivity, request, pool, measured, body), stage(progress, "choice")
-    )
+    no_poses = np.zeros((0, len(arm.inputs)))
+    measured = no_poses if taken is None else instrument.stops(arm.columns(taken, "taken"))
 
+    sensitivity = Sensitivity.of(arm, known, instrument)
+    body = None
+    if collisions is not None:
+        body = collision_model(instrument, sensitivity, collisions)
+    conditions = [*_conditions(sensitivity, region, body)]
+    ranges = planning_ranges(arm, known.ranges, request.margin)
+    draws = (ranges, conditions, request.candidates, request.seed, _stage(progress, "candidates"))
+    if instrument.VIEWPOINT_NUMBERS:
+        pool = draw_towards(instrument, sensitivity.sightlines[0], *draws)
+    else:
+        pool = draw(arm, *draws)
+    measured = read_only(measured)
+    choice = choose_poses(sensitivity, pool, request, measured, progress=_stage(progress, "choice"))
 
-class Planned(NamedTuple):
-    """Candidates that poses are chosen from, and for what."""
+    poses = np.concatenate([choice.planned, choice.validation])
+    start = None if request.start is None else np.asarray(request.start, dtype=np.float64)
+    # If errors depend on a joint's value, a pose one turn further is another pose.
+    turns = not sensitivity.kinematics.model.joint_terms
+    limits = planning_ranges(arm, known.ranges, request.margin, turns=turns)
 
-    #: The nominal robot in its cell, under the error model of the fit.
-    sensitivity: Sensitivity
-    #: The request.
-    request: PlanRequest
-    #: The candidates.
-    pool: Pool
-    #: Shape (T, m), poses measured already [rad] or [m].
-    taken: Array
-    #: Tests poses and moves for collisions; None: they are not tested.
-    body: CollisionModel | None
-    #: The camera and the board, where images are planned.
-    sight: CameraSight | None = None
+    def stops() -> Array:
+        """Return poses of the workspace that are free of collision; the target need not be seen there."""
+        first = pool.workspace[:_STOPS]
+        return first if body is None else first[body.free(first)]
 
-
-def planned_of(planned: Planned, progress: Callable[[int, int], None] | None) -> Plan:
-    """Choose the poses, put them in the order to drive, and return the plan.
-
-    Args:
-        planned: What they are chosen from, and for what.
-        progress: Called with the number of forecasts done and of all; None: nothing is called.
-
-    Raises:
-        ModelError: Too few poses for the model, or a request that cannot be met.
-    """
-    sensitivity, request, pool, taken, body, sight = planned
-    choice = choose_poses(sensitivity, pool, request, taken, progress=progress)
-    way = _route(sensitivity, request, pool, choice, body)
+    route = find_route(arm, poses, limits, start, None if body is None else body.path_free, stops)
+    is_fitted = route.order < len(choice.planned)
+    fitted = np.concatenate([measured, route.joints[is_fitted]])
+    notes = _scale_notes(sensitivity, pool, fitted, choice.forecast.rms)
+    notes += sensitivity.notes
+    if known.reflector is not None and known.tracker is None:
+        notes.append(Note("reflector_not_checked"))
+    notes += [Note("collisions_not_checked")] if body is None else body.notes
     return Plan(
-        robot=sensitivity.kinematics.robot,
+        robot=arm,
         cell=sensitivity.cell,
+        instrument=instrument,
         request=request,
-        joints=way.joints,
-        sets=_sets(way, len(choice.planned)),
-        taken=taken,
+        joints=route.joints,
+        sets=tuple(np.where(is_fitted, "estimate", "validate").tolist()),
+        taken=measured,
         targets=sensitivity.setup.targets,
         T_tip_target=sensitivity.setup.T_tip_target,
-        expected=read_only(sensitivity.expected(way.joints)),
+        expected=read_only(sensitivity.expected(route.joints)),
         model=sensitivity.kinematics.model.name,
-        kind=sensitivity.kind,
+        kind=instrument.kind.name,
         forecast=choice.forecast,
         before=choice.before,
         at_random=choice.at_random,
@@ -235,184 +245,54 @@ def planned_of(planned: Planned, progress: Callable[[int, int], None] | None) ->
         drawn=pool.drawn,
         candidates=len(pool.q),
         refused=pool.refused,
-        travel=way.length,
-        blocked=way.blocked,
-        notes=(*sensitivity.notes, *_notes(sensitivity.cell, body)),
-        sight=sight,
+        travel=route.travel,
+        blocked=route.blocked,
+        notes=tuple(notes),
     )
 
 
-def _sets(way: Route, count: int) -> tuple[str, ...]:
-    """Return the set of each pose in the order to drive: the first ``count`` poses of the choice are to be fitted."""
-    return tuple(np.where(way.indices < count, "estimate", "validate").tolist())
+def refuse_region(instrument: Instrument) -> None:
+    """Refuse a region for an instrument with viewpoints, to which it does not apply; raises `CalibError`."""
+    if instrument.VIEWPOINT_NUMBERS:
+        raise CalibError("--region is for targets; where the board is seen is said by --board-at.")
 
 
-def stage(progress: Progress | None, stage: str) -> Callable[[int, int], None] | None:
-    """Return the function that one stage of the work reports its progress to.
-
-    Args:
-        progress: Called with the name of a stage, how much of its work is done, and all of it; None: nothing is called.
-        stage: Name of the stage, ``"candidates"`` or ``"choice"``.
-
-    Returns:
-        Function of the work done and all of it, two counts; None where nothing is called.
-    """
-    if progress is None:
-        return None
-    return partial(progress, stage)
-
-
-def _collision_model(
-    sensitivity: Sensitivity, collisions: CollisionCheck | None
-) -> CollisionModel | None:
-    """Return the robot with what it holds and what is around it, to be checked for collisions.
-
-    Args:
-        sensitivity: The nominal robot in its cell: ``cell.boxes``, obstacles in the robot's base; ``setup``, the names
-            of the targets that it holds and their poses in the tip, shape (k, 4, 4), [m].
-        collisions: Clearance, radius of what holds the targets, and folders of meshes; None: nothing is checked.
-
-    Returns:
-        The collision model, which tests poses, moves and the tracker's beam; None where nothing is checked.
-    """
-    if collisions is None:
-        return None
-    setup = sensitivity.setup
-    targets = dict(zip(setup.targets, setup.T_tip_target[:, :3, 3], strict=True))
-    robot, boxes = sensitivity.kinematics.robot, sensitivity.cell.boxes
-    return CollisionModel.of(robot, boxes, targets, collisions)
-
-
-def _draw(
-    sensitivity: Sensitivity,
-    request: PlanRequest,
-    region: Region | None,
-    body: CollisionModel | None,
-    progress: Callable[[int, int], None] | None,
-) -> Pool:
-    """Draw candidates that can be measured: in the region, in the tracker's sight and free of collision.
-
-    Args:
-        sensitivity: The nominal robot in its cell; ``cell.ranges`` narrow the ranges of joints by name, [rad] or [m].
-        request: ``request.candidates``, the number that is wanted; ``request.seed``; and ``request.margin`` to the
-            limits of joints that turn [rad].
-        region: Voxels of the robot's base frame in which the first target must lie; None: anywhere.
-        body: Tests poses for collisions; None: they are not tested.
-        progress: Called with the number of candidates so far and the number wanted; None: nothing is called.
-
-    Returns:
-        The pool: ``q``, joint values of the candidates, shape (n, m), [rad] or for sliding joints [m]; fewer than are
-        wanted where drawing ended before. ``workspace``, joint values of poses in the region that need not be
-        measurable, shape (k, m); and how many poses were drawn, and refused for which reason.
-    """
-    robot = sensitivity.kinematics.robot
-    ranges = planning_ranges(robot, sensitivity.cell.ranges, request.margin)
-    conditions = list(_conditions(sensitivity, region, body))
-    return draw(robot, ranges, conditions, request.candidates, request.seed, progress)
+def _stage(progress: Progress | None, stage: str) -> Callable[[int, int], None] | None:
+    """Return the function to which one stage of the work reports its progress."""
+    return None if progress is None else partial(progress, stage)
 
 
 def _conditions(
     sensitivity: Sensitivity, region: Region | None, body: CollisionModel | None
 ) -> Iterator[Condition]:
-    """Yield what a candidate must pass, the cheap conditions first; the tracker must see every target.
-
-    Args:
-        sensitivity: The nominal robot in its cell: ``setup.T_tip_target``, poses of the targets in the tip, shape
-            (k, 4, 4), [m]; ``cell.tracker`` and ``cell.reflector``, each None where it is not known.
-        region: Voxels of the robot's base frame in which the first target must lie; None: anywhere.
-        body: Tests collisions of the robot, and of the tracker's beam with links and boxes; None: neither is tested.
-
-    Yields:
-        A word for the reason of refusal (``"region"``, ``"tracker_range"``, ``"reflector_cone"``, ``"beam"``,
-        ``"collision"``), and a function of joint values, shape (n, m), [rad] or [m], that returns True for poses that
-        pass, shape (n,).
-    """
-    robot, cell = sensitivity.kinematics.robot, sensitivity.cell
-    T_tip_target = sensitivity.setup.T_tip_target
-    tracker, reflector = cell.tracker, cell.reflector
+    """Yield the conditions of a candidate, the cheap ones first: region, instrument, lines of sight, collisions."""
     if region is not None:
-        first = T_tip_target[0]
-        yield Condition("region", lambda q: region.contains(target_positions(robot, first, q)))
-    if tracker is not None:
-        for T in T_tip_target:
-            yield Condition("tracker_range", partial(in_range, robot, T, tracker))
-    if tracker is not None and reflector is not None:
-        for T in T_tip_target:
-            yield Condition("reflector_cone", partial(in_cone, robot, T, tracker, reflector))
-    if body is None:
-        return
-    # A beam is one rod against all links; they among themselves take ten times as long.
-    if tracker is not None:
-        for T in T_tip_target:
-            yield Condition("beam", partial(body.beam_free, T, tracker.position))
-    yield Condition("collision", body.free)
+        refuse_region(sensitivity.instrument)
+        robot, T_tip_target = sensitivity.kinematics.robot, sensitivity.setup.T_tip_target[0]
+        yield Condition(
+            "region", lambda q: region.contains((robot.poses(q) @ T_tip_target)[:, :3, 3])
+        )
+    yield from sensitivity.instrument.sees(sensitivity.sightlines)
+    if body is not None:
+        # A line of sight is one rod against all links; links among themselves take ten times as long.
+        yield from free_lines_of_sight(sensitivity, body)
+        yield Condition("collision", body.free)
 
 
-def _route(
-    sensitivity: Sensitivity,
-    request: PlanRequest,
-    pool: Pool,
-    choice: Choice,
-    body: CollisionModel | None,
-) -> Route:
-    """Find the order to drive the chosen poses, those to fit and those to validate with mixed.
-
-    Args:
-        sensitivity: The nominal robot in its cell; ``cell.ranges`` narrow the ranges of joints by name, [rad] or [m].
-            ``kinematics.model.joint_terms`` are the errors that move a joint with its value or load; without any,
-            joints may be turned by whole turns.
-        request: ``request.margin`` to the limits of joints that turn [rad], and ``request.start``, the robot's joint
-            values before the first move, shape (m,), [rad] or [m], or None.
-        pool: ``pool.workspace``, joint values of poses in the region, shape (k, m): where the straight way is blocked,
-            one of them that is free of collision may be driven by.
-        choice: ``choice.planned`` and ``choice.validation``, joint values of the poses to fit and to validate with,
-            shape (count, m) and (validation, m), [rad] or [m].
-        body: Tests poses and moves for collisions; None: all are free.
-
-    Returns:
-        Joint values of the poses in the order to drive, shape (count + validation, m), some turned by 2 pi;
-        ``indices``, their places, from 0, among ``choice.planned`` followed by ``choice.validation``; the sum over all
-        moves of the largest move of a joint [rad or m]; and the moves that are blocked.
-    """
-    robot = sensitivity.kinematics.robot
-    # With errors that change with a joint's value, a pose one turn on is another pose.
-    turns = not sensitivity.kinematics.model.joint_terms
-    limits = planning_ranges(robot, sensitivity.cell.ranges, request.margin, turns=turns)
-    start = None
-    if request.start is not None:
-        start = np.asarray(request.start, dtype=np.float64)
-
-    def stops() -> Array:
-        """Return poses of the region that are free of collision, of the first 4000; nothing need see the target there.
-
-        Returns:
-            Joint values, shape (n, m), [rad] or [m].
-        """
-        in_region = pool.workspace[:_STOPS]
-        if body is None:
-            return in_region
-        return in_region[body.free(in_region)]
-
-    poses = np.concatenate([choice.planned, choice.validation])
-    free_path = None if body is None else body.path_free
-    return route(robot, poses, limits, start, free_path, stops)
-
-
-def _notes(cell: Cell, body: CollisionModel | None) -> list[Note]:
-    """Return remarks on what was checked of poses and moves, and what was not.
-
-    Args:
-        cell: ``cell.reflector``, and ``cell.tracker``, which the reflector must face; each None where it is not known.
-        body: The collision model, with ``notes`` on what it checks; None: nothing was checked.
-
-    Returns:
-        Notes, each a code with values: ``reflector_not_checked``, then ``collisions_not_checked`` or those of ``body``.
-    """
-    notes = []
-    if cell.reflector is not None and cell.tracker is None:
-        notes.append(Note("reflector_not_checked"))
-    if body is None:
-        notes.append(Note("collisions_not_checked"))
-    else:
-        notes += body.notes
-    return notes
+def _scale_notes(sensitivity: Sensitivity, pool: Pool, q: Array, rms: float) -> list[Note]:
+    """Return the remark that the scale of a print makes most of the error of poses (n, m), ``rms`` [m], if it does."""
+    is_scale = np.array([name.startswith("board_scale") for name in sensitivity.names])
+    if not is_scale.any():
+        return []
+    precision = np.where(is_scale, 1e6 * sensitivity.precision, sensitivity.precision)
+    exact = replace(sensitivity, precision=read_only(precision))
+    workspace = Workspace.of(exact, pool.workspace, pool.measurable)
+    rms_if_exact = Forecast.of(exact, workspace, q).rms
+    if rms_if_exact > _MATTERS * rms:
+        return []
+    (sigma, *_) = [
+        unknown.sigma
+        for unknown in sensitivity.setup.optics
+        if unknown.parameter.name.startswith("board_scale")
+    ]
+    return [Note("board_scale", (sigma, rms_if_exact))]

@@ -1,21 +1,23 @@
 """A plan as files, and the poses of a table.
 
-The table has a row for each pose, with empty cells for what will be measured there; filled in, or beside an
-instrument's list of points, it is a table of measurements. Plan and forecast as nested tables, in SI units, are for a
-JSON file. See docs/planning.md.
+The table of a tracker's plan has a row for each pose and target, with empty cells for what will be measured there;
+filled in, or together with an instrument's list of points, it is a table of measurements. A table of images has a row
+for each image, with the file name under which to save it; `calib detect` finds in it which joint values belong to which
+image. A JSON file has the plan and the forecast in SI units. See docs/planning.md.
 """
 
 from __future__ import annotations
 
+import math
+import re
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass
+from functools import singledispatch
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-import calib.data.kinds as registry
 from calib.basics.arrays import Array, Mask, read_only
 from calib.basics.channels import RESIDUAL_UNITS
 from calib.basics.files import csv_bytes, write_atomically
@@ -28,6 +30,8 @@ from calib.data.layout import Layout
 from calib.data.measurements import Measurements
 from calib.data.values import read_values
 from calib.errors import MeasurementError
+from calib.instruments.camera import CameraInstrument, board_tilts
+from calib.instruments.instrument import Instrument
 from calib.robot.coupled_readings import coupling_table
 from calib.robot.robot import Robot
 from calib.verbs.plan.forecast import Forecast
@@ -36,14 +40,17 @@ from calib.version import __version__
 
 SCHEMA = "plan 2"
 
-#: Digits of degrees and millimetres: those that planned joint values have, and a tracker's last.
+#: Decimals of degrees and millimetres: those of planned joint values, and of a tracker.
 _DIGITS = 3
 
-#: Units that values are written in, and their number in one SI unit.
+#: Unit in which values are written, and its number in one SI unit.
 _WRITTEN = {unit.quantity: (unit.shown, unit.to_shown) for unit in RESIDUAL_UNITS.values()}
 
-#: Kinds whose rows measure something without a cell of their own.
+#: Kinds whose rows measure something without a column of their own.
 _WITHOUT_CELLS = ("fixed", "plane")
+
+#: A whole number in the name of an image.
+_NUMBER = re.compile(r"\d+")
 
 
 # The table
@@ -56,16 +63,15 @@ def write_plan(
     overwrite: bool = False,
     first_row: int = 1,
 ) -> Path:
-    """Write a plan as a CSV table, degrees and millimetres, in the order to drive; several targets have a row each.
+    """Write a plan as a CSV table in degrees and millimetres, in the order to drive; several targets have a row each.
 
-    The columns of what is measured are empty; ``expected`` columns are what the nominal robot would give.
+    The columns of what is measured are empty; ``expected`` columns have what the nominal robot predicts.
 
     Args:
-        plan: The plan: joint values of the poses [rad] or [m], in the order to drive; ``"estimate"`` or ``"validate"``
-            for each; and where each target is expected in the measurement frame [m].
+        plan: The plan.
         path: The file.
         overwrite: Whether an existing file is replaced.
-        first_row: Number of the first row: where rows are to be added to a table, one more than its last.
+        first_row: Number of the first row or image: if these are added to a table, one more than its last.
 
     Returns:
         The path of the file.
@@ -73,168 +79,94 @@ def write_plan(
     Raises:
         FileError: It cannot be written.
     """
-    rows = list(_rows(plan, first_row))
+    rows = list(plan_rows(plan.instrument, plan, first_row))
     table = [list(rows[0]), *(row.values() for row in rows)]
     return write_atomically(path, csv_bytes(table), overwrite=overwrite)
 
 
-class _Column(NamedTuple):
-    """Column of numbers: its header with the unit, and the number of that unit in one SI unit."""
-
-    #: Name and unit, ``"x [mm]"``.
-    header: str
-    #: Number of the unit in one SI unit: 1000 for mm.
-    scale: float
-
-    @classmethod
-    def of(cls, name: str, quantity: Quantity) -> _Column:
-        """Return the column of a quantity, in the unit that tables are written in: mm, deg or px.
-
-        Args:
-            name: Name of the column, without a unit.
-            quantity: ``"length"``, ``"angle"`` or ``"pixel"``.
-
-        Returns:
-            The column: its header, such as ``"x [mm]"``, and the number of its unit in one SI unit, 1000 or 180 / pi.
-        """
-        unit, scale = _WRITTEN[quantity]
-        return cls(f"{name} [{unit}]", scale)
-
-    def cell(self, value: float) -> str:
-        """Return the text of a number in the unit of the column, with three decimals and no minus before a zero.
-
-        Uses ``scale``, the number of the column's unit in one SI unit, such as 1000 for mm.
-
-        Args:
-            value: The number in SI units [m] or [rad].
-        """
-        return f"{self.scale * value + 0.0:.{_DIGITS}f}"
-
-    def expected(self) -> _Column:
-        """Return the column, in the same unit, of what the nominal robot would give in place of what is measured.
-
-        Its header has ``"expected "`` before this one, such as ``"expected x [mm]"``.
-        """
-        return _Column(EXPECTED + self.header, self.scale)
-
-
-@dataclass(frozen=True, slots=True)
-class _Columns:
-    """Columns of a plan's table, besides row, set, point and target."""
-
-    #: Columns of the joint values.
-    joints: list[_Column]
-    #: Headers of what is to be measured.
-    empty: list[str]
-    #: Columns of what the nominal robot would give.
-    expected: list[_Column]
-    #: Index of each of these among the numbers that a row of the kind measures, from 0.
-    measured: list[int]
-
-    @classmethod
-    def of(cls, plan: Plan) -> _Columns:
-        """Return the columns for a plan's robot and kind of measurement.
-
-        Args:
-            plan: ``plan.robot``, whose measured joints have a column each, and ``plan.kind``, the name of the kind,
-                which says what is measured: a position, an orientation, other readings such as a distance.
-
-        Returns:
-            ``joints``, columns of the joint values; ``empty``, headers of what is to be measured: x, y, z, quaternion,
-            readings, as the kind has them; ``expected``, columns of what the nominal robot would give of these, but for
-            the orientation; ``measured``, the index of each of ``expected``, from 0, among the numbers that a row of
-            the kind measures (x, y, z, the 9 entries of a rotation matrix, readings).
-        """
-        kind = registry.get(plan.kind)
-        lengths = [_Column.of(axis, "length") for axis in POINT] if kind.position else []
-        readings = [_Column.of(reading.name, reading.quantity) for reading in kind.readings]
-        empty = [column.header for column in lengths]
-        if kind.orientation:
-            empty += QUATERNION.columns
-        empty += [column.header for column in readings]
-        first_reading = kind.size - len(readings)
-        return cls(
-            joints=_joint_columns(plan.robot),
-            empty=empty,
-            expected=[column.expected() for column in (*lengths, *readings)],
-            measured=[*range(len(lengths)), *range(first_reading, kind.size)],
-        )
-
-
-def joint_cells(robot: Robot, q: Array) -> dict[str, str]:
-    """Return the texts of joint values (m,) [rad] or [m], by the headers of their columns, as ``robot.joint_names``."""
-    return _cells(_joint_columns(robot), q)
-
-
-def _joint_columns(robot: Robot) -> list[_Column]:
-    """Return the columns of the m joint values, degrees or for sliding joints millimetres, as ``robot.joint_names``."""
-    columns = []
-    for name, joint_type in robot.joint_types.items():
-        quantity: Quantity = "length" if joint_type == "prismatic" else "angle"
-        columns.append(_Column.of(name, quantity))
-    return columns
-
-
-def _rows(plan: Plan, number: int) -> Iterator[dict[str, str]]:
-    """Yield the rows of a plan's table: one for each target at each pose, in the order to drive.
+@singledispatch
+def plan_rows(instrument: Instrument, plan: Plan, number: int) -> Iterator[dict[str, str]]:
+    """Yield the cells of each row of a plan by the headers of their columns, in the order to drive.
 
     Args:
-        plan: The plan: ``joints``, joint values of the K poses, shape (K, m), [rad] or [m]; ``sets``, ``"estimate"`` or
-            ``"validate"`` for each; ``targets``, names of the k targets; ``expected``, their positions in the
-            measurement frame by the nominal robot, shape (K, k, 3), [m]; ``kind``, the name of the kind of measurement.
+        instrument: What measures, which has the columns.
+        plan: The plan.
         number: Number of the first row; a point is named after its row, ``"P1"``.
-
-    Yields:
-        Texts of the cells by the headers of their columns, the same headers in the same order for all rows: row, set,
-        point, target (only if there are several, or a name was given), joint values, what is to be measured (empty),
-        and what is expected; lengths in mm, angles in deg.
     """
-    columns = _Columns.of(plan)
+    kind = instrument.kind
+    lengths: list[tuple[str, Quantity]] = []
+    if kind.position:
+        lengths = [(axis, "length") for axis in POINT]
+    readings = [(reading.name, reading.quantity) for reading in kind.readings]
+    empty = [_header(*column) for column in lengths]
+    if kind.orientation:
+        empty += QUATERNION.columns
+    empty += [_header(*column) for column in readings]
+    # There are no expected orientations.
+    expected = [*range(len(lengths)), *range(kind.size - len(readings), kind.size)]
+    T_frame_target = np.eye(4)
     for q, set_name, places in zip(plan.joints, plan.sets, plan.expected, strict=True):
         for target, place in zip(plan.targets, places, strict=True):
             row = {"row": str(number), "set": set_name, "point": f"P{number}"}
             if plan.targets != (DEFAULT_TARGET,):
                 row["target"] = target
-            row |= _cells(columns.joints, q)
-            row |= dict.fromkeys(columns.empty, "")
-            row |= _expected_cells(plan.kind, columns, place)
+            row |= _joint_cells(plan.robot, q)
+            row |= dict.fromkeys(empty, "")
+            T_frame_target[:3, 3] = place
+            values = instrument.predict(T_frame_target[None])[0, expected]
+            for (name, quantity), value in zip((*lengths, *readings), values, strict=True):
+                row[EXPECTED + _header(name, quantity)] = _cell(quantity, value)
             yield row
             number += 1
 
 
-def _cells(columns: list[_Column], values: Array) -> dict[str, str]:
-    """Return the texts of numbers, by the headers of their columns.
+@plan_rows.register
+def _(instrument: CameraInstrument, plan: Plan, number: int) -> Iterator[dict[str, str]]:
+    """Yield the cells of each image; without row numbers, because a table of corners has many rows of an image."""
+    distances, tilts = distances_and_tilts(instrument, plan)
+    # Columns run from the foot of the robot to its hand, even if the chain leads the other way.
+    backwards = plan.robot.base_moves
+    for k, q in enumerate(plan.joints):
+        row = {"set": plan.sets[k], "image": image_name(number + k)}
+        joints = list(_joint_cells(plan.robot, q).items())
+        row |= dict(joints[::-1] if backwards else joints)
+        row[f"{EXPECTED}distance [mm]"] = f"{1e3 * distances[k]:.1f}"
+        row[f"{EXPECTED}tilt [deg]"] = f"{math.degrees(tilts[k]):.1f}"
+        yield row
 
-    Args:
-        columns: One column for each number, with its header and unit, mm or deg.
-        values: The numbers in SI units [m] or [rad], as many as columns.
-    """
+
+def image_name(number: int) -> str:
+    """Return the file name of an image by its number."""
+    return f"image_{number:03d}.png"
+
+
+def distances_and_tilts(instrument: CameraInstrument, plan: Plan) -> tuple[Array, Array]:
+    """Return the expected distances (K,) [m] and tilts (K,) [rad] of the board at the poses of a plan."""
+    T_camera_board = plan.sightline.target_poses(plan.joints)
+    tilts = board_tilts(instrument.board, T_camera_board)
+    return instrument.board_distances(T_camera_board), tilts
+
+
+def _header(name: str, quantity: Quantity) -> str:
+    """Return the header of a column, with the unit that tables are written in: ``"x [mm]"``."""
+    return f"{name} [{_WRITTEN[quantity][0]}]"
+
+
+def _cell(quantity: Quantity, value: float) -> str:
+    """Return the text of a number in SI units, in the unit of its column; 0 has no minus."""
+    return f"{_WRITTEN[quantity][1] * value + 0.0:.{_DIGITS}f}"
+
+
+def _joint_cells(robot: Robot, q: Array) -> dict[str, str]:
+    """Return the texts of joint values (m,) [rad] or [m], by the headers of their columns, as ``robot.joint_names``."""
     cells = {}
-    for column, value in zip(columns, values, strict=True):
-        cells[column.header] = column.cell(value)
+    for (name, joint_type), value in zip(robot.joint_types.items(), q, strict=True):
+        quantity: Quantity = "length" if joint_type == "prismatic" else "angle"
+        cells[_header(name, quantity)] = _cell(quantity, value)
     return cells
 
 
-def _expected_cells(kind_name: str, columns: _Columns, place: Array) -> dict[str, str]:
-    """Return the texts of what a perfect instrument would measure of a target, by the headers of their columns.
-
-    Args:
-        kind_name: Name of the kind of measurement, such as ``"point"``.
-        columns: ``columns.expected``, the columns to fill, and ``columns.measured``, the index of each, from 0, among
-            the numbers that a row of the kind measures.
-        place: Position of the target in the measurement frame, shape (3,), [m].
-
-    Returns:
-        The cells of the ``expected`` columns, in mm or deg; none of a kind that measures nothing, such as a ball in a
-        socket.
-    """
-    kind = registry.get(kind_name)
-    if kind.measure is None:
-        return {}
-    T_frame_target = np.eye(4)
-    T_frame_target[:3, 3] = place
-    values = kind.measure(T_frame_target[None])[0, columns.measured]
-    return _cells(columns.expected, values)
+# Poses of a table
 
 
 class Poses(NamedTuple):
@@ -246,6 +178,8 @@ class Poses(NamedTuple):
     sets: tuple[str, ...]
     #: Largest number of a row of the table.
     last_row: int
+    #: Largest number in the name of an image; 0 without images.
+    last_image: int
 
 
 def read_poses(
@@ -257,13 +191,11 @@ def read_poses(
         path: Path of the table.
         robot: The robot, whose m measured joints have a column each in the table.
         columns: What is said of the columns, as by ``--columns``; None: nothing.
-        taken: Whether only those are read that a fit would estimate from, measured and of the set ``estimate``; in a
+        taken: Whether only poses that a fit would estimate from are read, measured and of the set ``estimate``; of a
             table in which nothing is measured, such as a plan that is still to be driven, all poses of that set.
 
     Returns:
-        The poses in the table's order: ``joints``, joint values, shape (N, m), [rad] or for sliding joints [m], columns
-        as ``robot.joint_names``; ``sets``, ``"estimate"`` or ``"validate"`` for each; and ``last_row``, the largest row
-        number of the whole table.
+        The poses in the table's order, columns as ``robot.joint_names``.
 
     Raises:
         MeasurementError: The table cannot be read as one of this robot, or no row is left.
@@ -278,23 +210,40 @@ def read_poses(
         chosen = rows.estimation & (measured | (not measured.any()))
         if not chosen.any():
             raise MeasurementError(f"{table.source}: no row that is measured is 'estimate'.")
-    first = _first_of_each_pose(rows, chosen)
-    sets = tuple(rows.sets[i] for i in first)
-    return Poses(read_only(rows.joints[first]), sets, max(rows.rows))
+    # Rows with the same joint values are one pose if their targets differ; if a target occurs again, the pose is
+    # repeated, which counts as another one.
+    repeats: Counter[tuple[bytes, str]] = Counter()
+    first_rows: dict[tuple[bytes, int], int] = {}
+    for i in np.flatnonzero(chosen).tolist():
+        pose, target = rows.joints[i].tobytes(), rows.targets[i]
+        first_rows.setdefault((pose, repeats[pose, target]), i)
+        repeats[pose, target] += 1
+    first = [*first_rows.values()]
+    named, _ = name_columns(table, (), {})
+    names = table.column(named["image"]) if "image" in named else []
+    numbers = [_NUMBER.findall(Path(name).stem) for name in names]
+    return Poses(
+        joints=read_only(rows.joints[first]),
+        sets=tuple(rows.sets[i] for i in first),
+        last_row=max(rows.rows),
+        last_image=max((int(digits[-1]) for digits in numbers if digits), default=0),
+    )
+
+
+@singledispatch
+def next_number(_instrument: Instrument, poses: Poses) -> int:
+    """Return the number of the first row, or image, of a plan that adds to the poses of a table."""
+    return max(poses.last_row, 0) + 1
+
+
+@next_number.register
+def _(_instrument: CameraInstrument, poses: Poses) -> int:
+    """Return one more than the largest number in the names of the images."""
+    return poses.last_image + 1
 
 
 def _measured_rows(table: Table, robot: Robot) -> Mask:
-    """Find the rows of a table that measure something: a cell of a measured column has text, or the kind needs none.
-
-    Measured columns are x, y, z, ``distance`` and ``pair``; rows of the kinds ``fixed`` and ``plane`` need none.
-
-    Args:
-        table: The table of N rows, its cells as text.
-        robot: The robot, whose measured joints have a column each in the table.
-
-    Returns:
-        True for rows that measure something, shape (N,).
-    """
+    """Return which rows of a table measure something (N,): by a cell, or by a kind that needs none."""
     named, _ = name_columns(table, robot.joint_names, {})
     columns = [named[name].index for name in (*POINT, "distance", "pair") if name in named]
     kinds = [""] * len(table.cells)
@@ -307,59 +256,34 @@ def _measured_rows(table: Table, robot: Robot) -> Mask:
     return np.array(measured)
 
 
-def _first_of_each_pose(rows: Measurements, chosen: Mask) -> list[int]:
-    """Return the first row of each pose.
-
-    Rows with the same joint values are one pose where their targets differ; where a target comes again, another pose, a
-    repetition of the first, has begun.
-
-    Args:
-        rows: N rows of a table: ``joints``, their joint values, shape (N, m), [rad] or [m]; ``targets``, the name of
-            the target of each.
-        chosen: Rows that count, shape (N,).
-
-    Returns:
-        Indices of rows, from 0, in rising order, one for each pose.
-    """
-    repeats: Counter[tuple[bytes, str]] = Counter()
-    first: dict[tuple[bytes, int], int] = {}
-    for i in np.flatnonzero(chosen).tolist():
-        pose, target = rows.joints[i].tobytes(), rows.targets[i]
-        first.setdefault((pose, repeats[pose, target]), i)
-        repeats[pose, target] += 1
-    return [*first.values()]
-
-
-# Nested tables
+# The JSON file
 
 
 def plan_table(plan: Plan) -> dict[str, Any]:
-    """Return a plan as nested tables for a JSON file, in SI units; docs/planning.md describes them.
-
-    Args:
-        plan: The plan.
-
-    Returns:
-        Texts, numbers, arrays, lists or tables of these by their keys: ``schema``, ``calib`` (the version), ``robot``,
-        ``asked`` (what was planned for), ``poses`` (in the order to drive: the set, the joint values [rad] or [m], and
-        the expected position of each target in the measurement frame [m]), ``candidates``
-        (numbers of poses drawn, kept and refused), the forecasts ``forecast``, ``before`` (None where no poses were
-        taken), ``at_random`` and ``ladder``, ``travel`` (sum over all moves of the largest joint move [rad or m], and
-        the blocked moves), and ``notes``.
-    """
-    request = plan.request
+    """Return a plan as nested tables for a JSON file, in SI units; docs/planning.md describes the keys."""
+    robot, request = plan.robot, plan.request
+    joints = []
+    for name, joint_type in robot.joint_types.items():
+        joints.append({"name": name, "unit": "m" if joint_type == "prismatic" else "rad"})
     poses = []
-    for set_name, q, places in zip(plan.sets, plan.joints, plan.expected, strict=True):
-        poses.append({"set": set_name, "joints": q, "expected_xyz_m": places})
-    if plan.sight is not None:
-        T_camera_board = plan.sight.board_poses(plan.robot, plan.joints)
-        tilts = plan.sight.tilts(T_camera_board).tolist()
-        poses = [{**pose, "tilt_rad": tilt} for pose, tilt in zip(poses, tilts, strict=True)]
+    for k, (set_name, q) in enumerate(zip(plan.sets, plan.joints, strict=True)):
+        poses.append({"set": set_name, "joints": q, "expected_xyz_m": plan.expected[k]})
+    for name, values in _further_keys(plan.instrument, plan).items():
+        for pose, value in zip(poses, values, strict=True):
+            pose[name] = value
     blocked = [{"from": move.start, "to": move.end, "by": move.by} for move in plan.blocked]
     return {
         "schema": SCHEMA,
         "calib": __version__,
-        "robot": _robot_table(plan.robot),
+        "robot": {
+            "name": robot.name,
+            "urdf": robot.urdf.source,
+            "urdf_sha256": robot.urdf.sha256,
+            "base": robot.base,
+            "tip": robot.tip,
+            "joints": joints,
+            "coupling": coupling_table(robot.reading_coupling),
+        },
         "asked": {
             "criterion": request.criterion,
             "model": plan.model,
@@ -379,41 +303,20 @@ def plan_table(plan: Plan) -> dict[str, Any]:
     }
 
 
-def _robot_table(robot: Robot) -> dict[str, Any]:
-    """Return a robot's URDF, chain and measured joints as tables for a JSON file.
+@singledispatch
+def _further_keys(_instrument: Instrument, _plan: Plan) -> dict[str, Any]:
+    """Return what an instrument adds to each pose of the file: by key, one value for each pose."""
+    return {}
 
-    Returns:
-        ``name``; ``urdf``, the name of its file, and ``urdf_sha256`` of its bytes; ``base`` and ``tip``, the links that
-        the chain leads between; ``joints``, the ``name`` and ``unit``, ``"rad"`` or ``"m"``, of each column of the
-        joint values; ``coupling``, of coupled readings, a row for each factor: ``joint``, ``reading``, ``factor``.
-    """
-    joints = []
-    for name, joint_type in robot.joint_types.items():
-        unit = "m" if joint_type == "prismatic" else "rad"
-        joints.append({"name": name, "unit": unit})
-    return {
-        "name": robot.name,
-        "urdf": robot.urdf.source,
-        "urdf_sha256": robot.urdf.sha256,
-        "base": robot.base,
-        "tip": robot.tip,
-        "joints": joints,
-        "coupling": coupling_table(robot.reading_coupling),
-    }
+
+@_further_keys.register
+def _(instrument: CameraInstrument, plan: Plan) -> dict[str, Any]:
+    """Return the tilts of the board."""
+    return {"tilt_rad": distances_and_tilts(instrument, plan)[1].tolist()}
 
 
 def forecast_table(forecast: Forecast) -> dict[str, Any]:
-    """Return a forecast as nested tables for a JSON file, in SI units.
-
-    Args:
-        forecast: Expected accuracy of a fit, over the workspace and of each parameter.
-
-    Returns:
-        The counts ``poses``, ``rank``, ``workspace_rank`` and ``columns`` (parameters); ``rms_m``, ``rms_low_m``,
-        ``rms_high_m`` and ``max_m``, errors of a predicted position over the workspace [m]; ``sigma``, the noise of one
-        scalar by its unit; ``indices``, the observability indices by name; and ``parameters``, for each its
-        ``name``, ``unit``, ``std`` (standard deviation in that unit) and whether it is ``identifiable``.
-    """
+    """Return a forecast as nested tables for a JSON file, in SI units; docs/planning.md describes the keys."""
     counts = ("poses", "rank", "workspace_rank", "columns")
     lengths = ("rms", "rms_low", "rms_high", "max")
     parameters = zip(

@@ -1,35 +1,70 @@
-"""Route of a plan: the order to drive, whole turns of joints, and poses to drive by where a straight way is blocked.
+"""Route of a plan: the order to drive its poses, whole turns of joints, and poses to drive by if moves are blocked.
 
-Where a joint has room for more than one turn, the other side of an obstacle may be reached by turning it 360 deg
-further; else a pose is named by which the way is free.
+A move takes as long as its largest joint move, c(a, b) = max_k |q_bk - q_ak|; controllers do not turn joints the short
+way round. The order is a short open path through all poses: paths that always go to the nearest pose that is left, from
+several first poses, are improved by reversing pieces of them (2-opt), and the shortest is taken. Only the moves of a
+path are tested for collisions. Blocked ones get a penalty, and the path is improved again. If a joint has room for more
+than one turn, the other side of an obstacle may be reached by turning it 360 deg further.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from itertools import combinations, product
+from collections.abc import Callable
+from itertools import combinations, pairwise, product
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from calib.basics.arrays import Array, read_only
+from calib.basics.arrays import Array, Integers, Mask, read_only
 from calib.robot.robot import Robot
 from calib.verbs.plan.candidates import rounded
-from calib.verbs.plan.ordering import Blocked, FreePath, Indices, Route, order
 
-#: Whole turns are tried of at most this many joints at once.
+#: Returns whether the straight move in joint space between two poses (m,) is free, the same there and back.
+FreePath = Callable[[Array, Array], bool]
+
+#: Number of first poses, spread over all, from which paths are tried.
+_BEGINNINGS = 20
+
+#: Largest number of joints that are turned at once.
 _MOST_JOINTS = 2
 
-#: Ways between two stretches that are tried, the shortest ones.
+#: Number of moves to a stretch of poses that are tried for each turn, the shortest ones.
 _TRIES = 60
 
-#: Poses to drive by that are tried for one move.
+#: Number of poses to drive by that are tried for one move, the shortest ways first.
 _STOPS = 300
+
+#: A gain below this share of the largest cost is rounding.
+_ROUNDING = 1e-9
 
 _TURN = 2.0 * np.pi
 
 
-def route(
+class Blocked(NamedTuple):
+    """Move whose straight way in joint space is not free."""
+
+    #: Pose at which it begins, from 1 in the order to drive; 0: the robot's pose before the first move.
+    start: int
+    #: Pose to which it leads, from 1.
+    end: int
+    #: Shape (m,), joint values by which the way is free, [rad] or [m]; None: none was found.
+    by: Array | None
+
+
+class Route(NamedTuple):
+    """Poses in the order to drive."""
+
+    #: Shape (N, m), joint values, some turned by whole turns, [rad] or [m].
+    joints: Array
+    #: Shape (N,), which of the given poses each is, from 0.
+    order: Integers
+    #: Sum over all moves of the largest move of a joint [rad or m], straight ways assumed.
+    travel: float
+    #: The moves that are not free.
+    blocked: tuple[Blocked, ...]
+
+
+def find_route(
     robot: Robot,
     joints: Array,
     limits: Array,
@@ -37,193 +72,156 @@ def route(
     free_path: FreePath | None = None,
     stops: Callable[[], Array] | None = None,
 ) -> Route:
-    """Order poses; where a move is blocked, turn some joints once more, or name a pose to drive by.
+    """Order poses; if moves are blocked, turn some joints by whole turns, or name poses to drive by.
 
     Args:
         robot: The robot, with m measured joints.
-        joints: Joint values of the poses, shape (K, m), [rad] or for sliding joints [m], columns as
-            ``robot.joint_names``.
+        joints: Joint values of the poses, shape (N, m), [rad] or for sliding joints [m].
         limits: Lowest and highest value of each joint, shape (m, 2), [rad] or [m], between which poses stay.
-        start: The robot's joint values before the first move, shape (m,), [rad] or [m]; None: the route begins at any
-            pose.
-        free_path: Function of the joint values of two poses, shape (m,) each, that returns whether the straight move
-            between them is free, the same there and back; None: all moves are free.
-        stops: Function that returns joint values of free poses to drive by, shape (n, m), called only where moves
-            remain blocked; None: there are none.
+        start: The robot's joint values before the first move, shape (m,), [rad] or [m]; None: any pose may be the
+            first.
+        free_path: Tests a move; None: all moves are free.
+        stops: Returns joint values of free poses to drive by, shape (n, m); called only if moves remain blocked. None:
+            there are none.
 
     Returns:
-        ``joints``, the poses in the order to drive, shape (K, m), some turned by whole turns of joints; ``indices``,
-        the index in the argument ``joints`` of each, from 0, shape (K,); ``length``, the sum over all moves of the
-        largest move of a joint [rad or m], straight ways assumed; and the moves that remain ``blocked``, by the places
-        of their two poses in the order, from 1 (0: ``start``), each with a pose to drive by, shape (m,), or None.
+        The route, the same for the same poses, with as few blocked moves as are found.
     """
-    tour = order(joints, start, free_path)
-    if free_path is None or not tour.blocked:
-        return tour
-    tour = _with_turns(robot, joints, limits, start, free_path, tour)
-    by_poses = joints[:0]
-    if tour.blocked and stops is not None:
-        by_poses = stops()
+    route = order_poses(joints, start, free_path)
+    if free_path is None or not route.blocked:
+        return route
+    turned = rounded(robot, _turn(robot, joints, limits, route, free_path))
+    with_turns = order_poses(turned, start, free_path)
+    if len(with_turns.blocked) < len(route.blocked):
+        route = with_turns
+    by_poses = stops() if route.blocked and stops is not None else joints[:0]
     blocked = []
-    for first, end, _ in tour.blocked:
-        is_first_move = first == 0 and start is not None
-        before = start if is_first_move else tour.joints[first - 1]
-        assert before is not None
-        by = detour(before, tour.joints[end - 1], by_poses, free_path)
+    for first, end, _ in route.blocked:
+        before = start if first == 0 and start is not None else route.joints[first - 1]
+        by = _detour(before, route.joints[end - 1], by_poses, free_path)
         blocked.append(Blocked(first, end, by))
-    return tour._replace(blocked=tuple(blocked))
+    return route._replace(blocked=tuple(blocked))
 
 
-def _with_turns(
-    robot: Robot,
-    joints: Array,
-    limits: Array,
-    start: Array | None,
-    free_path: FreePath,
-    tour: Route,
-) -> Route:
-    """Return the route with whole turns of joints if it has fewer blocked moves, else the route as it is.
+def order_poses(q: Array, start: Array | None = None, free_path: FreePath | None = None) -> Route:
+    """Find a short open path through poses (N, m) as they are, with few blocked moves; see `find_route`."""
+    # Imported late, because it takes long.
+    from scipy.spatial.distance import cdist
 
-    Args:
-        robot: The robot, with m measured joints.
-        joints: Joint values of the poses, shape (K, m), [rad] or for sliding joints [m].
-        limits: Lowest and highest value of each joint, shape (m, 2), [rad] or [m], between which poses stay.
-        start: The robot's joint values before the first move, shape (m,); None: the route begins at any pose.
-        free_path: Function of the joint values of two poses, shape (m,) each, that returns whether the straight move
-            between them is free.
-        tour: The route without turns: ``tour.indices``, the indices in ``joints`` of the poses in order, from 0, shape
-            (K,); ``tour.blocked``, the moves that are not free, with ``end`` the place of the pose that each leads to,
-            from 1.
+    count = len(q)
+    poses = q if start is None else np.vstack([q, start])
+    # Two more nodes: the start of a path, which is the robot's or any pose, and its end, which costs nothing.
+    costs = np.zeros((count + 2, count + 2))
+    costs[: len(poses), : len(poses)] = cdist(poses, poses, "chebyshev")
+    path = _shortest_path(costs)
+    penalised = costs.copy()
+    penalty = float(costs.max()) * len(costs) + 1.0  # a blocked move is worse than any detour
+    is_free: dict[tuple[int, int], bool] = {}
+    is_settled = False
+    while free_path is not None and not is_settled:
+        is_settled = True
+        for a, b in pairwise(path.tolist()):
+            if max(a, b) < len(poses) and (a, b) not in is_free:
+                is_free[a, b] = is_free[b, a] = free_path(poses[a], poses[b])
+                if not is_free[a, b]:
+                    penalised[[a, b], [b, a]] += penalty
+                    is_settled = False
+        path = _improve(path, penalised)
+    moves = enumerate(pairwise(path[:-1].tolist()))
+    blocked = [Blocked(k, k + 1, None) for k, move in moves if not is_free.get(move, True)]
+    order = path[1:-1]
+    return Route(read_only(q[order]), order, _length(path, costs), tuple(blocked))
 
-    Returns:
-        The better of the two routes, each with the poses in the order to drive, shape (K, m), their indices in
-        ``joints``, the length [rad or m], and the moves that are blocked.
+
+def _shortest_path(costs: Array) -> Integers:
+    """Return the shortest of the improved paths that go to the nearest pose that is left, both ends included."""
+    count = len(costs) - 2
+    firsts = np.unique(np.linspace(0, count - 1, _BEGINNINGS).astype(int)).tolist() if count else []
+    if count == 0 or costs[count].any():  # the path begins at the robot's start
+        firsts.append(count)
+    paths = []
+    for first in firsts:
+        path = [count] if first == count else [count, first]
+        is_left = np.ones(count, dtype=np.bool_)
+        is_left[path[1:]] = False
+        while is_left.any():
+            path.append(int(np.argmin(np.where(is_left, costs[path[-1], :count], np.inf))))
+            is_left[path[-1]] = False
+        paths.append(_improve(np.array([*path, count + 1]), costs))
+    return min(paths, key=lambda path: _length(path, costs))
+
+
+def _improve(path: Integers, costs: Array) -> Integers:
+    """Improve a path by reversing the piece whose reversal shortens it most, until none does; its ends stay.
+
+    Reversing the places i to j replaces the steps (i - 1, i) and (j, j + 1) by (i - 1, j) and (i, j + 1).
     """
-    cuts = [move.end - 1 for move in tour.blocked]
-    stretches = [part for part in np.split(tour.indices, cuts) if len(part)]
-    turned = with_whole_turns(joints, stretches, limits, turning(robot, limits), free_path)
-    turned_tour = order(rounded(robot, turned), start, free_path)
-    return turned_tour if len(turned_tour.blocked) < len(tour.blocked) else tour
+    least_gain = _ROUNDING * float(costs.max())
+    upper = np.triu(np.ones((len(path) - 2, len(path) - 2), dtype=np.bool_), 1)
+    while upper.any():
+        by_place = costs[np.ix_(path, path)]
+        step = np.diagonal(by_place, 1)  # from place i to i + 1
+        added = by_place[:-2, 1:-1] + by_place[1:-1, 2:] - step[:-1, None] - step[1:]
+        i, j = np.unravel_index(np.argmin(np.where(upper, added, np.inf)), added.shape)
+        if added[i, j] >= -least_gain:
+            break
+        path = np.concatenate([path[: i + 1], path[i + 1 : j + 2][::-1], path[j + 2 :]])
+    return path
 
 
-def detour(start: Array, end: Array, poses: Array, free_path: FreePath) -> Array | None:
-    """Find a pose by which the way between two others is free: the shortest such way, of the 300 shortest.
+def _length(path: Integers, costs: Array) -> float:
+    """Return the length of a path with both ends, the sum of the costs of its moves [rad or m]."""
+    return float(costs[path[:-1], path[1:]].sum())
 
-    The length of a move is the largest move of a joint.
 
-    Args:
-        start: Joint values of the pose to leave, shape (m,), [rad] or for sliding joints [m].
-        end: Joint values of the pose to reach, shape (m,), likewise.
-        poses: Joint values of free poses to drive by, shape (n, m), likewise; n may be 0.
-        free_path: Function of the joint values of two poses, shape (m,) each, that returns whether the straight move
-            between them is free.
+def _turn(robot: Robot, q: Array, limits: Array, route: Route, free_path: FreePath) -> Array:
+    """Return poses (N, m) with whole turns of joints, so that free moves lead from the longest stretch to the others.
 
-    Returns:
-        Joint values of the pose to drive by, shape (m,), read-only; None where none is found.
+    Each stretch between blocked moves is shifted as a whole by the fewest turns, 0 included, with which one of the
+    shortest moves from a stretch reached so far is free; otherwise it stays.
     """
-    first_part = np.max(np.abs(poses - start), axis=1)
-    second_part = np.max(np.abs(poses - end), axis=1)
-    length = first_part + second_part
-    for k in np.argsort(length, kind="stable")[:_STOPS]:
-        if free_path(start, poses[k]) and free_path(poses[k], end):
-            return read_only(poses[k])
-    return None
+    joints = np.flatnonzero(_turning_joints(robot, limits)).tolist()
+    shifts: list[Array] = []
+    for count in range(min(_MOST_JOINTS, len(joints)) + 1):
+        for chosen, signs in product(combinations(joints, count), product((-1, 1), repeat=count)):
+            shift = np.zeros(q.shape[1])
+            shift[list(chosen)] = np.multiply(signs, _TURN)
+            shifts.append(shift)
+    stretches = np.split(route.order, [move.end - 1 for move in route.blocked])
+    turned: Array = q.copy()
+    longest = reached = max(stretches, key=len)
+    for stretch in stretches:
+        if stretch is longest or not len(stretch):
+            continue
+        for shift in shifts:
+            there = turned[stretch] + shift
+            if not ((there >= limits[:, 0]) & (there <= limits[:, 1])).all():
+                continue
+            here = turned[reached]
+            lengths = np.max(np.abs(here[:, None] - there[None]), axis=2)
+            shortest = np.argsort(lengths, axis=None, kind="stable")[:_TRIES]
+            moves = zip(*np.unravel_index(shortest, lengths.shape), strict=True)
+            if any(free_path(here[a], there[b]) for a, b in moves):
+                turned[stretch] = there
+                reached = np.concatenate([reached, stretch])
+                break
+    return turned
 
 
-def turning(robot: Robot, ranges: Array) -> NDArray[np.bool_]:
-    """Find the joints that can be turned by a whole turn, after which the tip is where it was.
-
-    They turn, their range is more than one turn, no mimic joint follows them, which would end elsewhere, and their
-    readings are not coupled.
-
-    Args:
-        robot: The robot, with m measured joints; ``robot.inputs`` are these joints, ``robot.mimic_matrix``, shape
-            (n, m), is the derivative of the n joints of the chain by them.
-        ranges: Lowest and highest value of each joint, shape (m, 2), [rad] or for sliding joints [m].
-
-    Returns:
-        True for such joints, shape (m,), in the order of ``robot.joint_names``.
-    """
+def _turning_joints(robot: Robot, limits: Array) -> Mask:
+    """Return which joints (m,) turn within limits (m, 2) [rad] of more than one turn, and move no other joint."""
     slides = np.array([joint.type == "prismatic" for joint in robot.inputs])
     is_alone = np.sum(robot.mimic_matrix != 0.0, axis=0) <= 1
     has_factors = robot.reading_matrix != np.eye(len(slides))
     is_coupled = has_factors.any(axis=0) | has_factors.any(axis=1)
-    return np.asarray(~slides & is_alone & ~is_coupled & (np.ptp(ranges, axis=1) > _TURN))
+    return np.asarray(~slides & is_alone & ~is_coupled & (np.ptp(limits, axis=1) > _TURN))
 
 
-def with_whole_turns(
-    q: Array,
-    stretches: Sequence[Indices],
-    ranges: Array,
-    turns: NDArray[np.bool_],
-    free_path: FreePath,
-) -> Array:
-    """Add whole turns of joints to stretches of poses, so that a free way leads to them from the longest stretch.
-
-    Each of the others in turn is shifted as a whole by the fewest turns, 0 included, with which a straight way to it is
-    free from the poses reached so far.
-
-    Args:
-        q: Joint values of the poses, shape (N, m), [rad] or for sliding joints [m]; they are not changed.
-        stretches: Indices of poses in ``q``, from 0, in the order driven; within each stretch all moves are free.
-        ranges: Lowest and highest value of each joint, shape (m, 2), [rad] or [m], between which poses stay.
-        turns: Which joints may be turned by whole turns, shape (m,), see `turning`.
-        free_path: Function of the joint values of two poses, shape (m,) each, that returns whether the straight move
-            between them is free.
-
-    Returns:
-        The joint values with the turns added, shape (N, m), in the order of ``q``; a stretch to which no turn leads
-        stays as it is.
-    """
-    turned_q: Array = q.copy()
-    longest = reached = max(stretches, key=len)
-    shifts = _shifts(turns)
-    for stretch in stretches:
-        if stretch is longest:
-            continue
-        for shift in shifts:
-            turned = turned_q[stretch] + shift
-            in_range = (turned >= ranges[:, 0]) & (turned <= ranges[:, 1])
-            if np.all(in_range) and _is_reached(turned_q[reached], turned, free_path):
-                turned_q[stretch] = turned
-                reached = np.concatenate([reached, stretch])
-                break
-    return turned_q
-
-
-def _shifts(turns: NDArray[np.bool_]) -> list[Array]:
-    """Return the whole turns that are tried, of at most two joints at once.
-
-    Args:
-        turns: Which joints may be turned by whole turns, shape (m,).
-
-    Returns:
-        Changes of the joint values, shape (m,) each, 0 or plus or minus 2 pi [rad]; the fewest joints first, and before
-        them no turn at all.
-    """
-    joints = np.flatnonzero(turns).tolist()
-    shifts: list[Array] = []
-    for count in range(min(_MOST_JOINTS, len(joints)) + 1):
-        for chosen in combinations(joints, count):
-            for signs in product((-_TURN, _TURN), repeat=count):
-                shift = np.zeros(len(turns))
-                shift[list(chosen)] = signs
-                shifts.append(shift)
-    return shifts
-
-
-def _is_reached(reached: Array, turned: Array, free_path: FreePath) -> bool:
-    """Test whether one of the 60 shortest straight ways from poses that are reached to those of a stretch is free.
-
-    The length of a way is the largest move of a joint.
-
-    Args:
-        reached: Joint values of the poses that are reached, shape (a, m), [rad] or for sliding joints [m].
-        turned: Joint values of the poses of the stretch, shape (b, m), likewise.
-        free_path: Function of the joint values of two poses, shape (m,) each, that returns whether the straight move
-            between them is free.
-    """
-    length = np.max(np.abs(reached[:, None] - turned[None]), axis=2)
-    shortest = np.argsort(length, axis=None, kind="stable")[:_TRIES]
-    ways = [divmod(int(k), len(turned)) for k in shortest]
-    return any(free_path(reached[a], turned[b]) for a, b in ways)
+def _detour(start: Array, end: Array, poses: Array, free_path: FreePath) -> Array | None:
+    """Return the pose (m,) of several (n, m) by which the way between two others is free and shortest, if any."""
+    to_pose = np.max(np.abs(poses - start), axis=1)
+    from_pose = np.max(np.abs(poses - end), axis=1)
+    for k in np.argsort(to_pose + from_pose, kind="stable")[:_STOPS]:
+        if free_path(start, poses[k]) and free_path(poses[k], end):
+            return read_only(poses[k])
+    return None

@@ -1,7 +1,8 @@
-"""Solids: the shapes of a robot and of what is around it, as coal compares them.
+"""Solids: the shapes of a robot and its surroundings, as coal compares them.
 
-A link has the shapes of its ``<collision>``, or else of its ``<visual>``; a target and what holds it are a capsule from
-the tip to the target; boxes are those of the cell. All below the mounting plane is a large box.
+A link has the shapes of its ``<collision>`` elements, or else those of its ``<visual>`` elements; a capsule from the
+tip to the target stands for the target and what holds it; boxes are those of the cell. A large box stands for
+everything below the mounting plane.
 """
 
 from __future__ import annotations
@@ -25,10 +26,10 @@ from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
 from calib.robot.urdf_tree import UrdfJoint
 
-#: Thickness of the box that stands for all below the mounting plane; it is twice as wide [m].
+#: Thickness of the box that stands for everything below the mounting plane, and half its width [m].
 _GROUND = 20.0
 
-#: Simple shapes of a URDF that coal has under the same name.
+#: Simple shapes of URDFs that coal has under the same names.
 _SIMPLE = ("Box", "Cylinder", "Capsule", "Sphere")
 
 
@@ -39,11 +40,11 @@ class Solid(NamedTuple):
     owner: str
     #: Kind of the owner.
     kind: Literal["link", "target", "box", "plane"]
-    #: Name of the link that it is fixed to.
+    #: Name of the link to which it is fixed.
     link: str
     #: Shape (4, 4), pose of the shape in that link [m].
     T_link_shape: Array
-    #: Shape of coal, which has no types.
+    #: The shape of coal, which has no types.
     geometry: Any
 
 
@@ -52,16 +53,13 @@ def read_solids(
 ) -> tuple[list[Solid], list[str]]:
     """Read the shapes of all links of a robot, to check them for collisions; each mesh file is read once.
 
-    A link has the shapes of its ``<collision>`` elements, or without any those of its ``<visual>`` elements.
-
     Args:
         urdf: The URDF of the whole robot.
         package_dirs: Folders in which ``package://`` meshes are looked for before all others.
 
     Returns:
-        The solids, in the order of the URDF's links: of each the name of its link, its pose there, shape (4, 4), [m],
-        and the shape of coal. And the names of the links of which not all shapes can be used, or that carry a mass and
-        have no shape.
+        The solids, in the order of the URDF's links; and the names of the links whose shapes cannot all be used, or
+        that have a mass and no shape.
 
     Raises:
         UrdfError: A mesh is missing or cannot be read, or no link has a shape.
@@ -69,7 +67,12 @@ def read_solids(
     folders = mesh_folders(urdf, package_dirs)
     collision = list(link_shapes(urdf, "collision"))
     visual = list(link_shapes(urdf, "visual"))
-    bodies = _links_with_mass(urdf)
+    # Read from the text of the URDF, because Pinocchio keeps the inertias of joints, not of links.
+    bodies = set()
+    for element in urdf.elements().findall("link"):
+        masses = [mass.get("value", "0") for mass in element.findall("inertial/mass")]
+        if any(mass.strip("0. ") for mass in masses):
+            bodies.add(element.get("name", ""))
     meshes: dict[tuple[str, tuple[float, ...]], Any] = {}
     solids, unchecked = [], []
     for link in urdf.links:
@@ -91,31 +94,15 @@ def read_solids(
     return solids, unchecked
 
 
-def _links_with_mass(urdf: Urdf) -> set[str]:
-    """Return the names of the links whose ``<inertial>`` states a mass other than 0.
-
-    By the URDF's text, for Pinocchio keeps the inertias of joints, not of links.
-    """
-    bodies = set()
-    for link in urdf.elements().findall("link"):
-        masses = [mass.get("value", "0") for mass in link.findall("inertial/mass")]
-        if any(mass.strip("0. ") for mass in masses):
-            bodies.add(link.get("name", ""))
-    return bodies
-
-
 def target_solids(
     robot: Robot, targets: Mapping[str, ArrayLike], holder_radius: float
 ) -> list[Solid]:
     """Return a capsule from the origin of the tip to each target, which stands for the target and what holds it.
 
     Args:
-        robot: The robot; its link ``robot.tip`` is that to which the capsules are fixed.
+        robot: The robot, to whose tip the capsules are fixed.
         targets: Positions of the targets in the tip by name, shape (3,), [m].
-        holder_radius: Radius of the capsules [m]; their round ends reach as far beyond tip and target.
-
-    Returns:
-        A solid for each target, of the kind ``"target"``, in the order given.
+        holder_radius: Radius of the capsules [m]; their round ends extend as far beyond tip and target.
     """
     solids = []
     for name, place in targets.items():
@@ -128,16 +115,7 @@ def target_solids(
 
 
 def box_solids(robot: Robot, boxes: Iterable[Box]) -> list[Solid]:
-    """Return the boxes of a cell as solids that are fixed to the robot's base.
-
-    Args:
-        robot: The robot; its link ``robot.base`` is that to which the boxes are fixed.
-        boxes: Obstacles: of each ``name``, ``size``, the lengths of its edges along its own axes, shape (3,), [m], and
-            ``T_base_box``, the pose of its centre in the robot's base, shape (4, 4), [m].
-
-    Returns:
-        A solid for each box, of the kind ``"box"``, in the order given.
-    """
+    """Return the boxes of a cell as solids that are fixed to the robot's base."""
     solids = []
     for box in boxes:
         geometry = hppfcl.Box(*box.size)
@@ -150,12 +128,12 @@ def rods(starts: Array, ends: Array) -> tuple[Array, Array]:
 
     Args:
         starts: First end of each rod, shape (n, 3), [m], all in one frame.
-        ends: Second end of each in the same frame, shape (n, 3), [m]; where both are the same point, the rod has no
-            length and points along z.
+        ends: Second end of each in the same frame, shape (n, 3), [m]; if both are the same point, the rod has no length
+            and points along z.
 
     Returns:
-        Pose of the middle of each rod in that frame, z from its first end to its second, shape (n, 4, 4), [m]; the turn
-        about z is arbitrary. And half the distance between its ends, shape (n,), [m].
+        Pose of the middle of each rod in that frame, z from its first end to its second, shape (n, 4, 4), [m]; the
+        rotation about z is arbitrary. And half the distance between its ends, shape (n,), [m].
     """
     along = ends - starts
     lengths = np.linalg.norm(along, axis=1)
@@ -173,23 +151,9 @@ def _geometry(
     folders: tuple[Path, ...],
     meshes: dict[Any, Any],
 ) -> Any:  # noqa: ANN401  coal has no types
-    """Return the geometry of a link's shape as coal has it.
+    """Return a link's shape as coal has it; None for a kind that coal does not have, or sizes that are not positive.
 
-    Args:
-        urdf: The URDF, whose name messages state.
-        shape: One ``<visual>`` or ``<collision>`` of a link: ``shape.sizes``, the sizes of a box, cylinder, capsule or
-            sphere as the URDF states them [m]; or ``shape.mesh``, the file name of a mesh and its scale along x, y, z;
-            None: no mesh.
-        folders: Folders in which mesh files are looked for, in this order.
-        meshes: Geometries of the meshes that were read already, by file name and scale; a mesh that is read here is
-            added.
-
-    Returns:
-        The geometry, lengths in [m]; None for a kind of shape that coal does not have, or sizes that are missing or not
-        positive.
-
-    Raises:
-        UrdfError: The mesh is missing or cannot be read.
+    Meshes are kept by file name and scale; one that is missing or cannot be read raises `UrdfError`.
     """
     if shape.mesh is None:
         tag = shape.geometry.tag.capitalize()
@@ -218,13 +182,12 @@ def clusters(urdf: Urdf, joints: Iterable[UrdfJoint]) -> dict[str, str]:
         joints: Joints that do not move, such as the fixed ones.
 
     Returns:
-        For the name of each link the name of the topmost link of its group, nearest to the URDF's root; its own where
-        none of the joints holds it to a parent.
+        From the name of each link to the name of the topmost link of its group, the one nearest to the URDF's root.
     """
     parents = {joint.child: joint.parent for joint in joints}
 
     def top(link: str) -> str:
-        """Return the name of the topmost link that a link is held to, by its name."""
+        """Return the topmost link to which a link is held."""
         topmost = link
         while topmost in parents:
             topmost = parents[topmost]
@@ -239,21 +202,16 @@ def mounting_plane(
     rigid: Mapping[str, str],
     configuration: Array,
 ) -> Solid:
-    """Return a large box that stands for all below the mounting plane.
+    """Return a large box that stands for everything below the mounting plane, and is named after its height.
 
-    The plane is z = 0 of the base, or touches the lowest link that is fixed to the base where that is lower.
+    The plane is z = 0 of the base, or touches the lowest link that is fixed to the base if that is lower.
 
     Args:
-        robot: The robot; where its base link moves, the URDF's root link stands for the base.
-        links: The solids of the robot's links: of each its ``link``, ``geometry``, and its pose in the link, shape
-            (4, 4), [m].
-        rigid: For the name of each link the name of the topmost link of those that never move against it.
+        robot: The robot; if its base link moves, the URDF's root link stands for the base.
+        links: The solids of the robot's links.
+        rigid: From the name of each link to the topmost link of those that never move against it, see `clusters`.
         configuration: Pinocchio's configuration of the whole robot, shape (nq,), [rad] or [m]; only the values of held
             joints matter.
-
-    Returns:
-        The box, 40 m x 40 m x 20 m, fixed to the base link, with its top in the plane; it is named after the height of
-        the plane.
     """
     base = robot.urdf.root if robot.base_moves else robot.base
     model = full_model(robot.urdf)
@@ -275,12 +233,7 @@ def mounting_plane(
 
 
 def _lowest(geometry: Any, T_base_shape: pin.SE3) -> float:  # noqa: ANN401  coal has no types
-    """Return the least z of a shape in the base [m], negative below its origin.
-
-    Args:
-        geometry: The shape: a mesh, or a simple shape of coal.
-        T_base_shape: Pose of the shape in the base [m].
-    """
+    """Return the least z of a shape of coal in the base [m]."""
     rotation, translation = T_base_shape.rotation, T_base_shape.translation
     if isinstance(geometry, hppfcl.BVHModelBase):
         return float(np.min(geometry.vertices() @ rotation[2] + translation[2]))

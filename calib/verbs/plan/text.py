@@ -1,27 +1,30 @@
-"""Plans of poses, and regions of the workspace, as `calib plan` and `calib workspace` print them."""
+"""Plans of poses, as `calib plan` prints them, and in notebooks."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from functools import singledispatch
 from typing import TYPE_CHECKING
+
+import numpy as np
 
 from calib.basics.channels import RESIDUAL_UNITS
 from calib.basics.values import one_line
+from calib.instruments.camera import CameraInstrument
+from calib.instruments.instrument import Instrument
 from calib.show.blocks import NOTEBOOK, Facts, Page, Paragraph, Section
 from calib.show.lines import mm, paragraphs, plural, wrap
 from calib.show.page import notebook_html
 from calib.show.readings import coupling_sentence
 from calib.show.tables import Column, labelled, name_column, table_lines
 from calib.show.words import chain_name
-from calib.verbs.plan.images.text import image_facts, image_head
 from calib.verbs.plan.plan import Plan
+from calib.verbs.plan.plan_file import distances_and_tilts
 
 if TYPE_CHECKING:
     from calib.verbs.plan.forecast import Forecast
     from calib.verbs.plan.notes import Code, Note
-    from calib.verbs.plan.ordering import Blocked
-    from calib.verbs.plan.plan import Plan
 
 _CRITERIA = {
     "V": "least mean error over the workspace (V-optimal)",
@@ -64,13 +67,13 @@ _NOTES: dict[Code, str] = {
     "always_touching": "Not checked against each other, since they touch at (nearly) all poses: {0}.",
 }
 
-#: Columns from a label of the plan's head to its text.
+#: Width of a label of the plan's head [columns].
 _PLAN_LABEL = 15
 
 
 def plan_text(plan: Plan) -> str:
     """Write a plan: its head, the forecasts, notes."""
-    notes = [*map(note_text, plan.notes), *_blocked(plan)]
+    notes = [*map(note_text, plan.notes), *_describe_blocked_moves(plan)]
     return paragraphs(_head(plan), _forecasts(plan), [f"Note: {note}" for note in notes])
 
 
@@ -89,7 +92,7 @@ def note_text(note: Note) -> str:
 
 
 def _and_with(obstacles: Sequence[str | float]) -> str:
-    """Word further bodies that are compared; empty where there are none."""
+    """Word further bodies that are compared; empty: there are none."""
     return f" and with {', '.join(map(str, obstacles))}" if obstacles else ""
 
 
@@ -105,18 +108,31 @@ def _mm(value: float) -> str:
 
 def _head(plan: Plan) -> Iterator[str]:
     """Write the robot, the numbers of poses and candidates, and the model."""
-    if plan.sight is None:
-        yield _instrument_head(plan)
-    else:
-        yield image_head(plan)
-    for label, text in _labelled_facts(plan):
+    forecast = plan.forecast
+    auto = ", for 'auto'" if plan.cell.model != plan.model else ""
+    indices = ", ".join(f"{name} {value:.3g}" for name, value in forecast.indices.items())
+    rejected = ", ".join(f"{n} {_REASONS[why]}" for why, n in plan.refused.items() if n)
+    yield _what_is_planned(plan.instrument, plan)
+    for label, text in (
+        *_facts(plan.instrument, plan),
+        ("criterion", _CRITERIA[plan.request.criterion]),
+        (
+            "error model",
+            f"{plan.model}{auto}: {forecast.columns} parameters, rank {forecast.rank} (whole workspace "
+            f"{forecast.workspace_rank})",
+        ),
+        ("observability", f"{indices} (1 mm, 1 mrad)"),
+        ("candidates", f"{plan.candidates} of {plan.drawn} drawn"),
+        ("rejected", rejected or "none"),
+    ):
         yield labelled(label, text, _PLAN_LABEL, "  ")
     coupling = coupling_sentence(plan.robot)
     if coupling:
         yield wrap(coupling, "  ")
 
 
-def _instrument_head(plan: Plan) -> str:
+@singledispatch
+def _what_is_planned(_instrument: Instrument, plan: Plan) -> str:
     """Word the robot, its chain, the numbers of poses and the targets."""
     robot, count = plan.robot, len(plan.estimation)
     taken = f" beside {len(plan.taken)} measured already" if len(plan.taken) else ""
@@ -126,23 +142,32 @@ def _instrument_head(plan: Plan) -> str:
     )
 
 
-def _labelled_facts(plan: Plan) -> Iterator[tuple[str, str]]:
-    """Word how the poses were chosen, each fact with its label."""
-    forecast = plan.forecast
-    auto = ", for 'auto'" if plan.cell.model != plan.model else ""
-    indices = ", ".join(f"{name} {value:.3g}" for name, value in forecast.indices.items())
-    rejected = ", ".join(f"{n} {_REASONS[why]}" for why, n in plan.refused.items() if n)
-    if plan.sight is not None:
-        yield from image_facts(plan)
-    yield "criterion", _CRITERIA[plan.request.criterion]
-    yield (
-        "error model",
-        f"{plan.model}{auto}: {forecast.columns} parameters, rank {forecast.rank} (whole workspace "
-        f"{forecast.workspace_rank})",
+@_what_is_planned.register
+def _(_instrument: CameraInstrument, plan: Plan) -> str:
+    """Word the robot, the links of camera and board, and the numbers of images."""
+    robot, count = plan.robot, len(plan.estimation)
+    taken = f" beside {len(plan.taken)} taken already" if len(plan.taken) else ""
+    return (
+        f"Plan for '{robot.name}' ({robot.urdf.source}), camera on {robot.base}, board on {robot.tip}: {count} images "
+        f"for calibration{taken}, {len(plan.joints) - count} for validation."
     )
-    yield "observability", f"{indices} (1 mm, 1 mrad)"
-    yield "candidates", f"{plan.candidates} of {plan.drawn} drawn"
-    yield "rejected", rejected or "none"
+
+
+@singledispatch
+def _facts(_instrument: Instrument, _plan: Plan) -> Iterator[tuple[str, str]]:
+    """Word what the poses cover as the instrument sees it, each fact with its label."""
+    yield from ()
+
+
+@_facts.register
+def _(instrument: CameraInstrument, plan: Plan) -> Iterator[tuple[str, str]]:
+    """Word distances and tilts of the board, and how much of the image its corners cover."""
+    distances, tilts = distances_and_tilts(instrument, plan)
+    least, most, half = np.degrees([tilts.min(), tilts.max(), np.median(tilts)])
+    covered = instrument.coverage(plan.sightline.target_poses(plan.joints))
+    yield "distance", f"{1e3 * distances.min():.0f} to {1e3 * distances.max():.0f} mm"
+    yield "tilt", f"{least:.0f} to {most:.0f} deg, half of the images above {half:.0f} deg"
+    yield "image", f"corners in {100.0 * covered:.0f} % of its area"
 
 
 def _forecasts(plan: Plan) -> Iterator[str]:
@@ -153,21 +178,25 @@ def _forecasts(plan: Plan) -> Iterator[str]:
         planned = f"those taken and these, {taken + count}"
         random += " in place of these"
         beside = f" beside the {taken} taken"
-    rows = [
+    rows: list[tuple[str, Forecast | None]] = [
         (planned, forecast),
         (random, plan.at_random),
         (f"the {taken} taken alone", plan.before),
     ]
-    for number, other in plan.ladder:
+    for number, at_number in plan.ladder:
         if number != count:
-            rows.append((f"{number} poses{beside}", other))
+            rows.append((f"{number} poses{beside}", at_number))
     columns = [
         name_column("", 34),
         Column("rms", 10),
         Column("of 90 % of calibrations", 27),
         Column("worst place", 13),
     ]
-    cells = [_forecast_row(label, f) for label, f in rows if f is not None]
+    cells = []
+    for label, other in rows:
+        if other is not None:
+            span = f"{_mm(other.rms_low)} to {_mm(other.rms_high)}"
+            cells.append((f"  {label}", _mm(other.rms), span, _mm(other.max)))
     yield "Expected error of a predicted position after the calibration, over the workspace:"
     yield from table_lines(columns, cells)
     yield f"{noise_text(forecast.sigma)}. Unmodelled errors are not included."
@@ -177,11 +206,7 @@ def _forecasts(plan: Plan) -> Iterator[str]:
 
 
 def noise_text(sigma: Mapping[str, float]) -> str:
-    """Word the noise of a forecast, without a full stop.
-
-    Args:
-        sigma: Standard deviation of one scalar by its unit.
-    """
+    """Word the noise of a forecast, the standard deviation of one scalar by its unit, without a full stop."""
     parts = []
     for symbol, std in sigma.items():
         unit = RESIDUAL_UNITS[symbol]
@@ -192,36 +217,26 @@ def noise_text(sigma: Mapping[str, float]) -> str:
     return f"Noise {', '.join(parts)}"
 
 
-def _forecast_row(label: str, forecast: Forecast) -> tuple[str, str, str, str]:
-    """Cells of a forecast."""
-    span = f"{_mm(forecast.rms_low)} to {_mm(forecast.rms_high)}"
-    return f"  {label}", _mm(forecast.rms), span, _mm(forecast.max)
-
-
-def _blocked(plan: Plan) -> Iterator[str]:
-    """Word the moves whose straight way collides, each with a pose to move through, if one was found."""
-    moves = [_blocked_move(plan, blocked) for blocked in plan.blocked]
+def _describe_blocked_moves(plan: Plan) -> Iterator[str]:
+    """Word the moves whose straight way collides, by their rows, each with a pose to move through if one was found."""
+    targets = len(plan.targets)  # each pose has a row for each of them
+    moves = []
+    for blocked in plan.blocked:
+        start = f"row {targets * (blocked.start - 1) + 1}" if blocked.start else "the start"
+        move = f"{start} to row {targets * (blocked.end - 1) + 1}"
+        if blocked.by is not None:
+            values = []
+            for joint, value in zip(plan.robot.inputs, blocked.by, strict=True):
+                slides = joint.type == "prismatic"
+                values.append(
+                    f"{1e3 * value:.1f} mm" if slides else f"{math.degrees(value):.1f} deg"
+                )
+            move += f" (via {', '.join(values)})"
+        moves.append(move)
     if moves:
         yield f"The straight way in joint space collides from {', '.join(moves)}."
     if any(blocked.by is None for blocked in plan.blocked):
         yield "Put a posture between the rows where no way around is named."
-
-
-def _blocked_move(plan: Plan, blocked: Blocked) -> str:
-    """Word a move by the rows at its ends: pose k has one row for each target."""
-    rows = len(plan.targets)
-    start = f"row {rows * (blocked.start - 1) + 1}" if blocked.start else "the start"
-    text = f"{start} to row {rows * (blocked.end - 1) + 1}"
-    if blocked.by is None:
-        return text
-    values = []
-    for joint, value in zip(plan.robot.inputs, blocked.by, strict=True):
-        slides = joint.type == "prismatic"
-        values.append(f"{1e3 * value:.1f} mm" if slides else f"{math.degrees(value):.1f} deg")
-    return f"{text} (via {', '.join(values)})"
-
-
-# The workspace
 
 
 def plan_html(p: Plan) -> str:

@@ -1,16 +1,21 @@
-"""The pages of a plan and of a region: one HTML file each.
+"""The page of a plan: one HTML file with the robot at one pose after the other, in the order to drive.
 
-A plan: the robot at one pose after the other, in the order to drive, with its numbers; the targets of all poses, the
-boxes about it, and the tracker with its lines of sight. A region: its voxels as coloured points about the nominal
-robot, in bands by density. Each can be shown and hidden.
+It has the numbers of each pose, the targets of all poses, the boxes around the robot, and the tracker with its lines of
+sight. Each can be shown and hidden. The robot stands on its foot, even if the chain begins at a camera in its hand.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
+from functools import singledispatch
+
 import meshcat
 import numpy as np
 
-from calib.basics.arrays import Array
+from calib.basics.arrays import read_only, rigid_inverse
+from calib.data.cell import Box
+from calib.instruments.camera import CameraInstrument
+from calib.instruments.instrument import Instrument
 from calib.show.look import BEAM, ESTIMATION, VALIDATION
 from calib.show.scene.html_page import Key, Page
 from calib.show.scene.scene import (
@@ -20,22 +25,24 @@ from calib.show.scene.scene import (
     draw_lines,
 )
 from calib.verbs.plan.forecast import position_std
-from calib.verbs.plan.images.plan_file import distances_and_tilts, image_name
-from calib.verbs.plan.images.sensitivity import sensitivity_of
-from calib.verbs.plan.images.view import shown
 from calib.verbs.plan.plan import Plan
+from calib.verbs.plan.plan_file import distances_and_tilts, image_name
+from calib.verbs.plan.sensitivity import Sensitivity
 from calib.verbs.view.page import WAY_COLOUR, About, view_page
 from calib.verbs.view.view import View, joint_texts
 
-#: Radius of a target's ball, as a part of the scene's size.
+#: Radius of a target's ball, as a share of the scene's size.
 _BALL = 0.008
-
 
 #: Colour of the boxes.
 _BOXES_COLOUR = "#b9a58c"
 
 #: Colour of poses measured already.
 _TAKEN_COLOUR = "#8a94a0"
+
+#: Thickness of a board, and edge of a camera that stands [m].
+_THICKNESS = 0.004
+_CAMERA = 0.05
 
 
 def plan_page(plan: Plan, *, first_row: int = 1) -> Page:
@@ -45,39 +52,14 @@ def plan_page(plan: Plan, *, first_row: int = 1) -> Page:
         plan: The plan.
         first_row: Number of the first row of its table, see `calib.verbs.plan.plan_file.write_plan`.
     """
-    view = _plan_view(plan, first_row)
-    plan = shown(plan)
-    places = plan.places(plan.joints)
-    taken = plan.places(plan.taken).reshape(-1, 3)
-
-    def draw(group: meshcat.Visualizer, size: float) -> list[Key]:
-        keys = draw_dots(group, _plan_dots(plan, places, taken), _BALL * size)
-        keys += _draw_boxes_of(group, plan)
-        keys += _sight_keys(plan)
-        keys.append(Key("line to the next pose", WAY_COLOUR, "next"))
-        ways = np.stack([places[:-1, 0], places[1:, 0]], axis=1)
-        draw_lines(group["way"], ways, WAY_COLOUR, 0.55)
-        keys.append(Key("order of all poses", WAY_COLOUR, "way", on=False))
-        return keys
-
-    tracker = plan.cell.tracker
-    about = About(
-        points=np.concatenate([places.reshape(-1, 3), taken, _box_ends(plan)]),
-        draw=draw,
-        tracker=None if tracker is None else tracker.position,
-        targets=places,
-    )
-    return view_page(view, about=about)
-
-
-def _plan_view(plan: Plan, first_row: int) -> View:
-    """Return the view of a plan's robot at its poses; the first row of its table has the number ``first_row``."""
-    count = len(plan.joints)
-    forecast = plan.forecast
+    moving = on_foot(plan.instrument, plan)
+    count, forecast = len(plan.joints), plan.forecast
     name = plan.robot.name or "Robot"
-    moving = shown(plan)
     kinds = ["estimation" if word == "estimate" else "validation" for word in plan.sets]
-    return View(
+    fitted = np.concatenate([plan.taken, plan.estimation])
+    sensitivity = Sensitivity.of(plan.robot, plan.cell, plan.instrument)
+    error = position_std(sensitivity, fitted, plan.joints).max(axis=1)
+    view = View(
         moving.robot,
         None,
         moving.joints,
@@ -88,47 +70,92 @@ def _plan_view(plan: Plan, first_row: int) -> View:
         note=f"Expected error of a predicted position after the calibration: {1e3 * forecast.rms:.3f} mm rms over the "
         f"workspace, {1e3 * forecast.rms_low:.3f} to {1e3 * forecast.rms_high:.3f} mm in 90 % of calibrations.",
         names=((name, "as planned"),),
-        numbers=_plan_numbers(plan, first_row),
+        numbers={
+            **joint_texts(moving.robot, moving.joints),
+            **_numbers(plan.instrument, plan, first_row),
+            "expected error once calibrated": tuple(f"{1e3 * value:.3f} mm rms" for value in error),
+        },
     )
 
+    places = moving.places(moving.joints)
+    taken = moving.places(moving.taken).reshape(-1, 3)
+    tracker, boxes = plan.cell.tracker, moving.cell.boxes
 
-def _plan_numbers(plan: Plan, first_row: int) -> dict[str, tuple[str, ...]]:
-    """Return what is shown in words for each pose of a plan: its joint values and where its targets are expected.
+    def draw(group: meshcat.Visualizer, size: float) -> list[Key]:
+        chosen = np.array(moving.sets) == "estimate"
+        estimate = f"to estimate from, {chosen.sum()}"
+        validate = f"to validate with, {(~chosen).sum()}"
+        dots = (
+            Dots("estimate", ESTIMATION, estimate, places[chosen]),
+            Dots("validate", VALIDATION, validate, places[~chosen]),
+            Dots("taken", _TAKEN_COLOUR, f"measured already, {len(moving.taken)}", taken),
+        )
+        keys = draw_dots(group, dots, _BALL * size)
+        if boxes:
+            sizes = [box.size for box in boxes]
+            draw_boxes(group["around"], sizes, [box.T_base_box for box in boxes], _BOXES_COLOUR)
+            keys.append(Key(", ".join(box.name for box in boxes), _BOXES_COLOUR, "around"))
+        if tracker is not None:  # the page's script draws it
+            keys.append(Key("tracker and its line of sight", BEAM, "tracker"))
+            keys.append(Key("lines of sight to all poses", BEAM, "sight", on=False))
+        keys.append(Key("line to the next pose", WAY_COLOUR, "next"))
+        ways = np.stack([places[:-1, 0], places[1:, 0]], axis=1)
+        draw_lines(group["way"], ways, WAY_COLOUR, 0.55)
+        keys.append(Key("order of all poses", WAY_COLOUR, "way", on=False))
+        return keys
 
-    Args:
-        plan: The plan, of K poses and T targets.
-        first_row: Number of the first row of its table; each target has a row, and a point named after it.
+    ends = []
+    for box in boxes:
+        middle = box.T_base_box[:3, 3]
+        ends += [middle - 0.5 * box.size, middle + 0.5 * box.size]
+    about = About(
+        points=np.concatenate([places.reshape(-1, 3), taken, np.reshape(ends, (-1, 3))]),
+        draw=draw,
+        tracker=None if tracker is None else tracker.position,
+        targets=places,
+    )
+    return view_page(view, about=about)
 
-    Returns:
-        K texts by what they are about: millimetres and degrees.
+
+@singledispatch
+def on_foot(_instrument: Instrument, plan: Plan) -> Plan:
+    """Return a plan whose chain leads from what stands to what the robot carries, for the viewer.
+
+    What the robot carries is the target of that plan: an instrument in its hand, with the board as a box of the cell,
+    or the board, with the camera as a box.
     """
-    moving = shown(plan)
-    numbers = joint_texts(moving.robot, moving.joints)
-    if plan.sight is None:
-        numbers |= _target_numbers(plan, first_row)
+    return plan
+
+
+@on_foot.register
+def _(instrument: CameraInstrument, plan: Plan) -> Plan:
+    """Return the plan of a camera from the foot to the hand."""
+    sightline, robot = plan.sightline, plan.robot
+    T_base_camera = rigid_inverse(sightline.T_instrument_base)
+    T_tip_middle = sightline.T_tip_target.copy()
+    T_tip_middle[:3, 3] += sightline.T_tip_target[:3, :3] @ instrument.board.centre
+    joints, taken = plan.joints, plan.taken
+    if robot.base_moves:
+        robot = robot.rebuilt(base=robot.tip, tip=robot.base)
+        columns = [plan.robot.joint_names.index(name) for name in robot.joint_names]
+        joints, taken = joints[:, columns], taken[:, columns]
+        size = np.array([*instrument.board.size, _THICKNESS])
+        carried, standing = T_base_camera, Box("board", size, T_tip_middle)
     else:
-        numbers |= _image_numbers(plan, first_row)
-    measured = np.concatenate([plan.taken, plan.estimation])
-    sensitivity = sensitivity_of(plan.robot, plan.cell, plan.sight)
-    error = position_std(sensitivity, measured, plan.joints).max(axis=1)
-    numbers["expected error once calibrated"] = tuple(
-        f"{1e3 * value:.3f} mm rms" for value in error
+        carried, standing = T_tip_middle, Box("camera", np.full(3, _CAMERA), T_base_camera)
+    return replace(
+        plan,
+        robot=robot,
+        cell=replace(plan.cell, boxes=(*plan.cell.boxes, standing)),
+        joints=read_only(joints),
+        taken=read_only(taken),
+        T_tip_target=read_only(carried[None]),
     )
-    return numbers
 
 
-def _image_numbers(plan: Plan, first_row: int) -> dict[str, tuple[str, ...]]:
-    """Return the name of each image, and where the board is in it, in words; see `_plan_numbers`."""
-    distances, tilts = distances_and_tilts(plan)
-    return {
-        "image": tuple(image_name(first_row + k) for k in range(len(plan.joints))),
-        "distance of the board": tuple(f"{1e3 * value:.0f} mm" for value in distances),
-        "tilt of the board": tuple(f"{value:.1f} deg" for value in np.degrees(tilts)),
-    }
-
-
-def _target_numbers(plan: Plan, first_row: int) -> dict[str, tuple[str, ...]]:
-    """Return the points of each pose and where its targets are expected, in words; see `_plan_numbers`."""
+@singledispatch
+def _numbers(_instrument: Instrument, plan: Plan, first_row: int) -> dict[str, tuple[str, ...]]:
+    """Return the names of the points at each pose, and where its targets are expected, as texts."""
     numbers: dict[str, tuple[str, ...]] = {}
     count = len(plan.targets)
     points = first_row + np.arange(len(plan.joints) * count).reshape(-1, count)
@@ -140,49 +167,12 @@ def _target_numbers(plan: Plan, first_row: int) -> dict[str, tuple[str, ...]]:
     return numbers
 
 
-def _plan_dots(plan: Plan, places: Array, taken: Array) -> tuple[Dots, ...]:
-    """Return the targets of a plan by set.
-
-    Args:
-        plan: The plan.
-        places: shape (N, K, 3), the targets at its poses, in the base [m].
-        taken: shape (L, 3), those at poses measured already [m].
-    """
-    chosen = np.array(plan.sets) == "estimate"
-    estimate = f"to estimate from, {chosen.sum()}"
-    validate = f"to validate with, {(~chosen).sum()}"
-    return (
-        Dots("estimate", ESTIMATION, estimate, places[chosen]),
-        Dots("validate", VALIDATION, validate, places[~chosen]),
-        Dots("taken", _TAKEN_COLOUR, f"measured already, {len(plan.taken)}", taken),
-    )
-
-
-def _draw_boxes_of(scene: meshcat.Visualizer, plan: Plan) -> list[Key]:
-    """Draw the boxes of the cell, if there are any; return their entry of the legend."""
-    boxes = plan.cell.boxes
-    if not boxes:
-        return []
-    sizes = [box.size for box in boxes]
-    poses = [box.T_base_box for box in boxes]
-    draw_boxes(scene["around"], sizes, poses, _BOXES_COLOUR)
-    return [Key(", ".join(box.name for box in boxes), _BOXES_COLOUR, "around")]
-
-
-def _sight_keys(plan: Plan) -> list[Key]:
-    """Return the entries of the legend of the tracker and its lines of sight, which the script draws."""
-    if plan.cell.tracker is None:
-        return []
-    return [
-        Key("tracker and its line of sight", BEAM, "tracker"),
-        Key("lines of sight to all poses", BEAM, "sight", on=False),
-    ]
-
-
-def _box_ends(plan: Plan) -> Array:
-    """Return two points of each box of the cell, shape (K, 3), in the base [m], that the camera sees."""
-    ends = []
-    for box in plan.cell.boxes:
-        middle = box.T_base_box[:3, 3]
-        ends += [middle - 0.5 * box.size, middle + 0.5 * box.size]
-    return np.reshape(ends, (-1, 3))
+@_numbers.register
+def _(instrument: CameraInstrument, plan: Plan, first_row: int) -> dict[str, tuple[str, ...]]:
+    """Return the name of each image, and where the board is in it, as texts."""
+    distances, tilts = distances_and_tilts(instrument, plan)
+    return {
+        "image": tuple(image_name(first_row + k) for k in range(len(plan.joints))),
+        "distance of the board": tuple(f"{1e3 * value:.0f} mm" for value in distances),
+        "tilt of the board": tuple(f"{value:.1f} deg" for value in np.degrees(tilts)),
+    }

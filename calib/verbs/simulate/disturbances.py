@@ -1,4 +1,4 @@
-"""Disturbances of a measurement besides noise: outliers, a target that is knocked, the encoders' resolution."""
+"""Disturbances of a measurement besides noise: outliers, a target that was moved, the encoders' resolution."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from calib.verbs.simulate.random_streams import stream
 
 @dataclass(frozen=True, slots=True)
 class Outliers:
-    """Rows whose measurement is displaced in any direction; lengths are that much longer or shorter."""
+    """Rows whose measurement is displaced in any direction; lengths are longer or shorter by that much."""
 
-    #: Of the rows to estimate from, 0 to 1; at least one row if it is above 0.
+    #: Share of the rows to estimate from, 0 to 1; at least one row if it is above 0.
     share: float = 0.0
-    #: Number of rows, in place of a share; None: by the share.
+    #: Number of rows, in place of a share; None: the share counts.
     count: int | None = None
     #: Displacement [m].
     size: float = 5e-3
@@ -34,7 +34,7 @@ class Outliers:
             size: Displacement [m].
 
         Raises:
-            CalibError: It is neither.
+            CalibError: It is another text.
         """
         number = re.fullmatch(r"\s*(\d{1,9}|\d*\.?\d+(?=\s*%))\s*(%?)\s*", text)
         if number is None:
@@ -47,14 +47,7 @@ class Outliers:
         return cls(count=int(number[1]), size=size)
 
     def choose(self, candidates: Sequence[int], seed: int) -> list[int]:
-        """Choose the outliers among rows; with more outliers, the same ones and others.
-
-        Args:
-            candidates: Numbers of rows.
-            seed: Of the random numbers.
-
-        Returns:
-            Numbers of the outliers, in order.
+        """Choose outliers among the numbers of rows, in order; with more outliers, the same ones and others.
 
         Raises:
             CalibError: There are fewer rows than outliers.
@@ -73,7 +66,7 @@ class Outliers:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MovedTarget(Value):
-    """A target that is elsewhere from some row on, as if it had been knocked."""
+    """A target that is displaced from some row on, as if someone had hit it."""
 
     #: Number of the first row, from 1, that finds it moved.
     row: int
@@ -87,13 +80,10 @@ class MovedTarget(Value):
         object.__setattr__(self, "by", read_only(self.by))
 
     def rows(self, targets: Sequence[str]) -> Mask:
-        """Find the rows that find the target moved.
+        """Return which rows find the target moved, shape (R,).
 
         Args:
             targets: Name of the target of each row, (R,).
-
-        Returns:
-            shape (R,).
 
         Raises:
             CalibError: There is no such row or target.
@@ -111,10 +101,7 @@ class MovedTarget(Value):
 
 @dataclass(frozen=True, slots=True)
 class Encoder:
-    """Smallest steps in which joint values are read.
-
-    The robot stops somewhere within half a step of where it is sent, and what is read is the nearest step.
-    """
+    """Steps in which joint values are read: the robot stops within half a step of its command, and the step is read."""
 
     #: Step of joints that turn [rad]; 0: none.
     angle: float = 0.0
@@ -122,7 +109,7 @@ class Encoder:
     length: float = 0.0
 
     def measure(self, q: Array, sliding: Sequence[bool], seed: int) -> tuple[Array, Array]:
-        """Draw where the robot stops when it is sent to joint values, and what is read there.
+        """Draw where the robot stops if it is sent to joint values, and what is read there.
 
         Args:
             q: shape (N, m), [rad] or [m].

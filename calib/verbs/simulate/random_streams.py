@@ -1,6 +1,6 @@
 """Random numbers of a virtual cell: each purpose has its own, all from one seed.
 
-So one thing can be changed about a virtual cell and the rest stays: outliers leave the noise of other rows as it was.
+So one thing about a virtual cell can be changed and the rest stays: outliers do not change the noise of other rows.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from calib.basics.arguments import check_type
 from calib.basics.channels import RESIDUAL_UNITS
 from calib.errors import CalibError
 
-#: Purposes of random numbers. A new one goes to the end: the numbers of the others then stay.
+#: Purposes of random numbers. A new one goes to the end, so that the numbers of the others stay.
 STREAMS = (
     "errors",
     "targets",
@@ -24,7 +24,7 @@ STREAMS = (
     "outlier directions",
     "poses",
     "validation poses",
-    # The noise of units of residuals that came later, each behind those before it.
+    # The noise of units of residuals that came later.
     *(f"{unit.quantity} noise" for unit in tuple(RESIDUAL_UNITS.values())[2:]),
     # Of cells with a camera.
     "camera",
@@ -37,15 +37,7 @@ STREAMS = (
 
 
 def stream(seed: int, purpose: str) -> np.random.Generator:
-    """Return the random numbers of a purpose.
-
-    Args:
-        seed: A whole number, 0 or more.
-        purpose: One of `STREAMS`.
-
-    Raises:
-        CalibError: The seed is negative.
-    """
+    """Return the random numbers of a purpose, one of `STREAMS`; raises `CalibError` for a negative seed."""
     check_type("seed", seed, (int, np.integer), "a whole number, 0 or more")
     if seed < 0:
         raise CalibError(f"The seed is {seed}; it must be a whole number, 0 or more.")

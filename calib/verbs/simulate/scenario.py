@@ -1,24 +1,24 @@
-"""A virtual cell: a robot whose errors are known is measured, and everything that disturbs a measurement is known too.
+"""A virtual cell: a robot with known errors is measured, and everything that disturbs a measurement is known too.
 
     measured = T_frame_target(q) + drift + robot's repeatability + instrument's noise + outliers
 
-A `Scenario` states what cells are to be like; a seed draws a `VirtualCell` out of it, which measures any poses. See
-docs/simulation.md.
+A `Scenario` specifies cells; a seed draws a `VirtualCell` from it, which measures any poses with a tracker or a camera.
+See docs/simulation.md.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 import calib.data.kinds as registry
-from calib.basics.arguments import check_names, check_type, check_whole
+from calib.basics.arguments import check_mapping, check_names, check_number, check_type, check_whole
 from calib.basics.arrays import Array, Mask, read_only
-from calib.basics.channels import RESIDUAL_UNITS, VECTOR
+from calib.basics.channels import residual_unit
 from calib.basics.values import Value, keep_read_only, one_line
 from calib.data.cell import Cell, TrackerNoise
 from calib.data.columns import SETS
@@ -26,22 +26,44 @@ from calib.data.inputs import ROBOT, RobotInput, cell_of, robot_of
 from calib.data.kinds import Kind
 from calib.data.measurements import Measurements
 from calib.errors import CalibError, ModelError, choices
+from calib.instruments.camera import camera_and_board_places, is_image
+from calib.instruments.instrument import Sightline
+from calib.instruments.tracker import USUAL_NOISE, noise_of_lengths
+from calib.model.families import family_of
 from calib.numerics.geometry import vector
 from calib.robot.ranges import joint_ranges
 from calib.robot.robot import Robot
-from calib.verbs.simulate.cell_noise import USUAL_NOISE, cell_noise, further_noise
 from calib.verbs.simulate.disturbances import Encoder, MovedTarget, Outliers
+from calib.verbs.simulate.equipment import Equipment, draw_equipment
+from calib.verbs.simulate.mounting import draw_scene
 from calib.verbs.simulate.random_streams import stream
-from calib.verbs.simulate.reading_noise import with_pose_noise, with_reading_noise
-from calib.verbs.simulate.scenario_checks import check_scenario
-from calib.verbs.simulate.tour import Tour
+from calib.verbs.simulate.readings import (
+    CameraReader,
+    Pictures,
+    Reader,
+    Stops,
+    Tour,
+    TrackerReader,
+)
 from calib.verbs.simulate.truth import TARGET_ERROR, Truth, draw_truth
+from calib.verbs.simulate.views import CameraScene, draw_views
 
 #: Position of the tracker in the base if nothing is given [m].
 DEFAULT_TRACKER = read_only((3.0, 0.0, 0.0))
 
-#: The set of errors where the cell leaves the choice to the data.
+#: The set of errors if the cell leaves the model to the data.
 DEFAULT_MODEL = "placement"
+
+#: Attributes of a scenario with their types, and the words of messages for these.
+_TYPES = (
+    ("model", str, "the name of a model"),
+    ("errors", Sequence, "pairs of the name and the value of an error"),
+    ("noise", (TrackerNoise, type(None)), "a TrackerNoise, or None"),
+    ("encoder", Encoder, "an Encoder"),
+    ("outliers", (Outliers, type(None)), "Outliers, or None"),
+    ("moved", (MovedTarget, type(None)), "a MovedTarget, or None"),
+    ("true_robot", (Robot, type(None)), "a Robot, or None"),
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,24 +73,24 @@ class Scenario(Value):
     #: The nominal robot; may be given as the path of a URDF or xacro, or a name such as ``"ur3"``, with the cell's base
     #: and tip
     robot: Robot
-    #: Targets, frames, tracker, payload, gravity, kind, and limits of single errors; may be given as the path of a file
+    #: The cell, with limits of single errors; may be given as the path of a file
     cell: Cell = field(default_factory=Cell)
     #: Errors of the robot, see `draw_truth`
     model: str = DEFAULT_MODEL
-    #: Standard deviations of the errors that are drawn, by family; None: none is drawn
+    #: Standard deviations of the errors that are drawn, by family; None: none are drawn
     sizes: Mapping[str, float] | None = field(default_factory=dict)
     #: Names and values of single errors
     errors: tuple[tuple[str, float], ...] = ()
     #: The true geometry, if it is given
     true_robot: Robot | None = None
-    #: Standard deviation of the targets' true positions about their stated ones [m]
+    #: Standard deviation of the targets' true positions around their stated ones [m]
     target_error: float = TARGET_ERROR
-    #: Of one coordinate, by the distance from the tracker; None: none. The repeatability in it displaces all targets
-    #: of one stop alike; of the kind ``distance`` the distance is that from the anchor. Default: the cell's
-    #: ``sigma["m"]`` everywhere, else its tracker's noise, else the usual one
+    #: Noise of a coordinate, which depends on the distance from the tracker, or for the kind ``distance`` from the
+    #: anchor; None: none. Its repeatability displaces all targets of one stop alike. Default: the cell's ``sigma["m"]``
+    #: everywhere, else its tracker's noise, else the usual one
     noise: TrackerNoise | None = USUAL_NOISE
     #: Standard deviation of one scalar in the other units, by their symbols: ``"rad"`` of an orientation about one axis
-    #: [rad], ``"px"`` of an image coordinate [px]; of a unit that is missing the cell's, else 0. Without ``noise`` the
+    #: [rad], ``"px"`` of an image coordinate [px]; for a unit that is missing the cell's, else 0. Without ``noise`` the
     #: cell's does not count
     sigma: Mapping[str, float] = field(default_factory=dict)
     #: Steps of the joint values
@@ -84,10 +106,10 @@ class Scenario(Value):
     visits: int = 1
 
     def __post_init__(self) -> None:
-        """Read robot and cell where paths were given, refuse other kinds, and keep read-only copies."""
+        """Read robot and cell if paths were given, check the values, and keep read-only copies."""
         object.__setattr__(self, "cell", cell_of(self.cell))
         object.__setattr__(self, "robot", robot_of(self.robot, self.cell))
-        check_scenario(self)
+        self._check_values()
         if self.kind.measure is None:
             allowed = [name for name in registry.names() if registry.get(name).measure is not None]
             raise CalibError(
@@ -96,10 +118,31 @@ class Scenario(Value):
             )
         object.__setattr__(self, "drift", vector(self.drift, "drift"))
         if self.noise is USUAL_NOISE:
-            object.__setattr__(self, "noise", cell_noise(self.cell))
+            object.__setattr__(self, "noise", noise_of_lengths(self.cell))
         if self.noise is not None:
-            object.__setattr__(self, "sigma", {**further_noise(self.cell), **self.sigma})
+            of_cell = {unit: std for unit, std in self.cell.sigma.items() if unit != "m"}
+            object.__setattr__(self, "sigma", {**of_cell, **self.sigma})
         keep_read_only(self, "sizes", "sigma")
+
+    def _check_values(self) -> None:
+        """Refuse values of another type, and numbers that are not finite or out of range."""
+        for name, types, allowed in _TYPES:
+            check_type(name, getattr(self, name), types, allowed)
+        check_number("target_error", self.target_error, 0.0)
+        check_mapping("sigma", self.sigma)
+        if "m" in self.sigma:
+            raise CalibError(
+                "The argument 'sigma' has 'm'; the noise of lengths is the argument 'noise', such as "
+                "TrackerNoise(constant=1e-4, per_length=0.0)."
+            )
+        for unit, std in self.sigma.items():
+            check_number(f"sigma[{residual_unit(unit).symbol!r}]", std, 0.0)
+        check_whole("visits", self.visits, 1)
+        if self.sizes is not None:
+            check_mapping("sizes", self.sizes)
+            for family, size in self.sizes.items():
+                family_of(family)
+                check_number(f"sizes[{family!r}]", size, 0.0)
 
     def __repr__(self) -> str:
         """Return one line: robot, errors, and kind of measurement."""
@@ -116,7 +159,7 @@ class Scenario(Value):
     def tracker(self) -> Array | None:
         """Position of the tracker in the base, shape (3,), [m]; None: at the origin of its frame.
 
-        That is the cell's tracker; or where measurements are in the base frame, 3 m away along its x axis.
+        That is the cell's tracker; or if measurements are in the base frame, 3 m away along its x axis.
         """
         cell = self.cell
         if cell.tracker is not None:
@@ -125,12 +168,19 @@ class Scenario(Value):
         return None if has_frames else DEFAULT_TRACKER
 
     def draw(self, seed: int) -> VirtualCell:
-        """Draw a virtual cell with the errors of a seed; `CalibError` where a camera measures it."""
-        if self.kind.optical:
-            raise CalibError(
-                f"Rows of the kind '{self.kind.name}' are corners in pictures, which are simulated by "
-                "calib.verbs.simulate.camera.simulate.simulate_pictures."
-            )
+        """Draw a virtual cell with the errors of a seed.
+
+        In a cell of the kind ``"pixel"`` the camera and the board are drawn around those that the cell states, or
+        around usual ones, and so are their places, if the cell does not give them.
+
+        Args:
+            seed: Of the random numbers.
+
+        Raises:
+            ModelError: An error that the model does not have.
+            CalibError: With a camera: disturbances that pictures do not have, several cameras or boards, or a board
+                that is never seen.
+        """
         truth = draw_truth(
             self.robot,
             self.model,
@@ -141,15 +191,40 @@ class Scenario(Value):
             true_robot=self.true_robot,
             target_error=self.target_error,
         )
-        return VirtualCell(self, truth)
+        if not is_image(self.kind):
+            return VirtualCell(self, truth)
+        is_given = {
+            "visits": self.visits > 1,
+            "moved_row": self.moved is not None,
+            "drift_mm": bool(self.drift.any()),
+        }
+        given = [name for name, is_there in is_given.items() if is_there]
+        if given:
+            raise CalibError(f"Pictures are simulated without {choices(given)} of [simulation].")
+        equipment = draw_equipment(self.robot, self.cell, seed)
+        camera, printed = equipment.camera, equipment.printed
+        T_camera_base, T_tip_board = camera_and_board_places(self.cell)
+        rng = stream(seed, "mounts")
+        sightline = draw_scene(
+            self.robot, camera, printed, rng, T_camera_base, T_tip_board
+        ).sightline
+        placed = replace(
+            truth,
+            groups=("",),
+            T_frame_base=read_only(sightline.T_instrument_base[None]),
+            targets=(printed.board.name,),
+            T_tip_target=read_only(sightline.T_tip_target[None]),
+            stated_T_tip_target=read_only(sightline.T_tip_target[None]),
+        )
+        return VirtualCell(self, placed, equipment)
 
     def random_poses(self, count: int, seed: int, *, validation: bool = False) -> Array:
-        """Draw readings at joint values inside the limits, or the cell's ranges.
+        """Draw readings at joint values within the limits, or the cell's ranges.
 
         Args:
             count: Number of poses.
             seed: Of the random numbers.
-            validation: Whether they are poses to validate with, which have random numbers of their own.
+            validation: Whether the poses are for validation, which have random numbers of their own.
 
         Returns:
             shape (count, m), [rad] or [m].
@@ -160,32 +235,6 @@ class Scenario(Value):
         values = low + (high - low) * rng.uniform(size=(count, len(low)))
         return self.robot.readings(values)
 
-    def poses(
-        self,
-        seed: int,
-        count: int = 30,
-        validation: int = 0,
-        given: Array | None = None,
-        sets: tuple[str, ...] = (),
-    ) -> tuple[Array, tuple[str, ...]]:
-        """Return the poses to measure, and the set of each.
-
-        Args:
-            seed: Of the random numbers.
-            count: Number of random poses to estimate from.
-            validation: Number of random poses to validate with.
-            given: shape (n, m), poses in place of the random ones [rad] or [m]; None: ``count`` random ones.
-            sets: The set of each of them; (): all to estimate from.
-
-        Returns:
-            shape (N, m), [rad] or [m], and ``"estimate"`` or ``"validate"`` for each.
-        """
-        q = self.random_poses(count, seed) if given is None else given
-        extra = self.random_poses(validation, seed, validation=True)
-        estimate, validate = SETS
-        all_sets = (sets or (estimate,) * len(q)) + (validate,) * len(extra)
-        return np.concatenate([q, extra]), all_sets
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Simulated(Value):
@@ -195,18 +244,21 @@ class Simulated(Value):
     measurements: Measurements
     #: The robot, the targets and the frames
     truth: Truth
-    #: shape (R, m), true joint values in each row, before the joints' errors [rad] or [m]
+    #: shape (R, m), true joint values in each row, without the joints' errors [rad] or [m]
     q: Array
     #: shape (R, 4, 4), true poses of the targets, the moved one's included [m]
     T_frame_target: Array
-    #: Shape (R,), standard deviation of the noise of one coordinate or length [m]
+    #: Shape (R,), standard deviation of the noise of one coordinate or length [m], or of an image coordinate [px]
     sigma: Array
-    #: shape (R, 3), displacement of outliers [m]; zero in other rows. Of lengths the first column is the change
+    #: shape (R, 3) [m], displacement of outliers; zero in other rows. For lengths the first column is the change. For
+    #: images shape (R, 2) [px]
     outliers: Array
     #: Shape (R,), whether a row found the target moved
     moved: Mask
     #: Of the random numbers
     seed: int
+    #: The pictures whose corners are the rows; None: another instrument
+    pictures: Pictures | None = None
 
     def __repr__(self) -> str:
         """Return one line: the measurements and the seed."""
@@ -229,20 +281,59 @@ class VirtualCell(Value):
 
     #: What is measured, and what disturbs it
     scenario: Scenario
-    #: The robot, the targets and the frames
+    #: The robot, the targets and the frames; with a camera its one frame is the camera, its one target the board
     truth: Truth
+    #: The camera and the board as they are; None: another instrument
+    equipment: Equipment | None = None
 
     def __repr__(self) -> str:
-        """Return one line: what it was drawn out of."""
+        """Return one line: the scenario from which it was drawn."""
         return one_line("VirtualCell", repr(self.scenario))
+
+    @property
+    def reader(self) -> Reader:
+        """The instrument with its noise."""
+        scenario = self.scenario
+        if self.equipment is not None:
+            sigma = scenario.sigma.get("px", 0.0)
+            return CameraReader(scenario.kind, self.equipment, sigma, scenario.outliers)
+        return TrackerReader(
+            kind=scenario.kind,
+            truth=self.truth,
+            noise=scenario.noise,
+            sigma=scenario.sigma,
+            position=scenario.tracker,
+            outliers=scenario.outliers,
+        )
+
+    def poses(self, count: int, seed: int, *, validation: bool = False) -> Array:
+        """Draw readings at which targets are measured: random ones, or such that a camera sees the whole board.
+
+        Args:
+            count: Number of poses.
+            seed: Of the random numbers.
+            validation: Whether the poses are for validation, which have random numbers of their own.
+
+        Returns:
+            shape (count, m), [rad] or [m].
+
+        Raises:
+            CalibError: A camera sees the board at too few poses.
+        """
+        if self.equipment is None:
+            return self.scenario.random_poses(count, seed, validation=validation)
+        truth = self.truth
+        sightline = Sightline(truth.nominal, truth.T_frame_base[0], truth.T_tip_target[0])
+        scene = CameraScene(sightline, self.equipment.camera, self.equipment.printed)
+        return draw_views(scene, count, stream(seed, "validation views" if validation else "views"))
 
     def measure(self, q: ArrayLike, seed: int = 0, sets: Sequence[str] | None = None) -> Simulated:
         """Measure every target at every pose.
 
-        The poses are dealt out among the groups in turn; with several visits the whole tour is made again.
+        The stations take the poses in turn; with several visits the whole tour is repeated.
 
         Args:
-            q: Poses that the robot is sent to, shape (N, m), [rad] or [m].
+            q: Commanded poses, shape (N, m), [rad] or [m].
             seed: Of the random numbers.
             sets: ``"estimate"`` or ``"validate"`` for each pose; None: all to estimate from.
 
@@ -250,190 +341,53 @@ class VirtualCell(Value):
             The measurements, and the truth of each row.
 
         Raises:
-            CalibError: Values that are none of these joints, or a disturbance that does not fit.
+            CalibError: Values that do not fit the joints, or a disturbance that does not fit the rows.
         """
-        scenario, robot = self.scenario, self.truth.nominal
+        scenario, truth, robot = self.scenario, self.truth, self.truth.nominal
         commanded = robot.columns(q)
         if sets is not None:
             check_names("sets", sets)
         sets = (SETS[0],) * len(commanded) if sets is None else tuple(sets)
-        tour = Tour.of(self.truth, sets, visits=scenario.visits, paired=scenario.kind.paired)
+        tour = Tour.of(truth, sets, visits=scenario.visits, paired=scenario.kind.paired)
         sliding = [joint.type == "prismatic" for joint in robot.inputs]
         true_q, read_q = scenario.encoder.measure(commanded[tour.route], sliding, seed)
-        T, moved = self._true_poses(tour, true_q)
-        instrument = self._instrument_std(T, tour)
-        outliers = self._outliers(tour, seed)
-        readings = self._readings(T, tour, instrument, outliers, seed)
-        repeatability = scenario.noise.repeatability if scenario.noise else 0.0
-        rows_per_reading = 2.0 if scenario.kind.paired else 1.0
-        return Simulated(
-            measurements=self._table(tour, read_q, readings),
-            truth=self.truth,
-            q=read_only(true_q[tour.stop]),
-            T_frame_target=read_only(T),
-            sigma=read_only(np.hypot(instrument, np.sqrt(rows_per_reading) * repeatability)),
-            outliers=read_only(outliers),
-            moved=moved,
-            seed=int(seed),
-        )
 
-    def _table(self, tour: Tour, read_q: Array, readings: Array) -> Measurements:
-        """Return the table of measurements.
-
-        Args:
-            tour: The R rows.
-            read_q: Joint values that are read at each stop, shape (stops, m), [rad] or [m].
-            readings: What the instrument reads, shape (R, k).
-        """
-        robot, kind, truth = self.truth.nominal, self.scenario.kind, self.truth
-        prismatic = [joint.name for joint in robot.inputs if joint.type == "prismatic"]
-        return Measurements(
-            joint_names=robot.joint_names,
-            joints=read_q[tour.stop],
-            sets=tour.sets,
-            targets=tuple(truth.targets[t] for t in tour.target),
-            groups=tuple(truth.groups[g] for g in tour.group),
-            kinds=(kind.name,) * len(tour),
-            prismatic=tuple(prismatic),
-            pairs=tour.pairs,
-            **Measurements.columns_of(kind, readings),
-        )
-
-    def _true_poses(self, tour: Tour, true_q: Array) -> tuple[Array, Mask]:
-        """Compute the true poses of the targets.
-
-        Args:
-            tour: The R rows.
-            true_q: True joint values at each stop, shape (stops, m), [rad] or [m].
-
-        Returns:
-            T_frame_target, shape (R, 4, 4), [m], and whether a row found its target moved, shape (R,).
-        """
-        truth, event = self.truth, self.scenario.moved
         T_tip_target = truth.T_tip_target[tour.target].copy()
         moved = np.zeros(len(tour), dtype=np.bool_)
-        if event is not None:
-            moved = event.rows([truth.targets[t] for t in tour.target])
-            T_tip_target[moved, :3, 3] += event.by
-        moved.setflags(write=False)
+        if scenario.moved is not None:
+            moved = scenario.moved.rows([truth.targets[t] for t in tour.target])
+            T_tip_target[moved, :3, 3] += scenario.moved.by
         T_base_tip = truth.tip_poses(true_q)[tour.stop]
-        return truth.T_frame_base[tour.group] @ T_base_tip @ T_tip_target, moved
+        T = truth.T_frame_base[tour.group] @ T_base_tip @ T_tip_target
 
-    def _instrument_std(self, T: Array, tour: Tour) -> Array:
-        """Return the standard deviation of the instrument alone.
-
-        Args:
-            T: True poses of the targets in the frames, shape (R, 4, 4), [m].
-            tour: The R rows.
-
-        Returns:
-            shape (R,), [m].
-        """
-        noise, kind, tracker = self.scenario.noise, self.scenario.kind, self.scenario.tracker
-        if noise is None:
-            return np.zeros(len(T))
-        distance = np.linalg.norm(T[:, :3, 3], axis=1)
-        lengths = [i for i, one in enumerate(kind.readings) if one.quantity == "length"]
-        if lengths and not kind.position:  # the instrument is what the length is measured from
-            assert kind.measure is not None
-            distance = np.abs(kind.measure(tour.with_partners(T))[:, lengths[0]])
-        elif tracker is not None:
-            T_frame_base = self.truth.T_frame_base[tour.group]
-            position = T_frame_base[:, :3, :3] @ tracker + T_frame_base[:, :3, 3]
-            distance = np.linalg.norm(T[:, :3, 3] - position, axis=1)
-        return np.asarray(noise.constant + noise.per_length * distance)
-
-    def _outliers(self, tour: Tour, seed: int) -> Array:
-        """Draw the displacement of each row's measurement, shape (R, 3), [m]; of a pair that of its first row."""
-        displacement = np.zeros((len(tour), 3))
-        outliers = self.scenario.outliers
-        if outliers is None:
-            return displacement
-        rows = np.arange(len(tour))
-        first = rows if tour.partner is None else rows[rows < tour.partner]
-        candidates = [i for i in first.tolist() if tour.sets[i] == SETS[0]]
-        chosen = outliers.choose(candidates, seed)
-        directions = stream(seed, "outlier directions").standard_normal(displacement.shape)
-        directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-        if not self.scenario.kind.position:
-            directions = np.sign(directions) * (1.0, 0.0, 0.0)
-        displacement[chosen] = outliers.size * directions[chosen]
-        return displacement
-
-    def _readings(
-        self,
-        T: Array,
-        tour: Tour,
-        instrument: Array,
-        outliers: Array,
-        seed: int,
-    ) -> Array:
-        """Draw what the instrument reads in each row, as `calib.data.kinds.Kind` has it.
-
-        Args:
-            T: True poses of the targets in the frames, shape (R, 4, 4), [m].
-            tour: The R rows.
-            instrument: Standard deviation of the instrument, shape (R,), [m].
-            outliers: Displacement of outliers, shape (R, 3), [m].
-            seed: Of the random numbers.
-
-        Returns:
-            shape (R, k).
-        """
-        kind = self.scenario.kind
-        assert kind.measure is not None
-        noise = self._noise(len(T), instrument, seed)
-        noise["length"][:, :VECTOR] += outliers
-        displaced = self._displaced(T, tour, seed)
-        exact = kind.measure(tour.with_partners(displaced))
-        noisy = with_pose_noise(kind, exact, T[:, :3, :3], noise)
-        if tour.partner is not None:  # both rows of a pair hold the one reading
-            first_rows = np.minimum(np.arange(len(T)), tour.partner)
-            noise = {quantity: added[first_rows] for quantity, added in noise.items()}
-        return with_reading_noise(kind, noisy, noise)
-
-    def _noise(self, rows: int, instrument: Array, seed: int) -> dict[str, Array]:
-        """Draw the noise of what the kind measures, by quantity.
-
-        Args:
-            rows: Number R of rows.
-            instrument: Standard deviation of lengths, shape (R,), [m].
-            seed: Of the random numbers.
-
-        Returns:
-            For each quantity of `RESIDUAL_UNITS` shape (R, k), in its residual unit, with k of at least 3.
-        """
-        kind = self.scenario.kind
-        noise: dict[str, Array] = {}
-        for symbol, unit in RESIDUAL_UNITS.items():
-            quantity = unit.quantity
-            of_quantity = [reading for reading in kind.readings if reading.quantity == quantity]
-            name = "tracker noise" if symbol == "m" else f"{quantity} noise"
-            random = stream(seed, name)
-            first = random.standard_normal((rows, VECTOR))
-            further = random.standard_normal((rows, len(of_quantity)))
-            std = (
-                instrument if symbol == "m" else np.full(rows, self.scenario.sigma.get(symbol, 0.0))
-            )
-            noise[quantity] = np.hstack([first, further]) * std[:, None]
-        return noise
-
-    def _displaced(self, T: Array, tour: Tour, seed: int) -> Array:
-        """Return true poses with drift and the robot's repeatability, which all targets of a stop share.
-
-        Args:
-            T: True poses of the targets in the frames, shape (R, 4, 4), [m].
-            tour: The R rows.
-            seed: Of the random numbers.
-        """
-        noise = self.scenario.noise
-        repeatability = 0.0 if noise is None else noise.repeatability
-        drift = np.linspace(0.0, 1.0, len(T))[:, None] * self.scenario.drift
+        # The robot's repeatability displaces all targets of one stop alike.
+        repeatability = 0.0 if scenario.noise is None else scenario.noise.repeatability
+        drift = np.linspace(0.0, 1.0, len(T))[:, None] * scenario.drift
         unit_normal = stream(seed, "robot noise").standard_normal((len(tour.route), 3))
-        of_stops = repeatability * unit_normal
-        displaced: Array = T.copy()
-        displaced[:, :3, 3] += drift + of_stops[tour.stop]
-        return displaced
+        displaced = T.copy()
+        displaced[:, :3, 3] += drift + (repeatability * unit_normal)[tour.stop]
+
+        rows = self.reader.read(Stops(tour, read_q, true_q, T, displaced), seed)
+        stop, found_moved = tour.stop[rows.view], moved[rows.view]
+        found_moved.setflags(write=False)
+        measurements = Measurements(
+            joint_names=robot.joint_names,
+            joints=read_q[stop],
+            sets=tuple(tour.sets[i] for i in rows.view),
+            prismatic=tuple(joint.name for joint in robot.inputs if joint.type == "prismatic"),
+            **rows.columns,
+        )
+        return Simulated(
+            measurements=measurements,
+            truth=truth,
+            q=read_only(true_q[stop]),
+            T_frame_target=read_only(T[rows.view]),
+            sigma=read_only(rows.sigma),
+            outliers=read_only(rows.outliers),
+            moved=found_moved,
+            seed=int(seed),
+            pictures=rows.pictures,
+        )
 
 
 def simulate(
@@ -448,8 +402,9 @@ def simulate(
 
     Args:
         scenario: What is measured, and what disturbs it. A robot, the path of a URDF or xacro, or a name such as
-            ``"ur3"`` stands for the usual scenario of that robot.
-        count: Number of random poses to estimate from.
+            ``"ur3"`` stands for the usual scenario of that robot. For the kind ``"pixel"`` the chain leads from the
+            camera's link to the board's.
+        count: Number of random poses to estimate from; for pictures, of poses from which the camera sees the board.
         validation: Number of random poses to validate with.
         seed: The same seed gives the same measurements.
         poses: shape (n, m), poses in place of the random ones [rad] or [m]; None: ``count`` random ones.
@@ -460,7 +415,8 @@ def simulate(
 
     Raises:
         ArgumentError: An argument of another type.
-        ModelError: Poses that are none of this robot, or negative numbers.
+        ModelError: Poses that do not fit the robot, or negative numbers.
+        CalibError: For pictures: see `Scenario.draw` and `VirtualCell.poses`.
     """
     check_type("scenario", scenario, (Scenario, Robot, str, Path), f"a Scenario, or {ROBOT}")
     check_whole("count", count, 0)
@@ -473,5 +429,9 @@ def simulate(
         raise ModelError(
             f"The argument 'sets' has {len(sets)} names; it must be one for each of 'poses'."
         )
-    q, all_sets = made.poses(seed, count, validation, given, sets)
-    return made.draw(seed).measure(q, seed, all_sets)
+    virtual = made.draw(seed)
+    q = virtual.poses(count, seed) if given is None else given
+    further = virtual.poses(validation, seed, validation=True)
+    estimate, validate = SETS
+    all_sets = (sets or (estimate,) * len(q)) + (validate,) * len(further)
+    return virtual.measure(np.concatenate([q, further]), seed, all_sets)

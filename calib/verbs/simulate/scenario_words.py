@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -18,14 +18,15 @@ from calib.basics.units import LENGTH, parse_amount, parse_noise, quantity_name
 from calib.basics.value_forms import DEGREES, MM, NUMBER, POINT_MM, Place, text
 from calib.data.cell import Cell, TrackerNoise, read_toml
 from calib.data.inputs import chain_of, robot_of
+from calib.errors import CalibError, choices
+from calib.instruments.camera import is_image
+from calib.instruments.tracker import noise_of_lengths
 from calib.model.error_model import error_model
-from calib.model.families import unit_of
-from calib.model.parameters import ErrorModel
+from calib.model.families import FAMILIES, unit_of
 from calib.robot.robot import Robot
-from calib.verbs.simulate.cell_noise import cell_noise, further_noise
 from calib.verbs.simulate.disturbances import Encoder, MovedTarget, Outliers
 from calib.verbs.simulate.scenario import DEFAULT_MODEL, Scenario
-from calib.verbs.simulate.truth import NONE, TARGET_ERROR, parse_error_sizes
+from calib.verbs.simulate.truth import TARGET_ERROR
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,6 +69,9 @@ class Disturbances:
         absent="all targets",
     )
 
+
+#: Word for no noise, or no errors.
+NONE = "none"
 
 #: Noise of an orientation about each axis, of a tracker's 6D probe [rad].
 _PROBE = float(np.radians(0.01))
@@ -129,118 +133,100 @@ def read_scenario(
         path: Its file, whose table ``[simulation]`` counts too; None: there is none.
         words: Options of the command line; None: none are given.
 
-    Returns:
-        The scenario.
-
     Raises:
         CalibError: A text that an option does not take, or a fault of the file.
     """
     words = words or ScenarioWords()
-    disturbances = _disturbances(path)
+    table = {} if path is None else read_toml(path).get("simulation", {})
+    disturbances = read_record(Disturbances, table, Place(heading=f"[simulation] of {path}"))
+
     model = DEFAULT_MODEL if cell.model == "auto" else cell.model
-    all_errors = error_model(robot, model, target=False, gravity=cell.gravity)
-    errors = tuple(_named_errors(words.error or (), all_errors))
-    noise, sigma = _noise(cell, words.noise)
+    parameters = error_model(robot, model, target=False, gravity=cell.gravity)
+    errors: dict[str, float] = {}
+    for pair in dict.fromkeys(words.error or ()):
+        name, _, value = (part.strip() for part in pair.rpartition("="))
+        unit = unit_of(parameters.parameters[parameters.index(name)].unit)
+        errors[name] = parse_amount(value, "--error", unit.quantity, unit.example, signed=True)
+    true_robot = None
+    if words.truth_robot is not None:
+        true_robot = robot_of(words.truth_robot, chain_of(robot))
+    target_error = TARGET_ERROR
+    if words.target_error is not None:
+        target_error = parse_amount(words.target_error, "--target-error", LENGTH, "1 mm")
+
+    # --noise is that of corners if these are measured, else that of lengths.
+    of_images = cell.kind is not None and is_image(registry.get(cell.kind))
+    pixels = None
+    noise: TrackerNoise | None = noise_of_lengths(cell)
+    if words.noise is not None and of_images and words.noise != NONE:
+        pixels = parse_amount(words.noise, "--noise", quantity_name("pixel"), "0.3 px")
+    elif words.noise is not None:
+        is_none = words.noise == NONE
+        constant, per_length = (0.0, 0.0) if is_none else parse_noise(words.noise, "--noise")
+        noise = TrackerNoise(constant, per_length, 0.0) if constant or per_length else None
+    sigma: dict[str, float] = {}
+    if noise is not None:
+        usual = {symbol: unit.assumed_sigma for symbol, unit in RESIDUAL_UNITS.items()}
+        sigma = usual | {"rad": _PROBE} | dict(cell.sigma)
+        del sigma["m"]
+    if pixels is not None:
+        sigma["px"] = pixels
+
     outliers = None
     if words.outliers is not None:
         outliers = Outliers.parse(words.outliers, disturbances.outlier_size)
+    moved = None
+    if disturbances.moved_row is not None or disturbances.moved_by is not None:
+        first_row = 1 if disturbances.moved_row is None else int(disturbances.moved_row)
+        by = np.zeros(3) if disturbances.moved_by is None else disturbances.moved_by
+        moved = MovedTarget(first_row, by, disturbances.moved_target)
     return Scenario(
         robot=robot,
         cell=cell,
         model=model,
         sizes=parse_error_sizes(cell, words.sizes, named=bool(errors)),
-        errors=errors,
-        true_robot=_true_robot(robot, words.truth_robot),
-        target_error=_target_error(words.target_error),
+        errors=tuple(errors.items()),
+        true_robot=true_robot,
+        target_error=target_error,
         noise=noise,
         sigma=sigma,
         encoder=Encoder(disturbances.encoder_angle, disturbances.encoder_length),
         outliers=outliers,
-        moved=_moved_target(disturbances),
+        moved=moved,
         drift=disturbances.drift,
         visits=int(disturbances.visits),
     )
 
 
-def _disturbances(path: Path | None) -> Disturbances:
-    """Read the table ``[simulation]`` of a cell file; None: there is no file."""
-    table = {} if path is None else read_toml(path).get("simulation", {})
-    return read_record(Disturbances, table, Place(heading=f"[simulation] of {path}"))
-
-
-def _true_robot(robot: Robot, path: Path | None) -> Robot | None:
-    """Load the true robot, with the chain of the nominal one; None without a file."""
-    if path is None:
-        return None
-    return robot_of(path, chain_of(robot))
-
-
-def _target_error(text: str | None) -> float:
-    """Parse ``--target-error`` [m]; the default without one."""
-    if text is None:
-        return TARGET_ERROR
-    return parse_amount(text, "--target-error", LENGTH, "1 mm")
-
-
-def _noise(cell: Cell, text: str | None) -> tuple[TrackerNoise | None, dict[str, float]]:
-    """Parse ``--noise``: of the images of corners [px], of anything else that of lengths.
+def parse_error_sizes(cell: Cell, text: str | None, *, named: bool) -> Mapping[str, float] | None:
+    """Parse standard deviations of errors, ``length 0.5 mm, angle 3 mrad``, or ``none``.
 
     Args:
-        cell: Has the kind, and the noise where nothing is typed.
-        text: As typed; None: not given.
+        cell: Its priors are the default, if they are given.
+        text: As typed; None: the default, which is typical sizes, or none if there are named errors.
+        named: Whether single errors are given by name.
 
     Returns:
-        The noise of lengths, and that of one scalar in the other units by their symbols.
-    """
-    is_optical = cell.kind is not None and registry.get(cell.kind).optical
-    if not is_optical or text is None or text == NONE:
-        noise = parse_tracker_noise(cell, text)
-        return noise, _further_noise(cell, noise)
-    pixels = parse_amount(text, "--noise", quantity_name("pixel"), "0.3 px")
-    noise = cell_noise(cell)
-    return noise, {**_further_noise(cell, noise), "px": pixels}
-
-
-def _further_noise(cell: Cell, noise: TrackerNoise | None) -> dict[str, float]:
-    """Return the noise of one scalar in units other than of length: the cell's, or a usual one; none without noise."""
-    if noise is None:
-        return {}
-    usual = {symbol: unit.assumed_sigma for symbol, unit in RESIDUAL_UNITS.items()}
-    del usual["m"]
-    return usual | {"rad": _PROBE} | further_noise(cell)
-
-
-def _moved_target(disturbances: Disturbances) -> MovedTarget | None:
-    """Return the target that moves; None if none does."""
-    row, by = disturbances.moved_row, disturbances.moved_by
-    if row is None and by is None:
-        return None
-    displacement = np.zeros(3) if by is None else by
-    return MovedTarget(int(1 if row is None else row), displacement, disturbances.moved_target)
-
-
-def _named_errors(pairs: Iterable[str], model: ErrorModel) -> Iterator[tuple[str, float]]:
-    """Parse single errors, ``elbow_joint.rx=2 mrad`` each, in the units of the parameters."""
-    for pair in dict.fromkeys(pairs):
-        name, _, value = (part.strip() for part in pair.rpartition("="))
-        unit = unit_of(model.parameters[model.index(name)].unit)
-        yield name, parse_amount(value, "--error", unit.quantity, unit.example, signed=True)
-
-
-def parse_tracker_noise(cell: Cell, text: str | None) -> TrackerNoise | None:
-    """Parse ``--noise``: ``15 um + 6 um/m``, ``0.05 mm`` or ``none``.
-
-    Args:
-        cell: Has the noise where nothing is typed: its own sigma, its tracker's, or a usual tracker's.
-        text: As typed; None: not given.
-
-    Returns:
-        The noise; None: none at all.
+        Standard deviations by family, in its unit; empty: typical ones; None: no errors are drawn.
 
     Raises:
-        CalibError: It is no such text.
+        CalibError: It is another text.
     """
-    if text is not None:
-        constant, per_length = (0.0, 0.0) if text == NONE else parse_noise(text, "--noise")
-        return TrackerNoise(constant, per_length, 0.0) if constant or per_length else None
-    return cell_noise(cell)
+    if text is None and not named:
+        if cell.priors.source == "given":
+            return {family: cell.priors.of(family) for family in FAMILIES}
+        return {}
+    if text is None or text.strip() == NONE:
+        return None
+    sizes: dict[str, float] = {}
+    for part in text.split(","):
+        name, _, value = part.strip().partition(" ")
+        if name not in FAMILIES:
+            raise CalibError(
+                f"--sizes was given as \"{text}\"; it must be '{NONE}', or standard deviations "
+                'with commas between them such as "length 0.5 mm, angle 3 mrad", of '
+                f"{choices(FAMILIES)}."
+            )
+        unit = FAMILIES[name].unit
+        sizes[name] = parse_amount(value, f"--sizes, {name}", unit.quantity, unit.example)
+    return sizes

@@ -1,58 +1,76 @@
-"""A simulation as `calib simulate` prints it: a row for each thing simulated; or the figures of a study."""
+"""A simulation as text, as `calib simulate` prints it: a row for each thing that was simulated."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from calib.basics.arrays import Array
+from calib.basics.arrays import Array, rigid_inverse
+from calib.boards.project import corner_pixels
+from calib.camera.lenses import LENSES
+from calib.data.columns import SETS
+from calib.instruments.camera import board_tilts
 from calib.model.families import FAMILIES, unit_of
 from calib.numerics.errors import rms
-from calib.show.lines import fill, mm, plural, row_ranges
-from calib.show.tables import Column, labelled, name_column, table_lines
+from calib.show.lines import fill, plural, row_ranges
+from calib.show.tables import labelled
+from calib.verbs.simulate.readings import OUTLIER, Pictures
 from calib.verbs.simulate.scenario import Scenario, Simulated
-from calib.verbs.simulate.study import Study
-from calib.verbs.simulate.trial import VERIFIED, Trials
 from calib.verbs.simulate.truth import Truth
+from calib.verbs.simulate.views import filled_shares
 
-#: Columns from a label to its text.
+#: Width of a label [columns].
 _LABEL = 26
 
-#: A frame whose pose differs by less from the identity is the base frame.
+#: A frame whose pose differs from the identity by less is the base frame.
 _ROUNDING = 1e-12
 
 
 def simulated_text(scenario: Scenario, simulated: Simulated) -> str:
-    """Write what was simulated.
+    """Write what was simulated, in lines of 100 columns.
 
-    Args:
-        scenario: The scenario as it was given.
-        simulated: The robot with its true errors, and its measurements.
-
-    Returns:
-        Errors of the robot, places of targets and frames, disturbances of the measurements, in lines of 100 columns.
+    That is the errors of the robot, the places of targets and frames, or the camera, the print and their mounts, and
+    what disturbed the measurements.
     """
-    table, robot, truth = simulated.measurements, scenario.robot, simulated.truth
-    rows = f"{len(table)} rows"
-    validation = int(table.validation.sum())
-    if validation:
-        rows += f" ({len(table) - validation} for estimation, {validation} for validation)"
-    title = f"Simulated: robot '{robot.name}', {robot.base} to {robot.tip}, {rows}."
-    labels_and_texts = [
-        ("Each row measures", f"the {scenario.kind.words}"),
-        ("Targets at each pose", ", ".join(truth.targets)),
-        ("Stations in turn", ", ".join(truth.groups)),
-        ("Visits of each pose", str(scenario.visits)),
-        *error_lines(simulated.truth, simulated.q),
-        *_places(scenario, simulated),
-        *_disturbances(scenario, simulated),
-    ]
+    robot, pictures = scenario.robot, simulated.pictures
+    if pictures is None:
+        sets = simulated.measurements.sets
+        counts = f"{len(sets)} rows{_count_sets(sets)}"
+        title = f"Simulated: robot '{robot.name}', {robot.base} to {robot.tip}, {counts}."
+        facts = [
+            ("Each row measures", f"the {scenario.kind.words}"),
+            ("Targets at each pose", ", ".join(simulated.truth.targets)),
+            ("Stations in turn", ", ".join(simulated.truth.groups)),
+            ("Visits of each pose", str(scenario.visits)),
+            *error_lines(simulated.truth, simulated.q),
+            *_places(scenario, simulated),
+            *_disturbances(scenario, simulated),
+        ]
+    else:
+        sets = pictures.sets
+        counts = f"{plural(len(pictures.picture), 'corner')} in {plural(len(sets), 'picture')}{_count_sets(sets)}"
+        title = f"Simulated: robot '{robot.name}', camera on {robot.base}, board on {robot.tip}, {counts}."
+        facts = [
+            *_what_is_seen(pictures),
+            *error_lines(simulated.truth, pictures.q),
+            *_camera(pictures, simulated.truth),
+            *_board(pictures, simulated.truth),
+            *_picture_disturbances(scenario, simulated, pictures),
+        ]
     lines = [fill(title), ""]
-    for label, text in labels_and_texts:
+    for label, text in facts:
         if text:
             lines.append(labelled(label, text, _LABEL))
     return "\n".join(lines)
+
+
+def _count_sets(sets: Sequence[str]) -> str:
+    """Word how many rows or pictures are of each set, in brackets; empty if all are to estimate from."""
+    estimation = sum(name == SETS[0] for name in sets)
+    if estimation == len(sets):
+        return ""
+    return f" ({estimation} for estimation, {len(sets) - estimation} for validation)"
 
 
 def error_lines(truth: Truth, q: Array) -> Iterator[tuple[str, str]]:
@@ -60,7 +78,7 @@ def error_lines(truth: Truth, q: Array) -> Iterator[tuple[str, str]]:
 
     Args:
         truth: The robot with its errors, and its target.
-        q: True joint values that were measured at, shape (N, m), [rad] or [m].
+        q: True joint values of the measurements, shape (N, m), [rad] or [m].
     """
     families = _errors_by_family(truth)
     model = f"model {truth.model.name}"
@@ -68,21 +86,18 @@ def error_lines(truth: Truth, q: Array) -> Iterator[tuple[str, str]]:
         model += "; all errors are zero"
     yield "True errors", model
     for (family, unit), errors in families.items():
-        yield f"  {family}", _family_text(errors, unit)
+        factor, symbol = unit_of(unit).shown
+        name = max(errors, key=lambda name: abs(errors[name]))
+        size = factor * rms(np.array(list(errors.values())))
+        largest = f"{name} {factor * errors[name]:.3g} {symbol}"
+        yield f"  {family}", f"{len(errors)}, rms {size:.3g} {symbol}, largest {largest}"
     distances = truth.nominal_errors(q)
     text = f"{_mm(rms(distances))} mm rms, {_mm(distances.max())} mm at most"
     yield "  of the nominal robot", text
 
 
 def _errors_by_family(truth: Truth) -> dict[tuple[str, str], dict[str, float]]:
-    """Collect the true errors that are not zero.
-
-    Args:
-        truth: The robot's error model, and the true values of its parameters.
-
-    Returns:
-        From family and unit, in the order of `FAMILIES`, to the value in that unit by the parameter's name.
-    """
+    """Collect the true errors that are not 0, by family and unit in the order of `FAMILIES`, then by name."""
     families: dict[tuple[str, str], dict[str, float]] = {}
     for parameter, value in zip(truth.model.parameters, truth.x, strict=True):
         if value:
@@ -93,24 +108,15 @@ def _errors_by_family(truth: Truth) -> dict[tuple[str, str], dict[str, float]]:
     return {key: families[key] for key in keys}
 
 
-def _family_text(errors: Mapping[str, float], unit: str) -> str:
-    """Word the errors of one family, by the parameter's name, in a unit of parameters: number, rms, the largest."""
-    factor, symbol = unit_of(unit).shown
-    name = max(errors, key=lambda name: abs(errors[name]))
-    size = factor * rms(np.array(list(errors.values())))
-    largest = f"{name} {factor * errors[name]:.3g} {symbol}"
-    return f"{len(errors)}, rms {size:.3g} {symbol}, largest {largest}"
-
-
 def _places(scenario: Scenario, simulated: Simulated) -> Iterator[tuple[str, str]]:
-    """Label and text of the true places of targets and frames."""
+    """Yield label and text of the true places of targets and frames."""
     truth = simulated.truth
     targets = zip(truth.targets, truth.T_tip_target, truth.stated_T_tip_target, strict=True)
     for name, T, given in targets:
         place = f"{point_mm(T[:3, 3])} mm in the tip, given as {point_mm(given[:3, 3])} mm"
         yield f"Target '{name}'", place
     if not scenario.kind.directions:
-        return  # No row depends on a frame.
+        return  # no row depends on a frame
     for name, T in zip(truth.groups, truth.T_frame_base, strict=True):
         place = f"the base is at {point_mm(T[:3, 3])} mm in it"
         if np.abs(T - np.eye(4)).max() < _ROUNDING:
@@ -120,7 +126,7 @@ def _places(scenario: Scenario, simulated: Simulated) -> Iterator[tuple[str, str
 
 
 def _disturbances(scenario: Scenario, simulated: Simulated) -> Iterator[tuple[str, str]]:
-    """Label and text of noise, encoder steps, outliers, a moved target and drift; the text is empty without one."""
+    """Yield label and text of noise, encoder steps, outliers, a moved target and drift; an empty text for none."""
     kind = scenario.kind
     if "m" in kind.units:
         noisy = "coordinate" if "m" in kind.vector_units else "length"
@@ -166,78 +172,66 @@ def _noise(scenario: Scenario, simulated: Simulated) -> str:
     return text
 
 
-def study_text(study: Study, trials: Trials) -> str:
-    """Write a study in figures.
-
-    Args:
-        study: The study.
-        trials: What was simulated in each trial.
-
-    Returns:
-        Errors at verification poses, coverage, models, verdicts, outliers and failures, in lines of 100 columns.
-    """
-    choice = "planned" if trials.planned else "random"
-    poses = f"{trials.fitted} {choice} poses"
-    if trials.poses is not None:
-        poses = f"the {trials.fitted} poses given"
-    lines = [
-        f"Study: {len(study.trials)} robots, each with errors of its own, measured at {poses},",
-        f"  calibrated, and verified at {VERIFIED} other poses.",
-        "",
-        *_study_errors(study),
-        "",
-    ]
-    covered = 100 * study.values("covered").mean()
-    if np.isfinite(covered):
-        lines.append(
-            f"Inside the 95 % regions that the fits state: {covered:.1f} % of the true positions."
-        )
-    lines += _study_counts(study)
-    if study.failures:
-        seed, reason = study.failures[0]
-        count = plural(len(study.failures), "trial")
-        text = f"{count} ended with an error; the first, seed {seed}: {reason}"
-        lines.append(fill(text))
-    return "\n".join(lines)
+# Pictures
 
 
-def _study_errors(study: Study) -> list[str]:
-    """Write the table of position errors: rms over all trials, and the range of 90 % of them."""
-    rows = [
-        ("nominal", mm(study.nominal_rms), study.range("nominal_rms")),
-        ("calibrated", mm(study.rms), study.range("rms")),
-        ("calibrated, the worst pose of each", "", study.range("max")),
-    ]
-    forecast = study.forecast
-    if forecast is not None:
-        between = (forecast.rms_low, forecast.rms_high)
-        rows.append(("forecast before any measurement", mm(forecast.rms), between))
-    stated = rms(study.values("stated_rms"))
-    rows.append(("expected by the fits", mm(stated), study.range("stated_rms")))
-    columns = [
-        name_column("Position error at verification poses [mm]", 44),
-        Column("rms", 9, gap=0),
-        Column("90 % of robots between", 25),
-    ]
-    cells = []
-    for label, size, (low, high) in rows:
-        cells.append((label, size, f"{1e3 * low:.3f} to {1e3 * high:.3f}"))
-    return table_lines(columns, cells)
+def _what_is_seen(pictures: Pictures) -> Iterator[tuple[str, str]]:
+    """Yield label and text of what the pictures show."""
+    camera, printed = pictures.equipment.camera, pictures.equipment.printed
+    corners = len(printed.corners)
+    fewest = np.bincount(pictures.picture, minlength=len(pictures.images)).min()
+    T = pictures.T_camera_board[np.unique(pictures.picture)]
+    tilts = np.rad2deg(board_tilts(printed.board, T))
+    fills = 100.0 * filled_shares(camera, corner_pixels(camera, printed.corners, T)[0])
+    yield "Corners in a picture", f"{fewest} to {corners} of {corners}"
+    yield (
+        "Board in the pictures",
+        f"tilted by {tilts.min():.0f} to {tilts.max():.0f} deg, spans {fills.min():.0f} to "
+        f"{fills.max():.0f} % of the image",
+    )
 
 
-def _study_counts(study: Study) -> Iterator[str]:
-    """Write the shares of models and verdicts, and the counts of outliers."""
-    for label, name in (("Models", "model"), ("Verdicts", "verdict")):
-        shares = []
-        for word, count in study.counts(name).items():
-            if word:
-                shares.append(f"{word} {100 * count / len(study.trials):.0f} %")
-        if shares:
-            yield f"{label}: {', '.join(shares)}"
-    names = ("outliers", "flagged", "false_alarms")
-    outliers, flagged, false_alarms = (int(study.values(name).sum()) for name in names)
-    if outliers or false_alarms:
-        yield f"Outliers: {flagged} of {outliers} flagged, and {false_alarms} rows flagged wrongly."
+def _camera(pictures: Pictures, truth: Truth) -> Iterator[tuple[str, str]]:
+    """Yield label and text of the true numbers of the camera, the stated ones, and its mount."""
+    camera, stated = pictures.equipment.camera, pictures.equipment.stated
+    names = LENSES[camera.lens].names
+    words = []
+    for values in (camera.values, stated.values):
+        numbers = [] if values is None else zip(names, values.tolist(), strict=True)
+        words.append(", ".join(f"{name} {value:.6g}" for name, value in numbers))
+    yield "Camera", f"{camera.width} x {camera.height} px, {camera.lens}; true {words[0]}"
+    yield "  stated", words[1] or "nothing but the size"
+    T_base_camera = rigid_inverse(truth.T_frame_base[0])
+    yield "  mounted", f"at {point_mm(T_base_camera[:3, 3])} mm in {truth.nominal.base}"
+
+
+def _board(pictures: Pictures, truth: Truth) -> Iterator[tuple[str, str]]:
+    """Yield label and text of the board as printed, and of its mount."""
+    printed, board = pictures.equipment.printed, pictures.equipment.printed.board
+    pattern = f"{board.pattern} of {board.columns} x {board.rows}, {1e3 * board.square:g} mm"
+    scale_x, scale_y = (100.0 * (scale - 1.0) for scale in printed.scale)
+    sag_x, sag_y = (1e3 * sag for sag in printed.warp)
+    text = (
+        f"{pattern}; printed {scale_x:+.2f} % wide and {scale_y:+.2f} % high, sags by {sag_x:.2f} mm along x and "
+        f"{sag_y:.2f} mm along y"
+    )
+    if printed.offsets is not None:
+        text += f", corners {1e6 * rms(printed.offsets[:, :2].ravel()):.0f} um rms off"
+    yield "Board", text
+    middle = truth.T_tip_target[0] @ np.append(board.centre, 1.0)
+    yield "  mounted", f"its middle at {point_mm(middle[:3])} mm in {truth.nominal.tip}"
+
+
+def _picture_disturbances(
+    scenario: Scenario, simulated: Simulated, pictures: Pictures
+) -> Iterator[tuple[str, str]]:
+    """Yield label and text of noise, repeatability, encoder steps and outliers; an empty text for none."""
+    yield "Noise of a corner", f"{pictures.sigma:g} px along u and along v, in a table (-o)"
+    if scenario.noise is not None and scenario.noise.repeatability:
+        yield "Repeatability", f"{1e6 * scenario.noise.repeatability:g} um per coordinate"
+    yield "Encoder steps", encoder_steps(scenario)
+    if simulated.outlier_rows:
+        yield f"Outliers of {OUTLIER:g} px", f"rows {row_ranges(simulated.outlier_rows)}"
 
 
 def _mm(value: float) -> str:

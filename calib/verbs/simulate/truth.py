@@ -1,9 +1,9 @@
-"""Truth of a virtual cell: the robot as it really is, and the true poses of targets and frames.
+"""Truth of a virtual cell: the true robot, and the true poses of targets and frames.
 
     T_frame_target(q) = T_frame_base  T_base_tip(true placements, q + dq)  T_tip_target
 
-with the joints' errors dq of `families`; the load of a compliance is that of the nominal URDF's masses and the payload
-at the joint values that are read, as `calib.fit.estimate` takes it.
+with the joints' errors dq of `calib.model.families`. The load of a compliance is that of the nominal URDF's masses and
+the payload at the joint values that are read, as in a fit.
 """
 
 from __future__ import annotations
@@ -19,7 +19,6 @@ from scipy.spatial.transform import Rotation
 
 import calib.data.kinds as registry
 from calib.basics.arrays import Array, read_only, rigid_inverse
-from calib.basics.units import parse_amount
 from calib.basics.values import ReadOnlyMapping, Value
 from calib.data.cell import Cell
 from calib.data.columns import DEFAULT_TARGET
@@ -27,20 +26,20 @@ from calib.errors import CalibError, ModelError, choices
 from calib.model.error_model import error_model, split_name
 from calib.model.families import FAMILIES, unit_of
 from calib.model.kinematics import Kinematics, Samples
-from calib.model.parameters import ErrorModel, Parameter
+from calib.model.parameters import ErrorModel
 from calib.robot.gravity import Payload, gravity_loads
 from calib.robot.ranges import random_joint_values
 from calib.robot.readback import check_written
 from calib.robot.robot import Robot
 from calib.verbs.simulate.random_streams import stream
 
-#: Stated place of the target in the tip, if nothing else is given [m]: off the last axis, so that all is seen.
+#: Stated position of the target in the tip, if none is given [m]: off the last axis, so that all joints have an effect.
 DEFAULT_PLACE = read_only((0.05, 0.05, 0.05))
 
-#: Standard deviation of a target's true position about its stated one [m].
+#: Standard deviation of a target's true position around its stated one [m].
 TARGET_ERROR = 1e-3
 
-#: Standard deviation of its orientation about each axis [rad].
+#: Standard deviation of its true orientation about each axis [rad].
 TARGET_TURN = 10e-3
 
 #: Distance of the tracker of a drawn station from the base [m].
@@ -52,22 +51,19 @@ _HEIGHTS = (-0.5, 1.0)
 #: Standard deviation of its tilt about each horizontal axis [rad].
 _TILT = 0.01
 
-#: Word for none of something.
-NONE = "none"
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Truth(Value):
     """Truth of a virtual cell."""
 
-    #: The robot of the nominal URDF
+    #: The nominal robot
     nominal: Robot
-    #: The errors of the robot by name
+    #: The model of the robot's errors
     model: ErrorModel
-    #: shape (p,), their values, in the units of ``model``. Of a robot that was given as a URDF, what of it the model
+    #: shape (p,), the errors, in the units of the model. Of a robot that was given as a URDF, the errors that the model
     #: can express
     x: Array
-    #: The true geometry, where it was given as a URDF
+    #: The true geometry, if it was given as a URDF
     given: Robot | None
     #: Names of the groups; ``("",)`` for the only one
     groups: tuple[str, ...]
@@ -86,7 +82,7 @@ class Truth(Value):
 
     @property
     def robot(self) -> Robot:
-        """The robot with its true placements, made anew each time; errors of the joints' state are no part of it."""
+        """The robot with its true placements; errors that depend on the joints' state are not part of it."""
         return self.model.apply(self.nominal, self.x) if self.given is None else self.given
 
     def write_urdf(self, path: str | Path, *, overwrite: bool = False) -> Path:
@@ -102,11 +98,11 @@ class Truth(Value):
         robot = self.robot
         q = random_joint_values(robot)
         check_written(robot, robot.poses(q), q)
-        # A verdict that the nominal URDF states is on another geometry.
+        # A verdict in the nominal URDF is on another geometry.
         return robot.urdf.with_verdict("").write(path, overwrite=overwrite)
 
     def value(self, name: str) -> float:
-        """Return the value of one error, in its unit; a `ModelError` if there is none of this name."""
+        """Return the value of one error, in its unit; raises `ModelError` if the model does not have it."""
         return float(self.x[self.model.index(name)])
 
     def tip_poses(self, q: ArrayLike) -> Array:
@@ -138,20 +134,11 @@ class Truth(Value):
         return T
 
     def points(self, q: ArrayLike, target: str | None = None, group: str | None = None) -> Array:
-        """Compute the true positions of a target in a frame.
-
-        Args:
-            q: See `poses`.
-            target: See `poses`.
-            group: See `poses`.
-
-        Returns:
-            shape (N, 3), [m].
-        """
+        """Compute the true positions of a target in a frame, shape (N, 3), [m]; see `poses`."""
         return self.poses(q, target, group)[:, :3, 3]
 
     def nominal_errors(self, q: ArrayLike) -> Array:
-        """Compute how far the nominal robot predicts the first target from its true place, by the robot's errors alone.
+        """Compute the position errors of the nominal robot at the first target, those of frame and target aside.
 
         Args:
             q: Joint values that are read, shape (N, m), [rad] or [m].
@@ -179,21 +166,22 @@ def draw_truth(
     Args:
         robot: The nominal robot.
         model: Errors of the robot: a parameter set, and families appended, ``"placement+gain"``.
-        sizes: Standard deviations of the errors by family, in its unit; of a family that is missing they are typical.
+        sizes: Standard deviations of the errors by family, in its unit; typical ones for families that are missing.
             None: no errors are drawn.
         seed: Of the random numbers.
         cell: Targets, frames, payload, gravity, kind, and what is frozen, tied, bounded or has a prior of its own.
-            Frames whose poses it does not give are drawn where it estimates them, or its kind has a frame of its own.
-        errors: Values of single errors by name, in their units [m], [rad]...; they win over what is drawn.
-        true_robot: The true geometry; then only errors of the joints' state are drawn.
-        target_error: Standard deviation of a target's place about its stated one [m]; none if the cell says that the
-            targets are known.
+            Frames whose poses it does not give are drawn if it estimates them, or if its kind has a frame of its own.
+        errors: Values of single errors by name, in their units [m], [rad]..., in place of drawn ones.
+        true_robot: The true geometry; then only errors that depend on the joints' state are drawn.
+        target_error: Standard deviation of a target's position around its stated one [m]; not used if the cell says
+            that the targets are known.
 
     Returns:
         The truth.
 
     Raises:
         ModelError: An unknown error, or one that the true robot has already, or a true robot with other joints.
+        CalibError: An error is larger than calib allows.
     """
     cell = cell or Cell()
     given = dict(errors or {})
@@ -202,12 +190,17 @@ def draw_truth(
     all_errors = error_model(robot, model, target=False, gravity=cell.gravity)
     free = {p.name for p in all_errors.parameters if true_robot is None or p.factor}
     if true_robot is not None:
-        _check_free(given, all_errors, free)
-        true_robot = _as_nominal(robot, true_robot)
+        stated_twice = [name for name in given if name in all_errors.names and name not in free]
+        if stated_twice:
+            raise ModelError(f"The true robot has the errors {choices(stated_twice)} already.")
+        true_robot = _match(robot, true_robot)
         given |= _placement_errors(robot, true_robot)
-    drawn_model = _with_ties(all_errors, cell, free)
-    groups, T_frame_base = _frames(cell, seed)
-    targets, stated, true = _targets(cell, seed, target_error)
+    # A cell may be made for a fit of another model: ties and frozen parameters that only that model has do not count.
+    ties = {name: tie for name, tie in cell.ties.items() if name in free and tie[0] in free}
+    frozen = [name for name in cell.frozen if name in free and name in all_errors.names]
+    drawn_model = all_errors.tied(ties).without(frozen)
+    groups, T_frame_base = _draw_frames(cell, seed)
+    targets, stated, true = _draw_targets(cell, seed, target_error)
     return Truth(
         nominal=robot,
         model=drawn_model,
@@ -221,57 +214,6 @@ def draw_truth(
         payload=cell.payload,
         gravity=cell.gravity,
     )
-
-
-def _check_free(given: Mapping[str, float], model: ErrorModel, free: set[str]) -> None:
-    """Refuse errors that a true robot has already; raises `ModelError`."""
-    fixed = [name for name in given if name in model.names and name not in free]
-    if fixed:
-        raise ModelError(f"The true robot has the errors {choices(fixed)} already.")
-
-
-def _with_ties(model: ErrorModel, cell: Cell, free: set[str]) -> ErrorModel:
-    """Return the model with the cell's ties, and without its frozen parameters.
-
-    A cell may be made for a fit of another model: what that alone has does not count here.
-    """
-    ties = {name: tie for name, tie in cell.ties.items() if name in free and tie[0] in free}
-    frozen = [name for name in cell.frozen if name in free and name in model.names]
-    return model.tied(ties).without(frozen)
-
-
-def parse_error_sizes(cell: Cell, text: str | None, *, named: bool) -> Mapping[str, float] | None:
-    """Parse standard deviations of errors, ``length 0.5 mm, angle 3 mrad``, or ``none``.
-
-    Args:
-        cell: Its priors are the default where they are given.
-        text: As typed; None: the default, which is typical sizes, or none beside named errors.
-        named: Whether single errors are given by name.
-
-    Returns:
-        Standard deviations by family, in its unit; empty: typical ones; None: no errors are drawn.
-
-    Raises:
-        CalibError: It is neither.
-    """
-    if text is None and not named:
-        if cell.priors.source == "given":
-            return {family: cell.priors.of(family) for family in FAMILIES}
-        return {}
-    if text is None or text.strip() == NONE:
-        return None
-    sizes: dict[str, float] = {}
-    for part in text.split(","):
-        name, _, value = part.strip().partition(" ")
-        if name not in FAMILIES:
-            raise CalibError(
-                f"--sizes was given as \"{text}\"; it must be '{NONE}', or standard deviations "
-                'with commas between them such as "length 0.5 mm, angle 3 mrad", of '
-                f"{choices(FAMILIES)}."
-            )
-        unit = FAMILIES[name].unit
-        sizes[name] = parse_amount(value, f"--sizes, {name}", unit.quantity, unit.example)
-    return sizes
 
 
 def tracker_pose(position: ArrayLike, rng: np.random.Generator) -> Array:
@@ -299,22 +241,7 @@ def _draw_errors(
     cell: Cell,
     given: Mapping[str, float],
 ) -> Array:
-    """Draw the errors of a robot.
-
-    Args:
-        model: The errors.
-        sizes: Standard deviations by family, in its unit; None: only given errors.
-        seed: Of the random numbers.
-        cell: Has standard deviations and bounds of single errors.
-        given: Values of single errors by name; the others are drawn.
-
-    Returns:
-        shape (p,), in the units of the model.
-
-    Raises:
-        ModelError: A given error that the model does not have.
-        CalibError: An error is larger than calib allows.
-    """
+    """Draw the errors of a robot that are not given, normally distributed and inside their bounds, shape (p,)."""
     for name in given:
         model.index(name)  # refuses one that the model does not have
     x = np.zeros(len(model))
@@ -323,7 +250,14 @@ def _draw_errors(
         if parameter.name in given:
             x[k] = given[parameter.name]
         elif sizes is not None:
-            x[k] = _draw_error(parameter, sizes, cell, float(unit_normal[k]))
+            family = FAMILIES[parameter.family]
+            size = sizes.get(family.name, family.typical)
+            if family.sliding is not None and parameter.unit == family.sliding.symbol:
+                size *= family.lever
+            size = cell.parameter_priors.get(parameter.name, size)
+            low, high = cell.bounds.get(parameter.name, (-np.inf, np.inf))
+            normal = abs(unit_normal[k]) if family.positive else unit_normal[k]
+            x[k] = min(max(size * float(normal), low), high)
         largest = unit_of(parameter.unit).largest
         if abs(x[k]) > largest:
             raise CalibError(
@@ -333,27 +267,13 @@ def _draw_errors(
     return read_only(x)
 
 
-def _draw_error(
-    parameter: Parameter,
-    sizes: Mapping[str, float],
-    cell: Cell,
-    unit_normal: float,
-) -> float:
-    """Return one error: a standard normal number times its standard deviation, inside of its bounds."""
-    family = FAMILIES[parameter.family]
-    size = sizes.get(family.name, family.typical)
-    if family.sliding is not None and parameter.unit == family.sliding.symbol:
-        size *= family.lever
-    size = cell.parameter_priors.get(parameter.name, size)
-    low, high = cell.bounds.get(parameter.name, (-np.inf, np.inf))
-    value = size * (abs(unit_normal) if family.positive else unit_normal)
-    return min(max(value, low), high)
-
-
-def _as_nominal(nominal: Robot, true: Robot) -> Robot:
-    """Return the nominal robot with the placements of a true one, whose URDF may differ in more than that."""
-    same_joints = true.joint_names == nominal.joint_names and _axes(true) == _axes(nominal)
-    if not same_joints:
+def _match(nominal: Robot, true: Robot) -> Robot:
+    """Return the nominal robot with the placements of a true one, whose URDF may differ in other ways too."""
+    axes = [
+        [(joint.name, joint.type, *np.round(joint.axis, 9)) for joint in robot.joints]
+        for robot in (nominal, true)
+    ]
+    if true.joint_names != nominal.joint_names or axes[0] != axes[1]:
         raise ModelError(
             f"The true robot '{true.urdf.source}' has other joints, types or axes between "
             f"'{true.base}' and '{true.tip}' than the nominal robot; they must be the same."
@@ -361,11 +281,6 @@ def _as_nominal(nominal: Robot, true: Robot) -> Robot:
     placements = true.placements.copy()
     placements[0] = nominal.T_root_base @ rigid_inverse(true.T_root_base) @ placements[0]
     return nominal.with_placements(placements)
-
-
-def _axes(robot: Robot) -> list[tuple[str, str, float, float, float]]:
-    """Return name, type and rounded axis of each joint."""
-    return [(joint.name, joint.type, *np.round(joint.axis, 9)) for joint in robot.joints]
 
 
 def _placement_errors(nominal: Robot, true: Robot) -> dict[str, float]:
@@ -382,8 +297,8 @@ def _placement_errors(nominal: Robot, true: Robot) -> dict[str, float]:
     return errors
 
 
-def _frames(cell: Cell, seed: int) -> tuple[tuple[str, ...], Array]:
-    """Return names of groups and the true pose of the base in each one's frame: as given, drawn, or the base itself."""
+def _draw_frames(cell: Cell, seed: int) -> tuple[tuple[str, ...], Array]:
+    """Return names of groups and the true pose of the base in each one's frame: given, drawn, or the base itself."""
     groups = tuple(cell.frames) or ("",)
     has_own_frame = cell.kind is not None and registry.get(cell.kind).own_frame
     rng = stream(seed, "frames")
@@ -394,7 +309,7 @@ def _frames(cell: Cell, seed: int) -> tuple[tuple[str, ...], Array]:
         position = np.array([_DISTANCE * np.cos(angle), _DISTANCE * np.sin(angle), height])
         if cell.tracker is not None:
             position = cell.tracker.position
-        # Drawn even if it is given, so that the numbers of the next group do not depend on it.
+        # Drawn even if a pose is given, so that the random numbers of the next group do not depend on it.
         drawn = tracker_pose(position, rng)
         given = cell.frames.get(group, cell.T_frame_base)
         if given is not None:
@@ -406,14 +321,10 @@ def _frames(cell: Cell, seed: int) -> tuple[tuple[str, ...], Array]:
     return groups, read_only(frames)
 
 
-def _targets(cell: Cell, seed: int, position_std: float) -> tuple[tuple[str, ...], Array, Array]:
-    """Return names of targets, their stated poses, and their true poses in the tip.
-
-    Args:
-        cell: States the targets.
-        seed: Of the random numbers.
-        position_std: Standard deviation of the true position about the stated one [m].
-    """
+def _draw_targets(
+    cell: Cell, seed: int, position_std: float
+) -> tuple[tuple[str, ...], Array, Array]:
+    """Return names of targets, their stated poses in the tip, and true ones drawn around these."""
     names = tuple(cell.targets) or (DEFAULT_TARGET,)
     rng = stream(seed, "targets")
     stated = np.tile(np.eye(4), (len(names), 1, 1))

@@ -1,4 +1,7 @@
-"""The truth of a simulated table as JSON in SI units; docs/simulation.md describes the keys."""
+"""The truth of a simulation as JSON in SI units; docs/simulation.md describes the keys.
+
+Errors of a camera and a print are named as the fit's estimates of them: what must be added to what is stated.
+"""
 
 from __future__ import annotations
 
@@ -13,13 +16,13 @@ import pinocchio as pin
 from calib.basics.arrays import Array
 from calib.basics.files import write_atomically
 from calib.basics.json_files import json_bytes
-from calib.model.parameters import ErrorModel
+from calib.camera.lenses import LENSES
 from calib.robot.coupled_readings import coupling_table
-from calib.robot.robot import Robot
+from calib.verbs.simulate.equipment import Equipment
+from calib.verbs.simulate.readings import Pictures
 from calib.verbs.simulate.scenario import Scenario, Simulated
 from calib.verbs.simulate.truth import Truth
 
-#: Kind and version of the file.
 SCHEMA = "truth 2"
 
 #: Keys of a noise.
@@ -36,13 +39,13 @@ def write_truth(
     *,
     overwrite: bool = False,
 ) -> Path:
-    """Write the truth of a simulated table.
+    """Write the truth of a simulation.
 
-    It is complete: with the nominal URDF alone, true positions follow from it.
+    It is complete: true positions, and the pixels of a camera, follow from it and the nominal URDF.
 
     Args:
-        scenario: What was simulated.
-        simulated: The table and its truth.
+        scenario: The scenario.
+        simulated: Its measurements, with their truth.
         path: The file.
         overwrite: Whether an existing file is replaced.
 
@@ -52,105 +55,80 @@ def write_truth(
     Raises:
         FileError: It cannot be written.
     """
-    content = {
+    content: dict[str, Any] = {
         "schema": SCHEMA,
         "seed": simulated.seed,
         **truth_table(simulated.truth),
-        "instrument": _instrument_table(scenario),
-        "events": _event_table(scenario, simulated),
-        "rows": list(_rows(simulated)),
     }
+    if simulated.pictures is None:
+        content |= _tracker_tables(scenario, simulated)
+    else:
+        content["parameters"] += _equipment_errors(simulated.pictures.equipment)
+        content |= _camera_tables(scenario, simulated, simulated.pictures)
     return write_atomically(path, json_bytes(content), overwrite=overwrite)
 
 
 def truth_table(truth: Truth) -> dict[str, Any]:
     """Return the part of the file that describes a robot with its errors, its targets and its frames."""
-    model = truth.model
+    robot, model, payload = truth.nominal, truth.model, truth.payload
+    ties = []
+    displacements = []
+    for term, row, value in zip(model.terms, model.mixing, model.values(truth.x), strict=True):
+        if term.name not in model.names:
+            leader = int(np.argmax(np.abs(row)))
+            ties.append({"name": term.name, "other": model.names[leader], "factor": row[leader]})
+        displacements.append(
+            {
+                "name": term.name,
+                "place": term.place,
+                "twist": term.direction,
+                "value": value,
+                "times": term.factor.name if term.factor else "",
+            }
+        )
     parameters = zip(model.parameters, truth.x, strict=True)
-    payload = truth.payload
+    targets = zip(truth.targets, truth.T_tip_target, truth.stated_T_tip_target, strict=True)
+    frames = zip(truth.groups, truth.T_frame_base, strict=True)
     return {
-        "robot": _robot_table(truth.nominal),
-        "model": {"set": model.name, "ties": list(_ties(model))},
+        "robot": {
+            "name": robot.name,
+            "urdf_sha256": robot.urdf.sha256,
+            "base": robot.base,
+            "tip": robot.tip,
+            "joints": robot.joint_names,
+            "held": [{"joint": name, "value": q} for name, q in sorted(robot.held.items())],
+            "coupling": coupling_table(robot.reading_coupling),
+        },
+        "model": {"set": model.name, "ties": ties},
         "parameters": [{"name": p.name, "unit": p.unit, "value": value} for p, value in parameters],
-        "displacements": list(_displacements(truth)),
-        **_places(truth),
+        "displacements": displacements,
+        "origins": [
+            {"joint": name, **_pose_table(T)} for name, T in sorted(truth.robot.origins().items())
+        ],
+        "targets": [
+            {"target": name, **_pose_table(true), **_pose_table(stated, "said_")}
+            for name, true, stated in targets
+        ],
+        "set_ups": [{"group": name, **_pose_table(T, "frame_base_")} for name, T in frames],
         "payload": payload and {"mass_kg": payload.mass, "com_m": payload.com},
         "gravity_m_s2": truth.gravity,
     }
 
 
-def _robot_table(robot: Robot) -> dict[str, Any]:
-    """Return the nominal robot's URDF and chain."""
-    held = [{"joint": name, "value": value} for name, value in sorted(robot.held.items())]
-    return {
-        "name": robot.name,
-        "urdf_sha256": robot.urdf.sha256,
-        "base": robot.base,
-        "tip": robot.tip,
-        "joints": robot.joint_names,
-        "held": held,
-        "coupling": coupling_table(robot.reading_coupling),
-    }
+def _pose_table(T: Array, prefix: str = "") -> dict[str, Any]:
+    """Return a pose by keys with a prefix: position [m], and roll, pitch, yaw about fixed axes x, y, z [rad]."""
+    rpy = pin.rpy.matrixToRpy(np.ascontiguousarray(T[:3, :3]))
+    return {f"{prefix}xyz_m": T[:3, 3], f"{prefix}rpy_rad": rpy}
 
 
-def _ties(model: ErrorModel) -> Iterator[dict[str, Any]]:
-    """Yield the errors that follow others."""
-    for term, row in zip(model.terms, model.mixing, strict=True):
-        if term.name not in model.names:
-            leader = int(np.argmax(np.abs(row)))
-            yield {"name": term.name, "other": model.names[leader], "factor": row[leader]}
+# Rows of a tracker
 
 
-def _displacements(truth: Truth) -> Iterator[dict[str, Any]]:
-    """Yield the displacement of a placement by each error."""
-    model = truth.model
-    for term, value in zip(model.terms, model.values(truth.x), strict=True):
-        yield {
-            "name": term.name,
-            "place": term.place,
-            "twist": term.direction,
-            "value": value,
-            "times": term.factor.name if term.factor else "",
-        }
-
-
-def _places(truth: Truth) -> dict[str, Any]:
-    """Return true joint origins, targets and frames."""
-    origins = [
-        {"joint": name, **pose_table(T)} for name, T in sorted(truth.robot.origins().items())
-    ]
-    targets = [
-        {"target": name, **pose_table(true), **pose_table(stated, "said_")}
-        for name, true, stated in zip(
-            truth.targets, truth.T_tip_target, truth.stated_T_tip_target, strict=True
-        )
-    ]
-    frames = [
-        {"group": name, **pose_table(T, "frame_base_")}
-        for name, T in zip(truth.groups, truth.T_frame_base, strict=True)
-    ]
-    return {"origins": origins, "targets": targets, "set_ups": frames}
-
-
-def _instrument_table(scenario: Scenario) -> dict[str, Any]:
-    """Return the instrument, its noise, and the encoders' steps."""
-    noise = scenario.noise
-    return {
-        "kind": scenario.kind.name,
-        "noise": noise and dict(zip(_NOISE, astuple(noise), strict=True)),
-        "sigma": scenario.sigma,
-        "tracker_base_xyz_m": scenario.tracker,
-        "encoder_step_rad": scenario.encoder.angle,
-        "encoder_step_m": scenario.encoder.length,
-        "visits": scenario.visits,
-    }
-
-
-def _event_table(scenario: Scenario, simulated: Simulated) -> dict[str, Any]:
-    """Return outliers, the moved target and the drift."""
-    moved, rows = scenario.moved, simulated.measurements.rows
+def _tracker_tables(scenario: Scenario, simulated: Simulated) -> dict[str, Any]:
+    """Return the tables ``instrument``, ``events`` and ``rows``."""
+    noise, moved, table = scenario.noise, scenario.moved, simulated.measurements
     outliers = [
-        {"row": rows[i], "displacement_m": simulated.outliers[i]}
+        {"row": table.rows[i], "displacement_m": simulated.outliers[i]}
         for i in np.flatnonzero(simulated.outliers.any(axis=1))
     ]
     moved_target = moved and {
@@ -158,12 +136,6 @@ def _event_table(scenario: Scenario, simulated: Simulated) -> dict[str, Any]:
         "target": moved.target,
         "displacement_m": moved.by,
     }
-    return {"outliers": outliers, "moved_target": moved_target, "drift_m": scenario.drift}
-
-
-def _rows(simulated: Simulated) -> Iterator[dict[str, Any]]:
-    """Yield the truth of each row."""
-    table = simulated.measurements
     rows = zip(
         table.rows,
         table.targets,
@@ -173,11 +145,101 @@ def _rows(simulated: Simulated) -> Iterator[dict[str, Any]]:
         simulated.sigma,
         strict=True,
     )
-    for row in rows:
-        yield dict(zip(_ROW, row, strict=True))
+    return {
+        "instrument": {
+            "kind": scenario.kind.name,
+            "noise": noise and dict(zip(_NOISE, astuple(noise), strict=True)),
+            "sigma": scenario.sigma,
+            "tracker_base_xyz_m": scenario.tracker,
+            "encoder_step_rad": scenario.encoder.angle,
+            "encoder_step_m": scenario.encoder.length,
+            "visits": scenario.visits,
+        },
+        "events": {"outliers": outliers, "moved_target": moved_target, "drift_m": scenario.drift},
+        "rows": [dict(zip(_ROW, row, strict=True)) for row in rows],
+    }
 
 
-def pose_table(T: Array, prefix: str = "") -> dict[str, Any]:
-    """Return a pose, position [m] and roll, pitch, yaw about fixed axes x, y, z [rad], by keys with a prefix."""
-    rpy = pin.rpy.matrixToRpy(np.ascontiguousarray(T[:3, :3]))
-    return {f"{prefix}xyz_m": T[:3, 3], f"{prefix}rpy_rad": rpy}
+# Pictures
+
+
+def _equipment_errors(equipment: Equipment) -> list[dict[str, Any]]:
+    """Return the errors of the camera's numbers and of the print, by name: true less stated values."""
+    lens = LENSES[equipment.camera.lens]
+    true, stated = equipment.camera.values, equipment.stated.values
+    errors = []
+    if true is not None and stated is not None:
+        for name, unit, error in zip(lens.names, lens.units, true - stated, strict=True):
+            errors.append({"name": name, "unit": unit, "value": float(error)})
+    printed = equipment.printed
+    for axis, scale, sag in zip("xy", printed.scale, printed.warp, strict=True):
+        errors.append({"name": f"board_scale_{axis}", "unit": "1", "value": scale - 1.0})
+        errors.append({"name": f"board_sag_{axis}", "unit": "m", "value": sag})
+    if printed.offsets is not None:
+        for corner, offset in enumerate(printed.offsets.tolist()):
+            for axis, value in zip("xy", offset, strict=False):
+                errors.append({"name": f"corner_{corner}_{axis}", "unit": "m", "value": value})
+    return errors
+
+
+def _camera_tables(scenario: Scenario, simulated: Simulated, pictures: Pictures) -> dict[str, Any]:
+    """Return the tables ``cameras``, ``boards``, ``instrument``, ``events`` and ``pictures``."""
+    camera, stated = pictures.equipment.camera, pictures.equipment.stated
+    printed, board = pictures.equipment.printed, pictures.equipment.printed.board
+    names = LENSES[camera.lens].names
+    assert camera.values is not None
+    said = None
+    if stated.values is not None:
+        said = dict(zip(names, stated.values.tolist(), strict=True))
+    outliers = [
+        {"row": row, "displacement_px": simulated.outliers[row - 1]}
+        for row in simulated.outlier_rows
+    ]
+    return {
+        "cameras": [
+            {
+                "camera": camera.name,
+                "width_px": camera.width,
+                "height_px": camera.height,
+                "lens": camera.lens,
+                "values": dict(zip(names, camera.values.tolist(), strict=True)),
+                "said_values": said,
+            }
+        ],
+        "boards": [
+            {
+                "board": board.name,
+                "pattern": board.pattern,
+                "columns": board.columns,
+                "rows": board.rows,
+                "said_square_m": board.square,
+                "scale": printed.scale,
+                "sag_m": printed.warp,
+                "corners_m": printed.corners,
+            }
+        ],
+        "instrument": {
+            "kind": scenario.kind.name,
+            "sigma": {"px": pictures.sigma},
+            "repeatability_m": 0.0 if scenario.noise is None else scenario.noise.repeatability,
+            "encoder_step_rad": scenario.encoder.angle,
+            "encoder_step_m": scenario.encoder.length,
+        },
+        "events": {"outliers": outliers},
+        "pictures": list(_pictures(pictures)),
+    }
+
+
+def _pictures(pictures: Pictures) -> Iterator[dict[str, Any]]:
+    """Yield the truth of each picture."""
+    rows = zip(pictures.images, pictures.sets, pictures.q, pictures.T_camera_board, strict=True)
+    for k, (image, name, q, T) in enumerate(rows):
+        is_here = pictures.picture == k
+        yield {
+            "image": image,
+            "set": name,
+            "joints": q,
+            **_pose_table(T, "camera_board_"),
+            "corners": pictures.corner[is_here],
+            "pixels": pictures.true_pixels[is_here],
+        }

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -16,11 +15,7 @@ from calib.cli.terminal import progress_bar
 from calib.cli.verb import verb
 
 if TYPE_CHECKING:
-    from calib.basics.arrays import Array
-    from calib.data.cell import Cell
-    from calib.data.measurements import Measurements
-    from calib.robot.robot import Robot
-    from calib.verbs.workspace.region_rows import Checked, RegionView
+    from calib.verbs.workspace.region_rows import RegionView
 
 _File = Path | None
 
@@ -134,111 +129,60 @@ def workspace(
     quiet: Quiet = False,
 ) -> None:
     """Sample the workspace, write the files and print the region."""
-    from calib.verbs.workspace.text import workspace_text
+    import numpy as np
 
-    outputs.check([robot, range_options.like, range_options.check, cell_options.file])
-    cell = cell_options.cell()
-    view = _region_view(robot, cell, range_options, sampling_options, quiet=quiet)
-    lines = outputs.write(view, sampling_options.seed)
-    if quiet:
-        return
-    origin = ""
-    if range_options.like is not None:
-        origin = f"the estimation rows of {range_options.like.name}, {range_options.margin} wider"
-    text = workspace_text(
-        view, origin, sampling_options.seed, every_row=range_options.check is not None
-    )
-    typer.echo("\n".join([text, "", *lines]))
-
-
-def _region_view(
-    robot: str,
-    cell: Cell,
-    range_options: RangeOptions,
-    sampling_options: SamplingOptions,
-    *,
-    quiet: bool,
-) -> RegionView:
-    """Sample the workspace, find the region, and check the rows of a table, if there is one."""
-    from calib.basics.units import LENGTH, parse_amount
+    from calib.basics.tables import Table
+    from calib.basics.units import ANGLE, LENGTH, parse_amount
+    from calib.data.columns import column_names
+    from calib.robot.ranges import joint_ranges, margins_by_joint
     from calib.verbs.workspace.region import Density
-    from calib.verbs.workspace.region_rows import RegionView
+    from calib.verbs.workspace.region_rows import Checked, RegionView, read_rows, row_points
+    from calib.verbs.workspace.text import workspace_text
     from calib.verbs.workspace.workspace import workspace_points
 
+    like, check = range_options.like, range_options.check
+    outputs.check([robot, like, check, cell_options.file])
     voxel = None
     if sampling_options.voxel is not None:
         voxel = parse_amount(sampling_options.voxel, "--voxel", LENGTH, "20 mm")
-    arm, tables = _load_with_tables(robot, cell, range_options)
-    limits = _joint_ranges(arm, cell, range_options, tables)
-    target = _target(cell)
+    margin = parse_amount(range_options.margin, "--margin", ANGLE, "5 deg")
+
+    # Without a tip the chain is that of the joints that the tables have in common.
+    cell = cell_options.cell()
+    columns = range_options.parsed()
+    paths = [path for path in (like, check) if path is not None]
+    joints = [column_names(Table.read(path), columns) for path in paths]
+    known = [names for names in joints if names is not None]
+    arm = load(robot, cell, set.intersection(*known) if known else None)
+    tables = {path: read_rows(path, arm, columns, cell.kind) for path in paths}
+
+    measured = None
+    if like is not None:
+        rows = tables[like]
+        measured = rows.joints_for(arm.joint_names)[rows.estimation]
+    limits = joint_ranges(arm, cell.ranges, measured, margins_by_joint(arm, margin))
+
+    target = np.zeros(3) if cell.target is None else cell.target
+    if cell.target is None and len(cell.targets) == 1:
+        (target,) = cell.targets.values()
     with progress_bar("workspace", quiet=quiet) as progress:
         points = workspace_points(
             arm, target, limits, sampling_options.samples, sampling_options.seed, progress
         )
     density = Density.of(points, voxel)
-    checked = _checked_rows(arm, cell, range_options, tables)
+    checked = None
+    checked_path = check or like
+    if checked_path is not None:
+        rows = tables[checked_path]
+        checked = Checked(rows, *row_points(arm, rows, cell, target))
     region = density.region(sampling_options.share)
-    return RegionView(arm, target, limits, density, region, checked)
+    view = RegionView(arm, target, limits, density, region, checked)
 
-
-def _load_with_tables(
-    robot: str, cell: Cell, range_options: RangeOptions
-) -> tuple[Robot, Mapping[Path, Measurements]]:
-    """Load the robot and the tables of ``--like`` and ``--check``, whose common joints tell the chain."""
-    from calib.basics.tables import Table
-    from calib.data.columns import column_names
-    from calib.verbs.workspace.region_rows import read_rows
-
-    paths = [path for path in (range_options.like, range_options.check) if path is not None]
-    renamed = range_options.parsed()
-    columns = [column_names(Table.read(path), renamed) for path in paths]
-    known = [names for names in columns if names is not None]
-    common = set.intersection(*known) if known else None
-    arm = load(robot, cell, common)
-    tables = {path: read_rows(path, arm, renamed, cell.kind) for path in paths}
-    return arm, tables
-
-
-def _joint_ranges(
-    arm: Robot,
-    cell: Cell,
-    range_options: RangeOptions,
-    tables: Mapping[Path, Measurements],
-) -> Array:
-    """Return the lowest and highest value of each joint, shape (m, 2), [rad] or [m]."""
-    from calib.basics.units import ANGLE, parse_amount
-    from calib.robot.ranges import joint_ranges, margins_by_joint
-
-    margin = parse_amount(range_options.margin, "--margin", ANGLE, "5 deg")
-    measured = None
-    if range_options.like is not None:
-        rows = tables[range_options.like]
-        measured = rows.joints_for(arm.joint_names)[rows.estimation]
-    return joint_ranges(arm, cell.ranges, measured, margins_by_joint(arm, margin))
-
-
-def _target(cell: Cell) -> Array:
-    """Return the cell's target in the tip [m], shape (3,): its only named one, or else the tip itself."""
-    import numpy as np
-
-    if cell.target is not None:
-        return cell.target
-    if len(cell.targets) == 1:
-        return next(iter(cell.targets.values()))
-    return np.zeros(3)
-
-
-def _checked_rows(
-    arm: Robot,
-    cell: Cell,
-    range_options: RangeOptions,
-    tables: Mapping[Path, Measurements],
-) -> Checked | None:
-    """Return the points of the table that is checked; None without a table."""
-    from calib.verbs.workspace.region_rows import Checked, row_points
-
-    path = range_options.check or range_options.like
-    if path is None:
-        return None
-    points, measured = row_points(arm, tables[path], cell, _target(cell))
-    return Checked(tables[path], points, measured)
+    lines = outputs.write(view, sampling_options.seed)
+    if quiet:
+        return
+    origin = ""
+    if like is not None:
+        origin = f"the estimation rows of {like.name}, {range_options.margin} wider"
+    text = workspace_text(view, origin, sampling_options.seed, every_row=check is not None)
+    typer.echo("\n".join([text, "", *lines]))

@@ -1,12 +1,11 @@
 """The figure of a workspace's density and region: three views through all of it, and three cuts.
 
-Every panel has equal scales. A view adds up the density along the line of sight and shows the region's outline; a cut
-shows density and region in a plane. PNG, SVG or PDF, by the ending of the file's name.
+A view adds up the density along the line of sight and shows the outline of the region; a cut shows both in a plane.
+Every panel has equal scales. The file is PNG, SVG or PDF, by the ending of its name.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -26,7 +25,6 @@ from calib.show.plotting import (
     styled,
     view_limits,
 )
-from calib.verbs.workspace.region import Density
 from calib.verbs.workspace.region_rows import RegionView
 
 if TYPE_CHECKING:
@@ -36,23 +34,19 @@ if TYPE_CHECKING:
 #: Height and width of the figure [in].
 _SIZE = (9.2, 13.0)
 
-#: Dots per inch of a picture that is pixels.
+#: Resolution of a picture of pixels [dots per inch].
 _DPI = 150
 
 
 def check_ending(path: str | Path) -> str:
-    """Return the kind of a picture file by its name's ending.
-
-    Raises:
-        FileError: It is none of `KINDS`.
-    """
+    """Return the format of a picture file by the ending of its name; raises `FileError` for another than `KINDS`."""
     kind = Path(path).suffix.lower().removeprefix(".")
     check_kind(kind)
     return kind
 
 
 def headings(view: RegionView) -> tuple[str, str]:
-    """Return the title, and the line below it, of pictures and pages of a region."""
+    """Return the title of the picture and the page of a region, and the line below it."""
     region = view.region
     return (
         f"{view.robot.name}: positions of the target, {100 * region.share:.4g} %",
@@ -65,16 +59,16 @@ def write_picture(view: RegionView, path: str | Path, *, overwrite: bool = False
     """Write the figure of a region.
 
     Args:
-        view: The region and the points of a table in it.
-        path: Name of the file; its ending is one of `KINDS`.
-        overwrite: Replace an existing file.
+        view: The region, and the rows of a table.
+        path: The file; the ending of its name is one of `calib.show.plotting.KINDS`.
+        overwrite: Whether an existing file is replaced.
 
     Returns:
-        The file's path.
+        The file.
 
     Raises:
         CalibError: Matplotlib is missing.
-        FileError: Another ending, or the file exists or cannot be written.
+        FileError: The name has another ending, or the file exists or cannot be written.
     """
     kind = check_ending(path)
     require_matplotlib("A picture")
@@ -85,79 +79,49 @@ def write_picture(view: RegionView, path: str | Path, *, overwrite: bool = False
 
 def draw_region(view: RegionView) -> Figure:
     """Draw a region: views in the upper row, cuts through the mean of the samples below."""
+    density = view.density
+    voxel, low = 1e3 * density.voxel, 1e3 * density.origin
+    indices = np.indices(density.counts.shape).reshape(3, -1)
+    mean = indices @ density.counts.ravel() / density.samples
+    centre = np.round(mean).astype(np.intp)  # the voxel at the mean of the samples
+    points = np.zeros((0, 3)) if view.checked is None else view.checked.points
+    limits = view_limits(1e3 * np.vstack([density.extent, points]))
+
     figure = new_figure(*_SIZE)
     figure.suptitle("\n".join(headings(view)), x=0.01, ha="left")
     axes = figure.subplots(2, 3)
-    limits = _limits(view)
-    centre = _mean_voxel(view.density)
     for column, (i, j, name) in enumerate(VIEWS):
         upper, lower = axes[:, column]
-        density = _draw_view(upper, view, (i, j))
+        across, pair = 3 - i - j, [i, j]
+        inside = np.any(view.region.cells, axis=across)
+        seen = _draw_panel(upper, density.smooth.sum(axis=across), inside, low[pair], voxel)
         upper.set_title(f"Seen {name}")
         set_view(upper, limits, (i, j))
-        cut = _draw_cut(lower, view, (i, j), centre)
+        inside = view.region.cells.take(centre[across], axis=across)
+        values = density.smooth.take(centre[across], axis=across)
+        cut = _draw_panel(lower, values, inside, low[pair], voxel)
+        height = low[across] + (centre[across] + 0.5) * voxel
+        lower.set_title(f"Cut at {'xyz'[across]} = {height:.0f} mm")
         set_view(lower, limits, (i, j))
-        _mark(upper, view, (i, j))
-    _colour_bar(figure, density, axes[0], "density along the line of sight; 1: highest")
-    _colour_bar(figure, cut, axes[1], "density in the cut; 1: highest")
+        _mark_rows(upper, view, (i, j))
+    for image, panels, place in (
+        (seen, axes[0], "along the line of sight"),
+        (cut, axes[1], "in the cut"),
+    ):
+        bar = figure.colorbar(image, ax=list(panels), shrink=0.85, ticks=[0, 0.5, 1])
+        bar.set_label(f"density {place}; 1: highest")
     handles, labels = axes[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
     return figure
 
 
-def _colour_bar(figure: Figure, image: Any, panels: Iterable[Axes], label: str) -> None:  # noqa: ANN401
-    """Draw the scale of colours of an image, from 0 to 1, beside a row of panels."""
-    bar = figure.colorbar(image, ax=list(panels), shrink=0.85, ticks=[0, 0.5, 1])
-    bar.set_label(label)
+def _draw_panel(ax: Axes, values: Array, inside: Mask, low: Array, voxel: float) -> Any:  # noqa: ANN401  an image
+    """Draw the density and the outline of the region in the plane of two axes; returns matplotlib's image.
 
-
-def _limits(view: RegionView) -> Array:
-    """Return the limits of all panels, shape (2, 3), [mm]: around the density and the points of the table."""
-    points = np.zeros((0, 3)) if view.checked is None else view.checked.points
-    return view_limits(1e3 * np.vstack([view.density.extent, points]))
-
-
-def _mean_voxel(density: Density) -> Array:
-    """Return the index of the voxel at the mean of the samples, shape (3,), integers from 0."""
-    indices = np.indices(density.counts.shape).reshape(3, -1)
-    mean = indices @ density.counts.ravel() / density.samples
-    return np.round(mean).astype(np.intp)
-
-
-def _draw_view(ax: Axes, view: RegionView, pair: tuple[int, int]) -> Any:  # noqa: ANN401  matplotlib's image
-    """Draw the density added up along the line of sight; ``pair`` are the indices of the panel's axes."""
-    along = 3 - sum(pair)
-    density = view.density.smooth.sum(axis=along)
-    inside = np.any(view.region.cells, axis=along)
-    low = 1e3 * view.density.origin[list(pair)]
-    return _panel(ax, density, inside, low, 1e3 * view.density.voxel)
-
-
-def _draw_cut(ax: Axes, view: RegionView, pair: tuple[int, int], centre: Array) -> Any:  # noqa: ANN401  likewise
-    """Draw the density in the plane of two axes through the voxel of index ``centre``, shape (3,)."""
-    across = 3 - sum(pair)
-    density = view.density.smooth.take(centre[across], axis=across)
-    inside = view.region.cells.take(centre[across], axis=across)
-    low = 1e3 * view.density.origin
-    voxel = 1e3 * view.density.voxel
-    height = low[across] + (centre[across] + 0.5) * voxel
-    ax.set_title(f"Cut at {'xyz'[across]} = {height:.0f} mm")
-    return _panel(ax, density, inside, low[list(pair)], voxel)
-
-
-def _panel(ax: Axes, values: Array, inside: Mask, low: Array, voxel: float) -> Any:  # noqa: ANN401  matplotlib's image
-    """Draw density and outline in the plane of two axes.
-
-    Args:
-        ax: The panel.
-        values: shape (I, J), the density of cells along the horizontal and the vertical axis.
-        inside: shape (I, J), the cells of the region.
-        low: shape (2,), the least corner of the grid [mm].
-        voxel: Edge of a cell [mm].
-
-    Returns:
-        The image, with colours from 0 to 1: the most.
+    Density and region are given for the cells along the horizontal and the vertical axis (I, J), with the least corner
+    of the grid (2,) and the edge of a cell [mm].
     """
+    from matplotlib.collections import LineCollection
     from matplotlib.colors import LinearSegmentedColormap
 
     high = low + voxel * np.array(values.shape)
@@ -172,14 +136,7 @@ def _panel(ax: Axes, values: Array, inside: Mask, low: Array, voxel: float) -> A
         interpolation="nearest",
         zorder=1,
     )
-    _draw_outline(ax, inside, low, voxel)
-    return image
-
-
-def _draw_outline(ax: Axes, inside: Mask, low: Array, voxel: float) -> None:
-    """Draw the edges between cells inside and outside of the region; arguments as of `_panel`."""
-    from matplotlib.collections import LineCollection
-
+    # Edges between cells inside and outside.
     padded = np.pad(inside, 1)
     along = np.argwhere(padded[1:, :] != padded[:-1, :])
     across = np.argwhere(padded[:, 1:] != padded[:, :-1])
@@ -189,16 +146,11 @@ def _draw_outline(ax: Axes, inside: Mask, low: Array, voxel: float) -> None:
     lines = LineCollection(list(edges), colors=INK, linewidths=1.3, capstyle="projecting", zorder=3)
     lines.set_label("outline of the region")
     ax.add_collection(lines)
+    return image
 
 
-def _mark(ax: Axes, view: RegionView, pair: tuple[int, int]) -> None:
-    """Mark the points of a table's rows in a view: filled inside of the region, hollow and numbered outside.
-
-    Args:
-        ax: The panel.
-        view: The region and the points; without a table nothing is marked.
-        pair: Indices of the panel's axes.
-    """
+def _mark_rows(ax: Axes, view: RegionView, pair: tuple[int, int]) -> None:
+    """Mark the rows of a table in the plane of two axes: filled inside the region, hollow and numbered outside."""
     if view.checked is None:
         return
     rows = view.checked.rows
@@ -209,14 +161,11 @@ def _mark(ax: Axes, view: RegionView, pair: tuple[int, int]) -> None:
         (rows.validation, "validation", {"marker": "D", "ms": 6.0}, VALIDATION),
     )
     for mask, name, look, colour in sets:
-        filled = {"mfc": colour, "mec": "white", **look}
-        hollow = {"mfc": "white", "mec": colour, **look}
-        _mark_rows(ax, places[mask & inside], f"{name} rows inside", filled)
-        _mark_rows(ax, places[mask & ~inside], f"{name} rows outside", hollow)
+        filled: dict[str, Any] = {"mfc": colour, "mec": "white", **look}
+        hollow: dict[str, Any] = {"mfc": "white", "mec": colour, **look}
+        for place, chosen, style in (("inside", inside, filled), ("outside", ~inside, hollow)):
+            marked = places[mask & chosen]
+            if len(marked):
+                label = f"{len(marked)} {name} rows {place}"
+                ax.plot(*marked.T, ls="none", zorder=4, label=label, **style)
     number_points(ax, rows.rows, places, rows.validation | ~inside)
-
-
-def _mark_rows(ax: Axes, places: Array, noun: str, look: dict[str, Any]) -> None:
-    """Mark points (K, 2) [mm], if there are any; the legend has their number and ``noun``."""
-    if len(places):
-        ax.plot(*places.T, ls="none", zorder=4, label=f"{len(places)} {noun}", **look)

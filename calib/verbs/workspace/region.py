@@ -1,16 +1,15 @@
 """Density and region: how often samples of a workspace lie in each voxel, and the voxels that hold most of them.
 
-The positions of a target are counted in the voxels of a grid. The count n of a voxel of edge h, among N samples, is the
-density
+The positions of a target are counted in the voxels of a grid. With n of N samples in a voxel of edge h, the density is
 
-    f = n / (N h^3),
+    f = n / (N h^3).
 
-smoothed over neighbours by (1, 2, 1) / 4 along each axis and among reached voxels alone, so that nothing leaks out of
-the workspace. The region of a share p of the samples is made of voxels in falling order of the smoothed density, until
-their counts come to p N.
+It is smoothed with the weights (1, 2, 1) / 4 along each axis, over reached voxels only, so that nothing leaks out of
+the workspace. The region for a share p of the samples collects voxels in falling order of the smoothed density until
+their counts add up to p N.
 
-Unless it is given, the voxel is the smallest round length for which a smoothed count rests on `SAMPLES_PER_VOXEL`
-samples in the mean, a statistical error of 6 % (10 % at the border of 95 %).
+Unless the voxel is given, it is the smallest round length at which a smoothed count rests on `SAMPLES_PER_VOXEL`
+samples on average: a statistical error of 6 % (10 % at the border of the region of 95 %).
 """
 
 from __future__ import annotations
@@ -27,13 +26,13 @@ from calib.basics.values import Value, one_line
 from calib.errors import CalibError, ModelError
 from calib.numerics.geometry import vector
 
-#: Samples that a smoothed count rests on, in the mean over reached voxels, where the voxel's size is chosen.
+#: Samples that a smoothed count rests on, on average over reached voxels, if the voxel's size is chosen.
 SAMPLES_PER_VOXEL = 300.0
 
-#: The most voxels of a grid: 4 million take 32 MB for their counts.
+#: Largest number of voxels of a grid: 4 million take 32 MB for their counts.
 MOST_VOXELS = 4_000_000
 
-#: The most voxels along an axis where their size is chosen.
+#: Largest number of voxels along an axis, if their size is chosen.
 _FINEST = 128
 
 #: Weights of a voxel and its two neighbours along an axis.
@@ -45,16 +44,15 @@ _ROUND_DIGITS = (1, 1.2, 1.5, 2, 2.5, 3, 4, 5, 6, 8)
 #: Round lengths in rising order [m].
 _ROUND_LENGTHS = tuple(float(f"{n}e{k}") for k in range(-9, 6) for n in _ROUND_DIGITS)
 
-#: Points that lie within this share of a voxel outside the grid count as inside: they made it, but for rounding.
+#: Points that lie outside the grid by less than this share of a voxel count as inside: the grid was made of them.
 _FACE = 1e-9
 
-#: A side within this of a whole number of voxels is that number, but for rounding.
+#: A side that differs from a whole number of voxels by less than this is that number: the rest is rounding.
 _WHOLE = 1e-6
 
-#: Points nearer to each other than this are one point, whose voxel is as large as `_SPOT_VOXEL` [m].
+#: Points closer together than this are one point, whose voxel has the edge `_SPOT_VOXEL` [m].
 _SPOT = 1e-9
 _SPOT_VOXEL = 1e-3
-
 
 #: What messages call positions of points.
 _POSITIONS = "positions of shape (N, 3), [m]"
@@ -62,9 +60,9 @@ _POSITIONS = "positions of shape (N, 3), [m]"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Region(Value):
-    """Part of space that a robot is measured in: voxels of a grid in the base frame."""
+    """Part of space in which a robot is measured: voxels of a grid in the base frame."""
 
-    #: Shape (3,), the grid's least corner [m].
+    #: Shape (3,), the corner of the grid with the least x, y, z [m].
     origin: Array
     #: Edge of a voxel [m].
     voxel: float
@@ -98,7 +96,7 @@ class Region(Value):
     def of_points(
         cls, points: ArrayLike, share: float = 0.95, *, voxel: float | None = None
     ) -> Region:
-        """Make the smallest region that holds a share of points.
+        """Collect the smallest region that holds a share of points.
 
         Args:
             points: Positions in the robot's base frame, shape (N, 3), [m], such as
@@ -123,7 +121,7 @@ class Region(Value):
 
     @property
     def bounds(self) -> Array:
-        """Least and greatest corner of the box about the region, in the base frame, shape (2, 3), [m]."""
+        """Least and greatest corner of the box around the region, in the base frame, shape (2, 3), [m]."""
         index = np.argwhere(self.cells)
         corners = np.array([index.min(axis=0), index.max(axis=0) + 1])
         return self.origin + self.voxel * corners
@@ -138,7 +136,7 @@ class Region(Value):
             True inside, shape (N,).
 
         Raises:
-            ArgumentError: They are no numbers.
+            ArgumentError: They are not numbers.
             ModelError: They have another shape, or are not finite.
         """
         positions = np.atleast_2d(numbers("points", points, _POSITIONS))
@@ -152,7 +150,7 @@ class Region(Value):
 class Density(Value):
     """Counts of samples in the voxels of a grid in the base frame."""
 
-    #: Shape (3,), the grid's least corner [m].
+    #: Shape (3,), the corner of the grid with the least x, y, z [m].
     origin: Array
     #: Edge of a voxel [m].
     voxel: float
@@ -160,8 +158,8 @@ class Density(Value):
     counts: NDArray[np.int64]
     #: Shape (nx, ny, nz), the counts smoothed over neighbours, 0 where there is no sample.
     smooth: Array
-    #: Shape (nx, ny, nz), the smallest share of the samples, 0 to 1, whose region has a voxel; infinite without a
-    #: sample.
+    #: Shape (nx, ny, nz), the smallest share of the samples, 0 to 1, whose region contains the voxel; infinite if it
+    #: holds no sample.
     needed: Array
 
     @classmethod
@@ -170,11 +168,11 @@ class Density(Value):
 
         Args:
             points: Positions of a target in the robot's base frame, shape (N, 3), [m].
-            voxel: Edge of a voxel [m]; None: the smallest round length for which a smoothed count rests on 300 samples
-                in the mean.
+            voxel: Edge of a voxel [m]; None: the smallest round length at which a smoothed count rests on
+                `SAMPLES_PER_VOXEL` samples on average.
 
         Returns:
-            The counts, as they are and smoothed, on a grid that lies evenly about the points.
+            The counts, as they are and smoothed, on a grid that is centred on the box around the points.
 
         Raises:
             CalibError: The grid would have more than `MOST_VOXELS` voxels.
@@ -184,7 +182,7 @@ class Density(Value):
             raise ModelError(f"There are no points; 'points' must be {_POSITIONS}.")
         if voxel is not None:
             check_number("voxel", voxel)
-        edge = _chosen_voxel(samples) if voxel is None else float(voxel)
+        edge = _choose_voxel(samples) if voxel is None else float(voxel)
         origin, counts = _count(samples, edge)
         smooth, _ = _smooth(counts)
         densest_first = np.argsort(-smooth.ravel(), kind="stable")
@@ -200,24 +198,20 @@ class Density(Value):
 
     @property
     def extent(self) -> Array:
-        """Least and greatest corner of the box about all voxels that hold samples.
-
-        In the base frame, shape (2, 3), [m].
-        """
+        """Least and greatest corner of the box around all voxels with samples, in the base frame, shape (2, 3), [m]."""
         return Region(self.origin, self.voxel, self.counts > 0, 1.0, 1.0).bounds
 
     def region(self, share: float = 0.95) -> Region:
         """Collect voxels in falling order of the smoothed density until they hold a share of the samples.
 
-        The order is that of smoothed counts, the share that of the counts themselves; so other voxels may hold the same
-        share and be a few fewer.
+        The order is that of the smoothed counts, the share that of the counts themselves; so a few voxels fewer may
+        hold the same share.
 
         Args:
             share: Share of the samples, greater than 0 and at most 1.
 
         Returns:
-            The voxels, on the same grid in the robot's base frame; ``held`` is the share of the samples in them, not
-            less than ``share``.
+            The voxels, on the same grid in the robot's base frame.
 
         Raises:
             CalibError: The share is outside of that range.
@@ -227,7 +221,7 @@ class Density(Value):
             raise CalibError(
                 f"The share is {share:g}; it must be greater than 0 and at most 1, such as 0.95."
             )
-        # Sums of counts are exact, so that 0.95 of 100 samples is 95 of them.
+        # Sums of counts are exact: 0.95 of 100 samples must be 95 of them, in spite of rounding.
         enough = self.needed[self.needed >= share * (1.0 - 1e-12)]
         held = float(enough.min())
         return Region(self.origin, self.voxel, self.needed <= held, float(share), held)
@@ -240,7 +234,7 @@ class Density(Value):
 
         Returns:
             Shape (N,): near 0 where the target is most often, 1 at the rim of the workspace, infinite where no sample
-            came.
+            lies.
         """
         index, in_grid = _voxel_of(np.asarray(points), self.origin, self.voxel, self.counts.shape)
         return np.where(in_grid, self.needed[tuple(index.T)], np.inf)
@@ -252,18 +246,7 @@ def _voxel_of(
     voxel: float,
     shape: tuple[int, ...],
 ) -> tuple[NDArray[np.intp], Mask]:
-    """Find the voxel of each point in a grid.
-
-    Args:
-        points: Positions in the robot's base frame, shape (N, 3), [m].
-        origin: The grid's corner with the least x, y, z, in the same frame, shape (3,), [m].
-        voxel: Edge of a voxel [m].
-        shape: Number of voxels along x, y and z.
-
-    Returns:
-        Indices of the voxels along x, y and z, from 0, shape (N, 3), of a point outside the grid those of the nearest
-        one; and whether a point lies in the grid or on its faces, shape (N,).
-    """
+    """Return the indices of each point's voxel, or the nearest one, (N, 3), and whether it lies in the grid (N,)."""
     place = (points - origin) / voxel
     last = np.array(shape)
     # Rounding must not put a point that made the grid outside of it.
@@ -273,24 +256,14 @@ def _voxel_of(
 
 
 def _count(points: Array, voxel: float) -> tuple[Array, NDArray[np.int64]]:
-    """Count points in the voxels of a grid that lies evenly about them.
+    """Return the least corner (3,) of a grid centred on points (N, 3) [m], and the points in each voxel (nx, ny, nz).
 
-    Args:
-        points: Positions in the robot's base frame, shape (N, 3), [m].
-        voxel: Edge of a voxel [m].
-
-    Returns:
-        The grid's corner with the least x, y, z in the base frame, shape (3,), [m]; and the number of points in each
-        voxel, shape (nx, ny, nz).
-
-    Raises:
-        CalibError: The grid would have more than `MOST_VOXELS` voxels.
+    Raises `CalibError` if there would be more than `MOST_VOXELS` voxels.
     """
     low = points.min(axis=0)
     high = points.max(axis=0)
     sides = np.full(3, np.inf)
     if voxel > 0.0:
-        # A length that is a multiple of the voxel's, but for rounding, gets no voxel more.
         sides = np.ceil((high - low) / voxel - _WHOLE).clip(1.0)
     if np.prod(sides) > MOST_VOXELS:
         raise CalibError(
@@ -306,16 +279,9 @@ def _count(points: Array, voxel: float) -> tuple[Array, NDArray[np.int64]]:
 
 
 def _smooth(counts: NDArray[np.int64]) -> tuple[Array, Array]:
-    """Average the count of each voxel that holds samples with those of its neighbours that do.
+    """Average the count of each voxel that holds samples with those of its neighbours that do; others are 0.
 
-    The weights are (1, 2, 1) / 4 along each axis.
-
-    Args:
-        counts: Number of samples in each voxel of a grid, shape (nx, ny, nz).
-
-    Returns:
-        The weighted means, shape (nx, ny, nz), 0 where there is no sample; and the number of voxels that each mean
-        stands for, by its variance: (sum w)^2 / sum w^2, of the same shape, 0 likewise.
+    The second grid is the number of voxels that each mean stands for, by its variance: (sum w)^2 / sum w^2.
     """
     reached = (counts > 0).astype(np.float64)
     weight = _spread(reached, _WEIGHTS)
@@ -326,30 +292,17 @@ def _smooth(counts: NDArray[np.int64]) -> tuple[Array, Array]:
 
 
 def _spread(values: Array, weights: Array) -> Array:
-    """Convolve values of a grid with weights along each of its axes; outside the grid values are 0.
-
-    Args:
-        values: Shape (nx, ny, nz).
-        weights: Weights of a voxel and its two neighbours along an axis, shape (3,), symmetric.
-
-    Returns:
-        Shape (nx, ny, nz).
-    """
+    """Convolve a grid of values along each axis with weights of a voxel and its two neighbours; outside they are 0."""
     spread = values
     for axis in range(3):
         spread = ndimage.convolve1d(spread, weights, axis=axis, mode="constant")
     return spread
 
 
-def _chosen_voxel(points: Array) -> float:
-    """Choose the edge of a voxel, the smallest round length for which smoothed counts rest on 300 samples in the mean.
+def _choose_voxel(points: Array) -> float:
+    """Choose the smallest round edge [m] at which smoothed counts of points (N, 3) rest on enough samples on average.
 
-    Args:
-        points: Positions in the robot's base frame, shape (N, 3), [m].
-
-    Returns:
-        The edge [m]; there are no more than 128 voxels along an axis. Where no length is enough, the first round one
-        that is as long as the points' extent; 1 mm for points that are all the same.
+    If none is enough, it is the first one that is as long as the points' extent.
     """
     longest = float(np.ptp(points, axis=0).max())
     if longest < _SPOT:
@@ -361,7 +314,6 @@ def _chosen_voxel(points: Array) -> float:
         _, counts = _count(points, voxel)
         _, voxels_per_mean = _smooth(counts)
         reached = np.count_nonzero(counts)
-        # The mean over the voxels that hold samples.
         samples_per_mean = float(voxels_per_mean.sum()) / reached * len(points) / reached
         if samples_per_mean >= SAMPLES_PER_VOXEL:
             return voxel

@@ -1,17 +1,15 @@
 """A region as a file: JSON in SI units, see docs/workspace.md.
 
-It names robot, base, tip, joints and target: in another base frame the same numbers are another place.
+It names the robot, base, tip, joints and target: in another base frame the same numbers mean another place.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
 
 import numpy as np
 
-from calib.basics.arrays import Array, Mask, read_only
+from calib.basics.arrays import Array, read_only
 from calib.basics.files import write_atomically
 from calib.basics.json_files import damage, json_bytes, read_json
 from calib.errors import CalibError, FileError
@@ -27,10 +25,9 @@ def write_region(view: RegionView, path: str | Path, seed: int, *, overwrite: bo
     """Write a region as a JSON file, with the robot, the target and the samples that it was made from.
 
     Args:
-        view: The region, voxels of the robot's base frame; the robot with the ranges of its joints; the target in the
-            tip; and the density of the samples.
+        view: The region, and what it was made from.
         path: The file.
-        seed: Seed that the samples of the workspace were drawn with.
+        seed: Seed with which the samples of the workspace were drawn.
         overwrite: Whether an existing file is replaced.
 
     Returns:
@@ -40,6 +37,17 @@ def write_region(view: RegionView, path: str | Path, seed: int, *, overwrite: bo
         FileError: It cannot be written.
     """
     robot, region = view.robot, view.region
+    joints = []
+    for joint, (low, high) in zip(robot.inputs, view.ranges, strict=True):
+        unit = "m" if joint.type == "prismatic" else "rad"
+        joints.append({"name": joint.name, f"low_{unit}": low, f"high_{unit}": high})
+    # Lengths of runs of voxels outside, inside, outside, ... of the region, the last index varying fastest. The first
+    # run is outside, of length 0 if the first voxel is inside.
+    flat = region.cells.ravel()
+    changes = np.flatnonzero(np.diff(flat)) + 1
+    runs = np.diff([0, *changes, flat.size]).tolist()
+    if flat[0]:
+        runs.insert(0, 0)
     table = {
         "schema": SCHEMA,
         "calib": __version__,
@@ -47,7 +55,7 @@ def write_region(view: RegionView, path: str | Path, seed: int, *, overwrite: bo
             "name": robot.name,
             "base": robot.base,
             "tip": robot.tip,
-            "joints": _joint_table(view),
+            "joints": joints,
         },
         "target_xyz_m": view.target,
         "samples": view.density.samples,
@@ -58,51 +66,9 @@ def write_region(view: RegionView, path: str | Path, seed: int, *, overwrite: bo
         "voxel_m": region.voxel,
         "origin_m": region.origin,
         "shape": region.cells.shape,
-        "runs": _runs(region.cells),
+        "runs": runs,
     }
     return write_atomically(path, json_bytes(table), overwrite=overwrite)
-
-
-def _joint_table(view: RegionView) -> list[dict[str, Any]]:
-    """Return name, lowest and highest value of each joint, the unit in the keys: ``low_rad`` or ``low_m``.
-
-    Args:
-        view: Gives the robot, and the ranges of its m measured joints, shape (m, 2), [rad] or [m].
-    """
-    table = []
-    for joint, (low, high) in zip(view.robot.inputs, view.ranges, strict=True):
-        unit = "m" if joint.type == "prismatic" else "rad"
-        table.append({"name": joint.name, f"low_{unit}": low, f"high_{unit}": high})
-    return table
-
-
-def _runs(cells: Mask) -> list[int]:
-    """Encode which voxels of a grid are inside by the lengths of runs: outside, inside, outside, ...
-
-    Args:
-        cells: True for voxels inside, shape (nx, ny, nz).
-
-    Returns:
-        Numbers of voxels in a row, in the order in which the last index varies fastest. The first run is outside, of 0
-        voxels where the first voxel is inside.
-    """
-    flat = cells.ravel()
-    changes = np.flatnonzero(np.diff(flat)) + 1
-    lengths: list[int] = np.diff([0, *changes, flat.size]).tolist()
-    return [0, *lengths] if flat[0] else lengths
-
-
-class _Origin(NamedTuple):
-    """Chain and target that a region was made for."""
-
-    #: Name of the base link.
-    base: str
-    #: Name of the tip link.
-    tip: str
-    #: Names of the measured joints.
-    joints: list[str]
-    #: Shape (3,), position of the target in the tip [m].
-    target: Array
 
 
 def read_region(
@@ -129,87 +95,32 @@ def read_region(
     )
     table = read_json(path, "region", SCHEMA, expected)
     try:
-        region = _region_of(table)
-        origin = _origin_of(table)
+        runs = np.asarray(table["runs"], dtype=np.int64)
+        is_inside = np.arange(len(runs)) % 2 == 1
+        region = Region(
+            origin=read_only(table["origin_m"]).reshape(3),
+            voxel=float(table["voxel_m"]),
+            cells=np.repeat(is_inside, runs).reshape(table["shape"]),
+            share=float(table["share"]),
+            held=float(table["held"]),
+        )
+        base, tip = table["robot"]["base"], table["robot"]["tip"]
+        joints = [joint["name"] for joint in table["robot"]["joints"]]
+        of_file = read_only(table["target_xyz_m"]).reshape(3)
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise FileError(
             f"{path}: the region is damaged: {damage(error)}. "
             "Write it again with 'calib workspace -o'."
         ) from error
-    _check_origin(path, origin, region, robot, target)
-    return region
-
-
-def _region_of(table: Mapping[str, Any]) -> Region:
-    """Return the region that a file describes.
-
-    Args:
-        table: Values of the file by their keys, in SI units; lengths of runs outside and inside say which voxels belong
-            to the region.
-
-    Raises:
-        KeyError, TypeError, ValueError, OverflowError: A value is missing, or of the wrong kind or shape.
-    """
-    runs = np.asarray(table["runs"], dtype=np.int64)
-    is_inside = np.arange(len(runs)) % 2 == 1
-    return Region(
-        origin=read_only(table["origin_m"]).reshape(3),
-        voxel=float(table["voxel_m"]),
-        cells=np.repeat(is_inside, runs).reshape(table["shape"]),
-        share=float(table["share"]),
-        held=float(table["held"]),
-    )
-
-
-def _origin_of(table: Mapping[str, Any]) -> _Origin:
-    """Return the base, tip, joints and target that the region of a file was made for.
-
-    Args:
-        table: Values of the file by their keys, in SI units.
-
-    Raises:
-        KeyError, TypeError, ValueError, OverflowError: A value is missing, or of the wrong kind or shape.
-    """
-    robot = table["robot"]
-    return _Origin(
-        base=robot["base"],
-        tip=robot["tip"],
-        joints=[joint["name"] for joint in robot["joints"]],
-        target=read_only(table["target_xyz_m"]).reshape(3),
-    )
-
-
-def _check_origin(
-    path: str | Path,
-    origin: _Origin,
-    region: Region,
-    robot: Robot | None,
-    target: Array | None,
-) -> None:
-    """Refuse a region that was made for another chain, or for a target more than a voxel away.
-
-    Args:
-        path: The file, which the message names.
-        origin: Base, tip, joints and target that the region was made for.
-        region: Gives the edge of a voxel [m].
-        robot: The robot that the region is to be used for; None: it is not checked.
-        target: Position of the target in the tip, shape (3,), [m]; None: it is not checked.
-
-    Raises:
-        CalibError: It was made for others.
-    """
-    same_chain = True
+    is_same_chain = True
     if robot is not None:
-        chain = (robot.base, robot.tip, list(robot.joint_names))
-        same_chain = origin[:3] == chain
-    distance = 0.0
-    if target is not None:
-        distance = float(np.linalg.norm(target - origin.target))
-    if same_chain and distance <= region.voxel:
-        return
-    place = ", ".join(f"{1e3 * value:.6g}" for value in origin.target)
-    raise CalibError(
-        f"{path}: the region was made for the base {origin.base}, the tip {origin.tip}, the "
-        f"joints {', '.join(origin.joints)} and a target at {place} mm: give the same --base, "
-        "--tip, --hold and --target, or make the region again with 'calib workspace'."
-    )
+        is_same_chain = (base, tip, joints) == (robot.base, robot.tip, list(robot.joint_names))
+    distance = 0.0 if target is None else float(np.linalg.norm(target - of_file))
+    if not is_same_chain or distance > region.voxel:
+        place = ", ".join(f"{1e3 * value:.6g}" for value in of_file)
+        raise CalibError(
+            f"{path}: the region was made for the base {base}, the tip {tip}, the "
+            f"joints {', '.join(joints)} and a target at {place} mm: give the same --base, "
+            "--tip, --hold and --target, or make the region again with 'calib workspace'."
+        )
+    return region

@@ -1,4 +1,4 @@
-"""Rows of a table beside a region: where the target was in each of them."""
+"""Rows of a table that are compared with a region: where the target was in each of them."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Checked(NamedTuple):
     rows: Measurements
     #: Shape (N, 3), position of the target of each row in the base [m].
     points: Array
-    #: Shape (N,), True where that was measured; elsewhere it is predicted.
+    #: Shape (N,), whether it was measured; otherwise it is predicted.
     measured: Mask
 
 
@@ -60,11 +60,8 @@ def read_rows(
         path: Path of the table.
         robot: The robot, whose joints have a column each in the table.
         columns: Names that calib uses by the table's names, or all that is said of the columns; None: nothing is.
-        kind: Name of the kind of measurement of all rows, such as ``"point"``; None: as the table says, or where it has
-            no positions none at all, so that rows have joint values alone.
-
-    Returns:
-        The rows: joint values, and what was measured there.
+        kind: Name of the kind of measurement of all rows, such as ``"point"``; None: as the table says, or joint values
+            alone if it has no positions.
     """
     table = Table.read(path)
     named, _ = name_columns(table, robot.joint_names, columns)
@@ -81,14 +78,14 @@ def row_points(robot: Robot, rows: Measurements, cell: Cell, target: Array) -> t
     """Return where the target of each row was in the robot's base, as measured or else as predicted.
 
     Args:
-        robot: The nominal robot, which predicts where the position was not measured.
-        rows: N rows: joint values and the measured positions in the measurement frame, where there are any.
-        cell: Gives the targets by name, and the poses of the base in the measurement frames; positions in a frame that
-            is estimated do not count as measured.
+        robot: The nominal robot, which predicts positions that were not measured.
+        rows: The N rows.
+        cell: Has the targets and the measurement frames; positions in a frame that is estimated do not count as
+            measured.
         target: Position in the tip of a target that the cell does not name, shape (3,), [m].
 
     Returns:
-        Positions in the robot's base, shape (N, 3), [m]; and True where they were measured, shape (N,).
+        Positions in the robot's base, shape (N, 3), [m]; and whether they were measured, shape (N,).
     """
     T_base_tip = robot.poses(rows.joints_for(robot.joint_names))
     targets = [cell.targets.get(name, target) for name in rows.targets]

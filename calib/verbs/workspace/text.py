@@ -1,4 +1,4 @@
-"""A region of the workspace in words, as ``calib workspace`` prints it."""
+"""A region of the workspace as text, as ``calib workspace`` prints it."""
 
 from __future__ import annotations
 
@@ -8,16 +8,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from calib.robot.ranges import range_text
-from calib.show.lines import fill, row_ranges
+from calib.show.lines import fill, paragraphs, row_ranges
 from calib.show.tables import Column, labelled, name_column, table_lines
 
 if TYPE_CHECKING:
     from calib.basics.arrays import Array
     from calib.robot.robot import Robot
     from calib.verbs.workspace.region_rows import Checked, RegionView
-from calib.show.lines import paragraphs
 
-#: Columns from a label of the region to its text.
+#: Width of a label of the region [columns].
 _REGION_LABEL = 12
 
 
@@ -26,7 +25,7 @@ def workspace_text(view: RegionView, origin: str, seed: int, *, every_row: bool)
 
     Args:
         view: The region, and the rows that were checked against it.
-        origin: What the joint ranges are taken from; empty for the limits.
+        origin: What the joint ranges are taken from; empty: the joints' limits.
         seed: Seed of the sampled joint values.
         every_row: Whether each checked row has a line.
 
@@ -74,14 +73,14 @@ def _region(view: RegionView, seed: int) -> Iterator[str]:
 
 
 def _extent(ends: Array) -> str:
-    """Format a box in mm; its lower and upper corner [m] are the rows of ``ends``, shape (2, 3)."""
+    """Format a box in mm, given its least and greatest corner (2, 3) [m]."""
     lower, upper = np.round(1e3 * ends) + 0.0
     axes = [f"{axis} {lower[k]:.0f} to {upper[k]:.0f}" for k, axis in enumerate("xyz")]
     return ", ".join(axes) + " mm"
 
 
 def _row_lines(view: RegionView, checked: Checked, *, every_row: bool) -> Iterator[str]:
-    """Count the rows inside of the region, by set; with a table of all of them if ``every_row``."""
+    """Count the rows inside the region, by set, and show a table of all of them if wanted."""
     rows, points, measured = checked
     inside = view.region.contains(points)
     yield f"Targets of {rows.source}, {sum(measured)} measured, {sum(~measured)} predicted:"

@@ -1,4 +1,4 @@
-"""The page of a region: its voxels as coloured points about the nominal robot, in bands by density."""
+"""The page of a region: its voxels as coloured points around the nominal robot, in bands by density."""
 
 from __future__ import annotations
 
@@ -22,38 +22,31 @@ from calib.show.scene.scene import (
 from calib.verbs.workspace.figures import headings
 from calib.verbs.workspace.region_rows import RegionView
 
-#: Radius of the ball of a target, as a part of the scene's size.
+#: Radius of the ball of the target, and of the ball of a row of a table, as shares of the scene's size.
 _BALL = 0.008
-
-#: Radius of the ball of a row of a table, as a part of the scene's size.
 _ROW_BALL = 0.007
-
 
 #: Shares of the samples at which the bands of a region end, as far as the region goes.
 _BANDS = (0.5, 0.8)
 
-
-#: A band narrower than this share is joined with the next one.
+#: A last band narrower than this share is joined with the one before.
 _LEAST_BAND = 0.02
 
-
-#: More voxels than this are thinned out, evenly.
+#: Number of voxels above which they are thinned out at random.
 _MOST_POINTS = 60_000
 
-
-#: Voxels, about, that the camera is placed by.
+#: Approximate number of voxels by which the page's camera is placed.
 _CAMERA_POINTS = 5000
 
-
-#: Edge of a point, as a part of a voxel; the robot is seen between them.
+#: Edge of a point, as a share of a voxel's: small enough to see the robot between them.
 _POINT = 0.09
 
 
 def region_page(view: RegionView) -> Page:
-    """Make the page of a region about the nominal robot, in bands by the density of the target's positions."""
+    """Make the page of a region around the nominal robot, in bands by the density of the target's positions."""
     q = view.ranges.mean(axis=1)
     target = (view.robot.poses(q)[0] @ np.append(view.target, 1.0))[:3]
-    centres = view.region.origin + view.region.voxel * (np.argwhere(view.region.cells) + 0.5)
+    centres = view.region.points
     title, text = headings(view)
 
     def draw(scene: meshcat.Visualizer, size: float) -> list[Key]:
@@ -61,7 +54,13 @@ def region_page(view: RegionView) -> Page:
         node.set_object(mc.Sphere(_BALL * size), solid(NOMINAL))
         node.set_transform(translation(target))
         keys = _draw_voxels(scene, view, centres)
-        keys += draw_dots(scene, _row_dots(view), _ROW_BALL * size)
+        if view.checked is not None:
+            rows, points, _ = view.checked
+            dots = (
+                Dots("estimation", ESTIMATION, "estimation rows", points[rows.estimation]),
+                Dots("validation", VALIDATION, "validation rows", points[rows.validation]),
+            )
+            keys += draw_dots(scene, dots, _ROW_BALL * size)
         return keys
 
     return single_page(
@@ -75,28 +74,8 @@ def region_page(view: RegionView) -> Page:
     )
 
 
-def _row_dots(view: RegionView) -> tuple[Dots, ...]:
-    """Return the points of a table's rows by set; none without a table."""
-    if view.checked is None:
-        return ()
-    rows, points, _ = view.checked
-    return (
-        Dots("estimation", ESTIMATION, "estimation rows", points[rows.estimation]),
-        Dots("validation", VALIDATION, "validation rows", points[rows.validation]),
-    )
-
-
 def _draw_voxels(scene: meshcat.Visualizer, view: RegionView, centres: Array) -> list[Key]:
-    """Draw the voxels of a region in bands by density.
-
-    Args:
-        scene: Node of the scene.
-        view: The region.
-        centres: shape (K, 3), middles of its voxels in the base [m].
-
-    Returns:
-        The entries of the legend, the densest band first.
-    """
+    """Draw the voxels of a region, whose centres in the base are (K, 3) [m], in bands by density, the densest first."""
     share_of = view.density.share_of(centres)
     chosen = np.sort(np.random.default_rng(0).permutation(len(centres))[:_MOST_POINTS])
     centres = centres[chosen]

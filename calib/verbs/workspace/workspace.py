@@ -1,4 +1,4 @@
-"""Workspace: where a target lies when the joints take all their values equally often (the paper, section 4.3).
+"""Workspace: where a target lies if the joints take all values in their ranges equally often (the paper, section 4.3).
 
 `workspace_points` samples the positions; `workspace` finds the smallest region that holds a share of them.
 """
@@ -37,8 +37,8 @@ def workspace(
 ) -> Region:
     """Return the smallest part of space that holds a target with a given probability.
 
-    The joints take all their values equally often, see `workspace_points`; the positions of the target are counted in
-    voxels, see `Density`.
+    The joints take all values equally often, see `workspace_points`; the positions of the target are counted in voxels,
+    see `calib.verbs.workspace.region.Density`.
 
     Args:
         robot: The robot, with m measured joints; or the path of its URDF or xacro, or its name such as ``"ur3"``, from
@@ -48,11 +48,11 @@ def workspace(
             ``robot.joint_names``; None: those of `calib.robot.ranges.joint_ranges`.
         share: Probability that the target is in the region, greater than 0 and at most 1.
         voxel: Edge of a voxel [m]; None: chosen by the samples.
-        count: Number of samples; a power of two is spread the most evenly.
+        count: Number of samples; a power of two is spread most evenly.
         seed: Seed of the samples: the same one gives the same region.
 
     Returns:
-        The region, voxels of the robot's base frame.
+        The region.
 
     Raises:
         ArgumentError: An argument of another type.
@@ -71,16 +71,14 @@ def workspace_points(
     seed: int = 0,
     progress: Callable[[int, int], None] | None = None,
 ) -> Array:
-    """Sample where a target lies when the joints take all their values equally often.
-
-    Joint values are drawn evenly by a scrambled Sobol sequence.
+    """Sample where a target lies if the joints take all values equally often, by a scrambled Sobol sequence.
 
     Args:
         robot: The robot, with m measured joints.
         target: Position of the target in the tip, shape (3,), [m].
         ranges: Lowest and highest value of each joint, shape (m, 2), [rad] or for sliding joints [m], in the order of
             ``robot.joint_names``; None: those of `calib.robot.ranges.joint_ranges`.
-        count: Number of samples; a power of two is spread the most evenly.
+        count: Number of samples; a power of two is spread most evenly.
         seed: Seed of the sequence: the same one gives the same points.
         progress: Called with the number of samples done and of all; None: nothing is called.
 
@@ -108,22 +106,13 @@ def workspace_points(
 
 
 def _even_joint_values(ranges: Array, count: int, seed: int) -> Iterator[Array]:
-    """Yield joint values that a scrambled Sobol sequence spreads evenly over their ranges, piece by piece.
-
-    Args:
-        ranges: Lowest and highest value of each joint, shape (m, 2), [rad] or for sliding joints [m].
-        count: Number of samples of all pieces together.
-        seed: Seed of the scrambling.
-
-    Yields:
-        Joint values, [rad] or [m], shape (32768, m), or fewer in the last piece.
-    """
-    # Not above: SciPy's distributions take as long to import as the rest of calib.
+    """Yield joint values, shape (`_CHUNK` or fewer, m), that a Sobol sequence spreads evenly over ranges (m, 2)."""
+    # Imported late: SciPy's distributions take as long as the rest of calib.
     from scipy.stats import qmc
 
     low, high = ranges.T
     sequence = qmc.Sobol(len(low), scramble=True, seed=np.random.default_rng(seed))
     for start in range(0, count, _CHUNK):
-        # The first piece is a power of two long, as SciPy asks.
+        # SciPy asks for a power of two at first.
         unit = sequence.random(_CHUNK)[: count - start]
         yield low + unit * (high - low)

@@ -13,7 +13,7 @@ from calib.data.cell import Box
 from calib.robot.ranges import spread_poses
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
-from calib.verbs.plan.collision import CollisionCheck, CollisionModel, _check_of_owners, _is_always
+from calib.verbs.plan.collision import CollisionCheck, CollisionModel, _choose_margin, _is_always
 from tests.verbs.plan.fcl_scene import bodies, objects, touch
 
 #: Three turning joints in a plane, each 0.3 m behind the other, and a ball of 50 mm in front of each.
@@ -168,33 +168,25 @@ def test_owners_always_touch_where_some_pair_does_at_95_percent_of_the_samples(t
     assert _is_always(touched) is always
 
 
-class Gaps:
-    """Samples at which the gaps of pairs are known, shape (N, pairs) [m]."""
-
-    def __init__(self, *gaps_by_sample):
-        self.gaps = np.array(gaps_by_sample)
-
-    def touched(self, pairs, margin):
-        assert len(pairs) == self.gaps.shape[1]
-        return self.gaps < margin
-
-
 @pytest.mark.parametrize(
     ("gaps_by_sample", "is_box", "expected"),
     [
         # Closer than the clearance now and then: counted at the clearance.
-        ([(0.02, 0.2), (0.2, 0.2)], False, ([(0.05, 1), (0.05, 0)], None)),
+        ([(0.02, 0.2), (0.2, 0.2)], False, (0.05, [1, 0])),
         # Some pair is always closer than it: counted where they touch.
-        ([(0.02, 0.2), (0.2, -0.1)], False, ([(0.0, 0), (0.0, 1)], "always_close")),
-        ([(-0.02, 0.2), (0.2, -0.1)], False, ([], "always_touching")),
+        ([(0.02, 0.2), (0.2, -0.1)], False, (0.0, [0, 1])),
+        ([(-0.02, 0.2), (0.2, -0.1)], False, (None, [1, 1])),
         # A box must not be touched all the same.
-        ([(-0.02, 0.2), (0.2, -0.1)], True, ([(0.05, 1), (0.05, 1)], None)),
+        ([(-0.02, 0.2), (0.2, -0.1)], True, (0.05, [1, 1])),
     ],
 )
 def test_how_owners_are_checked_depends_on_how_often_they_touch(gaps_by_sample, is_box, expected):
-    owners_check = _check_of_owners(Gaps(*gaps_by_sample), [(0, 2), (1, 2)], 0.05, is_box=is_box)
-    kept = [(pair.margin, pair.times) for pair in owners_check.kept]
-    assert (kept, owners_check.remark) == expected
+    def touched(pairs, margin):
+        assert pairs == [(0, 2), (1, 2)]
+        return np.array(gaps_by_sample) < margin
+
+    margin, times = _choose_margin(touched, [(0, 2), (1, 2)], 0.05, is_box=is_box)
+    assert (margin, times.tolist()) == expected
 
 
 # --- Targets and what holds them, and the mounting plane ------------------------------------------------------------

@@ -7,7 +7,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from calib.verbs.plan.optimal import Basis, _gains, _most, choose, exchange, information
+from calib.verbs.plan.optimal import Basis, _gain_bounds, _gains, choose, exchange, information
 
 
 def pool(seed: int, n: int, d: int, p: int, spread: float = 0.0) -> np.ndarray:
@@ -70,7 +70,7 @@ def test_no_candidate_gains_more_than_its_bound(d, criterion):
     basis = basis_of(A, criterion, np.full(5, 0.1))
     blocks = A @ basis.directions
     C = np.linalg.inv(basis.known + information(blocks[:4]))
-    gains, most = _gains(blocks, C, basis.target), _most(blocks, C, basis.target)
+    gains, most = _gains(blocks, C, basis.target), _gain_bounds(blocks, C, basis.target)
     assert np.all(most >= gains * (1.0 - 1e-9))
     assert np.median(most / gains) < (1.0 + 1e-9 if d == 1 and criterion == "D" else 20.0)
 

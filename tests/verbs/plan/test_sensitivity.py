@@ -127,7 +127,7 @@ def test_what_is_measured_moves_as_predictions_do(ur3, cell):
         "point": [(in_position, SIGMA)],
         "pose": [(in_position, SIGMA), (in_orientation, cell.sigma.get("rad", 1e-3))],
         "distance": [(in_length, SIGMA)],
-    }[sensitivity.kind]
+    }[sensitivity.instrument.kind.name]
     expected = np.concatenate(
         [differences(cell, sensitivity.kinematics, q, look) / sigma for look, sigma in parts],
         axis=2,
@@ -150,7 +150,7 @@ def test_what_is_located_moves_as_predictions_do(ur3, cell):
     sensitivity = Sensitivity.of(ur3, cell)
     q = random_joint_values(ur3, 7, 6)
     expected = differences(cell, sensitivity.kinematics, q, in_position)
-    if sensitivity.kind == "distance":
+    if sensitivity.instrument.kind.name == "distance":
         points = predicted(cell, sensitivity.kinematics, np.zeros(expected.shape[-1]), q)[
             :, :, :3, 3
         ]
@@ -225,7 +225,7 @@ def simulated(robot, cell, q, rng) -> Measurements:
     size = np.where(np.array(model.units) == "m", 3e-5, 1e-4)
     x = size * rng.normal(size=len(model))
     T = predicted(cell, sensitivity.kinematics, x, q)[:, 0]
-    n, kind = len(q), sensitivity.kind
+    n, kind = len(q), sensitivity.instrument.kind.name
     points = T[:, :3, 3] + SIGMA * rng.normal(size=(n, 3))
     columns = {}
     if kind == "distance":

@@ -1,4 +1,4 @@
-"""The pages of a plan and a region: targets, way, boxes, lines of sight, voxels and rows where they are."""
+"""The page of a plan: targets, way, boxes and lines of sight where they are."""
 
 from __future__ import annotations
 
@@ -10,41 +10,19 @@ import numpy as np
 import pytest
 
 from calib import example
+from calib.basics.arrays import rigid_inverse
 from calib.data.cell import Box, Cell, Tracker
-from calib.data.measurements import Measurements
-from calib.robot.ranges import joint_ranges, random_joint_values
+from calib.robot.ranges import random_joint_values
 from calib.verbs.plan.choice import PlanRequest
 from calib.verbs.plan.plan import plan
 from calib.verbs.plan.plan_file import write_plan
-from calib.verbs.plan.view import plan_page
-from calib.verbs.workspace.region import Density
-from calib.verbs.workspace.region_rows import Checked, RegionView
-from calib.verbs.workspace.view import region_page
-from calib.verbs.workspace.workspace import workspace_points
+from calib.verbs.plan.view import on_foot, plan_page
+from tests.instruments.scenes import BOARD, standing
+from tests.verbs.plan import test_images
 from tests.verbs.view.test_page import floats, table_of
-from tests.view_fixtures import scene_of
+from tests.view_fixtures import moved, positions, scene_of
 
 TARGET = np.array(example.PAPER_TARGET)
-
-
-def moved(scene: dict, pattern: str) -> np.ndarray:
-    """The transforms of some nodes, shape (N, 4, 4)."""
-    found = [
-        np.array(c["matrix"]).reshape(4, 4).T
-        for c in scene["commands"]
-        if c["type"] == "set_transform" and re.fullmatch(f"/robots/{pattern}", c["path"])
-    ]
-    return np.array(found)
-
-
-def positions(scene: dict, node: str) -> np.ndarray:
-    """The points of a cloud or of lines, shape (N, 3)."""
-    (command,) = [
-        c for c in scene["commands"] if c["type"] == "set_object" and c["path"] == f"/robots/{node}"
-    ]
-    (name,) = command["object"]["geometries"]
-    packed = scene["geometries"][name]["data"]["attributes"]["position"]["array"]
-    return np.frombuffer(packed.data, dtype="<f4").reshape(-1, 3).astype(float)
 
 
 # A plan
@@ -140,45 +118,49 @@ def test_chromium_shows_the_tracker_s_line_of_sight_to_each_pose(browser, planne
         assert tab.complaints == []
 
 
-# A region
+# Images
 
 
-@pytest.fixture(scope="module")
-def view(ur3):
-    rows = Measurements.read(example.paper_measurements(), ur3.joint_names, ur3.joint_types)
-    q = rows.joints_for(ur3.joint_names)
-    ranges = joint_ranges(ur3, like=q[rows.estimation], margin=np.radians(5.0))
-    density = Density.of(workspace_points(ur3, TARGET, ranges, 2**16))
-    checked = Checked(rows, rows.points, np.ones(len(rows), dtype=bool))
-    return RegionView(ur3, TARGET, ranges, density, density.region(0.95), checked)
+def test_a_camera_in_the_hand_moves_and_the_board_stands():
+    plan = test_images.planned()
+    moving = on_foot(plan.instrument, plan)
+    assert (moving.robot.base, moving.robot.tip) == ("base_link", "tool0")
+    assert moving.robot.joint_names == plan.robot.joint_names[::-1]
+    # The camera in the foot, by the chain the other way round.
+    T_camera_foot = plan.sightline.T_instrument_base @ plan.robot.poses(plan.joints)
+    expected = rigid_inverse(T_camera_foot)[:, :3, 3]
+    np.testing.assert_allclose(moving.places(moving.joints)[:, 0], expected, atol=1e-12)
+    (box,) = moving.cell.boxes
+    middle = plan.sightline.T_tip_target @ np.append(BOARD.centre, 1.0)
+    np.testing.assert_allclose(box.T_base_box[:3, 3], middle[:3], atol=1e-12)
+    np.testing.assert_allclose(box.size[:2], BOARD.size)
 
 
-def test_bands_rows_and_target_of_a_region(view):
-    page = region_page(view)
-    scene = scene_of(page)
-    clouds = [positions(scene, f"band{i}") for i in range(3)]
-    assert sum(map(len, clouds)) == np.count_nonzero(view.region.cells)
-    for cloud, (low, high) in zip(clouds, ((0, 0.5), (0.5, 0.8), (0.8, 0.951)), strict=True):
-        needed = view.density.share_of(cloud)
-        # A point rounded to 32 bits may fall into the next voxel.
-        assert np.mean((needed > low) & (needed <= high + 1e-3)) > 0.999
-    assert b"the densest 50 %" in page.html
-    assert b"up to 95 %" in page.html
-    rows = view.checked
-    for node, row in (("estimation/003", 3), ("validation/004", 34)):
-        np.testing.assert_allclose(moved(scene, node)[0, :3, 3], rows.points[row], atol=1e-12)
-    T = view.robot.poses(view.ranges.mean(axis=1))[0]
-    target = moved(scene, "nominal/target")[0, :3, 3]
-    np.testing.assert_allclose(target, T[:3, :3] @ view.target + T[:3, 3], atol=1e-12)
-    assert page.warnings == ()
+def test_a_board_in_the_hand_moves_and_the_camera_stands():
+    plan = test_images.planned(standing)
+    moving = on_foot(plan.instrument, plan)
+    assert moving.robot is plan.robot
+    T_base_camera = rigid_inverse(plan.sightline.T_instrument_base)
+    middle = (T_base_camera @ np.c_[plan.expected[:, 0], np.ones(14)].T).T[:, :3]
+    np.testing.assert_allclose(moving.places(moving.joints)[:, 0], middle, atol=1e-12)
+    assert moving.cell.boxes[0].name == "camera"
+    np.testing.assert_allclose(moving.cell.boxes[0].T_base_box, T_base_camera)
 
 
-def test_many_voxels_are_thinned_out_and_a_share_has_its_bands(view, ur3):
-    small = region_page(replace(view, region=view.density.region(0.3)))
-    assert b"the densest 30 %" in small.html
-    assert b"band1" not in small.html
-    density = Density.of(workspace_points(ur3, count=2**18), 0.02)
-    big = replace(view, density=density, region=density.region(1.0), checked=None)
-    assert np.count_nonzero(big.region.cells) > 70_000
-    scene = scene_of(region_page(big))
-    assert sum(len(positions(scene, f"band{i}")) for i in range(3)) == 60_000
+def test_other_plans_are_as_they_are(planned):
+    assert on_foot(planned.instrument, planned) is planned
+
+
+def test_the_page_has_images_in_place_of_points():
+    plan = test_images.planned()
+    page = plan_page(plan, first_row=3)
+    numbers = table_of(page)["numbers"]
+    assert numbers["image"][:2] == ["image_003.png", "image_004.png"]
+    assert "point" not in numbers
+    degrees = float(numbers["wrist_3_joint"][0].split()[0])
+    assert degrees == pytest.approx(np.degrees(plan.joints[0, 0]), abs=1e-3)
+    assert numbers["distance of the board"][0].endswith(" mm")
+    (board,) = moved(scene_of(page), r"nominal/around/\d+")
+    np.testing.assert_allclose(
+        board, on_foot(plan.instrument, plan).cell.boxes[0].T_base_box, atol=1e-12
+    )

@@ -172,7 +172,6 @@ def test_the_same_seed_gives_the_same_corners(photograph, shop: Path):
     ("words", "said"),
     [
         (("--images", "pictures"), "--kind pixel"),
-        ((*IMAGES, "--study", "3", "--planned"), "--planned"),
         ((*IMAGES, "--noise", "0.1 mm", "-o", "t.csv"), "px"),
         ((*IMAGES,), "-o table.csv"),
     ],

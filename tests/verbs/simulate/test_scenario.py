@@ -10,17 +10,19 @@ from scipy.spatial.transform import Rotation
 
 from calib.data.cell import Cell, Tracker, TrackerNoise
 from calib.data.measurements import Measurements
-from calib.errors import CalibError
+from calib.errors import ArgumentError, CalibError, ModelError
+from calib.instruments.tracker import noise_of_lengths
 from calib.result.calibrate import calibrate
 from calib.robot.ranges import column_ranges, random_joint_values
 from calib.verbs.simulate.disturbances import Encoder, MovedTarget, Outliers
 from calib.verbs.simulate.scenario import DEFAULT_TRACKER, Scenario
+from calib.verbs.simulate.scenario_words import read_scenario
 from calib.verbs.simulate.truth import draw_truth, tracker_pose
 from tests.verbs.simulate.cells import changed, virtual
 
 TRACKER = Tracker(np.array([2.0, 1.0, 0.5]), noise=TrackerNoise(1e-5, 1e-6, 0.0))
 
-CELL = Cell()
+STATED = Cell(sigma={"m": 5e-5, "rad": 1e-3}, tracker=TRACKER, kind="pose")
 
 
 def test_a_virtual_cell_in_one_line(ur3):
@@ -254,3 +256,55 @@ def test_set_ups_are_dealt_out_in_turn_and_tours_repeat(ur3, q):
     for name in frames:
         rows = [i for i, group in enumerate(table.groups) if group == name]
         assert table.points[rows] == pytest.approx(truth.points(table.joints[rows], group=name))
+
+
+# Noise of the cell, and values that a scenario cannot be made with
+
+
+@pytest.mark.parametrize("cell", [STATED, Cell(tracker=TRACKER), Cell()])
+def test_a_scenario_has_the_noise_of_its_cell(ur3, cell):
+    scenario = Scenario(ur3, cell=cell)
+    assert scenario.noise == read_scenario(ur3, cell).noise
+    assert scenario.sigma == {unit: std for unit, std in cell.sigma.items() if unit == "rad"}
+
+
+def test_what_a_scenario_states_itself_comes_before_the_cell_s(ur3):
+    own = Scenario(ur3, cell=STATED, noise=TrackerNoise(), sigma={"rad": 2e-3})
+    assert own.noise == TrackerNoise()
+    assert own.sigma == {"rad": 2e-3}
+    quiet = Scenario(ur3, cell=STATED, noise=None)
+    assert quiet.noise is None
+    assert not quiet.sigma
+
+
+def test_a_scenario_with_another_cell_has_that_cell_s_noise_unless_one_was_stated(ur3):
+    assert replace(Scenario(ur3), cell=STATED).noise == noise_of_lengths(STATED)
+    own = Scenario(ur3, noise=TrackerNoise(1e-4))
+    assert replace(own, cell=STATED).noise == TrackerNoise(1e-4)
+
+
+def test_the_rows_have_the_stated_noise(ur3):
+    cell = Scenario(ur3, cell=Cell(sigma={"m": 2e-4})).draw(1)
+    made = cell.measure(cell.scenario.random_poses(500, 1), 1)
+    off = made.measurements.points - made.points
+    assert (made.sigma == 2e-4).all()
+    assert off.std() == pytest.approx(2e-4, rel=4 / np.sqrt(2 * off.size))
+
+
+@pytest.mark.parametrize(
+    ("values", "error"),
+    [
+        ({"model": 3}, ArgumentError),
+        ({"noise": 1e-4}, ArgumentError),
+        ({"target_error": -1.0}, ModelError),
+        ({"visits": 0}, ModelError),
+        ({"sizes": {"nothing": 1.0}}, ModelError),
+        ({"sizes": {"length": -1.0}}, ModelError),
+    ],
+)
+def test_each_is_refused_by_its_name(ur3, values, error):
+    with pytest.raises(CalibError) as caught:
+        Scenario(ur3, **values)
+    assert type(caught.value) is error
+    (name,) = values
+    assert name in str(caught.value) or "nothing" in str(caught.value)

@@ -14,10 +14,9 @@ from calib.verbs.simulate.disturbances import Encoder, Outliers
 from calib.verbs.simulate.scenario_words import (
     Disturbances,
     ScenarioWords,
-    parse_tracker_noise,
+    parse_error_sizes,
     read_scenario,
 )
-from calib.verbs.simulate.truth import parse_error_sizes
 
 TRACKER = Tracker(np.array([2.0, 1.0, 0.5]), noise=TrackerNoise(1e-5, 1e-6, 0.0))
 
@@ -59,8 +58,8 @@ def test_single_errors(ur3):
         *((CELL, text, None) for text in ("none", "0", "0 mm", "0 um + 0 um/m")),
     ],
 )
-def test_noise(cell, text, noise):
-    found = parse_tracker_noise(cell, text)
+def test_noise(ur3, cell, text, noise):
+    found = read_scenario(ur3, cell, words=ScenarioWords(noise=text)).noise
     assert (found and pytest.approx(astuple(found))) == (noise and astuple(noise))
 
 

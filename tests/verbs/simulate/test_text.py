@@ -8,15 +8,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calib.basics.arrays import rigid_inverse
+from calib.camera.camera import Camera
 from calib.data.cell import Cell, TrackerNoise
 from calib.model.families import FAMILIES
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
-from calib.verbs.simulate.disturbances import MovedTarget, Outliers
-from calib.verbs.simulate.scenario import Scenario, Simulated
-from calib.verbs.simulate.study import Study
-from calib.verbs.simulate.text import _errors_by_family, simulated_text, study_text
-from calib.verbs.simulate.trial import Trial, Trials
+from calib.verbs.simulate.disturbances import Encoder, MovedTarget, Outliers
+from calib.verbs.simulate.scenario import Scenario, Simulated, simulate
+from calib.verbs.simulate.text import _errors_by_family, simulated_text
 from calib.verbs.simulate.truth import draw_truth
 from tests.verbs.simulate.cells import virtual
 
@@ -83,45 +83,6 @@ def test_what_is_not_simulated_has_no_line(text: str):
     assert "Noise of an orientation" not in text
 
 
-def trial(seed: int, **values: object) -> Trial:
-    figures = {
-        "nominal_rms": 2e-3 + 1e-4 * seed,
-        "rms": 2e-4 + 1e-5 * seed,
-        "max": 5e-4,
-        "stated_rms": 2.1e-4,
-        "covered": 0.94,
-        "sigma": 1e-4,
-        "model": "dh",
-        "verdict": "use",
-        "outliers": 2,
-        "flagged": 1,
-        "false_alarms": 1,
-    }
-    return Trial(seed, **{**figures, **values})
-
-
-@pytest.fixture(scope="module")
-def study() -> Study:
-    trials = (trial(1), trial(2, model="dh+gain"), trial(3, verdict="use with care"), trial(4))
-    return Study(trials, ((5, "no fit"),), None)
-
-
-def test_the_figures_of_a_study(ur3: Robot, study: Study):
-    trials = Trials(Scenario(ur3), Cell(), validate=True)
-    text = study_text(study, trials)
-    for label, name in (("nominal", "nominal_rms"), ("calibrated", "rms")):
-        low, high = (1e3 * end for end in study.range(name))
-        line = line_of(text, f"{label} ")
-        assert f" {1e3 * getattr(study, name):.3f} " in line
-        assert line.endswith(f" {low:.3f} to {high:.3f}")
-    assert "94.0 % of the true positions." in text
-    assert "Models: dh 75 %, dh+gain 25 %" in text.splitlines()
-    assert "Verdicts: use 75 %, use with care 25 %" in text.splitlines()
-    assert "Outliers: 4 of 8 flagged, and 4 rows flagged wrongly." in text.splitlines()
-    assert "1 trial ended with an error; the first, seed 5: no fit" in text.splitlines()
-    assert max(map(len, text.splitlines())) <= 100
-
-
 def test_families_of_errors_stand_in_their_order(ur3: Robot):
     truth = draw_truth(ur3, "dh+gain", seed=1)
     families = _errors_by_family(truth)
@@ -131,3 +92,58 @@ def test_families_of_errors_stand_in_their_order(ur3: Robot):
     shown = {name: value for errors in families.values() for name, value in errors.items()}
     given = dict(zip(truth.model.names, truth.x, strict=True))
     assert shown == {name: value for name, value in given.items() if value}
+
+
+# Pictures
+
+ARM = ("ur5", "tool0", "base_link")
+
+
+@pytest.fixture(scope="module")
+def photographed():
+    scenario = Scenario(
+        Robot.load(*ARM),
+        Cell(kind="pixel"),
+        sigma={"px": 0.25},
+        encoder=Encoder(angle=np.deg2rad(0.01)),
+        outliers=Outliers(count=2),
+    )
+    return scenario, simulate(scenario, 4, 2, seed=3)
+
+
+def test_pictures_are_counted_and_their_disturbances_said(photographed):
+    pictures, text = photographed[1].pictures, simulated_text(*photographed)
+    assert max(map(len, text.splitlines())) <= 100
+    joined = " ".join(text.split())
+    assert (
+        f"{len(pictures.picture)} corners in 6 pictures (4 for estimation, 2 for validation)"
+        in joined
+    )
+    assert "Noise of a corner 0.25 px" in joined
+    assert "Repeatability 20 um" in joined
+    assert "Encoder steps 0.01 deg" in joined
+    rows = ", ".join(str(row) for row in photographed[1].outlier_rows)
+    assert f"Outliers of 5 px rows {rows}" in joined
+
+
+def test_camera_and_print_as_they_are(photographed):
+    truth, equipment = photographed[1].truth, photographed[1].pictures.equipment
+    joined = " ".join(simulated_text(*photographed).split())
+    assert (
+        f"true fx {equipment.camera.values[0]:.6g}, fy {equipment.camera.values[1]:.6g}" in joined
+    )
+    assert "stated fx 920, fy 920, cx 639.5" in joined
+    assert f"printed {100 * (equipment.printed.scale[0] - 1):+.2f} % wide" in joined
+    assert f"sags by {1e3 * equipment.printed.warp[0]:.2f} mm along x" in joined
+    x, y, _ = 1e3 * rigid_inverse(truth.T_frame_base[0])[:3, 3]
+    assert f"at ({x:.3f}".rstrip("0") in joined
+    assert f"{y:.3f}".rstrip("0") in joined
+
+
+def test_a_camera_of_which_nothing_is_stated():
+    cell = Cell(kind="pixel", cameras={"": Camera(width=640, height=480)})
+    scenario = Scenario(Robot.load(*ARM), cell, noise=None)
+    joined = " ".join(simulated_text(scenario, simulate(scenario, 2, 0, seed=1)).split())
+    assert "stated nothing but the size" in joined
+    assert "Repeatability" not in joined
+    assert "Noise of a corner 0 px" in joined

@@ -10,11 +10,14 @@ import pytest
 from calib.data.cell import Cell
 from calib.robot.gravity import Payload, gravity_loads
 from calib.robot.ranges import random_joint_values
+from calib.robot.robot import Robot
 from calib.verbs.simulate.disturbances import Encoder, MovedTarget, Outliers
+from calib.verbs.simulate.equipment import usual_camera
 from calib.verbs.simulate.scenario import Scenario
 from calib.verbs.simulate.truth import tracker_pose
 from calib.verbs.simulate.truth_file import SCHEMA, write_truth
 from tests.places import ROOT
+from tests.verbs.simulate.cells import BOARD
 
 MANY = "placement+gain+eccentricity+compliance"
 FRAMES = {n: tracker_pose((2, y, 0), np.random.default_rng(1)) for n, y in (("a", 1), ("b", -1))}
@@ -130,6 +133,34 @@ def test_events_and_instrument(path, made):
     ]
     sigma = [row["sigma_m"] for row in said["rows"]]
     assert sigma == made.sigma.tolist()
+
+
+def test_the_truth_has_robot_camera_board_and_pictures(tmp_path):
+    robot = Robot.load("ur5", base="tool0", tip="base_link")
+    cameras = Cell(kind="pixel", cameras={"": usual_camera()}, boards={"": BOARD})
+    cell = Scenario(robot, cameras).draw(7)
+    made = cell.measure(cell.poses(3, seed=1))
+    path = write_truth(cell.scenario, made, tmp_path / "truth.json")
+    truth = json.loads(path.read_text())
+    pictures, equipment = made.pictures, cell.equipment
+    errors = {entry["name"]: entry["value"] for entry in truth["parameters"]}
+    assert errors["fx"] == equipment.camera.values[0] - equipment.stated.values[0]
+    assert errors["board_scale_y"] == pytest.approx(equipment.printed.scale[1] - 1.0)
+    assert errors["board_sag_x"] == equipment.printed.warp[0]
+    assert errors["corner_5_y"] == equipment.printed.offsets[5, 1]
+    assert errors["elbow_joint.z"] == cell.truth.value("elbow_joint.z")
+    assert truth["cameras"][0]["values"]["cy"] == equipment.camera.values[3]
+    assert truth["cameras"][0]["said_values"]["cy"] == 359.5
+    np.testing.assert_allclose(truth["boards"][0]["corners_m"], equipment.printed.corners)
+    np.testing.assert_allclose(
+        truth["set_ups"][0]["frame_base_xyz_m"], cell.truth.T_frame_base[0, :3, 3]
+    )
+    second = truth["pictures"][1]
+    assert second["image"] == "picture_02.png"
+    np.testing.assert_allclose(second["joints"], pictures.q[1])
+    is_here = pictures.picture == 1
+    np.testing.assert_allclose(second["pixels"], pictures.true_pixels[is_here])
+    assert second["corners"] == pictures.corner[is_here].tolist()
 
 
 DOC = ROOT / "docs" / "simulation.md"

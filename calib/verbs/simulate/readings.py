@@ -1,0 +1,402 @@
+"""Rows of a virtual cell: the target, the station and the pose of each, and what an instrument reads there.
+
+    measured = T_frame_target(q) + drift + robot's repeatability + instrument's noise + outliers
+
+What the robot does, with drift and repeatability, is the same for all instruments; a `Reader` adds the rest. For a
+camera the target is the board, and each corner that it sees in a picture is a row:
+
+    pixel = lens(T_camera_board(q) corner) + noise
+
+OpenCV projects the corners, without any code of the fit.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from calib.basics.arrays import Array, Integers, read_only
+from calib.basics.channels import RESIDUAL_UNITS, VECTOR
+from calib.basics.values import Value, one_line
+from calib.boards.project import Sight, corner_pixels
+from calib.data.columns import SETS
+from calib.data.kinds import Kind
+from calib.data.measurements import Measurements
+from calib.data.surroundings import TrackerNoise
+from calib.errors import CalibError
+from calib.verbs.simulate.disturbances import Outliers
+from calib.verbs.simulate.equipment import Equipment
+from calib.verbs.simulate.random_streams import stream
+from calib.verbs.simulate.truth import Truth
+
+#: Displacement of an outlier, a corner that was mistaken for another edge nearby [px].
+OUTLIER = 5.0
+
+#: Corners that are found: not at the very edge of the picture, nor on a board that is seen from its side.
+SIGHT = Sight(margin=5.0, tilt=float(np.deg2rad(70.0)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tour:
+    """The R views of targets: all targets at each stop, one tour of the poses after the other."""
+
+    #: (stops,), the pose of each stop.
+    route: Integers
+    #: (R,), the stop of each view.
+    stop: Integers
+    #: (R,), its target.
+    target: Integers
+    #: (R,), its station.
+    group: Integers
+    #: (R,), its set.
+    sets: tuple[str, ...]
+    #: (R,), the other view of its pair; None: views are not paired.
+    partner: Integers | None
+
+    @classmethod
+    def of(
+        cls, truth: Truth, sets: Sequence[str], *, visits: int = 1, paired: bool = False
+    ) -> Tour:
+        """Return the views at poses, which the stations take in turn.
+
+        Args:
+            truth: Has the targets and the stations.
+            sets: The set of each pose.
+            visits: Number of times that all poses are visited.
+            paired: Whether targets are measured in pairs of poses.
+
+        Raises:
+            CalibError: Pairs of an odd number of poses.
+        """
+        targets = len(truth.targets)
+        route = np.tile(np.arange(len(sets)), visits)
+        stop = np.repeat(np.arange(len(route)), targets)
+        pose = route[stop]
+        return cls(
+            route=route,
+            stop=stop,
+            target=np.tile(np.arange(targets), len(route)),
+            group=pose % len(truth.groups),
+            sets=tuple(sets[i] for i in pose),
+            partner=_partners(sets, pose, targets) if paired else None,
+        )
+
+    def __len__(self) -> int:
+        """Return the number of views."""
+        return len(self.stop)
+
+    @property
+    def pairs(self) -> tuple[str, ...]:
+        """Name of each view's pair; empty if it has none."""
+        names = [""] * len(self)
+        if self.partner is not None:
+            first = np.flatnonzero(np.arange(len(self)) < self.partner)
+            for k, i in enumerate(first, start=1):
+                names[i] = names[self.partner[i]] = f"pair {k}"
+        return tuple(names)
+
+    def with_partners(self, T: Array) -> Array:
+        """Return poses (R, 4, 4) as a kind takes them: for a paired kind those of both views, (R, 2, 4, 4)."""
+        if self.partner is None:
+            return T
+        return np.stack([T, T[self.partner]], axis=1)
+
+
+def _partners(sets: Sequence[str], pose: Integers, targets: int) -> Integers:
+    """Return the other view of each one's pair (R,): consecutive poses of one set, the same target, the same visit.
+
+    It raises `CalibError` if a set has an odd number of poses.
+    """
+    other = np.arange(len(sets))
+    for name in SETS:
+        members = [i for i, set_name in enumerate(sets) if set_name == name]
+        if len(members) % 2:
+            raise CalibError(f"Pairs need an even number of poses; {len(members)} are to '{name}'.")
+        other[members[::2]] = members[1::2]
+        other[members[1::2]] = members[::2]
+    return np.asarray(np.arange(len(pose)) + (other[pose] - pose) * targets)
+
+
+class Stops(NamedTuple):
+    """What the robot does on a tour of R views, and where that brings the targets."""
+
+    tour: Tour
+    #: Shape (stops, m), joint values that are read, [rad] or [m].
+    read_q: Array
+    #: Shape (stops, m), true joint values, [rad] or [m].
+    true_q: Array
+    #: Shape (R, 4, 4), true poses of the targets in their frames [m].
+    T_frame_target: Array
+    #: Shape (R, 4, 4), the same with drift and the robot's repeatability [m].
+    displaced: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pictures(Value):
+    """P pictures, and the R corners that are seen in them."""
+
+    #: The camera and the board as they are.
+    equipment: Equipment
+    #: Names of the pictures' files.
+    images: tuple[str, ...]
+    #: ``"estimate"`` or ``"validate"`` for each picture.
+    sets: tuple[str, ...]
+    #: Readings of the joints, shape (P, m), [rad] or [m].
+    readings: Array
+    #: True joint values, shape (P, m), [rad] or [m].
+    q: Array
+    #: True pose of the board in the camera, with the robot's repeatability, shape (P, 4, 4) [m].
+    T_camera_board: Array
+    #: The picture of each corner, shape (R,), from 0.
+    picture: Integers
+    #: Its id on the board, shape (R,).
+    corner: Integers
+    #: Where it is, shape (R, 2) [px].
+    true_pixels: Array
+    #: Where it is found, shape (R, 2) [px].
+    pixels: Array
+    #: Standard deviation of the noise of a coordinate [px].
+    sigma: float
+
+    def __repr__(self) -> str:
+        """Return one line: pictures and corners."""
+        return one_line("Pictures", f"{len(self.images)} pictures", f"{len(self.picture)} corners")
+
+
+class Rows(NamedTuple):
+    """Rows that an instrument reads."""
+
+    #: Shape (n,), the view that each row is of, from 0.
+    view: Integers
+    #: Columns of the table besides joints and sets, as `Measurements` has them.
+    columns: Mapping[str, Any]
+    #: Shape (n,), standard deviation of the noise of one scalar, with the robot's repeatability, [m] or [px].
+    sigma: Array
+    #: Shape (n, 3) [m] or (n, 2) [px], displacement of outliers; zero in other rows.
+    outliers: Array
+    #: The pictures that a camera took; None: another instrument.
+    pictures: Pictures | None = None
+
+
+class Reader(ABC):
+    """An instrument that reads targets with its noise."""
+
+    @abstractmethod
+    def read(self, stops: Stops, seed: int) -> Rows:
+        """Read all targets of a tour.
+
+        Args:
+            stops: What the robot does.
+            seed: Of the random numbers.
+        """
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrackerReader(Reader):
+    """A tracker, or another gauge of what a kind measures of a target."""
+
+    kind: Kind
+    #: The targets and the frames.
+    truth: Truth
+    #: Noise of a coordinate or length; None: none.
+    noise: TrackerNoise | None
+    #: Standard deviation of one scalar in the other units, by their symbols; 0 if it is missing.
+    sigma: Mapping[str, float]
+    #: Shape (3,), position of the tracker in the base [m]; None: at the origin of its frame.
+    position: Array | None
+    #: None: none.
+    outliers: Outliers | None
+
+    def read(self, stops: Stops, seed: int) -> Rows:
+        """Read one row at each view."""
+        kind, truth, tour, T = self.kind, self.truth, stops.tour, stops.T_frame_target
+        assert kind.measure is not None
+        instrument = self._instrument_std(tour, T)
+        outliers = self._draw_outliers(tour, seed)
+        noise = self._draw_noise(instrument, seed)
+        noise["length"][:, :VECTOR] += outliers
+        exact = kind.measure(tour.with_partners(stops.displaced))
+        noisy = with_pose_noise(kind, exact, T[:, :3, :3], noise)
+        if tour.partner is not None:  # both rows of a pair hold the one reading
+            first_rows = np.minimum(np.arange(len(T)), tour.partner)
+            noise = {quantity: added[first_rows] for quantity, added in noise.items()}
+        repeatability = self.noise.repeatability if self.noise else 0.0
+        rows_per_reading = 2.0 if kind.paired else 1.0
+        return Rows(
+            view=np.arange(len(tour)),
+            columns={
+                "targets": tuple(truth.targets[t] for t in tour.target),
+                "groups": tuple(truth.groups[g] for g in tour.group),
+                "kinds": (kind.name,) * len(tour),
+                "pairs": tour.pairs,
+                **Measurements.columns_of(kind, with_reading_noise(kind, noisy, noise)),
+            },
+            sigma=np.hypot(instrument, np.sqrt(rows_per_reading) * repeatability),
+            outliers=outliers,
+        )
+
+    def _instrument_std(self, tour: Tour, T: Array) -> Array:
+        """Return the standard deviation of the instrument alone at each view, shape (R,), [m]."""
+        noise, kind = self.noise, self.kind
+        if noise is None:
+            return np.zeros(len(T))
+        distance = np.linalg.norm(T[:, :3, 3], axis=1)
+        lengths = [i for i, one in enumerate(kind.readings) if one.quantity == "length"]
+        if lengths and not kind.position:  # the length is measured from the instrument
+            assert kind.measure is not None
+            distance = np.abs(kind.measure(tour.with_partners(T))[:, lengths[0]])
+        elif self.position is not None:
+            T_frame_base = self.truth.T_frame_base[tour.group]
+            position = T_frame_base[:, :3, :3] @ self.position + T_frame_base[:, :3, 3]
+            distance = np.linalg.norm(T[:, :3, 3] - position, axis=1)
+        return np.asarray(noise.constant + noise.per_length * distance)
+
+    def _draw_outliers(self, tour: Tour, seed: int) -> Array:
+        """Draw the displacement of each row's measurement, shape (R, 3), [m]; for a pair that of its first row."""
+        displacement = np.zeros((len(tour), 3))
+        if self.outliers is None:
+            return displacement
+        rows = np.arange(len(tour))
+        first = rows if tour.partner is None else rows[rows < tour.partner]
+        candidates = [i for i in first.tolist() if tour.sets[i] == SETS[0]]
+        chosen = self.outliers.choose(candidates, seed)
+        directions = stream(seed, "outlier directions").standard_normal(displacement.shape)
+        directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+        if not self.kind.position:
+            directions = np.sign(directions) * (1.0, 0.0, 0.0)
+        displacement[chosen] = self.outliers.size * directions[chosen]
+        return displacement
+
+    def _draw_noise(self, instrument: Array, seed: int) -> dict[str, Array]:
+        """Draw noise by quantity, shape (R, 3 or more) each, in its residual unit; lengths by the std of each row."""
+        noise: dict[str, Array] = {}
+        for symbol, unit in RESIDUAL_UNITS.items():
+            quantity = unit.quantity
+            further = sum(reading.quantity == quantity for reading in self.kind.readings)
+            random = stream(seed, "tracker noise" if symbol == "m" else f"{quantity} noise")
+            unit_normal = np.hstack(
+                [
+                    random.standard_normal((len(instrument), VECTOR)),
+                    random.standard_normal((len(instrument), further)),
+                ]
+            )
+            std = np.full(len(instrument), self.sigma.get(symbol, 0.0))
+            noise[quantity] = unit_normal * (instrument if symbol == "m" else std)[:, None]
+        return noise
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CameraReader(Reader):
+    """A camera that takes a picture of the board at each stop."""
+
+    kind: Kind
+    #: The camera and the board as they are.
+    equipment: Equipment
+    #: Standard deviation of the noise of a coordinate [px].
+    sigma: float
+    #: None: none.
+    outliers: Outliers | None
+
+    def read(self, stops: Stops, seed: int) -> Rows:
+        """Find the corners that are seen in each picture, a row each."""
+        T, sets = stops.displaced, stops.tour.sets
+        camera, printed = self.equipment.camera, self.equipment.printed
+        pixels, is_seen = corner_pixels(camera, printed.corners, T, SIGHT)
+        picture, corner = np.nonzero(is_seen)
+        if not len(picture):
+            raise CalibError(
+                f"The camera sees no corner of the board from any of the {len(T)} poses; without --poses, poses are "
+                "drawn from which it does."
+            )
+        # Drawn for all corners, seen or not, so that the noise of one does not depend on which others are seen.
+        noise = self.sigma * stream(seed, "pixel noise").standard_normal(pixels.shape)
+        outliers = np.zeros((len(picture), 2))
+        if self.outliers is not None:
+            candidates = [row for row, k in enumerate(picture.tolist()) if sets[k] == SETS[0]]
+            chosen = self.outliers.choose(candidates, seed)
+            angle = stream(seed, "outlier directions").uniform(0.0, 2.0 * np.pi, len(picture))
+            directions = np.column_stack([np.cos(angle), np.sin(angle)])
+            outliers[chosen] = OUTLIER * directions[chosen]
+        found = (pixels + noise)[is_seen] + outliers
+
+        digits = max(2, len(str(len(T))))
+        images = tuple(f"picture_{number:0{digits}}.png" for number in range(1, len(T) + 1))
+        sigma = np.full(len(picture), self.sigma)
+        return Rows(
+            view=picture,
+            columns={
+                "kinds": (self.kind.name,) * len(picture),
+                "images": tuple(images[k] for k in picture.tolist()),
+                "corners": tuple(map(str, corner.tolist())),
+                "board_points": printed.board.corners[corner],
+                "sigma": {"px": sigma} if self.sigma > 0.0 else {},
+                **Measurements.columns_of(self.kind, found),
+            },
+            sigma=sigma,
+            outliers=outliers,
+            pictures=Pictures(
+                equipment=self.equipment,
+                images=images,
+                sets=sets,
+                readings=read_only(stops.read_q),
+                q=read_only(stops.true_q),
+                T_camera_board=read_only(T),
+                picture=picture,
+                corner=corner,
+                true_pixels=read_only(pixels[is_seen]),
+                pixels=read_only(found),
+                sigma=self.sigma,
+            ),
+        )
+
+
+def with_pose_noise(kind: Kind, readings: Array, R: Array, noise: Mapping[str, Array]) -> Array:
+    """Add noise to the position and the orientation that a kind measures, if it measures them.
+
+    Args:
+        kind: The kind of all N rows.
+        readings: Of a perfect instrument, shape (N, k), as `Kind` has them.
+        R: True orientations of the targets in the frames, shape (N, 3, 3).
+        noise: Of ``"length"`` [m] and ``"angle"`` [rad], shape (N, 3) or more, of which the first three columns are
+            taken; angles are a rotation vector along the axes of the frame.
+
+    Returns:
+        shape (N, k).
+    """
+    result = readings.copy()
+    if kind.position:
+        result[:, :VECTOR] += noise["length"][:, :VECTOR]
+    if kind.orientation:
+        turns = Rotation.from_rotvec(noise["angle"][:, :VECTOR])
+        R_noisy = turns.as_matrix() @ R
+        result[:, VECTOR : VECTOR + 9] = R_noisy.reshape(-1, 9)
+    return np.asarray(result)
+
+
+def with_reading_noise(kind: Kind, readings: Array, noise: Mapping[str, Array]) -> Array:
+    """Add noise to the single readings of a kind, such as a distance.
+
+    Args:
+        kind: The kind of all N rows.
+        readings: shape (N, k), as `Kind` has them.
+        noise: Of each quantity, shape (N, n), a column for each of its readings in their order, after three columns for
+            a position or an orientation.
+
+    Returns:
+        shape (N, k). If noise would make a positive reading negative, its absolute value is taken.
+    """
+    result = readings.copy()
+    first = kind.size - len(kind.readings)
+    next_column = {"length": VECTOR * kind.position, "angle": VECTOR * kind.orientation}
+    for k, reading in enumerate(kind.readings, start=first):
+        column = next_column.get(reading.quantity, 0)
+        next_column[reading.quantity] = column + 1
+        result[:, k] += noise[reading.quantity][:, column]
+        if reading.positive:
+            result[:, k] = np.abs(result[:, k])
+    return np.asarray(result)
