@@ -95,7 +95,7 @@ Dask = Annotated[
     str | None,
     typer.Option(
         metavar="ADDRESS",
-        help="Address of a Dask scheduler, such as tcp://192.168.0.10:8786, whose workers do the work in place of "
+        help="Address of a Dask scheduler, such as tcp://192.168.0.10:8786, whose workers do the work instead of "
         "--workers.",
     ),
 ]

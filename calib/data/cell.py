@@ -309,7 +309,7 @@ class Cell(Value):
             group="model",
             metavar="SET[+FAMILY...]",
             help="Errors of the robot to estimate. auto (the default of a fit): as many as the data support. dh: a, "
-            "alpha, d, theta of each DH row. paper: the same with a known frame. hayati: beta in place of d between "
+            "alpha, d, theta of each DH row. paper: the same with a known frame. hayati: beta instead of d between "
             "near-parallel axes. placement: all six errors of each joint. zeros: the joint zeros. frames: no error of "
             "the robot. Sets: {models}. Append families of errors with +: {families} (dh+gain).",
         ),

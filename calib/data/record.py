@@ -90,7 +90,7 @@ class Record:
     instrument_serial: str = _entry("instrument_serial", "Its serial number.")
     calibration_due: str = _entry("calibration_due", "Date until which its calibration is valid.")
     uncertainty_from: str = _entry(
-        "uncertainty_from", "Source of the measuring uncertainty: a certificate, a budget."
+        "uncertainty_from", "Source of the measurement uncertainty: a certificate, a budget."
     )
     place: str = _entry("place", "Where the robot was measured.")
     date: str = _entry("date", "When it was measured.")

@@ -78,8 +78,8 @@ SENTENCES = {
     + "the sign of '{joint}' is reversed: check the positive direction.",
     Why.ORIENTATIONS_JOINT_ZERO: _TURNED
     + "{add_rad:deg.0f} deg is added to '{joint}': check its zero position.",
-    Why.FRAME_NOT_FOUND: "The measurement frame{of_station} was not found: from every start the rows "
-    "end up farther off than those of any uncalibrated arm, so the nominal robot cannot be judged. "
+    Why.FRAME_NOT_FOUND: "The measurement frame{of_station} was not found: from every start the errors "
+    "stay larger than those of any uncalibrated arm, so the nominal robot cannot be judged. "
     "Give the frame's approximate pose in the cell; if that does not help, check the robot and the "
     "table.",
     Why.SIGN_TURNED: _OFF + "the sign of '{column}' is reversed: check the column.",
@@ -112,7 +112,7 @@ SENTENCES = {
     Why.TARGET_FAR: "The estimated target{named} is {far_m:mm.0f} mm from the position given: "
     "check the sign and the order of the numbers, and the tip.",
     Why.BASE_MOVED: "The base, or the first joint's axis in it, is {moved_m:mm.1f} mm and "
-    "{turned_rad:deg.2f} deg away from where the given measurement frame has it. This moves the "
+    "{turned_rad:deg.2f} deg away from where the given measurement frame puts it. This moves the "
     "points by {effect_m:mm.1f} mm rms; all other corrections of the arm move them by "
     "{arm_m:mm.1f} mm. Unless the measurement frame is aligned with the base better than that, "
     "add --frame estimate.",
@@ -137,7 +137,7 @@ SENTENCES = {
     Why.MODEL_LACKS: "The model '{model}' leaves residuals of {noise} per coordinate, "
     "'{non_geometric}' would leave {less_noise}: the robot has errors that this model lacks. "
     "Try --model auto.",
-    Why.CORNER: "Only part of the joints' ranges was measured: {ranges}. Beyond, the result is "
+    Why.CORNER: "Only part of the joints' ranges was measured: {ranges}. Outside, the result is "
     "extrapolated. The measured tip positions spread {spread:%.0f} % as far as the joint limits "
     "allow.",
     Why.JOINT_PATTERN: _NOT_NOISE + "the {quantity} of '{joint}' " + _SHARE + ".",
@@ -196,7 +196,7 @@ SENTENCES = {
     "errors may be larger: '{joint}' in {place} by {beyond}.",
     Why.CAMERA_ON_OTHER_LINK: _OFF
     + "'{tip}' carries the camera and '{base}' the board: exchange --camera-on and --board-on.",
-    Why.SENSE_REVERSED: "The images fit far better if '{joint}' counts the other way ({error_m:mm.1f} mm "
+    Why.SENSE_REVERSED: "The images fit far better if '{joint}' counts in the other direction ({error_m:mm.1f} mm "
     "instead of {given_m:mm.1f} mm): check its positive direction in the table and in the URDF.",
     Why.SENSE_UNKNOWN: "These poses do not show in which direction a joint counts: with the sign of "
     "{joints} reversed the images fit as well. Check it by hand, and turn this joint by 60 deg or more with the other "
@@ -207,22 +207,22 @@ SENTENCES = {
     "{std:%.2f} %), and all lengths of the arm with it: {if_exact}measure the printed squares, many of them at once, "
     "correct square_mm, and run calib detect again.",
     Why.COVARIANCES_IDLE: "The stated covariances say nothing about the errors of the poses (their scale is "
-    "{scale:.2g}): are they of these rows, in the order x, y, z, turns about x, y, z, in m and rad, along the axes of "
-    "the measurement frame? Or does the robot miss its stops by far more?",
+    "{scale:.2g}): are they of these rows, in the order x, y, z, rotations about x, y, z, in m and rad, along the axes "
+    "of the measurement frame? Or does the robot miss its stops by far more?",
     Why.BOARD_HEAD_ON: "The board was always seen head on, tilted by {tilt_rad:deg.0f} deg at most: such "
     "images hardly distinguish focal length from distance. Add images with the board tilted by 30 to 45 deg, in all "
     "directions.",
-    Why.FEW_CORNERS: "{images} of {all} images show fewer than {corners} corners: their poses are rough, "
-    "however well they fit. Bring the whole board into view, near enough to fill the image.",
-    Why.ONE_AXIS: "The hand turned about one axis only, by {across_rad:deg.1f} deg about others: the camera's "
-    "place along that axis stays open. Turn it about two axes, by 30 deg or more.",
+    Why.FEW_CORNERS: "{images} of {all} images show fewer than {corners} corners: their poses are inaccurate, "
+    "however well they fit. Show the whole board, close enough to fill the image.",
+    Why.ONE_AXIS: "The hand rotated about one axis only, and by {across_rad:deg.1f} deg about others: the camera's "
+    "position along that axis is not determined. Rotate the hand about two axes, by 30 deg or more.",
     Why.CAMERA_TOO_ROUGH: "This camera is not accurate enough to show an improvement: move it closer, take "
     "more images, or use a laser tracker.",
     Why.FRAME_MOVED: _REGISTERED_AGAIN
     + "measurement frame is registered again: did the tracker or the robot move? Then add --frame "
     "estimate.",
     Why.TARGET_MOVED: _REGISTERED_AGAIN
-    + "target is registered again: was it remounted? Then give its place with --target.",
+    + "target is registered again: was it remounted? Then give its position with --target.",
 }
 
 #: Second sentence of a reason that much remains, if the non-geometric model leaves far less.

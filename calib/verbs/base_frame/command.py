@@ -62,7 +62,7 @@ class FrameOutputs:
             write_table(frame.table(), self.json, overwrite=self.force)
 
 
-@verb("""Find the robot's base frame in the tracker's from points on its mounting plane and sweeps of joints 1 and 2.
+@verb("""Measure the robot's base frame from points on its mounting plane and sweeps of joints 1 and 2.
 
 \b
 Examples:

@@ -75,8 +75,8 @@ def board(
         str | None,
         typer.Option(
             metavar="LENGTH[/N]",
-            help='What the print measures: the whole pattern across, "249.3 mm", or N squares, "99.7 mm / 4". Written '
-            "into BOARD.toml.",
+            help='Size measured on the print: the whole pattern across, "249.3 mm", or N squares, "99.7 mm / 4". '
+            "Written into BOARD.toml.",
         ),
     ] = None,
     force: Force = False,

@@ -34,10 +34,10 @@ Examples:
   calib calibrate robot.urdf data.csv --columns "J1=joint_1 [deg]" --columns "X=x [mm]" ...
   calib calibrate robot.urdf data.csv --bootstrap 1000 --seed 1 --profile alpha2
 
-The table holds one row a pose: a column for each joint, such as "joint_1 [deg]", and the measured point "x [mm]",
+The table has one row for each pose: a column for each joint, such as "joint_1 [deg]", and the measured point "x [mm]",
 "y [mm]", "z [mm]". Orientations, distances, balls in sockets and touched planes can be measured too; see
 docs/data-format.md. An optional column "set" says which rows are for estimation ("estimate") and which for validation
-("validate"). Where the verdict is "do not use", -o writes no URDF, and the exit status is 3; --accept writes it.
+("validate"). If the verdict is "do not use", -o writes no URDF, and the exit status is 3; --accept writes it.
 """)
 def calibrate(
     robot: RobotFile,

@@ -80,8 +80,8 @@ def _answer(c: Comparison) -> Iterator[Block]:
     if c.test.combinations and (c.outcome != "cannot tell" or c.only_a or c.only_b):
         p = f"p = {c.test.p:.2g}" if c.test.p > _SMALLEST_P else "p < 1e-12"
         lines.append(
-            f"Test: chi-square {c.test.chi_square:.1f} over {c.test.combinations} combinations known from both data, "
-            f"{c.test.freedom:.0f} d.o.f. of noise: {p}; a drift below {LEVEL:g}."
+            f"Test: chi-square {c.test.chi_square:.1f} over {c.test.combinations} combinations that both data sets "
+            f"determine, {c.test.freedom:.0f} d.o.f. of noise: {p}; below {LEVEL:g} it is a drift."
         )
     for move in c.moves:
         turn = f", {deg(move.rms_angle)} deg" if np.isfinite(move.rms_angle) else ""
@@ -95,7 +95,7 @@ def _answer(c: Comparison) -> Iterator[Block]:
     if c.a.setup.estimate_target or c.b.setup.estimate_target:
         registered.append("the target")
     if registered:
-        text = f"Displacements are up to the place of {' and '.join(registered)}"
+        text = f"Displacements leave out any motion of {' and '.join(registered)}"
         if c.compensated:
             text += f"; a drift of {choices(c.compensated, limit=8)} cannot be seen"
         lines.append(f"{text}.")
@@ -116,7 +116,7 @@ def sentence(c: Comparison) -> str:
     obstacle = {
         "same data": "both results are made from the same measurements.",
         "bad verdict": f"the verdict on {_results_with(c, 'do not use')} is 'do not use'.",
-        "nothing known": "no combination of its parameters is known from both data. Measure more poses.",
+        "nothing known": "no combination of its parameters is determined by both data sets. Measure more poses.",
         "other errors": "the results differ by more than chance, but estimate different errors "
         f"({_only(c)}). Fit both with the same --model.",
     }[c.why]

@@ -43,7 +43,7 @@ class ModelChoice:
         typer.Option(help="Result of a calibration, as 'calib calibrate --json' writes it."),
     ] = None
     corrected: Annotated[
-        str | None, typer.Option(help="Corrected URDF, in place of --calibration.")
+        str | None, typer.Option(help="Corrected URDF, instead of --calibration.")
     ] = None
     geometry: Annotated[
         bool, typer.Option("--geometry", help="Leave out the non-geometric model.")
@@ -52,7 +52,7 @@ class ModelChoice:
         str | None,
         typer.Option(
             metavar='"MASS UNIT"',
-            help='Mass that the tip carries, such as "5 kg", if it is another one than at the calibration.',
+            help='Mass that the tip carries, such as "5 kg", if it differs from that of the calibration.',
         ),
     ] = None
     accept: Accept = False
@@ -237,10 +237,10 @@ Examples:
   calib compensate robot.urdf program.csv --calibration result.json -o commands.csv
   calib compensate robot.urdf program.csv --corrected corrected.urdf --base base --tip tool0
 
-ROBOT is the robot as its controller has it. PROGRAM is a table of joint values planned for that robot, or of poses of
+ROBOT is the controller's model of the robot. PROGRAM is a table of joint values planned for that robot, or of poses of
 its tool, or of both: then the poses are the goal, and the search starts at the joint values. If a row cannot be
-reached, nothing is written, unless --skip leaves such rows empty; and nothing where the verdict on the calibration is
-'do not use' (exit status 3), unless --accept is given.
+reached, nothing is written, unless --skip leaves such rows empty. Nor is anything written if the verdict on the
+calibration is 'do not use' (exit status 3), unless --accept is given.
 """)
 def compensate(
     robot: RobotFile,

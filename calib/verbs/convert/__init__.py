@@ -1,1 +1,1 @@
-"""Write a calibrated robot in the formats that controllers and ROS take."""
+"""Write a calibrated robot in the formats of controllers and ROS."""

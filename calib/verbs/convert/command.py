@@ -67,8 +67,8 @@ class ControllerFiles:
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="calibration.conf whose other lines are kept; or the robot's own file of offsets, "
-            "to which the joint zeros are added in the new one.",
+            help="calibration.conf whose other lines are kept; or the robot's own file of offsets: "
+            "the output is a copy with the joint zeros added.",
         ),
     ] = None
     ticks: Annotated[
@@ -140,7 +140,7 @@ def _formats() -> tuple[str, ...]:
 
 
 @verb(
-    """Write a calibrated robot in the formats that controllers and ROS take.
+    """Write a calibrated robot in the formats of controllers and ROS.
 
 \b
 Examples:

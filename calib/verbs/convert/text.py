@@ -72,6 +72,6 @@ def _displacement(source: Source) -> str:
     far = f"{mm(lengths.mean())} mm (mean) and at most {mm(lengths.max())} mm"
     turned = f"{deg(angles.mean())} deg (mean) and at most {deg(angles.max())} deg"
     return (
-        f"In '{source.robot.base}', over the joint limits, '{source.robot.tip}' lies {far} from where the nominal "
-        f"robot has it, turned by {turned}."
+        f"In '{source.robot.base}', over the joint limits, '{source.robot.tip}' lies {far} from its place on the "
+        f"nominal robot, rotated by {turned}."
     )

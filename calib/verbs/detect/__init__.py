@@ -1,1 +1,1 @@
-"""Find the corners of printed boards in pictures, and write them beside the joint values of each picture."""
+"""Find the corners of printed boards in pictures, and write them with the joint values of each picture."""

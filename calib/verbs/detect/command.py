@@ -108,7 +108,7 @@ class DetectOutputs:
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="Write the contact sheet, a page with all pictures and their corners. Default: beside the table, as "
+            help="Write the contact sheet, a page with all pictures and their corners. Default: next to the table, as "
             ".html.",
         ),
     ] = None
@@ -156,7 +156,7 @@ class DetectOutputs:
         return [*lines, *written_lines(self.output, self.page)]
 
 
-@verb("""Find the corners of printed boards in pictures, and write them beside the joint values of each picture.
+@verb("""Find the corners of printed boards in pictures, and write them with the joint values of each picture.
 
 \b
 Examples:

@@ -31,7 +31,7 @@ _VIEW_REASONS = {
     "cut": "{count} of the {wanted} corners needed; the board extends beyond the picture",
     "few_corners": "{count} of the {wanted} corners needed; the others are hidden, too small, or badly lit",
     "layout": "not the board that is described",
-    "two_boards": "two boards with the same markers are in it; cover one, or print other markers",
+    "two_boards": "it shows two boards with the same markers; cover one, or print other markers",
 }
 
 #: The sentence of each finding.

@@ -1,1 +1,1 @@
-"""Compare a robot with measurements, and judge its accuracy by a tolerance."""
+"""Compare a robot with measurements, and test its accuracy against a tolerance."""

@@ -75,7 +75,7 @@ class AcceptanceOptions:
         str | None,
         typer.Option(
             metavar=_METAVAR,
-            help="Expanded measuring uncertainty U (k = 2): AP + U must be within the tolerance. Default: 0.",
+            help="Expanded measurement uncertainty U (k = 2): AP + U must be within the tolerance. Default: 0.",
         ),
     ] = None
     criterion: Annotated[
@@ -89,7 +89,7 @@ class AcceptanceOptions:
     judge: Annotated[
         Literal["nominal", "urdf", "calibration", "non_geometric"] | None,
         typer.Option(
-            help="Robot that the tolerance is applied to. Default: that of the calibration, or without one the URDF."
+            help="Robot that the tolerance is applied to. Default: the calibrated one; the URDF without --calibration."
         ),
     ] = None
 
@@ -149,7 +149,7 @@ class EvaluationOutputs:
             write_report(e, self.report, origins, overwrite=self.force)
 
 
-@verb("""Compare a robot with measurements, and judge its accuracy by a tolerance.
+@verb("""Compare a robot with measurements, and test its accuracy against a tolerance.
 
 \b
 Examples:
@@ -158,11 +158,11 @@ Examples:
   calib evaluate corrected.urdf fresh.csv --calibration result.json --tolerance "0.5 mm" --report test.html
   calib evaluate corrected.urdf fresh_images --calibration result.json
 
-A folder of pictures of the calibration's board, with their joint values in its joints.csv, may stand for DATA.
-With --calibration, targets, measurement frames and held joints are those of that result, and the robot is evaluated
-as its URDF is, with nominal and with calibrated joint origins, and with the non-geometric model. Without it, what is
-not given is registered to the rows. With --tolerance the exit code is 0 if the pose accuracy of ISO 9283 is shown to
-be within the tolerance, and 3 if not.
+DATA may also be a folder with pictures of the calibration's board and their joint values in joints.csv.
+With --calibration, targets, measurement frames and held joints are those of that result. Errors are given for the URDF
+as it is, for the nominal and for the calibrated joint origins, and for the non-geometric model. Without it, whatever is
+not given is registered to the rows. With --tolerance the exit status is 0 if the pose accuracy of ISO 9283 is shown to
+be within the tolerance, and 3 otherwise.
 """)
 def evaluate(
     robot: RobotFile,

@@ -253,6 +253,6 @@ def rule_sentences(e: Assessment) -> Iterator[str]:
     else:
         yield (
             "Decision rule: pass if f A <= T, fail if A > T, else undecided; f is 1 unless a frame or target was "
-            "registered. No measuring uncertainty was stated (--uncertainty), so near the tolerance the outcome is a "
+            "registered. No measurement uncertainty was stated (--uncertainty), so near the tolerance the outcome is a "
             "matter of chance."
         )

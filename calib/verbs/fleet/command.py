@@ -49,7 +49,7 @@ class FleetOutputs:
     ] = True
     accept: Accept = False
     force: Annotated[
-        bool, typer.Option("--force", help="Calibrate all robots again, finished ones too.")
+        bool, typer.Option("--force", help="Calibrate all robots again, including finished ones.")
     ] = False
 
 
@@ -61,16 +61,17 @@ Examples:
   calib fleet manifest.csv --out results --base base --tip tool0 --target "70 -70 22.5 mm" --no-reports
   calib fleet manifest.csv --out results --dask tcp://192.168.0.10:8786
 
-The manifest has a robot a row: its name, its robot (a URDF, a xacro, or a name such as ur3) and its data, and may say
-cell, points, points_unit, base, tip, target, frame, model, kind, payload, hold, columns, orientation and joint_unit of
-it, as the options of 'calib calibrate' do. Options on the line are for all robots; what a row says wins. Each robot
-gets a folder with corrected.urdf, result.json, report.html and summary.txt; fleet.csv and fleet.json compare them.
-Given again, the same command keeps what is finished and unchanged. The exit status is 1 if a robot failed; otherwise 3
-if one got no corrected.urdf because its verdict is 'do not use', which --accept writes all the same. See docs/fleet.md.
+The manifest has one row for each robot: its name, the robot (a URDF, a xacro, or a name such as ur3) and its data. It
+may have columns with the options of 'calib calibrate': cell, points, points_unit, base, tip, target, frame, model,
+kind, payload, hold, columns, orientation and joint_unit. Options on the command line apply to all robots; the manifest
+overrides them. Each robot gets a folder with corrected.urdf, result.json, report.html and summary.txt; fleet.csv and
+fleet.json compare them. A second run keeps what is finished and unchanged. The exit status is 1 if a robot failed;
+otherwise 3 if one got no corrected.urdf because its verdict is 'do not use'; --accept writes it anyway. See
+docs/fleet.md.
 """)
 def fleet(
     manifest: Annotated[
-        Path, typer.Argument(metavar="MANIFEST", help="CSV table of the robots, one in each row.")
+        Path, typer.Argument(metavar="MANIFEST", help="CSV table with one robot in each row.")
     ],
     out: Annotated[
         Path,

@@ -42,9 +42,7 @@ def inspect(
     table_options: TableOptions,
     data: Annotated[
         Path | None,
-        typer.Argument(
-            metavar="[DATA]", help="Table whose poses are used in place of random ones."
-        ),
+        typer.Argument(metavar="[DATA]", help="Table whose poses are used instead of random ones."),
     ] = None,
 ) -> None:
     """Load the robot, and the table if there is one, and print what can be identified."""

@@ -60,11 +60,11 @@ class PoseOptions:
     ] = None
     seed: Seed = 0
     margin: Annotated[
-        str, typer.Option(metavar="ANGLE", help="Margin that is kept to the limits of the joints.")
+        str, typer.Option(metavar="ANGLE", help="Margin kept from the joint limits.")
     ] = "5 deg"
     taken: Annotated[
         _File,
-        typer.Option(help="Table of poses that were measured already and that the plan adds to."),
+        typer.Option(help="Table of poses already measured, to which the plan adds others."),
     ] = None
     start: Annotated[
         list[str] | None,
@@ -173,11 +173,11 @@ class SceneOptions:
 
     region: Annotated[
         _File,
-        typer.Option(help="Region that the target is to stay in, as 'calib workspace' writes it."),
+        typer.Option(help="Region in which the target must stay, as 'calib workspace' writes it."),
     ] = None
     clearance: Annotated[
         str,
-        typer.Option(metavar="LENGTH", help="Smallest distance that is kept between two bodies."),
+        typer.Option(metavar="LENGTH", help="Smallest distance allowed between two bodies."),
     ] = "0 mm"
     collisions: Annotated[
         bool, typer.Option(help="Check poses and the moves between them for collisions.")
@@ -226,9 +226,9 @@ Examples:
   calib plan robot.urdf --camera-on tool0 --camera 1280x720 --camera-at "0 60 30 mm"
     --board-on base_link --board board.toml --board-at "500 0 0 mm 180 0 0 deg" -o images.csv
 
-Put boxes, reflector, noise and joint ranges into the cell file. Drive the poses from top to bottom, write what was
-measured into the empty columns, and give the table to calib calibrate, which leaves out rows that stay empty. With
---camera images of a printed board are planned: save each under the name in the table, for calib detect.
+Put boxes, reflector, noise and joint ranges into the cell file. Drive to the poses from top to bottom, enter the
+measurements into the empty columns, and give the table to calib calibrate, which ignores rows that are still empty.
+With --camera, images of a printed board are planned: save each under the name in the table, for calib detect.
 """)
 def plan(
     robot: RobotFile,

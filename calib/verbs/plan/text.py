@@ -135,7 +135,7 @@ def _head(plan: Plan) -> Iterator[str]:
 def _what_is_planned(_instrument: Instrument, plan: Plan) -> str:
     """Word the robot, its chain, the numbers of poses and the targets."""
     robot, count = plan.robot, len(plan.estimation)
-    taken = f" beside {len(plan.taken)} measured already" if len(plan.taken) else ""
+    taken = f" in addition to {len(plan.taken)} measured ones" if len(plan.taken) else ""
     return (
         f"Plan for '{robot.name}' ({robot.urdf.source}), chain {robot.base} to {robot.tip}: {count} poses for "
         f"calibration{taken}, {len(plan.joints) - count} for validation; targets at each: {', '.join(plan.targets)}."
@@ -146,7 +146,7 @@ def _what_is_planned(_instrument: Instrument, plan: Plan) -> str:
 def _(_instrument: CameraInstrument, plan: Plan) -> str:
     """Word the robot, the links of camera and board, and the numbers of images."""
     robot, count = plan.robot, len(plan.estimation)
-    taken = f" beside {len(plan.taken)} taken already" if len(plan.taken) else ""
+    taken = f" in addition to {len(plan.taken)} taken already" if len(plan.taken) else ""
     return (
         f"Plan for '{robot.name}' ({robot.urdf.source}), camera on {robot.base}, board on {robot.tip}: {count} images "
         f"for calibration{taken}, {len(plan.joints) - count} for validation."
@@ -176,7 +176,7 @@ def _forecasts(plan: Plan) -> Iterator[str]:
     planned, random, beside = f"these {count} poses", f"{count} random ones", ""
     if taken:
         planned = f"those taken and these, {taken + count}"
-        random += " in place of these"
+        random += " instead of these"
         beside = f" beside the {taken} taken"
     rows: list[tuple[str, Forecast | None]] = [
         (planned, forecast),
@@ -234,9 +234,9 @@ def _describe_blocked_moves(plan: Plan) -> Iterator[str]:
             move += f" (via {', '.join(values)})"
         moves.append(move)
     if moves:
-        yield f"The straight way in joint space collides from {', '.join(moves)}."
+        yield f"The straight path in joint space collides from {', '.join(moves)}."
     if any(blocked.by is None for blocked in plan.blocked):
-        yield "Put a posture between the rows where no way around is named."
+        yield "Insert an intermediate pose between the rows for which no detour is given."
 
 
 def plan_html(p: Plan) -> str:

@@ -93,12 +93,12 @@ Examples:
   calib simulate robot.urdf --error "elbow_joint.rx=2 mrad" --noise none -o table.csv
   calib simulate ur5 --kind pixel --camera-on tool0 --board-on base_link --images pictures -o corners.csv
 
-It writes a table for calib calibrate and the truth beside it: the robot's errors, targets, frames and what happened in
-which row. The same seed gives the same files. --model is the error model of the simulated robot, placement by default;
---target is the nominal place of the target, 50 50 50 mm by default. The cell file's table [simulation] has encoder
-resolution, drift, a moved target and more.
+It writes a table for calib calibrate, and next to it the truth: the robot's errors, targets, frames, and what was
+disturbed in which row. The same seed gives the same files. --model is the error model of the simulated robot, placement
+by default; --target is the nominal position of the target, 50 50 50 mm by default. The cell file's table [simulation]
+has encoder resolution, drift, a moved target and more.
 
-Of the kind pixel it places a camera and a printed board, usual ones or those of --camera and --board, and takes
+For the kind pixel it places a camera and a printed board, usual ones or those of --camera and --board, and takes
 pictures at poses from which the whole board is seen; --images draws them, for calib detect.
 """)
 def simulate(

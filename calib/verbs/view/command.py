@@ -49,9 +49,9 @@ Examples:
   calib view robot.urdf corrected.urdf --base base --data data.csv
   calib view robot.urdf --calibration result.json --data data.csv -o view.html
 
-One robot, or the nominal and the calibrated side by side: the two URDFs given, or with --calibration the joint origins
-before and after it. --data adds the measured points. The page is a file that opens without calib: the one given with
--o, or a temporary one, which the browser opens, if there is one.
+One robot, or the nominal and the calibrated one side by side: the two URDFs given, or with --calibration the joint
+origins before and after. --data adds the measured points. The page is a file that opens without calib. Without -o it is
+a temporary file, which is opened in the browser if there is one.
 """)
 def view(
     robot: RobotFile,

@@ -34,7 +34,7 @@ def test_moves_that_collide_are_named_with_poses_to_drive_by(planned: Plan):
     blocked = Blocked(0, 1, None), Blocked(1, 5, planned.joints[3]), Blocked(1, 2, None)
     many = replace(planned, blocked=blocked)
     assert (
-        "Note: The straight way in joint space collides from the start to row 1, row 1 to row 5 (via "
+        "Note: The straight path in joint space collides from the start to row 1, row 1 to row 5 (via "
         f"{degrees}), row 1 to row 2."
     ) in said(many)
     assert "collides" not in said(planned)
