@@ -83,21 +83,21 @@ class Board:
     columns: int = key(
         "columns",
         WHOLE,
-        "Squares, or tags, along x: across, with the text of the page below the pattern.",
+        "Number of squares, or tags, along x: across, with the text of the page below the pattern.",
         option=Option("--columns", type=int, help="Number of squares, or tags, across."),
     )
     #: Squares, or tags, along y.
     rows: int = key(
         "rows",
         WHOLE,
-        "Squares, or tags, along y: down. Of a chessboard all squares count, not its inner corners.",
+        "Number of squares, or tags, along y: down. For a chessboard count squares, not inner corners.",
         option=Option("--rows", type=int, help="Number of squares, or tags, down."),
     )
     #: Side of a square as measured on the print; for a grid of tags the distance between the centres of tags [m].
     square: float = key(
         "square_mm",
         _MM,
-        "Side of a square as measured on the print; of tags the distance of their centres [mm].",
+        "Side of a square as measured on the print; for tags the distance between centres [mm].",
         json="square_m",
         option=Option(
             "--square",
@@ -149,7 +149,7 @@ class Board:
     legacy: bool = key(
         "layout",
         one_of({"new": False, "legacy": True}),
-        '"new", or "legacy": as by OpenCV before 4.6, a marker in the first square. Alike for odd rows.',
+        '"new", or "legacy": as in OpenCV before 4.6, with a marker in the first square. For odd rows they agree.',
         default=False,
         option=Option(
             "--legacy",

@@ -57,7 +57,7 @@ def read_board(path: str | Path) -> Board:
         raise FileError(f"{path}: this is not a TOML file: {error}") from error
     if _FILE in table:
         raise CalibError(
-            f"{path}: '{_FILE}' names the description of a board in another file; this is one itself."
+            f"{path}: '{_FILE}' names the description of a board in another file, but this is one itself."
         )
     return board_of_table(table, str(path))
 

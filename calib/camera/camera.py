@@ -109,7 +109,7 @@ class Camera(Value):
             pixels = 0
         if isinstance(given, bool) or not 0 < pixels <= _LARGEST:
             raise CalibError(
-                f"{self._title} has images of a {side} of {given!r}; it must be a whole number of pixels from 1 to "
+                f"{self._title} has the image {side} {given!r}; it must be a whole number of pixels from 1 to "
                 f"{_LARGEST}, such as {1280 if side == 'width' else 720}."
             )
         return pixels
@@ -120,7 +120,9 @@ class Camera(Value):
         try:
             array = np.array(given, dtype=np.float64)
         except (TypeError, ValueError) as error:
-            raise CalibError(f"{self._title} has {what} that are no numbers: {given!r}.") from error
+            raise CalibError(
+                f"{self._title} has {what} that are not numbers: {given!r}."
+            ) from error
         if array.shape != (len(names),):
             raise CalibError(
                 f"{self._title} has {what} of the shape {array.shape}; a lens '{self.lens}' has {len(names)} numbers: "

@@ -61,7 +61,7 @@ def read_camera(path: str | Path) -> Camera:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise FileError(
-            f"{path}: this is not text in UTF-8, so it is not a file of a camera."
+            f"{path}: this is not text in UTF-8, so it is not a camera file."
         ) from error
     try:
         table = parse_toml(text)
@@ -71,7 +71,7 @@ def read_camera(path: str | Path) -> Camera:
         return camera_of_yaml(text, str(path))
     if _FILE in table:
         raise CalibError(
-            f"{path}: '{_FILE}' names a camera in another file; this is one itself. Give that one."
+            f"{path}: '{_FILE}' names another camera file, but this is one itself. Give that one."
         )
     return camera_of_table(table, str(path))
 
@@ -112,7 +112,7 @@ def _camera(table: Mapping[str, Any], folder: str | Path) -> Camera:
         given_lens = attributes.get("lens", camera.lens)
         if camera.values is not None and given_lens != camera.lens:
             raise CalibError(
-                f"'lens' is '{given_lens}', and that of the file '{file}' is '{camera.lens}'; leave out one."
+                f"'lens' is '{given_lens}', but the file '{file}' has '{camera.lens}'; leave out one."
             )
         camera = replace(camera, **attributes)
     else:
@@ -188,7 +188,7 @@ def _sigma(table: Mapping[str, Any], lens: Lens, camera: Camera) -> Array | None
         return camera.sigma
     if camera.values is None:
         raise CalibError(
-            f"{choices(given)} is of intrinsics that are not given; give {choices(_LINEAR)} too, or leave it out."
+            f"{choices(given)} belongs to intrinsics that are not given; give {choices(_LINEAR)} too, or leave it out."
         )
     sigma: Array = lens.default_sigma(camera.values, camera.width)
     if camera.sigma is not None:
@@ -208,8 +208,8 @@ def _shared_sigma(word: object, camera: Camera) -> Array | None:
     if not isinstance(word, str) or word not in _KNOWN:
         raise CalibError(
             f"'{_INTRINSICS}' is {word!r}{did_you_mean(str(word), _KNOWN)}; it must be one of {choices(_KNOWN)}, or "
-            "left out: then they are known as well as a maker gives them; or write sigma_focal_px, sigma_centre_px and "
-            "sigma_distortion."
+            "left out: then the usual accuracy of a manufacturer's numbers is assumed; or write sigma_focal_px, "
+            "sigma_centre_px and sigma_distortion."
         )
     if camera.values is not None:
         return np.full(len(camera.values), _KNOWN[word])

@@ -57,7 +57,7 @@ _COUNTS = {"pinhole": (0, 4, 5, 8, 12, 14), "fisheye": (0, 4)}
 _OPENCV_HEAD = re.compile(r"\A%YAML:1\.\d[^\n]*\n")
 
 _FORMS = (
-    "A file of a camera is a camera_info file of ROS, a YAML file of OpenCV with camera_matrix and "
+    "A camera file is a camera_info file of ROS, a YAML file of OpenCV with camera_matrix and "
     "distortion_coefficients, or calib's TOML with width, height, fx, fy, cx, cy"
 )
 
@@ -140,14 +140,14 @@ def _check_whole_image(table: Mapping[str, Any], where: str) -> None:
     for key in ("binning_x", "binning_y"):
         if table.get(key) not in (None, 0, 1):
             raise CalibError(
-                f"{where}: '{key}' is {table[key]!r}: the images are smaller than those that the camera matrix is of. "
+                f"{where}: '{key}' is {table[key]!r}: the images are smaller than those of the camera matrix. "
                 "Give the camera matrix of the images themselves, and no binning."
             )
     roi = table.get("roi")
     if isinstance(roi, Mapping) and (roi.get("x_offset") or roi.get("y_offset")):
         raise CalibError(
-            f"{where}: 'roi' begins at ({roi.get('x_offset')}, {roi.get('y_offset')}): the images are a part of those "
-            "that the camera matrix is of. Give the camera matrix of the images themselves, and no roi."
+            f"{where}: 'roi' begins at ({roi.get('x_offset')}, {roi.get('y_offset')}): the images are cut from "
+            "those that the camera matrix belongs to. Give the camera matrix of the images themselves, and no roi."
         )
 
 
@@ -232,7 +232,7 @@ def _coefficients(table: Mapping[str, Any], lens: str, where: str) -> Array:
     counts = _COUNTS[lens]
     if len(given) not in counts:
         raise CalibError(
-            f"{where}: 'distortion_coefficients' has {len(given)} numbers; of a lens '{lens}' there are "
+            f"{where}: 'distortion_coefficients' has {len(given)} numbers; a lens '{lens}' has "
             f"{', '.join(map(str, counts[1:-1] or counts[1:]))}{f' or {counts[-1]}' if len(counts) > 2 else ''}: "
             f"{', '.join(names)}, and then zeros."
         )
@@ -240,7 +240,7 @@ def _coefficients(table: Mapping[str, Any], lens: str, where: str) -> Array:
     if np.any(higher):
         raise CalibError(
             f"{where}: 'distortion_coefficients' has {len(given)} numbers, and those after the fifth are "
-            f"{higher.tolist()}: a rational or thin-prism model, which calib does not have; its '{lens}' has "
+            f"{higher.tolist()}: a rational or thin-prism model, which calib does not support; its '{lens}' has "
             f"{', '.join(names)}. Calibrate with the plumb_bob model, or give the size of the images alone "
             "(--camera 1280x720): then the intrinsics are estimated from the images."
         )
@@ -312,8 +312,8 @@ def _known(camera: Camera) -> Array:
     """Return the numbers of a camera's lens; CalibError if they are not known."""
     if camera.values is None:
         raise CalibError(
-            f"Of the camera '{camera.name}' nothing but the size of its images is known; there is no camera matrix to "
-            "write. Calibrate it first."
+            f"Only the image size of the camera '{camera.name}' is known, so there is no camera matrix to write. "
+            "Calibrate it first."
         )
     return camera.values
 

@@ -39,7 +39,7 @@ def executor_of(
         yield None
         return
     if dask is not None and workers is not None:
-        raise CalibError("--workers are processes of this machine; leave them out, or --dask.")
+        raise CalibError("--workers are processes of this machine: give either them or --dask.")
     if dask is not None:
         with _dask_executor(dask) as cluster:
             yield cluster

@@ -68,7 +68,7 @@ def load_with_data(
         )
     if is_other_table(robot):
         raise CalibError(
-            f"'{robot}' is in the place of the robot, and is not a table of DH rows: it has no columns of d and alpha. "
+            f"'{robot}' was given as the robot, but is not a table of DH rows: it has no columns d and alpha. "
             "ROBOT comes first, then DATA."
         )
     columns = options.parsed()
@@ -99,7 +99,7 @@ def with_chain_of_result(cell: Cell, result: Calibration, name: str) -> Cell:
     ):
         if given is not None and given != required:
             raise CalibError(
-                f"{name} is the result for --{option} {required}, and '{given}' was given."
+                f"{name} is the result for --{option} {required}, but '{given}' was given."
             )
     held = {**chain.held, **cell.held}
     coupling = coupling_of_result(cell, result, name)
@@ -118,8 +118,8 @@ def coupling_of_result(cell: Cell, result: Calibration, name: str) -> Mapping[st
     if cell.coupling and cell.coupling != of_result:
         coupled = choices(of_result) or "no joint"
         raise CalibError(
-            f"{name} is the result for coupled readings of {coupled}, and the cell file couples those of "
-            f"{choices(cell.coupling)} otherwise. Leave out [coupling]: the result knows its own."
+            f"{name} is the result for coupled readings of {coupled}, but the cell file couples those of "
+            f"{choices(cell.coupling)} differently. Leave out [coupling]: the result contains it."
         )
     return of_result
 

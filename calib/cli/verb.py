@@ -216,7 +216,7 @@ def reporting(*, debug: bool) -> Iterator[None]:
         if debug:
             raise
         typer.echo(
-            f"calib: a fault of calib itself: {type(error).__name__}: {error}. "
+            f"calib: an internal error: {type(error).__name__}: {error}. "
             "Report it with what --debug shows.",
             err=True,
         )

@@ -543,8 +543,8 @@ FILE_KEYS = (
     Key(
         "plugins",
         NAMES,
-        "[Plugins](extending.md#plugins), files or modules, to load before the other keys are read. Paths begin at the "
-        "cell file. (`--plugin`)",
+        "[Plugins](extending.md#plugins), files or modules, to load before the other keys are read. Paths are relative "
+        "to the cell file. (`--plugin`)",
         "none",
     ),
     Key("simulation", TABLE, "Rare disturbances of a [virtual cell](simulation.md).", "none"),

@@ -119,7 +119,7 @@ def frame_of(value: str | Sequence[str]) -> tuple[bool, tuple[str, ...]]:
     return True, tuple(words)
 
 
-_FRAME = f"'known', 'estimate' or some of {', '.join(DIRECTIONS)}; its place is frame_xyz_mm and frame_rpy_deg"
+_FRAME = f"'known', 'estimate' or some of {', '.join(DIRECTIONS)}; its pose is frame_xyz_mm and frame_rpy_deg"
 FRAME_ESTIMATED = form(_FRAME, lambda value: frame_of(value)[0])
 FRAME_DIRECTIONS = form(_FRAME, lambda value: frame_of(value)[1])
 

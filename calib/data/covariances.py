@@ -22,7 +22,7 @@ _ENTRIES = (-(SIGMAS[1] ** 2), SIGMAS[1] ** 2)
 _SYMMETRIC = 1e-4
 
 #: What messages say of a matrix.
-_ENTRIES_ARE = "It has x, y, z [m] and the turns about x, y, z [rad], row by row."
+_ENTRIES_ARE = "It has x, y, z [m] and the rotations about x, y, z [rad], row by row."
 
 
 def may_have_covariance(kind: Kind) -> bool:

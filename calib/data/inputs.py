@@ -82,8 +82,8 @@ def robot_of(
     if isinstance(robot, Robot):
         if cell.coupling and cell.coupling != robot.reading_coupling:
             raise CalibError(
-                f"The cell couples the readings of {choices(cell.coupling)} otherwise than the robot that was given. "
-                "Give the robot's path in place of the Robot, or load it so: Robot.load(..., coupling=cell.coupling)."
+                f"The cell couples the readings of {choices(cell.coupling)} differently from the given robot. "
+                "Give the robot's path instead of the Robot, or load it by Robot.load(..., coupling=cell.coupling)."
             )
         return robot
     urdf = read(str(robot))
@@ -130,6 +130,6 @@ def _check_robot(robot: object, argument: str) -> None:
     check_type(argument, robot, (Robot, str, Path), ROBOT)
     if isinstance(robot, (str, Path)) and is_other_table(robot):
         raise CalibError(
-            f"The argument '{argument}' is '{robot}', a table, and not of DH rows: it has no columns of d and alpha. "
+            f"The argument '{argument}' is the table '{robot}', which has no DH rows: it has no columns d and alpha. "
             f"It must be {ROBOT}. The robot comes before the table."
         )

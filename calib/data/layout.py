@@ -192,7 +192,7 @@ def _blocks(
             raise MeasurementError(
                 f"{table.source}: there is a column '{given[0]}' and none '{missing[0]}'. A covariance has the columns "
                 f"'{COVARIANCE[0]}' to '{COVARIANCE[-1]}': its 6 x 6 entries row by row, of x, y, z [m] and of the "
-                "turns about x, y, z [rad]."
+                "rotations about x, y, z [rad]."
             )
         what = "a covariance, in SI units"
         covariances = tuple(with_unit(table, named[name], None, what) for name in COVARIANCE)

@@ -184,7 +184,7 @@ def _check_covariances(table: Table, values: Array) -> None:
         raise MeasurementError(
             f"{table.source}: half of the covariances imply a standard deviation of {std:.2g} m or more for a "
             "coordinate. "
-            "They are variances, in m^2, m rad and rad^2. Where lengths are in mm, divide the first three rows by 1000 "
+            "They are variances, in m^2, m rad and rad^2. If lengths are in mm, divide the first three rows by 1000 "
             "and then the first three columns; if these are standard deviations, square them."
         )
 

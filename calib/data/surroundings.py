@@ -66,7 +66,7 @@ class TrackerNoise:
     repeatability: float = key(
         "repeatability_mm",
         MM,
-        "Repeatability of the robot, as a standard deviation of one coordinate; added in square.",
+        "Repeatability of the robot, as a standard deviation of one coordinate; added in quadrature.",
         default=20e-6,
     )
 

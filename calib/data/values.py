@@ -180,7 +180,7 @@ def _fail_on_number(table: Table, layout: Layout, row: int, column: Column) -> N
     if not text:
         what = "the cell is empty. Fill in the number, or remove the row."
     elif text.startswith("date "):
-        what = f"the cell is the {text}. Write the number; Excel makes dates of such as 1.5 or 1/5."
+        what = f"the cell is the {text}. Write the number; Excel turns entries such as 1.5 or 1/5 into dates."
     elif "," in text:
         what = (
             f"'{text}' has a decimal comma. Write a point, or put semicolons between the columns."
@@ -194,7 +194,7 @@ def _fail_without_measurement(table: Table, layout: Layout) -> NoReturn:
     """Refuse a table in which nothing is measured, or without a row."""
     count = len(table.cells)
     if not count:
-        raise MeasurementError(f"{table.source}: there is a header, and no row below it.")
+        raise MeasurementError(f"{table.source}: there is a header, but no row below it.")
     listed = ""
     if "point" in layout.kinds:
         listed = ", or give the instrument's list of points (--points)"

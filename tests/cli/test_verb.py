@@ -9,7 +9,7 @@ from calib.cli.exit_status import ExitStatus
 from calib.cli.verb import reporting
 from calib.errors import FileError, VerdictError
 
-FAULT = "calib: a fault of calib itself: IndexError: list index out of range. Report it with what --debug shows.\n"
+FAULT = "calib: an internal error: IndexError: list index out of range. Report it with what --debug shows.\n"
 
 
 def test_a_fault_of_calib_is_one_line_and_how_to_report_it(capsys):

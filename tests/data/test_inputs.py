@@ -82,7 +82,7 @@ def test_the_coupled_readings_are_those_of_the_cell(ur3):
     assert robot_of(read) is read
     assert chain_of(read).coupling == cell.coupling
     assert robot_of(URDF, chain_of(read)) == read
-    with pytest.raises(CalibError, match=r"couples the readings of 'elbow_joint' otherwise"):
+    with pytest.raises(CalibError, match=r"couples the readings of 'elbow_joint' differently"):
         robot_of(ur3, cell)
 
 

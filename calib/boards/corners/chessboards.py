@@ -49,8 +49,8 @@ def find_chessboard(image: Any, board: Board) -> tuple[PlanarMap, Array] | None:
     """
     if min(board.columns, board.rows) < _FEWEST:
         raise CalibError(
-            f"The board '{board.name}' is a chessboard of {board.columns} columns and {board.rows} rows; OpenCV finds "
-            f"those of {_FEWEST} or more of each. A ChArUco board may be smaller."
+            f"The board '{board.name}' is a chessboard of {board.columns} columns and {board.rows} rows; OpenCV needs "
+            f"{_FEWEST} or more of each. A ChArUco board may be smaller."
         )
     pixels = _all_corners(image, board)
     if pixels is None:

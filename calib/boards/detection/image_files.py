@@ -104,8 +104,8 @@ def _named_by(word: str | Path) -> list[Path]:
         inside = [entry for entry in path.iterdir() if entry.suffix.lower() in ENDINGS]
         if not inside:
             raise FileError(
-                f"The folder '{word}' has no picture ({choices(ENDINGS)}). Pictures in folders inside it are named by "
-                f'a pattern, "{path}/**/*.png".'
+                f"The folder '{word}' has no picture ({choices(ENDINGS)}). For pictures in its subfolders give a "
+                f'pattern, "{path}/**/*.png".'
             )
         return sorted(inside, key=_by_numbers)
     if path.exists() or not _PATTERN.search(str(word)):
@@ -115,7 +115,7 @@ def _named_by(word: str | Path) -> list[Path]:
     matching = [Path(name) for name in glob.glob(str(word), recursive=True)]  # noqa: PTH207  absolute patterns
     files = [entry for entry in matching if entry.is_file()]
     if not files:
-        raise FileError(f"No file is named like '{word}'; check the pattern and the folder.")
+        raise FileError(f"No file matches '{word}'; check the pattern and the folder.")
     return sorted(files, key=_by_numbers)
 
 

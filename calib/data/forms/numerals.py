@@ -104,7 +104,7 @@ def _check_agreement(source: str, decimal: dict[str, int], thousands: dict[str, 
     else:
         return
     raise MeasurementError(
-        f"{source}: numbers have {fault}. Write all in one way, without a sign between thousands."
+        f"{source}: numbers have {fault}. Write all in one way, without thousands separators."
     )
 
 

@@ -75,7 +75,7 @@ class BoardsAndCameras:
     ] = None
     fewest: Annotated[
         int,
-        typer.Option(min=4, metavar="N", help="Use no pictures with fewer corners of a board."),
+        typer.Option(min=4, metavar="N", help="Do not use pictures with fewer corners of a board."),
     ] = 12
 
     def boards(self) -> list[Board]:

@@ -121,8 +121,8 @@ def read_joint_table(
     taken = [name for name in WRITTEN if name in columns]
     if taken:
         raise MeasurementError(
-            f"{table.source}: the column {choices(taken)} is written by the detection of corners; rename it, or leave "
-            f'it out: --columns "{columns[taken[0]].label}=-".'
+            f"{table.source}: the column {choices(taken)} is reserved for the output of the detection; rename it, or "
+            f'leave it out: --columns "{columns[taken[0]].label}=-".'
         )
     if index is not None:
         column = columns.get(index)

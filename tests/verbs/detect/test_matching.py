@@ -111,5 +111,5 @@ def test_a_table_without_pictures(tmp_path: Path):
 
 
 def test_a_column_that_is_written(tmp_path: Path):
-    with pytest.raises(MeasurementError, match="column 'u' is written"):
+    with pytest.raises(MeasurementError, match="column 'u' is reserved"):
         table(tmp_path, "image,u [px]", ["1.png,1"])
