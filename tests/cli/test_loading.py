@@ -87,7 +87,7 @@ def test_the_coupled_readings_of_a_result_are_those_of_the_cell(examples):
     assert with_chain_of_result(Cell(), coupled, "r.json").coupling == coupling
     assert with_chain_of_result(Cell(coupling=coupling), coupled, "r.json").coupling == coupling
     assert with_chain_of_result(Cell(), result, "r.json").coupling == {}
-    with pytest.raises(CalibError, match="coupled readings of no joint, and the cell file couples"):
+    with pytest.raises(CalibError, match="coupled readings of no joint, but the cell file couples"):
         with_chain_of_result(Cell(coupling=coupling), result, "r.json")
     other = Cell(coupling={"elbow_joint": {"shoulder_lift_joint": -1.0}})
     with pytest.raises(CalibError, match=r"Leave out \[coupling\]"):
