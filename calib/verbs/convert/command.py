@@ -1,4 +1,4 @@
-"""``calib convert``: a calibrated robot in the formats that controllers and ROS take."""
+"""``calib convert``: a calibrated robot in the formats of controllers and ROS."""
 
 from __future__ import annotations
 
