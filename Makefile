@@ -57,10 +57,11 @@ wheel: $(CALIB)
 	$(BIN)/python -m build --outdir dist .
 	$(BIN)/python scripts/try_wheel.py dist/*.whl
 
+# What an old package says about another one is not an error.
 oldest: $(CALIB)
 	$(PYTHON) -m venv .venv-oldest
 	$(BIN)/uv pip install --python .venv-oldest/bin/python --resolution lowest-direct --editable '.[all]' --group test
-	OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 .venv-oldest/bin/python -m pytest -n auto
+	OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 .venv-oldest/bin/python -m pytest -n auto -W default::DeprecationWarning
 
 clean:
 	rm -rf $(VENV) .venv-oldest demo dist .coverage .coverage.* site

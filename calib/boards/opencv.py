@@ -25,7 +25,7 @@ def opencv() -> Any:  # noqa: ANN401  a module without types
         ) from error
     if not hasattr(cv2, "aruco") or not hasattr(cv2.aruco, "CharucoDetector"):
         raise CalibError(
-            f"OpenCV {cv2.__version__} is too old to find boards; install 4.8 or newer: "
+            f"OpenCV {cv2.__version__} is too old to find boards; install 4.10 or newer: "
             "pip install --upgrade opencv-python-headless"
         )
     return cv2

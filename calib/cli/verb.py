@@ -115,12 +115,13 @@ def verb(
     """
 
     def decorate(function: Callable[..., None]) -> Callable[..., None]:
-        types = get_type_hints(function, include_extras=True)
+        # `get_type_hints` of Python 3.10 would wrap the type of what defaults to None, which typer does not read.
+        parameters = inspect.signature(function, eval_str=True).parameters.values()
         options: list[inspect.Parameter] = []
         groups: dict[str, tuple[Any, list[str]]] = {}
-        for parameter in inspect.signature(function).parameters.values():
-            kind = types[parameter.name]
-            members = _members(kind) if is_dataclass(kind) else [parameter.replace(annotation=kind)]
+        for parameter in parameters:
+            kind = parameter.annotation
+            members = _members(kind) if is_dataclass(kind) else [parameter]
             if is_dataclass(kind):
                 groups[parameter.name] = (kind, [member.name for member in members])
             options += [member.replace(kind=inspect.Parameter.KEYWORD_ONLY) for member in members]

@@ -14,6 +14,7 @@ from calib.boards.corners.chessboards import (
     is_part_of_larger,
     size_of_chessboard,
 )
+from calib.boards.opencv import opencv
 from calib.errors import CalibError
 from tests.boards.board_views import CHESS_BOARD, View, render
 
@@ -61,6 +62,10 @@ def test_a_board_that_is_cut_is_not_found():
     assert find_chessboard(render(CHESS_BOARD, View(middle=(0.2, 0, 0.35))), CHESS_BOARD) is None
 
 
+@pytest.mark.skipif(
+    int(opencv().__version__.split(".")[0]) < 5,
+    reason="OpenCV 4 takes corners that skip columns for those of a smaller board",
+)
 def test_a_part_of_a_larger_board():
     image = render(CHESS_BOARD, View(tilt=(15, 10, 0)))
     smaller = replace(CHESS_BOARD, columns=6)

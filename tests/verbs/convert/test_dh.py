@@ -209,7 +209,7 @@ def test_rows_are_a_source(tmp_path):
         assert again.kind == "rows"
         q = np.random.default_rng(1).uniform(-2, 2, (5, 6))
         np.testing.assert_allclose(again.robot.poses(q), source.robot.poses(q), atol=1e-12)
-    with pytest.raises(CalibError, match="not of DH rows"):
+    with pytest.raises(CalibError, match="no DH rows"):
         KINDS["rows"].read(str(paper_measurements()), Options())
     (tmp_path / "broken.json").write_text("{")
     assert source_kind(str(tmp_path / "broken.json")) == "result"
