@@ -263,8 +263,7 @@ class ColumnChoice:
             CalibError: A word is not of its form, a column is named twice, or there is no such convention or unit.
         """
         from calib.basics.units import parse_pairs
-        from calib.data.forms.brands import BRANDS
-        from calib.data.forms.column_options import ColumnOptions
+        from calib.data.forms.column_options import BRANDS, ColumnOptions
 
         given = list(self.columns or [])
         brands = [word for word in dict.fromkeys(given) if word.strip().casefold() in BRANDS]

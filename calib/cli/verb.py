@@ -80,7 +80,7 @@ class Verb(TyperCommand):
 
 def _registered() -> dict[str, tuple[str, ...]]:
     """Return what the placeholders in the help of any verb stand for; the registries import NumPy."""
-    from calib.data.forms.brands import BRANDS
+    from calib.data.forms.column_options import BRANDS
     from calib.data.forms.orientations import CONVENTIONS
     from calib.data.kinds import names
     from calib.model.error_model import MODELS

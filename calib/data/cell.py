@@ -118,7 +118,7 @@ def _with_mass(payload: Payload | None, mass: float) -> Payload:
     return Payload(mass) if payload is None else replace(payload, mass=mass)
 
 
-def _at(tracker: Tracker | None, position: Array) -> Tracker:
+def _place_tracker(tracker: Tracker | None, position: Array) -> Tracker:
     """Return the tracker of a cell file at another position, or a usual one there."""
     return Tracker(position) if tracker is None else replace(tracker, position=position)
 
@@ -426,7 +426,7 @@ class Cell(Value):
             metavar='"X Y Z UNIT"',
             help='Position of the tracker in the base frame, such as "2500 0 500 mm".',
             parse=lambda typed, flag: parse_point(typed, flag, "2500 0 500 mm"),
-            merge=_at,
+            merge=_place_tracker,
         ),
     )
     #: Direction and opening of the reflector; None: it is turned by hand, and seen from everywhere.

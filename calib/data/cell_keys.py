@@ -99,7 +99,7 @@ def sigma_keys() -> Sequence[Key]:
 
 
 def frame_of(value: str | Sequence[str]) -> tuple[bool, tuple[str, ...]]:
-    """Return what the key ``frame`` says of the measurement frame.
+    """Read the key ``frame``: whether the measurement frame is estimated, and in which directions.
 
     Args:
         value: ``"known"``, ``"estimate"`` (in all directions), or the directions of the base that are estimated, as a
@@ -314,7 +314,7 @@ def _number_within(value: Any, low: float, high: float) -> float | None:  # noqa
     return value if is_number(value) and low <= value <= high else None
 
 
-def _directions(value: Iterable[str]) -> tuple[str, ...] | None:
+def _directions_or_none(value: Iterable[str]) -> tuple[str, ...] | None:
     """Return given directions of a frame in the order of `DIRECTIONS`; None if others are given."""
     directions = tuple(d for d in DIRECTIONS if d in value)
     if not directions or sorted(directions) != sorted(value):
@@ -322,7 +322,7 @@ def _directions(value: Iterable[str]) -> tuple[str, ...] | None:
     return directions
 
 
-def _tie(value: tuple[str, float]) -> tuple[str, float] | None:
+def _tie_or_none(value: tuple[str, float]) -> tuple[str, float] | None:
     """Return another parameter's name and a factor; None if the factor is not a number, or zero."""
     name, factor = value
     if not is_number(factor) or factor == 0.0:
@@ -330,19 +330,19 @@ def _tie(value: tuple[str, float]) -> tuple[str, float] | None:
     return name, float(factor)
 
 
-def _interval(value: tuple[float, float]) -> tuple[float, float] | None:
+def _interval_or_none(value: tuple[float, float]) -> tuple[float, float] | None:
     """Return two increasing numbers, else None; they stay `Angle` or `Length`."""
     low, high = value
     return (low, high) if low < high else None
 
 
-def _bounds(value: tuple[float, float]) -> tuple[float, float] | None:
+def _bounds_or_none(value: tuple[float, float]) -> tuple[float, float] | None:
     """Return the least and the largest change of a parameter; None unless 0 is between them."""
     low, high = value
-    return _interval(value) if low <= 0.0 <= high else None
+    return _interval_or_none(value) if low <= 0.0 <= high else None
 
 
-def _factors(value: Mapping[str, float]) -> ReadOnlyMapping[str, float] | None:
+def _factors_or_none(value: Mapping[str, float]) -> ReadOnlyMapping[str, float] | None:
     """Return the factors of joints' readings by name, else None."""
     if not isinstance(value, Mapping) or not all(isinstance(name, str) for name in value):
         return None
@@ -351,7 +351,7 @@ def _factors(value: Mapping[str, float]) -> ReadOnlyMapping[str, float] | None:
     return ReadOnlyMapping({name: float(factor) for name, factor in value.items()})
 
 
-def _sigma(value: Mapping[str, float]) -> ReadOnlyMapping[str, float] | None:
+def _sigma_or_none(value: Mapping[str, float]) -> ReadOnlyMapping[str, float] | None:
     """Return standard deviations by unit, else None."""
     if not isinstance(value, Mapping) or not value.keys() <= RESIDUAL_UNITS.keys():
         return None
@@ -365,11 +365,11 @@ IS_POSITION = Check("three numbers [m]", lambda value: position_in_tip(value, "t
 ARE_SIGMAS = Check(
     f"standard deviations from {SIGMAS[0]:g} to {SIGMAS[1]:g} by unit, such as {{'m': 1e-05}}; units are "
     f"{choices(RESIDUAL_UNITS)}",
-    _sigma,
+    _sigma_or_none,
 )
-IS_TIE = Check("another parameter and a factor that is not zero, such as ('a2', 1.0)", _tie)
+IS_TIE = Check("another parameter and a factor that is not zero, such as ('a2', 1.0)", _tie_or_none)
 ARE_BOUNDS = Check(
-    "the least and the largest change, with 0 between them, (-0.001, 0.001)", _bounds
+    "the least and the largest change, with 0 between them, (-0.001, 0.001)", _bounds_or_none
 )
 IS_PRIOR_STD = Check(
     f"a number from {PRIOR_STD_RANGE[0]:g} to {PRIOR_STD_RANGE[1]:g} of the parameter's unit",
@@ -381,7 +381,7 @@ IS_JOINT_VALUE = Check(
 )
 ARE_FACTORS = Check(
     "factors of other joints' readings by name, none of them zero, such as {'joint_2': 1.0}",
-    _factors,
+    _factors_or_none,
 )
-ARE_DIRECTIONS = Check(f"some of {choices(DIRECTIONS)}, each once", _directions)
-IS_RANGE = Check("the least and the largest value [rad or m]", _interval)
+ARE_DIRECTIONS = Check(f"some of {choices(DIRECTIONS)}, each once", _directions_or_none)
+IS_RANGE = Check("the least and the largest value [rad or m]", _interval_or_none)

@@ -196,32 +196,21 @@ def checked_numbers(
         raise MeasurementError(
             f"Measurements: '{name}' has shape {array.shape} and should have {shape}"
         )
-    _check_range(labels, name, array, rows, limits)
-    array[~rows] = np.nan
-    return read_only(array)
 
-
-def _check_range(
-    labels: RowLabels,
-    name: str,
-    array: Array,
-    rows: Mask,
-    limits: tuple[float, float],
-) -> None:
-    """Refuse a number out of ``limits`` in the chosen rows of an array (N, ...), see `checked_numbers`."""
     least, largest = limits
     in_range = (array >= least) & (array <= largest)
     each_row = rows.reshape(-1, *[1] * (array.ndim - 1))
     out_of_range = np.argwhere(~in_range & each_row)
-    if not out_of_range.size:
-        return
-    at = out_of_range[0].tolist()
-    what = labels.joint_names[at[1]] if name == "joints" else name
-    labels.fail(
-        at[0],
-        f"'{what}' is {array[tuple(at)]:g}; in a row of the kind '{labels.kinds[at[0]]}' it is a "
-        f"number from {least:g} to {largest:g}, in SI units. Correct it, or its unit.",
-    )
+    if out_of_range.size:
+        at = out_of_range[0].tolist()
+        what = labels.joint_names[at[1]] if name == "joints" else name
+        labels.fail(
+            at[0],
+            f"'{what}' is {array[tuple(at)]:g}; in a row of the kind '{labels.kinds[at[0]]}' it is a "
+            f"number from {least:g} to {largest:g}, in SI units. Correct it, or its unit.",
+        )
+    array[~rows] = np.nan
+    return read_only(array)
 
 
 def shared_by_pairs(labels: RowLabels, values: ArrayLike, pair_rows: Integers) -> Array:

@@ -1,1 +1,1 @@
-"""Forms in which people have tables: brands' columns, conventions of orientations, sheets, numbers, points."""
+"""What tables come as: conventions of orientations, brands' columns and other options, and lists of points."""
