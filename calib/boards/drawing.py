@@ -11,9 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.basics.arrays import Array
-from calib.boards.board import APRILTAG, Board
+from calib.boards.board import APRILTAG, Board, marker_outlines, white_squares
 from calib.boards.dictionaries import DICTIONARIES
-from calib.boards.layout import marker_outlines, white_squares
 from calib.boards.opencv import opencv
 
 #: What a length may exceed whole pixels by without needing one more [px].

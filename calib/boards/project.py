@@ -168,7 +168,7 @@ def in_image(pixels: Array, image_size: tuple[int, int], margin: float) -> Mask:
 
 
 def rays(camera: Camera, pixels: Array) -> Array:
-    """Return the rays of pixels by OpenCV.
+    """Undistort pixels by OpenCV, and return the rays on which their points lie.
 
     Args:
         camera: The camera, whose intrinsics are known.

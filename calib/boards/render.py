@@ -111,7 +111,7 @@ class _Sheet:
         return slice(top, bottom), slice(left, right)
 
     def sample_size(self) -> float:
-        """Return what a sample of the picture covers where the board is nearest [m]."""
+        """Return the width that a sample of the picture covers where the board is nearest [m]."""
         K, _ = camera_matrix(self.camera)
         focal_length = float(max(K[0, 0], K[1, 1]))
         nearest = max(float(np.linalg.norm(self.outline(), axis=1).min()), NEAREST)
@@ -153,7 +153,7 @@ def render(
     noise: float = 1.5,
     seed: int | np.random.Generator = 0,
 ) -> Image:
-    """Draw what a camera sees of a printed board.
+    """Render the picture that a camera takes of a printed board.
 
     Args:
         printed: The board.
@@ -187,7 +187,7 @@ def render(
     light = 1.0 - scene.shade * (way - way.min()) / np.ptp(way)
 
     sheet = _Sheet(printed, camera, T_camera_board, scene.margin * printed.board.square)
-    picture = _with_sheet(background, sheet, scene) * light.astype(np.float32)
+    picture = _draw_sheet(background, sheet, scene) * light.astype(np.float32)
     if blur > 0.0:
         picture = cv2.GaussianBlur(picture, (0, 0), blur)
     grains = rng.standard_normal(picture.shape, dtype=np.float32)
@@ -216,8 +216,8 @@ def write_png(image: Image, path: str | os.PathLike[str], *, overwrite: bool = F
     return write_atomically(path, data.tobytes(), overwrite=overwrite)
 
 
-def _with_sheet(picture: NDArray[np.float32], sheet: _Sheet, scene: Scene) -> NDArray[np.float32]:
-    """Return a picture (height, width) with the sheet in front of it."""
+def _draw_sheet(picture: NDArray[np.float32], sheet: _Sheet, scene: Scene) -> NDArray[np.float32]:
+    """Return grey values (height, width) of a picture with the sheet drawn in front of it, without light and noise."""
     window = sheet.window()
     if window is None:
         return picture

@@ -1,19 +1,25 @@
-"""Pages: the pattern in its place, rulers of exact length, nothing in the quiet zone."""
+"""Pages: the pattern in its place, rulers of exact length; SVG and PDF, read back and rasterised, show every corner."""
 
 from __future__ import annotations
 
+import re
+import shutil
+import subprocess
+from xml.etree import ElementTree as ET
+
+import cv2
 import numpy as np
 import pytest
 
 from calib.boards.board_design import design
 from calib.boards.drawing import black_rectangles
-from calib.boards.page import TEXT_SIZE, page_of
+from calib.boards.page import TEXT_SIZE, page_of, pdf, svg
 from calib.boards.paper import PAPERS, sheet_for
 
 #: Widest letters of Helvetica are nearly a font size wide; on average they are not wider than this.
 LETTER = 0.62 * TEXT_SIZE
 
-LINES = ["board: 10 x 7 squares of 25 mm", "markers", "Print at 100 %"]
+LINES = ["board: 10 x 7 squares of 25 mm", "<Text> & (\\ more)", "größer: Print at 100 %"]
 
 
 def page(pattern="charuco", paper="a4", **wish):
@@ -78,3 +84,126 @@ def test_a_small_board_has_room_for_ruler_and_text():
     assert drawn.texts[3].at[0] < sheet.width - 0.07
     _, sheet, drawn = page(columns=3, rows=3, square=0.01)
     assert drawn.texts[3].at[0] < sheet.width - 0.07
+
+
+SVG = "{http://www.w3.org/2000/svg}"
+
+#: Dots per inch of the rasterised page, and per millimetre.
+DPI = 300
+PER_MM = DPI / 25.4
+
+
+def test_the_svg_is_in_millimetres():
+    _, _, drawn = page()
+    root = ET.fromstring(svg(drawn))
+    assert (root.get("width"), root.get("height")) == ("297mm", "210mm")
+    assert root.get("viewBox") == "0 0 297 210"
+    pattern = next(path for path in root.iter(f"{SVG}path") if path.get("id") == "pattern")
+    rows = re.findall(r"M(\S+) (\S+)h(\S+?)v(\S+?)H(\S+?)z", pattern.get("d"))
+    read = np.array(rows, dtype=float)
+    np.testing.assert_allclose(read[:, :4], 1e3 * drawn.pattern, atol=1e-4)
+    np.testing.assert_allclose(read[:, 4], read[:, 0])
+    texts = [text.text for text in root.iter(f"{SVG}text")]
+    assert texts[-2:] == LINES[-2:]
+
+
+def test_the_pdf_is_in_points_with_a_table_of_its_objects():
+    _, _, drawn = page()
+    data = pdf(drawn)
+    box = re.search(rb"/MediaBox \[0 0 (\S+) (\S+)\]", data)
+    np.testing.assert_allclose([float(x) for x in box.groups()], [841.8898, 595.2756], atol=1e-3)
+    assert b"/PrintScaling /None" in data
+    read = np.array(re.findall(rb"(\S+) (\S+) (\S+) (\S+) re", data), dtype=float)
+    expected = 1e3 * np.concatenate([drawn.pattern, drawn.lines])
+    np.testing.assert_allclose(read, expected, atol=1e-4)
+    assert rb"(<Text> & \(\\ more\)) Tj" in data
+    assert "(größer: Print at 100 %) Tj".encode("cp1252") in data
+    places = [int(x) for x in re.findall(rb"\n(\d{10}) 00000 n ", data)]
+    for number, place in enumerate(places, 1):
+        assert data[place:].startswith(b"%d 0 obj" % number)
+    start = int(data.split()[-2])
+    assert data[start:].startswith(b"xref")
+    length = int(re.search(rb"/Length (\d+)", data)[1])
+    stream = re.search(rb"stream\n(.*)\nendstream", data, re.DOTALL)[1]
+    assert len(stream) == length
+
+
+def rasterised(drawn, folder):
+    """The PDF as a picture; whole pixels of it are a little larger than the page."""
+    path = folder / "page.pdf"
+    path.write_bytes(pdf(drawn))
+    subprocess.run(
+        ["pdftoppm", "-r", str(DPI), "-gray", "-singlefile", "-png", path, folder / "page"],
+        check=True,
+        timeout=60,
+    )
+    return cv2.imread(str(folder / "page.png"), cv2.IMREAD_GRAYSCALE)
+
+
+def expected_pixels(board, sheet):
+    """The corners in the picture of a page [px], pixel (0, 0) at the middle of the upper left one."""
+    return 1e3 * (board.corners[:, :2] + sheet.origin) * PER_MM - 0.5
+
+
+def assert_squares_are_true(image, board, sheet):
+    """Edges along a line through the first row of squares are where the drawing says, to 0.05 mm."""
+    y = round(1e3 * (sheet.origin[1] + 0.04 * board.square) * PER_MM)
+    first = round(1e3 * (sheet.origin[0] - sheet.quiet / 2) * PER_MM)
+    last = round(1e3 * (sheet.origin[0] + board.size[0] + sheet.quiet / 2) * PER_MM)
+    darkness = 1.0 - image[y, first:last] / 255.0
+    black = darkness.sum() / PER_MM
+    squares = (board.columns + 1) // 2
+    assert black == pytest.approx(1e3 * squares * board.square, abs=0.05)
+    inked = first + np.flatnonzero(darkness > 0.02)
+    begin = inked[0] + 1 - darkness[inked[0] - first]
+    assert begin / PER_MM == pytest.approx(1e3 * sheet.origin[0], abs=0.05)
+
+
+needs_pdftoppm = pytest.mark.skipif(not shutil.which("pdftoppm"), reason="pdftoppm is missing")
+
+
+@needs_pdftoppm
+@pytest.mark.parametrize(("paper", "legacy", "rows"), [("a4", False, 7), ("letter", True, 6)])
+def test_all_charuco_corners_of_the_printed_page(paper, legacy, rows, tmp_path):
+    board, sheet, drawn = page(paper=paper, legacy=legacy, rows=rows)
+    image = rasterised(drawn, tmp_path)
+    dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, board.dictionary))
+    size = (board.columns, board.rows)
+    theirs = cv2.aruco.CharucoBoard(size, board.square, board.marker, dictionary)
+    theirs.setLegacyPattern(board.legacy)
+    corners, ids, _, markers = cv2.aruco.CharucoDetector(theirs).detectBoard(image)
+    assert sorted(markers.ravel()) == list(range(board.markers))
+    assert list(ids.ravel()) == list(board.corner_ids())
+    # Before version 5 OpenCV gives the corners of ChArUco boards half a pixel further right and down.
+    shift = 0.5 if int(cv2.__version__.split(".")[0]) < 5 else 0.0
+    difference = corners.reshape(-1, 2) - shift - expected_pixels(board, sheet)
+    assert np.abs(difference).max() < 0.05 * PER_MM
+    if not legacy:
+        assert_squares_are_true(image, board, sheet)
+
+
+@pytest.mark.slow
+@needs_pdftoppm
+def test_all_chessboard_corners_of_the_printed_page(tmp_path):
+    board, sheet, drawn = page("chessboard")
+    image = rasterised(drawn, tmp_path)
+    is_found, corners = cv2.findChessboardCornersSB(image, (board.columns - 1, board.rows - 1))
+    assert is_found
+    # OpenCV begins at the other end.
+    difference = corners.reshape(-1, 2)[::-1] - expected_pixels(board, sheet)
+    assert np.abs(difference).max() < 0.05 * PER_MM
+    assert_squares_are_true(image, board, sheet)
+
+
+@needs_pdftoppm
+def test_all_tag_corners_of_the_printed_page(tmp_path):
+    board, sheet, drawn = page("apriltag")
+    image = rasterised(drawn, tmp_path)
+    dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
+    parameters = cv2.aruco.DetectorParameters()
+    parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
+    corners, ids, _ = cv2.aruco.ArucoDetector(dictionary, parameters).detectMarkers(image)
+    order = np.argsort(ids.ravel())
+    assert list(ids.ravel()[order]) == list(range(24))
+    found = np.array(corners)[order].reshape(-1, 2)
+    assert np.abs(found - expected_pixels(board, sheet)).max() < 0.1 * PER_MM

@@ -124,7 +124,7 @@ class Patch(Value):
 
     @property
     def pulls(self) -> Array:
-        """How strongly each pixel draws q towards it, g (g . d), shape (h, w, 2)."""
+        """Pull of each pixel on q, g (g . d), shape (h, w, 2)."""
         along = np.sum(self.gradients * self.offsets, axis=-1, keepdims=True)
         return np.asarray(self.gradients * along)
 
@@ -178,7 +178,7 @@ def _converge(image: Array, expected: Array, window: Array) -> Array | None:
 
 
 def _alternates(image: Array, q: Array, window: Array, sign: float) -> bool:
-    """Return whether grey levels around q alternate like four squares; sign 1: the one towards +x, +y is white."""
+    """Return True if grey levels around q [px] alternate like four squares; sign 1: that towards +x, +y is white."""
     directions = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)], axis=1)
     places = q + _RADIUS * directions @ window.T
     inside = (places >= 1.0) & (places <= np.array(image.shape[::-1]) - 3.0)

@@ -27,8 +27,14 @@ from calib.boards.detection.findings import (
     picture_findings,
     usual_sizes,
 )
-from calib.boards.detection.image_files import ImageFile, find_images
-from calib.boards.detection.picture import OTHER_SIZE, Picture, Search, look
+from calib.boards.detection.picture import (
+    OTHER_SIZE,
+    ImageFile,
+    Picture,
+    Search,
+    find_images,
+    search_picture,
+)
 from calib.boards.dictionaries import kind_of
 from calib.errors import CalibError, choices
 
@@ -97,7 +103,7 @@ def detect(
 
     search = Search(tuple(boards), fewest, single_thread=executor is not None)
     by_number: dict[int, Picture] = {}
-    for number, picture in jobs.run(look, search, files, executor):
+    for number, picture in jobs.run(search_picture, search, files, executor):
         by_number[number] = picture
         if progress is not None:
             progress(len(by_number), len(files))
@@ -113,7 +119,7 @@ def detect(
         of_board = [*board_findings(board, readable), *other_pattern(board, readable, executor)]
         findings += of_board
         if any(is_wrong_description(finding, readable, board) for finding in of_board):
-            pictures = [_without(picture, board) for picture in pictures]
+            pictures = [_without_corners_of(picture, board) for picture in pictures]
     return Detection(tuple(boards), tuple(pictures), tuple(findings), fewest)
 
 
@@ -147,7 +153,7 @@ def _check_sequence(
         check_type(f"{argument}[{k}]", value, types, f"one of {allowed}")
 
 
-def _without(picture: Picture, board: Board) -> Picture:
+def _without_corners_of(picture: Picture, board: Board) -> Picture:
     """Return a picture in which the corners of a board are not used: the board is described wrongly."""
     views = []
     for view in picture.views:

@@ -135,8 +135,7 @@ def _draw(board: Board, files: list[Path], paper: str, *, force: bool) -> list[s
     from calib.basics.files import write_atomically
     from calib.boards.board_design import fitting_sheet
     from calib.boards.board_file import board_toml
-    from calib.boards.page import page_of
-    from calib.boards.page_files import WRITERS
+    from calib.boards.page import WRITERS, page_of
     from calib.verbs.board.text import drawn_text, page_lines
 
     sheet = fitting_sheet(board, paper)

@@ -180,7 +180,7 @@ def detect(
 ) -> None:
     """Run the verb; its help is the text of `verb`."""
     from calib.boards.detection.detect import check_boards, detect as detect_boards
-    from calib.boards.detection.image_files import find_images
+    from calib.boards.detection.picture import find_images
     from calib.verbs.detect.corner_table import with_cameras, with_rows_only
     from calib.verbs.detect.matching import match
 
