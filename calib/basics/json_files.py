@@ -202,16 +202,8 @@ class JsonLayout:
             return float("nan") if entry is None else float(entry)
         if hint in (int, bool, str):
             return hint(entry)
-        if get_origin(hint) is not None:
-            return self._read_generic(hint, entry)
-        if isinstance(hint, enum.EnumMeta):
-            return hint[entry.upper()]
-        if isinstance(hint, type) and is_dataclass(hint):
-            return hint(**self.values(hint, entry))
-        return entry
 
-    def _read_generic(self, hint: Any, entry: Any) -> Any:  # noqa: ANN401  any type, any JSON
-        """Return a value of a type with parameters, such as ``tuple[float, ...]`` or ``Array | None``."""
+        # Types with parameters, such as ``tuple[float, ...]`` or ``Array | None``.
         origin = get_origin(hint)
         parameters = get_args(hint)
         if origin in (Union, UnionType):
@@ -224,6 +216,13 @@ class JsonLayout:
             return tuple(self.read(parameters[0], value) for value in entry)
         if origin in (dict, Mapping):
             return {str(name): self.read(parameters[1], value) for name, value in entry.items()}
+        if origin is not None:
+            return entry
+
+        if isinstance(hint, enum.EnumMeta):
+            return hint[entry.upper()]
+        if isinstance(hint, type) and is_dataclass(hint):
+            return hint(**self.values(hint, entry))
         return entry
 
     def _write(self, value: Any) -> Any:  # noqa: ANN401  any value

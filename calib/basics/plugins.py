@@ -239,7 +239,7 @@ def _load(given: str, source: str) -> Plugin:
         count = len(_LOADED)
         before = {what: dict(entries) for what, entries in _REGISTRIES.items()}
         try:
-            sha256 = _run(given, source)
+            sha256 = _import_plugin(given, source)
             names = _registered_names(given, before, _LOADED[count:])
         except BaseException:
             _restore(before, count)
@@ -257,7 +257,7 @@ def _restore(before: Mapping[str, Mapping[str, Any]], count: int) -> None:
     del _LOADED[count:]
 
 
-def _run(given: str, source: str) -> str:
+def _import_plugin(given: str, source: str) -> str:
     """Import a plugin, and return the SHA-256 of its source code; of a package, of all its Python files."""
     is_file = source.endswith(".py")
     if is_file:

@@ -335,7 +335,7 @@ def toml_lines(value: Any, *, without: Collection[str] = ()) -> list[str]:  # no
 
 
 def toml(value: Any) -> str:  # noqa: ANN401
-    """Return a text, a truth value, a number or a list of these as TOML."""
+    """Write a text, a truth value, a number, or a list of such values, as TOML."""
     if isinstance(value, bool | str):
         return json_text.dumps(value, ensure_ascii=False)
     if isinstance(value, list | tuple):
@@ -366,19 +366,21 @@ def keep_checked(value: Any, name: str) -> None:  # noqa: ANN401  any record
         ArgumentError: A value is of another type.
         CalibError: A check refuses it.
     """
-    types = _types(value.__class__)
+    types = _field_types(value.__class__)
     for field, written in _written_fields(value):
         kind, is_optional = types[field.name]
         given = getattr(value, field.name)
         if given is not None or not is_optional:
             what = f"a {name}'s {field.name}"
-            kept = _kept(given, kind, written, field.name, what, ", or None" if is_optional else "")
+            kept = _checked_field(
+                given, kind, written, field.name, what, ", or None" if is_optional else ""
+            )
             object.__setattr__(value, field.name, kept)
 
 
 @cache
-def _types(kind: Any) -> Mapping[str, tuple[Any, bool]]:  # noqa: ANN401  a class
-    """Return the type of each field, without None, and whether it may be None."""
+def _field_types(kind: Any) -> Mapping[str, tuple[Any, bool]]:  # noqa: ANN401  a class
+    """Return by name the type of each field, without None, and whether it may be None."""
     result = {}
     for name, hint in get_type_hints(kind).items():
         is_optional = get_origin(hint) in (Union, UnionType) and type(None) in get_args(hint)
@@ -386,7 +388,7 @@ def _types(kind: Any) -> Mapping[str, tuple[Any, bool]]:  # noqa: ANN401  a clas
     return result
 
 
-def _kept(
+def _checked_field(
     given: Any,  # noqa: ANN401
     kind: Any,  # noqa: ANN401
     written: _Written,
@@ -394,7 +396,7 @@ def _kept(
     what: str,
     or_none: str,
 ) -> Any:  # noqa: ANN401
-    """Return the value of a field as it is kept."""
+    """Check a field's value: return it as it is kept, a mapping read-only and a sequence as a tuple."""
     if written.check is not None:
         return _checked(given, what, written.check)
     if get_origin(kind) is Mapping:

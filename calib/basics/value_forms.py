@@ -20,7 +20,7 @@ from calib.errors import CalibError, choices, did_you_mean
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where a value stands: a key of a table, or an option."""
+    """The place of a value in a file or on a command line: a key of a table, or an option; for messages."""
 
     #: For messages: ``"'xyz_mm' in [tracker]"``, ``"--target"``.
     words: str = ""

@@ -23,7 +23,7 @@ from calib.errors import CalibError, choices, did_you_mean
 #: A chessboard whose white squares hold markers: its corners are known even if only a part of it is seen.
 CHARUCO = "charuco"
 
-#: A plain chessboard, of which all inner corners must be seen.
+#: A plain chessboard; all of its inner corners must be seen.
 CHESSBOARD = "chessboard"
 
 #: A grid of AprilTags; the four corners of each are measured.

@@ -176,7 +176,7 @@ def _largest_marker(square: float, dictionary: str) -> float:
 def _with_largest_squares(
     make: _Make, counts: tuple[int, int], marker: float | None, paper: str
 ) -> Board:
-    """Return the board of these columns and rows with the largest squares of whole millimetres that fit."""
+    """Return the board with ``counts`` columns and rows and the largest squares, in whole millimetres, that fit."""
     columns, rows = counts
     if paper == NO_PAPER:
         return make(columns, rows, _SQUARE / 1e3)

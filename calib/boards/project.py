@@ -27,7 +27,7 @@ _ITERATIONS = 15
 
 
 class Camera(Protocol):
-    """What is needed of a camera; z along the line of sight, x right, y down."""
+    """The attributes of a camera that projection needs; its frame has z along the line of sight, x right, y down."""
 
     @property
     def name(self) -> str:

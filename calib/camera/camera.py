@@ -120,7 +120,9 @@ class Camera(Value):
         try:
             array = np.array(given, dtype=np.float64)
         except (TypeError, ValueError) as error:
-            raise CalibError(f"{self._title} has {what} that are no numbers: {given!r}.") from error
+            raise CalibError(
+                f"{self._title} has {what} that are not numbers: {given!r}."
+            ) from error
         if array.shape != (len(names),):
             raise CalibError(
                 f"{self._title} has {what} of the shape {array.shape}; a lens '{self.lens}' has {len(names)} numbers: "

@@ -538,7 +538,7 @@ class Cell(Value):
         return replace(self, target=read_only(np.asarray(target)), estimate_target=estimate)
 
 
-#: Keys of a cell file that are no attributes of a cell.
+#: Keys of a cell file that are not attributes of a cell.
 FILE_KEYS = (
     Key(
         "plugins",

@@ -331,7 +331,7 @@ def _tie_or_none(value: tuple[str, float]) -> tuple[str, float] | None:
 
 
 def _interval_or_none(value: tuple[float, float]) -> tuple[float, float] | None:
-    """Return two increasing numbers, else None; they stay `Angle` or `Length`."""
+    """Return two increasing numbers, or None for others; they stay `Angle` or `Length`."""
     low, high = value
     return (low, high) if low < high else None
 
@@ -343,7 +343,7 @@ def _bounds_or_none(value: tuple[float, float]) -> tuple[float, float] | None:
 
 
 def _factors_or_none(value: Mapping[str, float]) -> ReadOnlyMapping[str, float] | None:
-    """Return the factors of joints' readings by name, else None."""
+    """Return factors of joints' readings by name if all are numbers other than 0, or None."""
     if not isinstance(value, Mapping) or not all(isinstance(name, str) for name in value):
         return None
     if not value or not all(is_number(factor) and factor for factor in value.values()):
@@ -352,7 +352,7 @@ def _factors_or_none(value: Mapping[str, float]) -> ReadOnlyMapping[str, float] 
 
 
 def _sigma_or_none(value: Mapping[str, float]) -> ReadOnlyMapping[str, float] | None:
-    """Return standard deviations by unit, else None."""
+    """Return standard deviations by the symbol of their unit if all are numbers in range, or None."""
     if not isinstance(value, Mapping) or not value.keys() <= RESIDUAL_UNITS.keys():
         return None
     if not all(is_number(std) and SIGMAS[0] <= std <= SIGMAS[1] for std in value.values()):

@@ -17,7 +17,7 @@ from calib.data.cell import Cell
 from calib.data.columns import column_names
 from calib.data.measurements import Measurements
 from calib.errors import CalibError, choices
-from calib.robot.dh.file import is_other_table
+from calib.robot.dh_file import is_other_table
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf, read_urdf
 

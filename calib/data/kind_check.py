@@ -146,7 +146,7 @@ def _at_rows(kind: Checked, values: Array) -> Array:
 
 
 def _twists(rows: int) -> Array:
-    """Return the twists [m, rad] of 1 or 2 rows, of which one moves at a time: shape (rows, 6, p), p = 7 rows."""
+    """Return twists [m, rad] that move one of 1 or 2 rows at a time by each motion: shape (rows, 6, p), p = 7 rows."""
     return np.asarray(np.kron(np.eye(rows), _MOTIONS).reshape(rows, 6, -1), dtype=np.float64)
 
 

@@ -174,7 +174,7 @@ def _matrix_fault(values: Array) -> Fault | None:
 
 
 def _check_covariances(table: Table, values: Array) -> None:
-    """Refuse covariances, of (N, 36), half of which imply positions that are measured worse than by any camera."""
+    """Refuse covariances (N, 36) [m^2, m rad, rad^2] if half of them imply a noise that no camera is as bad as."""
     complete = values[np.isfinite(values).all(axis=1)]
     if not len(complete):
         return

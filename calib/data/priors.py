@@ -73,7 +73,7 @@ class Priors:
             family: Name of the family, ``"length"``.
 
         Returns:
-            The value given, else the default of the registry.
+            The value given, or the default of the registry.
         """
         return dict(self.given).get(family, family_of(family).prior)
 

@@ -142,7 +142,7 @@ def score_and_information(
 
     Args:
         data: Normal equations of B linear fits.
-        members: shape (K, p), 1 for the parameters of each family, else 0.
+        members: shape (K, p), 1 for the parameters of each family, 0 for others.
         priors: Normal priors of the p parameters besides those of the families.
         logs: shape (B, C + K), log noise and log prior standard deviations.
 

@@ -215,7 +215,7 @@ def farthest_link(
     """Return the link with the most moving joints between it and the base: the default tip.
 
     Joints of a gripper or hand, by their names, do not count unless no other joint moves. Among links equally far out a
-    usual name such as ``tool0`` wins, else the last one that is not part of a gripper or hand.
+    usual name such as ``tool0`` wins, or else the last one that is not part of a gripper or hand.
 
     Args:
         urdf: The robot.
@@ -346,7 +346,7 @@ def checked_held(urdf: Urdf, held: Mapping[str, float] | None) -> tuple[tuple[st
     for name, value in given.items():
         if name not in moving:
             raise UrdfError(
-                f"{urdf.source}: the joint '{name}', to be held at {value:g}, is none that moves"
+                f"{urdf.source}: the joint '{name}', to be held at {value:g}, is not a joint that moves"
                 f"{did_you_mean(name, moving)}. Joints that can be held: {choices(moving, limit=60)}."
             )
         fault = unit_fault(value, slides=moving[name].type == "prismatic")

@@ -244,7 +244,7 @@ def carried(frames: Array, T: Array, place: Numbers) -> Array:
 
 
 def _poses_to_fill(count: int) -> Array:
-    """Return N poses, (N, 4, 4), of which only the last row is filled in."""
+    """Return ``count`` poses to fill in, (N, 4, 4): only their last row, 0 0 0 1, is set."""
     T = np.empty((count, 4, 4))
     T[:, 3] = 0.0, 0.0, 0.0, 1.0
     return T
@@ -290,13 +290,13 @@ def _frames(geometry: Geometry, steps: Array, samples: ChainSamples, block: slic
 
 
 def _slide(frame: Array, value: Array, out: Array) -> None:
-    """Move frames (4, 3, B) along their own z by values (B,) [m], into ``out``."""
+    """Move frames (4, 3, B) along their own z by values (B,) [m], and write them into ``out``."""
     out[:] = frame
     out[3] += frame[2] * value
 
 
 def _turn(frame: Array, sine: Array, cosine: Array, out: Array) -> None:
-    """Turn frames (4, 3, B) about their own z by angles of these sines and cosines (B,), into ``out``."""
+    """Turn frames (4, 3, B) about their own z by angles, given by sine and cosine (B,), and write them into ``out``."""
     x, y = frame[:2]
     np.multiply(x, cosine, out=out[0])
     out[0] += y * sine

@@ -36,7 +36,7 @@ from calib.robot.chain import (
     farthest_link,
 )
 from calib.robot.coupled_readings import ReadingCoupling, checked_coupling, reading_matrix
-from calib.robot.dh.rows import STANDARD, DHRobot, DHRow, DHTable
+from calib.robot.dh_rows import STANDARD, DHRobot, DHRow, DHTable
 from calib.robot.urdf import Urdf, read_urdf, urdf_of_dh
 from calib.robot.urdf_tree import UrdfJoint
 

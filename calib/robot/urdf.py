@@ -21,11 +21,11 @@ from calib.basics.files import check_no_xacro, read_bytes, write_atomically
 from calib.basics.json_files import parsed_json
 from calib.basics.values import Value
 from calib.errors import CalibError, UrdfError, choices, did_you_mean
-from calib.robot.dh.file import ENDINGS, read_dh_robot
-from calib.robot.dh.json_file import robot_of_json
-from calib.robot.dh.rows import DHRobot
-from calib.robot.generated.dh_urdf import REMARK, dh_urdf
-from calib.robot.generated.universal_robots import MODELS, named_ur_urdf, ur_model
+from calib.robot.cylinder_urdf import REMARK, dh_urdf
+from calib.robot.dh_file import ENDINGS, read_dh_robot
+from calib.robot.dh_json import robot_of_json
+from calib.robot.dh_rows import DHRobot
+from calib.robot.ur_models import MODELS, named_ur_urdf, ur_model
 from calib.robot.urdf_tree import UrdfJoint, read_tree
 from calib.robot.urdf_xml import Document
 from calib.robot.xacro_file import XacroCall, flattened, is_xacro
@@ -98,7 +98,7 @@ class Urdf(Value):
 
     @property
     def root(self) -> str:
-        """The link that is no joint's child."""
+        """The link that no joint has as its child."""
         children = {joint.child for joint in self.joints}
         return next(link for link in self.links if link not in children)
 
@@ -400,7 +400,7 @@ def find_urdf(source: str | Path) -> Path | None:
 
 
 def _similar(name: str, known: list[str]) -> str:
-    """Return known names like the one given, as the end of a message that says they may be other robots.
+    """Return " (similar names, ...)", the end of a message about an unknown robot; empty if no known name is similar.
 
     They continue the name given, or it continues them, after a separator; else they differ by few letters.
     """

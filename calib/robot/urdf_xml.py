@@ -74,7 +74,7 @@ class Document:
     data: bytes
     #: Its name, for messages.
     source: str
-    #: As its XML declaration states it, else UTF-8.
+    #: As its XML declaration states it; UTF-8 without one.
     encoding: str
     #: The outermost element.
     root: Element

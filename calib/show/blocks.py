@@ -1,7 +1,7 @@
-"""What a verb shows, as values: a page of sections, and sections of blocks.
+"""The content that a verb shows, as values: a page of sections, and sections of blocks.
 
-A verb says once what its page contains. `calib.show.as_text` draws it for a terminal, `calib.show.page` as HTML to
-print and as an excerpt for notebooks. A section, or a block in it, may be for some of these media only.
+A verb says once what its page contains. `calib.show.as_text` draws it for a terminal, `calib.show.as_html` as HTML to
+print and as an excerpt for notebooks. A section, or a block in it, may be for some media only.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 class Medium(Flag):
-    """Where a page is drawn."""
+    """A medium on which a page is drawn."""
 
     #: Text of 100 columns
     TERMINAL = auto()
@@ -173,7 +173,7 @@ class Section:
 
 
 def report_date() -> str:
-    """Return the date and time of a page, UTC: that of the environment variable ``SOURCE_DATE_EPOCH``, else now."""
+    """Return the date and time of a page, UTC: that of the environment variable ``SOURCE_DATE_EPOCH``, or now."""
     epoch = os.environ.get("SOURCE_DATE_EPOCH", "")
     date = datetime.now(timezone.utc)
     if epoch.isdecimal():
@@ -183,7 +183,7 @@ def report_date() -> str:
 
 @dataclass(frozen=True, slots=True)
 class Page:
-    """What a verb shows of a value."""
+    """A page: the sections that a verb shows of a value, for all media."""
 
     #: What it is, such as ``"Calibration report"``
     document: str

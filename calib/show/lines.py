@@ -82,18 +82,15 @@ def row_ranges(rows: Iterable[int], limit: int = 12) -> str:
             runs[-1][1] = row
         else:
             runs.append([row, row])
-    text = ", ".join(_row_range(first, last) for first, last in runs[:limit])
+    ranges = []
+    for first, last in runs[:limit]:
+        if last <= first + 1:
+            ranges.append(f"{first}, {last}" if last > first else str(first))
+        else:
+            ranges.append(f"{first} to {last}")
+    text = ", ".join(ranges)
     more = sum(last - first + 1 for first, last in runs[limit:])
     return f"{text} and {more} more" if more else text
-
-
-def _row_range(first: int, last: int) -> str:
-    """Consecutive row numbers: ``4``, ``4, 5`` or ``4 to 6``."""
-    if last == first:
-        return str(first)
-    if last == first + 1:
-        return f"{first}, {last}"
-    return f"{first} to {last}"
 
 
 def listed(parts: Sequence[str]) -> str:

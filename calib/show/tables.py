@@ -1,7 +1,7 @@
 """Tables: columns with their type and unit, rows of values; drawn as lines of at most 100 columns here.
 
 A row holds values: texts, counts, and numbers in SI units. A column says how they are written, so that every drawing of
-a table has the same digits. `calib.show.page` draws tables as HTML.
+a table has the same digits. `calib.show.as_html` draws tables as HTML.
 """
 
 from __future__ import annotations
@@ -140,7 +140,7 @@ def format_cells(
 
 
 def _has_value(cell: Cell) -> bool:
-    """Say if a cell is neither empty nor NaN."""
+    """Return True if a cell is neither empty nor NaN."""
     return not math.isnan(cell) if isinstance(cell, float) else bool(cell)
 
 
@@ -185,7 +185,7 @@ def table_lines(columns: Sequence[Column], rows: Iterable[Row]) -> list[str]:
 
 
 def _widths(columns: Sequence[Column], texts: Sequence[Sequence[str]]) -> list[int]:
-    """Find the width of each column; the first one may be narrower than its longest name."""
+    """Return the width of each column in characters; the first one may be narrower than its longest name."""
     longest = [max((len(row[k]) for row in texts), default=0) for k in range(len(columns))]
     widths = [max(column.width, width) for column, width in zip(columns, longest, strict=True)]
     room = WIDTH - sum(column.gap for column in columns[1:])

@@ -41,7 +41,7 @@ def test_numbers_are_kept_as_read_only_copies():
         ({"lens": None}, ("None", "pinhole")),
         ({"lens": "fisheye"}, ("(9,)", "8 numbers", "k4")),
         ({"values": VALUES[:4]}, ("(4,)", "9 numbers", "p1")),
-        ({"values": ["a"] * 9}, ("no numbers",)),
+        ({"values": ["a"] * 9}, ("not numbers",)),
         ({"values": [-1.0, *VALUES[1:]]}, ("fx = -1", "above 0")),
         ({"values": [*VALUES[:8], np.nan]}, ("not finite",)),
         ({"sigma": [1.0] * 8}, ("sigma", "(8,)")),

@@ -144,7 +144,7 @@ _BESIDE = 0.3
 #: Number of neighbours that predict where a marker is.
 _NEIGHBOURS = 4
 
-#: Smallest value of these tolerances [px].
+#: Smallest value of the tolerances above [px].
 _TOLERANCE_PX = 1.5
 
 #: Share of the markers that may disagree on where the board is, and one in any case: an id that was misread. With a
@@ -218,14 +218,14 @@ def place_board(markers: Markers, layout: Array, image_size: tuple[int, int]) ->
 
 
 def _agree_with_map(planar_map: PlanarMap, points: Array, markers: Markers) -> Mask:
-    """Return True for markers whose corners are where a map predicts those of ``points`` (m, 4, 2) [m], shape (m,)."""
+    """Return True for markers whose corners are where a map projects ``points`` (m, 4, 2) [m] to, shape (m,)."""
     predicted = planar_map.project(points.reshape(-1, 2)).reshape(-1, 4, 2)
     distance = np.linalg.norm(markers.corners - predicted, axis=2).max(axis=1)
     return np.asarray(distance <= np.maximum(_TOLERANCE_PX, _FINE * markers.sides))
 
 
 def _agree_with_neighbours(points: Array, markers: Markers, agrees: Mask) -> Mask:
-    """Return the other markers that are where the homography of their nearest neighbours predicts them, shape (m,).
+    """Return True for further markers that the homography of their nearest neighbours predicts, shape (m,).
 
     A lens may bend in a way that no map of the whole board follows.
     """

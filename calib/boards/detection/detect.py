@@ -18,8 +18,7 @@ from calib.basics.arguments import (
 )
 from calib.basics.values import Value
 from calib.boards.board import CHESSBOARD, Board
-from calib.boards.detection.board_search import FEWEST_CORNERS, LAYOUT
-from calib.boards.detection.findings import (
+from calib.boards.detection.board_findings import (
     Finding,
     board_findings,
     is_wrong_description,
@@ -27,6 +26,7 @@ from calib.boards.detection.findings import (
     picture_findings,
     usual_sizes,
 )
+from calib.boards.detection.board_search import FEWEST_CORNERS, LAYOUT
 from calib.boards.detection.picture import (
     OTHER_SIZE,
     ImageFile,
@@ -41,7 +41,7 @@ from calib.errors import CalibError, choices
 
 @dataclass(frozen=True, slots=True)
 class Detection(Value):
-    """What was found in pictures."""
+    """The corners of boards found in pictures, and the mistakes that the pictures show."""
 
     boards: tuple[Board, ...]
     #: In the order in which they were given.

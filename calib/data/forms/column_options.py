@@ -38,7 +38,7 @@ class Brand:
     name: str
     #: Its own spelling, for messages: ``"Stäubli"``.
     title: str
-    #: Names of the arm's axes from base to flange; a table uses one of these series.
+    #: Series of names of the arm's axes from base to flange; a table uses one series.
     axes: tuple[tuple[str, ...], ...]
     #: Names of external axes.
     external: tuple[str, ...]

@@ -33,7 +33,7 @@ def conventions_of(
     Args:
         table: The table.
         named: The columns by calib's names.
-        joint_names: Joints, whose columns are no orientation.
+        joint_names: Joints; a column with a joint's name is not part of an orientation.
         options: What is said of the columns; its convention, if its columns are there, is the only one.
     """
     complete = [c for c in CONVENTIONS.values() if is_complete(c, named, joint_names)]
@@ -59,7 +59,7 @@ def find_orientation(
     Args:
         table: The table.
         named: Its columns by calib's names.
-        joint_names: Joints, whose columns are no orientation.
+        joint_names: Joints; a column with a joint's name is not part of an orientation.
         options: What is said of the columns.
 
     Returns:
@@ -129,7 +129,7 @@ def is_complete(convention: Convention, named: Named, joint_names: Collection[st
     Args:
         convention: The convention.
         named: The columns by calib's names.
-        joint_names: Joints, whose columns are no orientation.
+        joint_names: Joints; a column with a joint's name is not part of an orientation.
     """
     for name in convention.columns:
         if name not in named or name in joint_names:

@@ -73,26 +73,24 @@ class SceneWindow:
         """Keep a command, as meshcat's server does."""
         message = command.lower()
         if message["type"] == "set_object":
-            self._identify(message["object"], message["path"])
+            # Identify the object by its path and its geometry by its content; store each geometry once, by its name.
+            lowered, path = message["object"], message["path"]
+            lowered["object"]["uuid"] = f"object of {path}"
+            if "geometries" in lowered:  # one, with its material
+                (geometry,) = lowered["geometries"]
+                (material,) = lowered["materials"]
+                del geometry["uuid"]
+                name = hashlib.sha256(umsgpack.packb(geometry)).hexdigest()[:32]
+                self._scene["geometries"].setdefault(name, {"uuid": name, **geometry})
+                material["uuid"] = f"material of {path}"
+                lowered["geometries"] = [name]
+                lowered["object"] |= {"geometry": name, "material": material["uuid"]}
         self._scene["commands"].append(message)
 
     def scene(self) -> bytes:
         """Return the scene as one message: the geometries by name, and the commands in order."""
         packed: bytes = umsgpack.packb(self._scene)
         return packed
-
-    def _identify(self, lowered: dict[str, Any], path: str) -> None:
-        """Identify an object by its path and its geometry by its content; store each geometry once, by its name."""
-        lowered["object"]["uuid"] = f"object of {path}"
-        if "geometries" in lowered:  # one, with its material
-            (geometry,) = lowered["geometries"]
-            (material,) = lowered["materials"]
-            del geometry["uuid"]
-            name = hashlib.sha256(umsgpack.packb(geometry)).hexdigest()[:32]
-            self._scene["geometries"].setdefault(name, {"uuid": name, **geometry})
-            material["uuid"] = f"material of {path}"
-            lowered["geometries"] = [name]
-            lowered["object"] |= {"geometry": name, "material": material["uuid"]}
 
 
 class Camera(NamedTuple):
@@ -196,12 +194,8 @@ def new_scene(camera: Camera, size: float, floor: float) -> Scene:
     )
     for node, name, value in properties:
         root[node].set_property(name, value)
-    square = _draw_floor(root["/Floor/grid"], size, floor - camera.centre[2])
-    return Scene(window, root, square)
 
-
-def _draw_floor(node: meshcat.Visualizer, size: float, height: float) -> float:
-    """Draw the floor's grid at a height [m]; return the edge of a square [m], which is 1, 2 or 5 times 10^n."""
+    # The floor's grid: the edge of a square is 1, 2 or 5 times 10^n.
     power = 10.0 ** np.floor(np.log10(size / _SQUARES))
     step = max(step for step in (1, 2, 5) if step * power <= size / _SQUARES)
     square = float(power * step)
@@ -209,9 +203,10 @@ def _draw_floor(node: meshcat.Visualizer, size: float, height: float) -> float:
     ends = [[[k, -n, 0.0], [k, n, 0.0]] for k in range(-n, n + 1)]
     along = square * np.array(ends)
     across = along[..., [1, 0, 2]]
-    draw_lines(node, np.concatenate([along, across]), "#9aa7b4", 0.42)
-    node.set_transform(translation([0, 0, height]))
-    return square
+    grid = root["/Floor/grid"]
+    draw_lines(grid, np.concatenate([along, across]), "#9aa7b4", 0.42)
+    grid.set_transform(translation([0, 0, floor - camera.centre[2]]))
+    return Scene(window, root, square)
 
 
 def draw_robot(

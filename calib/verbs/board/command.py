@@ -13,7 +13,7 @@ import typer
 from calib.basics.records import changes
 from calib.boards.board import Board
 from calib.cli.options import Force, Quiet, field_parameters
-from calib.cli.outputs import check_outputs
+from calib.cli.output_files import check_outputs
 from calib.cli.verb import verb
 from calib.errors import CalibError
 
@@ -135,7 +135,7 @@ def _draw(board: Board, files: list[Path], paper: str, *, force: bool) -> list[s
     from calib.basics.files import write_atomically
     from calib.boards.board_design import fitting_sheet
     from calib.boards.board_file import board_toml
-    from calib.boards.page import WRITERS, page_of
+    from calib.boards.board_page import WRITERS, page_of
     from calib.verbs.board.text import drawn_text, page_lines
 
     sheet = fitting_sheet(board, paper)

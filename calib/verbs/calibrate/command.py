@@ -59,7 +59,7 @@ def calibrate(
         arm, measurements = load_with_data(robot, cell, data, table_options)
 
         from calib.result.calibrate import calibrate as calibrate_robot
-        from calib.show.verdict import against, refusal
+        from calib.show.verdict_text import against, refusal
 
         with progress_bar("cross-validation", quiet=quiet, first="fits") as progress:
             result = calibrate_robot(

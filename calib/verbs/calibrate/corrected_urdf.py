@@ -12,7 +12,7 @@ from calib.result.calibration import Calibration
 from calib.robot.ranges import random_joint_values
 from calib.robot.readback import check_written
 from calib.robot.urdf import TARGET_LINK, Urdf
-from calib.show.verdict import against, refusal
+from calib.show.verdict_text import against, refusal
 
 
 def write_urdf(

@@ -28,10 +28,10 @@ from calib.basics.json_files import parsed_json
 from calib.data.inputs import ROBOT, RobotInput
 from calib.errors import CalibError, FileError, VerdictError, choices, did_you_mean
 from calib.result.calibration import Calibration
-from calib.robot.dh.file import TABLES
+from calib.robot.dh_file import TABLES
 from calib.robot.robot import Robot
 from calib.robot.xacro_file import is_xacro
-from calib.show.verdict import against, refusal
+from calib.show.verdict_text import against, refusal
 from calib.verbs.convert.format import (
     YAML,
     CameraOptions as CameraOptions,

@@ -16,7 +16,7 @@ from calib.robot.robot import Robot
 from calib.show.as_text import blocks_text
 from calib.show.blocks import Block, Bullets, Paragraph
 from calib.show.lines import deg, listed, mm
-from calib.show.readings import coupling_sentence, rows_sentence
+from calib.show.robot_sentences import coupling_sentence, rows_sentence
 from calib.show.sizes import with_unit
 from calib.show.tables import Column, Table, name_column
 from calib.show.words import combination_text, joint_unit

@@ -26,7 +26,7 @@ from calib.show.measured_rows import (
     setup_of_rows,
 )
 from calib.show.scene.posed_robot import translation
-from calib.show.verdict import against, reason_text
+from calib.show.verdict_text import against, reason_text
 from calib.verbs.evaluate.evaluation import PLACES, Evaluation, evaluate
 from calib.verbs.view.camera_images import CameraImages, camera_images
 from calib.verbs.view.steps import (

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 import calib.verbs.detect.text as text_module
-from calib.boards.detection import board_search, findings, picture as pictures
-from calib.boards.detection.findings import Finding
+from calib.boards.detection import board_findings as findings, board_search, picture as pictures
+from calib.boards.detection.board_findings import Finding
 from calib.verbs.detect.matching import match
 from calib.verbs.detect.text import detection_text, findings_text, not_used, reason_text
 from tests.boards.board_views import CHARUCO_BOARD

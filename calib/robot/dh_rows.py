@@ -184,8 +184,16 @@ class DHRobot(Value):
             raise ModelError(
                 f"'{self.table.convention}' is not a convention of DH rows; it must be one of {choices(CONVENTIONS)}."
             )
-        for row, fault in _faults(rows, self.table.convention):
-            raise ModelError(f"The DH row of the joint '{row.joint}' {fault}.")
+        names: set[str] = set()
+        for row in rows:
+            fault = row_fault(row, self.table.convention)
+            if row.joint in names:
+                fault = "has a name that another row has, too; rename one"
+            if not row.joint:
+                fault = "has no name"
+            if fault:
+                raise ModelError(f"The DH row of the joint '{row.joint}' {fault}.")
+            names.add(row.joint)
         for joint, factors in self.coupling.items():
             coupled = coupling_fault(joint, factors, self.joint_names)
             if coupled:
@@ -278,20 +286,6 @@ def row_fault(row: DHRow, convention: str) -> str | None:
         lower, upper = (f"{limit / to_si:g} {unit}" for limit in limits)
         return f"has the limits {lower} to {upper}; lower must be less than upper"
     return None
-
-
-def _faults(rows: Iterable[DHRow], convention: str) -> Iterable[tuple[DHRow, str]]:
-    """Yield rows with what is wrong with their names and numbers."""
-    seen = set()
-    for row in rows:
-        if not row.joint:
-            yield row, "has no name"
-        if row.joint in seen:
-            yield row, "has a name that another row has, too; rename one"
-        seen.add(row.joint)
-        fault = row_fault(row, convention)
-        if fault:
-            yield row, fault
 
 
 def dh_frames(table: DHTable) -> list[Array]:

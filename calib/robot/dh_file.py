@@ -17,9 +17,9 @@ from calib.basics.arrays import Array, read_only
 from calib.basics.json_files import read_json
 from calib.basics.tables import Table, read_text
 from calib.errors import MeasurementError, ModelError, choices
-from calib.robot.dh.columns import POSE, DHColumns, dh_columns, is_dh_table, value_added
-from calib.robot.dh.json_file import SCHEMA, robot_of_json
-from calib.robot.dh.rows import BASE, TIP, DHRobot, DHRow, DHTable, coupling_fault, row_fault
+from calib.robot.dh_columns import POSE, DHColumns, dh_columns, is_dh_table, value_added
+from calib.robot.dh_json import SCHEMA, robot_of_json
+from calib.robot.dh_rows import BASE, TIP, DHRobot, DHRow, DHTable, coupling_fault, row_fault
 
 TABLES = (".csv", ".txt", ".tsv")
 """Endings of tables; a table given as a robot holds DH rows."""
@@ -27,7 +27,7 @@ TABLES = (".csv", ".txt", ".tsv")
 ENDINGS = (*TABLES, ".json")
 """Endings of files of DH rows."""
 
-#: Tables of a file that calib wrote; the first of these that the file has is read.
+#: Tables of a file that calib wrote; the first of the two that the file has is read.
 _READ = ("after", "robot")
 
 #: Its other tables.
@@ -118,7 +118,7 @@ def is_other_table(path: str | Path) -> bool:
     return Path(path).suffix.lower() in TABLES and not is_dh_table(Table.read(path))
 
 
-def _lines(columns: DHColumns) -> list[int]:
+def _lines_to_read(columns: DHColumns) -> list[int]:
     """Return the lines, from 0, of the table that is read: ``after`` or ``robot``, or all if there is only one."""
     count = range(len(columns.table.cells))
     if "table" not in columns.by_name:
@@ -141,7 +141,7 @@ def _table_and_coupling(columns: DHColumns) -> tuple[DHTable, dict[str, dict[str
     naming = _naming(columns)
     poses: dict[str, Array] = {}
     joint_lines = []
-    for i in _lines(columns):
+    for i in _lines_to_read(columns):
         place = columns.text(i, naming).lower()
         if place in poses:
             raise columns.error(i, naming, f"a second line '{place}'. Keep one.")

@@ -47,7 +47,7 @@ def notebook_html(page: Page) -> str:
 
 
 def _draw(page: Page, medium: Medium) -> str:
-    """Fill in the template."""
+    """Fill in the template ``page.html.j2`` with the sections of a page that a medium draws, as HTML text."""
     import jinja2
     from markupsafe import Markup
 
@@ -96,7 +96,7 @@ def _cells(table: Table) -> dict[str, Any]:
 
 
 def _has_long_word(text: str) -> bool:
-    """Say if a cell holds a word that must be broken to fit its column."""
+    """Return True if a cell's text holds a word that must be broken to fit its column."""
     return any(len(word) > _LONGEST_WORD for word in text.split())
 
 
@@ -118,5 +118,5 @@ def _jpeg(picture: GalleryPicture) -> str:
 
 
 def _data_address(media_type: str, data: bytes) -> str:
-    """Return the address of a picture that stands in the page itself."""
+    """Return a picture as a data address, ``data:image/...;base64,...``, so that it stands in the page itself."""
     return f"data:image/{media_type};base64,{base64.b64encode(data).decode('ascii')}"

@@ -243,20 +243,41 @@ def reason_text(reason: Reason) -> str:
     values = reason.values
     words = {**values, **_words(values)}
     text = _Units().vformat(SENTENCES[reason.why], (), words)
-    alternatives = [_alternative(reason, other) for other in values.get("others", ())]
-    return " ".join([text, *alternatives])
+    sentences = [text]
+    # Other mistakes that explain the rows as well.
+    for other in values.get("others", ()):
+        sentence = SENTENCES[Why[str(other["code"]).upper()]].removeprefix(_OFF)
+        alternative = _Units().vformat(sentence, (), {"given_m": values["given_m"], **other})
+        sentences.append(f"Or else ({mm(other['error_m'], 1)} mm): {alternative}")
+    return " ".join(sentences)
 
 
 def _words(values: Mapping[str, Any]) -> dict[str, str]:
-    """Words that the sentences take besides the values of a reason."""
+    """Return by name the words that the sentences of `SENTENCES` take besides the values of a reason (SI units)."""
     before = sizes_of(values, "before")
     after = sizes_of(values, "after")
+    # The unit of a single size stands once: from 2.350 to 0.208 mm rms.
+    start = before[0].split()[0] if len(before) == 1 else listed(before)
+
+    measured = []
+    for count, noun in (("poses", "poses"), ("pairs", "pairs of poses")):
+        if values.get(count):
+            measured.append(f"{values[count]} {noun}")
+
+    if "image" in values:
+        images = values["images"]
+        rows_lie = f"{plural(images, 'validation image')} {'lies' if images == 1 else 'lie'}"
+    elif values.get("rows") == 1:
+        rows_lie = "1 validation row lies"
+    else:  # of other reasons the rows may be a list, and this is not used
+        rows_lie = f"{values.get('rows', 0)} validation rows lie"
+
     p, falls = values.get("p", 1.0), values.get("falls", 0.0)
     words = {
         "before": f"{listed(before)} rms",
         "after": f"{listed(after)} rms",
-        "change": _change(before, after),
-        "measured": _measured(values),
+        "change": f"from {start} to {listed(after)} rms",
+        "measured": " and ".join(measured),
         "of_images": ", six of an image," if values.get("images") else "",
         "beyond": "".join(sizes_of(values, "by", ".3g")),
         "explained": _percent(values.get("share", 0.0)),
@@ -269,7 +290,7 @@ def _words(values: Mapping[str, Any]) -> dict[str, str]:
         "named": "",
         "of_station": "",
         "ranges": _ranges(values),
-        "rows_lie": _rows_lie(values),
+        "rows_lie": rows_lie,
         "place": f"'{values['image']}'" if "image" in values else f"row {values.get('row', 0)}",
         "better": "",
         "before_off": absurd_size(values, "before"),
@@ -300,24 +321,6 @@ def _words(values: Mapping[str, Any]) -> dict[str, str]:
     return words
 
 
-def _change(before: Sequence[str], after: Sequence[str]) -> str:
-    """Word a change of errors; the unit of a single one stands once: ``from 2.350 to 0.208 mm rms``."""
-    start = listed(before)
-    if len(before) == 1:
-        start = before[0].split()[0]
-    return f"from {start} to {listed(after)} rms"
-
-
-def _measured(values: Mapping[str, Any]) -> str:
-    """Count poses and pairs of poses."""
-    counts = []
-    if values.get("poses"):
-        counts.append(f"{values['poses']} poses")
-    if values.get("pairs"):
-        counts.append(f"{values['pairs']} pairs of poses")
-    return " and ".join(counts)
-
-
 def _percent(share: float) -> str:
     """Format a share as a number of percent: whole, or with one significant digit below 1 %, of 0.01 % at least."""
     percent = 100.0 * share
@@ -346,14 +349,6 @@ def _sole_postures(rows: Sequence[int], joints: Sequence[str]) -> dict[str, str]
     }
 
 
-def _alternative(reason: Reason, other: Mapping[str, Any]) -> str:
-    """Word another mistake that explains the rows as well as the one that a reason names."""
-    values = {"given_m": reason.values["given_m"], **other}
-    sentence = SENTENCES[Why[str(other["code"]).upper()]].removeprefix(_OFF)
-    text = _Units().vformat(sentence, (), values)
-    return f"Or else ({mm(other['error_m'], 1)} mm): {text}"
-
-
 def _ranges(values: Mapping[str, Any]) -> str:
     """List the joints that moved in a part of their range, with that part; empty for other reasons."""
     if isinstance(values.get("joints"), str) or "shares" not in values:
@@ -365,15 +360,6 @@ def _ranges(values: Mapping[str, Any]) -> str:
         limits = f"{factor * low:.0f} to {factor * high:.0f} {unit}"
         parts.append(f"'{joint}' from {limits} ({100.0 * share:.0f} %)")
     return ", ".join(parts)
-
-
-def _rows_lie(values: Mapping[str, Any]) -> str:
-    """Word how many validation rows, or images, lie somewhere; rows of other reasons may be a list."""
-    if "image" in values:
-        images = values["images"]
-        return f"{plural(images, 'validation image')} {'lies' if images == 1 else 'lie'}"
-    rows = values.get("rows", 0)
-    return "1 validation row lies" if rows == 1 else f"{rows} validation rows lie"
 
 
 def against(verdict: Verdict | None) -> str:

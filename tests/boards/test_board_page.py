@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from calib.boards.board_design import design
+from calib.boards.board_page import TEXT_SIZE, page_of, pdf, svg
 from calib.boards.drawing import black_rectangles
-from calib.boards.page import TEXT_SIZE, page_of, pdf, svg
 from calib.boards.paper import PAPERS, sheet_for
 
 #: Widest letters of Helvetica are nearly a font size wide; on average they are not wider than this.

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 from calib.basics.tables import Column, Table
 from calib.basics.units import ANGLE, LENGTH, NUMBER, PLAIN, parse_quantity, split_header
 from calib.errors import CalibError, MeasurementError, choices, did_you_mean
-from calib.robot.dh.rows import CONVENTIONS, HAYATI, MODIFIED, STANDARD
+from calib.robot.dh_rows import CONVENTIONS, HAYATI, MODIFIED, STANDARD
 
 POSE = ("x", "y", "z", "roll", "pitch", "yaw")
 """Columns of a constant pose, R = Rz(yaw) Ry(pitch) Rx(roll)."""
@@ -195,7 +195,7 @@ def dh_columns(table: Table, stated: str | None) -> DHColumns:
             f"headings found: {choices(table.header, 30)}."
         )
     columns = DHColumns(table, by_name, STANDARD)
-    return replace(columns, convention=_convention(columns, of_row_before, stated))
+    return replace(columns, convention=_find_convention(columns, of_row_before, stated))
 
 
 def _name_of(heading: str) -> tuple[str, bool]:
@@ -236,7 +236,7 @@ def _check_column(table: Table, column: Column, others: Sequence[Column]) -> Non
             )
 
 
-def _convention(columns: DHColumns, of_row_before: set[str], stated: str | None) -> str:
+def _find_convention(columns: DHColumns, of_row_before: set[str], stated: str | None) -> str:
     """Return the convention that headings, the column ``convention`` and a comment state; standard if none does."""
     table = columns.table
     by_headings = None
@@ -260,12 +260,12 @@ def _convention(columns: DHColumns, of_row_before: set[str], stated: str | None)
     for i in range(len(table.cells)):
         word = columns.text(i, "convention")
         if word and word.lower() not in _CONVENTIONS:
-            raise columns.error(i, "convention", _no_convention(word))
+            raise columns.error(i, "convention", _unknown_convention(word))
         words.add(word)
     words.discard("")
     if stated:
         if stated.lower() not in _CONVENTIONS:
-            raise MeasurementError(f"{table.source}: {_no_convention(stated)}")
+            raise MeasurementError(f"{table.source}: {_unknown_convention(stated)}")
         words.add(stated)
 
     conventions = {by_headings} if by_headings else set()
@@ -278,7 +278,7 @@ def _convention(columns: DHColumns, of_row_before: set[str], stated: str | None)
     return conventions.pop() if conventions else STANDARD
 
 
-def _no_convention(word: str) -> str:
+def _unknown_convention(word: str) -> str:
     """Return the fault of a word that is not a convention."""
     return f"'{word}' is not a convention of DH rows; it must be one of {choices(CONVENTIONS)}."
 

@@ -13,7 +13,7 @@ import numpy as np
 from calib.basics.arrays import read_only
 from calib.basics.json_files import damage
 from calib.errors import CalibError, ModelError
-from calib.robot.dh.rows import BASE, EQUATIONS, TIP, DHRobot, DHRow, DHTable
+from calib.robot.dh_rows import BASE, EQUATIONS, TIP, DHRobot, DHRow, DHTable
 
 SCHEMA = "dh 1"
 """The schema of the file."""
@@ -103,7 +103,8 @@ def robot_of_json(table: Mapping[str, Any], source: str) -> DHRobot:
     """
     try:
         rows = tuple(
-            _row(*pair) for pair in zip(table["joints"], table["after"]["rows"], strict=True)
+            _row_of_json(*pair)
+            for pair in zip(table["joints"], table["after"]["rows"], strict=True)
         )
         poses = [np.reshape(table["after"][key], (4, 4)) for key in ("T_base_0", "T_n_tip")]
         dh = DHTable(rows, read_only(poses[0]), read_only(poses[1]), table["convention"])
@@ -120,7 +121,7 @@ def robot_of_json(table: Mapping[str, Any], source: str) -> DHRobot:
         ) from error
 
 
-def _row(joint: Mapping[str, Any], numbers: Mapping[str, Any]) -> DHRow:
+def _row_of_json(joint: Mapping[str, Any], numbers: Mapping[str, Any]) -> DHRow:
     """Return a row from its entries in ``joints``, see `joint_json`, and in ``rows``, see `_table_json`."""
     unit = "m" if joint["type"] == "prismatic" else "rad"
     if joint["driver"] != joint["joint"] or abs(joint["factor"]) != 1.0:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from calib.example import dh_rows
 from calib.robot.robot import Robot
-from calib.show.readings import coupling_sentence, rows_sentence
+from calib.show.robot_sentences import coupling_sentence, rows_sentence
 
 
 def test_every_coupling_is_named(ur3: Robot):

@@ -15,8 +15,7 @@ import pinocchio as pin
 from calib.basics.arrays import Array, read_only
 from calib.basics.values import Value
 from calib.errors import ModelError, choices
-from calib.robot.dh.rows import screw
-from calib.robot.generated.cylinder_urdf import (
+from calib.robot.cylinder_urdf import (
     Cylinder,
     NewJoint,
     joint_body,
@@ -24,6 +23,7 @@ from calib.robot.generated.cylinder_urdf import (
     rods,
     urdf_bytes,
 )
+from calib.robot.dh_rows import screw
 
 COLUMNS = ("theta", "a", "d", "alpha")
 """The columns of the rows."""

@@ -9,8 +9,8 @@ import pytest
 
 from calib.errors import CalibError, FileError, MeasurementError, ModelError
 from calib.example import paper_measurements
-from calib.robot.dh.file import is_other_table, read_dh_robot
-from calib.robot.dh.rows import DHRow
+from calib.robot.dh_file import is_other_table, read_dh_robot
+from calib.robot.dh_rows import DHRow
 
 HEADER = (
     "joint,theta [deg],d [mm],a [mm],alpha [deg],direction,offset [deg],lower [deg],upper [deg]"

@@ -7,7 +7,7 @@ import pytest
 
 from calib.basics.tables import Table
 from calib.errors import MeasurementError
-from calib.robot.dh.columns import dh_columns, is_dh_table, value_added
+from calib.robot.dh_columns import dh_columns, is_dh_table, value_added
 
 
 def table_of(tmp_path, *lines):

@@ -12,7 +12,7 @@ import pytest
 
 from calib.boards.board import Board, marker_outlines
 from calib.boards.corners.markers import Markers
-from calib.boards.detection.findings import (
+from calib.boards.detection.board_findings import (
     Finding,
     board_findings,
     explanation,

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from calib.errors import ModelError
-from calib.robot.dh.json_file import robot_json, robot_of_json
-from calib.robot.dh.rows import DHRobot, DHRow, DHTable
+from calib.robot.dh_json import robot_json, robot_of_json
+from calib.robot.dh_rows import DHRobot, DHRow, DHTable
 
 ROWS = (
     DHRow("j1", False, 0.1, 0.2, 0.3, 0.4, 0.05, -1, 0.5, -1.0, 2.0),

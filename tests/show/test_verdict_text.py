@@ -7,7 +7,7 @@ from string import Formatter
 import pytest
 
 from calib.diagnosis.reasons import CARE, NO, USE, Reason, Verdict, Why
-from calib.show.verdict import SENTENCES, against, reason_text, refusal
+from calib.show.verdict_text import SENTENCES, against, reason_text, refusal
 
 
 @pytest.mark.parametrize("why", Why)

@@ -9,7 +9,7 @@ import pytest
 import yourdfpy
 
 from calib.errors import ModelError
-from calib.robot.generated.universal_robots import (
+from calib.robot.ur_models import (
     MODELS,
     chain_of_rows,
     named_ur_urdf,

@@ -9,7 +9,7 @@ import pinocchio as pin
 import pytest
 
 from calib.errors import ModelError
-from calib.robot.dh.rows import NEARLY_PARALLEL_RAD, DHRobot, DHRow, DHTable, dh_frames, screw
+from calib.robot.dh_rows import NEARLY_PARALLEL_RAD, DHRobot, DHRow, DHTable, dh_frames, screw
 
 
 def _table(convention: str, *rows: DHRow) -> DHTable:

@@ -9,7 +9,7 @@ from calib.basics.channels import channels_of
 from calib.data.kinds import get
 from calib.numerics.errors import Errors
 from calib.show.as_text import blocks_text
-from calib.show.errors import (
+from calib.show.error_tables import (
     ERROR_COLUMNS,
     ErrorColumn,
     ErrorRow,

@@ -16,8 +16,11 @@ def coupling_sentence(robot: Robot) -> str:
     """
     joints = []
     for name, factors in robot.reading_coupling.items():
-        terms = "".join(_term(factor, other) for other, factor in factors.items())
-        joints.append(f"'{name}' is at its reading{terms}")
+        words = f"'{name}' is at its reading"
+        for other, factor in factors.items():
+            times = "" if abs(factor) == 1.0 else f"{abs(factor):.6g} times "
+            words += f" {'plus' if factor > 0.0 else 'minus'} {times}that of '{other}'"
+        joints.append(words)
     return f"Coupled readings: {'; '.join(joints)}." if joints else ""
 
 
@@ -28,18 +31,10 @@ def rows_sentence(robot: Robot) -> str:
         Such as ``"Made from DH rows, standard convention: A_i = ..."``, without a full stop.
     """
     # Late: the command line loads nothing heavy at its start.
-    from calib.robot.dh.rows import EQUATIONS
+    from calib.robot.dh_rows import EQUATIONS
 
     rows = robot.urdf.dh
     if rows is None:
         return ""
     convention = rows.table.convention
     return f"Made from DH rows, {convention} convention: {EQUATIONS[convention]}"
-
-
-def _term(factor: float, name: str) -> str:
-    """Word what one joint's reading adds to another's."""
-    sign = "plus" if factor > 0.0 else "minus"
-    if abs(factor) == 1.0:
-        return f" {sign} that of '{name}'"
-    return f" {sign} {abs(factor):.6g} times that of '{name}'"
