@@ -103,8 +103,27 @@ def design(
 
     default_columns, default_rows = _COUNTS[pattern]
     if square is None:
-        counts = (columns or default_columns, rows or default_rows)
-        return _with_largest_squares(make, counts, marker, paper)
+        # The largest squares of whole millimetres that fit.
+        columns, rows = columns or default_columns, rows or default_rows
+        if paper == NO_PAPER:
+            return make(columns, rows, _SQUARE / 1e3)
+        longest = max(orientations(paper)[0])
+        for millimetres in range(
+            int(1e3 * longest / max(columns, rows)) + 1, _SMALLEST_SQUARE - 1, -1
+        ):
+            if marker is not None and millimetres / 1e3 <= marker:
+                break
+            board = make(columns, rows, millimetres / 1e3)
+            if sheet_for(board, paper) is not None:
+                return board
+        least = f"{_SMALLEST_SQUARE} mm"
+        if marker is not None:
+            least = f"more than the marker's {1e3 * marker:g} mm"
+        raise CalibError(
+            f"{columns} columns and {rows} rows of squares of {least} do not fit on {paper}; ask for fewer, or take a "
+            "larger paper."
+        )
+
     if paper != NO_PAPER and (columns is None or rows is None):
         columns, rows = _most_squares(make, (columns, rows), square, paper)
     board = make(columns or default_columns, rows or default_rows, square)
@@ -171,29 +190,6 @@ def _largest_marker(square: float, dictionary: str) -> float:
     if largest_mm < _FINE:
         return math.floor(10.0 * largest_mm + 1e-6) / 10.0 / 1e3
     return math.floor(largest_mm + 1e-6) / 1e3
-
-
-def _with_largest_squares(
-    make: _Make, counts: tuple[int, int], marker: float | None, paper: str
-) -> Board:
-    """Return the board with ``counts`` columns and rows and the largest squares, in whole millimetres, that fit."""
-    columns, rows = counts
-    if paper == NO_PAPER:
-        return make(columns, rows, _SQUARE / 1e3)
-    longest = max(orientations(paper)[0])
-    for millimetres in range(int(1e3 * longest / max(counts)) + 1, _SMALLEST_SQUARE - 1, -1):
-        if marker is not None and millimetres / 1e3 <= marker:
-            break
-        board = make(columns, rows, millimetres / 1e3)
-        if sheet_for(board, paper) is not None:
-            return board
-    least = f"{_SMALLEST_SQUARE} mm"
-    if marker is not None:
-        least = f"more than the marker's {1e3 * marker:g} mm"
-    raise CalibError(
-        f"{columns} columns and {rows} rows of squares of {least} do not fit on {paper}; ask for fewer, or take a "
-        "larger paper."
-    )
 
 
 def _most_squares(

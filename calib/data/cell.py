@@ -113,16 +113,6 @@ AUTO = "auto"
 REPEATS = ("weighted", "average", "independent")
 
 
-def _with_mass(payload: Payload | None, mass: float) -> Payload:
-    """Return the payload of a cell file with another mass, or one whose centre of mass is the tip."""
-    return Payload(mass) if payload is None else replace(payload, mass=mass)
-
-
-def _place_tracker(tracker: Tracker | None, position: Array) -> Tracker:
-    """Return the tracker of a cell file at another position, or a usual one there."""
-    return Tracker(position) if tracker is None else replace(tracker, position=position)
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Cell(Value):
     """The measurement setup of a calibration: frames, targets, instrument, priors and surroundings.
@@ -369,7 +359,7 @@ class Cell(Value):
             help='Mass that the tip carries, such as "5 kg", for compliances. Its centre of mass is given in the cell '
             "file.",
             parse=lambda typed, flag: parse_amount(typed, flag, MASS, "5 kg"),
-            merge=_with_mass,
+            merge=lambda payload, mass: replace(payload or Payload(mass), mass=mass),
         ),
     )
     #: shape (3,), acceleration of gravity in the URDF's root frame [m/s^2].
@@ -426,7 +416,9 @@ class Cell(Value):
             metavar='"X Y Z UNIT"',
             help='Position of the tracker in the base frame, such as "2500 0 500 mm".',
             parse=lambda typed, flag: parse_point(typed, flag, "2500 0 500 mm"),
-            merge=_place_tracker,
+            merge=lambda tracker, position: replace(
+                tracker or Tracker(position), position=position
+            ),
         ),
     )
     #: Direction and opening of the reflector; None: it is turned by hand, and seen from everywhere.

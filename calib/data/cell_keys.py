@@ -29,7 +29,6 @@ from calib.basics.value_forms import (
     three_numbers,
 )
 from calib.basics.values import ReadOnlyMapping
-from calib.boards.board import Board
 from calib.boards.board_file import board_of_table, read_board
 from calib.camera.camera import Camera
 from calib.camera.camera_file import camera_of_table, read_camera
@@ -47,14 +46,8 @@ _Described = TypeVar("_Described")
 # Poses and noise
 
 
-def _rpy_matrix(rpy: Array) -> Array:
-    """Return Rz(yaw) Ry(pitch) Rx(roll), shape (3, 3), of roll, pitch, yaw [deg]."""
-    matrix: Array = Rotation.from_euler("xyz", np.radians(rpy)).as_matrix()
-    return matrix
-
-
 #: Roll, pitch, yaw about fixed axes, as a rotation matrix (3, 3).
-RPY_DEG = three_numbers("deg", _rpy_matrix)
+RPY_DEG = three_numbers("deg", lambda rpy: Rotation.from_euler("xyz", np.radians(rpy)).as_matrix())
 
 
 def pose_keys(prefix: str, what: str, *, needed: bool = False) -> Sequence[Key]:
@@ -172,11 +165,6 @@ def _read_bounds(value: Any, place: Place) -> tuple[float, ...]:  # noqa: ANN401
     return -largest, largest
 
 
-def _read_tie(value: Any, _place: Place) -> Any:  # noqa: ANN401
-    """Read what a parameter is tied to: another one's name, or its name and a factor."""
-    return (value, 1.0) if isinstance(value, str) else value
-
-
 #: The change of a parameter from its nominal value.
 CHANGE = Form('a change with its unit, "0.5 mm"', _read_change)
 
@@ -184,7 +172,10 @@ CHANGE = Form('a change with its unit, "0.5 mm"', _read_change)
 BOUNDS = Form('one change for both directions, or two: ["-0.02 deg", "1 mrad"]', _read_bounds)
 
 #: Another parameter and a factor.
-TIE = Form('another parameter, or a parameter and a factor: ["a2", -1.0]', _read_tie)
+TIE = Form(
+    'another parameter, or a parameter and a factor: ["a2", -1.0]',
+    lambda value, _place: (value, 1.0) if isinstance(value, str) else value,
+)
 
 
 # Cameras and boards
@@ -248,11 +239,6 @@ def _parse_cameras(typed: Iterable[str], flag: str) -> dict[str, Camera]:
     return result
 
 
-def _parse_boards(typed: Iterable[str], flag: str) -> dict[str, Board]:
-    """Return the boards of ``[NAME=]FILE``, by name."""
-    return {name: read_board(path) for name, path in _named_files(typed, flag).items()}
-
-
 def _named_files(typed: Iterable[str], flag: str) -> dict[str, str]:
     """Return what follows the names in ``NAME=FILE``, by name, ``""`` without one; CalibError for a name twice."""
     result: dict[str, str] = {}
@@ -292,7 +278,9 @@ def board_keys() -> Sequence[Key]:
         type=list[str],
         help="Description of the printed board, as 'calib board' writes it, with the accuracy of its print. With "
         "NAME=, the board of that target.",
-        parse=_parse_boards,
+        parse=lambda typed, flag: {
+            name: read_board(path) for name, path in _named_files(typed, flag).items()
+        },
         merge=add_entries,
     )
     meanings = ("The printed board.", "Several boards, by target (column `target`).")

@@ -11,7 +11,7 @@ in the columns ``direction``, ``offset`` and ``coupling``, or, as calib writes i
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 from calib.basics.tables import Column, Table
@@ -176,6 +176,7 @@ def dh_columns(table: Table, stated: str | None) -> DHColumns:
         MeasurementError: A column is missing, unknown or there twice, its unit is wrong, or the convention is not one.
     """
     by_name: dict[str, tuple[Column, ...]] = {}
+    known = (*_LENGTHS, *_ANGLES, *_EITHER, *_WORDS)
     of_row_before = set()  # names of columns whose headings have the index i - 1
     for index, label in enumerate(table.header):
         heading, symbol = split_header(label)
@@ -183,8 +184,32 @@ def dh_columns(table: Table, stated: str | None) -> DHColumns:
         if not name or name in _REMARKS:
             continue
         column = Column(index, label, name, symbol)
+        place = f"{table.source}, column '{label}'"
+        if name not in known:
+            raise MeasurementError(
+                f"{place}: no column of DH rows has this name{did_you_mean(name, known)}; they are "
+                f"{choices((*known, *_REMARKS), 40)}. Rename it, or call it 'remark'."
+            )
+
+        # Its unit is that of lengths, of angles, or, of some columns, of either.
+        usual_units = {}  # by quantity
+        if name in _ANGLES or name in _EITHER:
+            usual_units["angle"] = "[deg]"
+        if name in _LENGTHS or name in _EITHER:
+            usual_units["length"] = "[mm]"
+        unit = column.unit
+        if symbol is not None and (unit is None or unit.quantity not in usual_units):
+            wanted = " or ".join(usual_units.values()) or "no unit"
+            raise MeasurementError(f"{place}: '{symbol}' is not a unit for it; {wanted} is wanted.")
+
+        # No column is there twice, except those of either quantity in two units.
         others = by_name.get(name, ())
-        _check_column(table, column, others)
+        for other in others:
+            has_two_units = other.unit is not None and unit is not None and other.unit is not unit
+            if name not in _EITHER or not has_two_units:
+                raise MeasurementError(
+                    f"{place}: there is another column '{other.label}'; keep one of them."
+                )
         by_name[name] = (*others, column)
         if is_of_row_before:
             of_row_before.add(name)
@@ -205,35 +230,6 @@ def _name_of(heading: str) -> tuple[str, bool]:
     text = is_before[1] if is_before else _INDEX.sub("", text)
     text = text.casefold().strip(" _")
     return _SPELLINGS.get(text, text), is_before is not None
-
-
-def _check_column(table: Table, column: Column, others: Sequence[Column]) -> None:
-    """Refuse a column that is unknown or has a wrong unit, or is there twice, except `_EITHER` in two units."""
-    name = column.name
-    known = (*_LENGTHS, *_ANGLES, *_EITHER, *_WORDS)
-    place = f"{table.source}, column '{column.label}'"
-    if name not in known:
-        raise MeasurementError(
-            f"{place}: no column of DH rows has this name{did_you_mean(name, known)}; they are "
-            f"{choices((*known, *_REMARKS), 40)}. Rename it, or call it 'remark'."
-        )
-    usual_units = {}  # by quantity
-    if name in _ANGLES or name in _EITHER:
-        usual_units["angle"] = "[deg]"
-    if name in _LENGTHS or name in _EITHER:
-        usual_units["length"] = "[mm]"
-    unit = column.unit
-    if column.symbol is not None and (unit is None or unit.quantity not in usual_units):
-        wanted = " or ".join(usual_units.values()) or "no unit"
-        raise MeasurementError(
-            f"{place}: '{column.symbol}' is not a unit for it; {wanted} is wanted."
-        )
-    for other in others:
-        has_two_units = other.unit is not None and unit is not None and other.unit is not unit
-        if name not in _EITHER or not has_two_units:
-            raise MeasurementError(
-                f"{place}: there is another column '{other.label}'; keep one of them."
-            )
 
 
 def _find_convention(columns: DHColumns, of_row_before: set[str], stated: str | None) -> str:

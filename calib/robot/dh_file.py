@@ -204,11 +204,24 @@ def _row(
     columns: DHColumns, i: int, name: str, names: Sequence[str]
 ) -> tuple[DHRow, dict[str, float]]:
     """Return the row of line i, from 0, for the joint of this name, and the factors of other joints' readings in it."""
-    slides = _slides(columns, i)
+    word = columns.text(i, "type").lower()
+    if word not in _TYPES:
+        what = f"'{word}' is not a type of joint; it must be 'revolute' or 'prismatic'."
+        raise columns.error(i, "type", what)
+    added_to = columns.text(i, "added to").lower()
+    if added_to not in ("", "theta", "d"):
+        what = f"'{added_to}' is nothing that a value is added to; it must be 'theta' or 'd'."
+        raise columns.error(i, "added to", what)
+    if word and added_to and _TYPES[word] != (added_to == "d"):
+        what = f"'{added_to}' does not fit the type '{word}'. Correct one of them."
+        raise columns.error(i, "added to", what)
+    slides = _TYPES[word] or added_to == "d"
+
     for column in POSE:
         if columns.text(i, column):
             what = "only the lines 'base' and 'tool' have a pose. Leave the cell empty."
             raise columns.error(i, column, what)
+
     direction, offset, coupling = value_added(columns, i, name, slides=slides)
     numbers = {field: columns.number(i, field) or 0.0 for field in _NUMBERS}
     row = DHRow(
@@ -229,19 +242,3 @@ def _row(
         column = "coupling" if "coupling" in columns.by_name else "value added"
         raise columns.error(i, column, f"the coupling of '{name}' {fault}.")
     return row, coupling
-
-
-def _slides(columns: DHColumns, i: int) -> bool:
-    """Return True if the joint of a line slides, by the columns ``type`` and ``added to``."""
-    word = columns.text(i, "type").lower()
-    if word not in _TYPES:
-        what = f"'{word}' is not a type of joint; it must be 'revolute' or 'prismatic'."
-        raise columns.error(i, "type", what)
-    added_to = columns.text(i, "added to").lower()
-    if added_to not in ("", "theta", "d"):
-        what = f"'{added_to}' is nothing that a value is added to; it must be 'theta' or 'd'."
-        raise columns.error(i, "added to", what)
-    if word and added_to and _TYPES[word] != (added_to == "d"):
-        what = f"'{added_to}' does not fit the type '{word}'. Correct one of them."
-        raise columns.error(i, "added to", what)
-    return _TYPES[word] or added_to == "d"

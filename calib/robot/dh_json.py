@@ -44,14 +44,25 @@ def file_content(
         tables: ``before``, ``after`` and ``change``, or ``after`` alone.
     """
     convention = tables["after"].convention
-    rows = {name: _table_json(tables[name]) if name in tables else None for name in _STATES}
+    by_state: dict[str, dict[str, Any] | None] = dict.fromkeys(_STATES)
+    for state, table in tables.items():
+        rows = []
+        for row in table.rows:
+            numbers = {f"{name}_{unit}": getattr(row, name) for name, unit in NUMBERS.items()}
+            added_to = "d" if row.prismatic else "theta"
+            rows.append({"joint": row.joint, "added_to": added_to, **numbers})
+        by_state[state] = {
+            "T_base_0": table.T_base_0.tolist(),
+            "rows": rows,
+            "T_n_tip": table.T_n_tip.tolist(),
+        }
     return {
         "schema": SCHEMA,
         "convention": convention,
         "equation": equation(convention),
         "robot": dict(robot),
         "joints": joints,
-        **rows,
+        **by_state,
     }
 
 
@@ -122,7 +133,7 @@ def robot_of_json(table: Mapping[str, Any], source: str) -> DHRobot:
 
 
 def _row_of_json(joint: Mapping[str, Any], numbers: Mapping[str, Any]) -> DHRow:
-    """Return a row from its entries in ``joints``, see `joint_json`, and in ``rows``, see `_table_json`."""
+    """Return a row from its entries in ``joints``, see `joint_json`, and in ``rows``, see `file_content`."""
     unit = "m" if joint["type"] == "prismatic" else "rad"
     if joint["driver"] != joint["joint"] or abs(joint["factor"]) != 1.0:
         raise ModelError(
@@ -138,16 +149,3 @@ def _row_of_json(joint: Mapping[str, Any], numbers: Mapping[str, Any]) -> DHRow:
         lower=joint.get(f"lower_{unit}"),
         upper=joint.get(f"upper_{unit}"),
     )
-
-
-def _table_json(table: DHTable) -> dict[str, Any]:
-    """Return the rows of a table and its constant poses, in m and rad."""
-    rows = []
-    for row in table.rows:
-        numbers = {f"{name}_{unit}": getattr(row, name) for name, unit in NUMBERS.items()}
-        rows.append({"joint": row.joint, "added_to": "d" if row.prismatic else "theta", **numbers})
-    return {
-        "T_base_0": table.T_base_0.tolist(),
-        "rows": rows,
-        "T_n_tip": table.T_n_tip.tolist(),
-    }

@@ -279,30 +279,22 @@ def _frames(geometry: Geometry, steps: Array, samples: ChainSamples, block: slic
     moved_joint = np.empty((4, 3, B))
     for i in range(n):
         np.matmul(steps[i].T, moved.reshape(4, -1), out=frames[i + 1].reshape(4, -1))
+        # The joint moves its frame along, or about, its own z.
+        frame = frames[i + 1]
         if geometry.slides[i]:
-            _slide(frames[i + 1], values[i], out=moved_joint)
+            moved_joint[:] = frame
+            moved_joint[3] += frame[2] * values[i]
         else:
-            _turn(frames[i + 1], sines[i], cosines[i], out=moved_joint)
+            x, y = frame[:2]
+            np.multiply(x, cosines[i], out=moved_joint[0])
+            moved_joint[0] += y * sines[i]
+            np.multiply(y, cosines[i], out=moved_joint[1])
+            moved_joint[1] -= x * sines[i]
+            moved_joint[2:] = frame[2:]
         moved = moved_joint
     np.matmul(steps[n].T, moved.reshape(4, -1), out=frames[n + 1].reshape(4, -1))
     frames[n + 2] = carried(frames[n + 1], geometry.targets, samples.target[block])
     return frames
-
-
-def _slide(frame: Array, value: Array, out: Array) -> None:
-    """Move frames (4, 3, B) along their own z by values (B,) [m], and write them into ``out``."""
-    out[:] = frame
-    out[3] += frame[2] * value
-
-
-def _turn(frame: Array, sine: Array, cosine: Array, out: Array) -> None:
-    """Turn frames (4, 3, B) about their own z by angles, given by sine and cosine (B,), and write them into ``out``."""
-    x, y = frame[:2]
-    np.multiply(x, cosine, out=out[0])
-    out[0] += y * sine
-    np.multiply(y, cosine, out=out[1])
-    out[1] -= x * sine
-    out[2:] = frame[2:]
 
 
 T = TypeVar("T")

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from calib.errors import FileError
-from calib.show.blocks import HTML, NOTEBOOK, Drawing, GalleryPicture, Medium, Page
+from calib.show.blocks import HTML, NOTEBOOK, Drawing, Medium, Page
 from calib.show.tables import Table, format_cells
 
 #: A figure with more bytes than this as SVG goes into the page as PNG: browsers scroll slowly over large SVG.
@@ -58,8 +58,12 @@ def _draw(page: Page, medium: Medium) -> str:
         lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
     )
-    environment.tests["long"] = _has_long_word
-    environment.globals |= {"cells_of": _cells, "picture_of": _picture, "jpeg_of": _jpeg}
+    environment.tests["long"] = lambda text: max(map(len, text.split()), default=0) > _LONGEST_WORD
+    environment.globals |= {
+        "cells_of": _table_context,
+        "picture_of": _figure_address,
+        "jpeg_of": lambda picture: _data_address("jpeg", picture.jpeg),
+    }
     sections = [
         (section, [(type(block).__name__, block) for block in blocks])
         for section, blocks in page.drawn_on(medium)
@@ -76,8 +80,8 @@ def _draw(page: Page, medium: Medium) -> str:
     )
 
 
-def _cells(table: Table) -> dict[str, Any]:
-    """Return columns, headings above several columns, texts of the rows, and sentences below a table."""
+def _table_context(table: Table) -> dict[str, Any]:
+    """Return what the template draws of a table: columns, headings above several of them, texts of rows, and a note."""
     columns, rows = format_cells(table.columns, table.rows[: table.most.get(HTML)])
     groups = [
         (label, len(list(below))) for label, below in groupby(column.group for column in columns)
@@ -95,12 +99,7 @@ def _cells(table: Table) -> dict[str, Any]:
     }
 
 
-def _has_long_word(text: str) -> bool:
-    """Return True if a cell's text holds a word that must be broken to fit its column."""
-    return any(len(word) > _LONGEST_WORD for word in text.split())
-
-
-def _picture(drawing: Drawing) -> str:
+def _figure_address(drawing: Drawing) -> str:
     """Draw a figure and return it as a data address: SVG, or PNG if SVG would be large."""
     from calib.show.plotting import render
 
@@ -110,11 +109,6 @@ def _picture(drawing: Drawing) -> str:
         media_type = "png"
         data = render(drawing, "png")
     return _data_address(media_type, data)
-
-
-def _jpeg(picture: GalleryPicture) -> str:
-    """Return a small picture as a data address."""
-    return _data_address("jpeg", picture.jpeg)
 
 
 def _data_address(media_type: str, data: bytes) -> str:

@@ -166,7 +166,19 @@ def table_lines(columns: Sequence[Column], rows: Iterable[Row]) -> list[str]:
         heads.append(f"{column.group} {column.head}" if starts_group else column.head)
         group = column.group
     every = [heads, *texts] if any(heads) else texts
-    widths = _widths(shown, [row for row in every if not isinstance(row, str)])
+
+    # Columns as wide as their longest cell; if there is no room, the first one and then the widest are narrower.
+    rows_of_cells = [row for row in every if not isinstance(row, str)]
+    longest = [max((len(row[k]) for row in rows_of_cells), default=0) for k in range(len(shown))]
+    widths = [max(column.width, width) for column, width in zip(shown, longest, strict=True)]
+    room = WIDTH - sum(column.gap for column in shown[1:])
+    widths[0] = min(widths[0], max(room - sum(widths[1:]), shown[0].width))
+    while sum(widths) > room:
+        loose = [k for k in range(1, len(widths)) if widths[k] > longest[k]]
+        if not loose:
+            break
+        widths[max(loose, key=lambda k: widths[k])] -= 1
+
     lines = []
     for row in every:
         if isinstance(row, str):
@@ -182,20 +194,6 @@ def table_lines(columns: Sequence[Column], rows: Iterable[Row]) -> list[str]:
             line += " " * column.gap + (text.ljust(width) if column.left else text.rjust(width))
         lines.append(line.rstrip())
     return lines
-
-
-def _widths(columns: Sequence[Column], texts: Sequence[Sequence[str]]) -> list[int]:
-    """Return the width of each column in characters; the first one may be narrower than its longest name."""
-    longest = [max((len(row[k]) for row in texts), default=0) for k in range(len(columns))]
-    widths = [max(column.width, width) for column, width in zip(columns, longest, strict=True)]
-    room = WIDTH - sum(column.gap for column in columns[1:])
-    widths[0] = min(widths[0], max(room - sum(widths[1:]), columns[0].width))
-    while sum(widths) > room:
-        loose = [k for k in range(1, len(widths)) if widths[k] > longest[k]]
-        if not loose:
-            break
-        widths[max(loose, key=lambda k: widths[k])] -= 1
-    return widths
 
 
 def labelled(label: str, text: str, width: int, indent: str = "") -> str:

@@ -139,37 +139,26 @@ def board_findings(board: Board, pictures: Sequence[Picture]) -> Iterator[Findin
     for code in (MIRRORED, TWO_BOARDS):
         if by_reason[code]:
             yield Finding(code=code, board=board.name, pictures=_names(by_reason[code]))
-    yield from _layout_findings(board, pictures)
-    placed = [picture for picture in pictures if _view(picture, board).visible]
-    yield from _row_findings(board, placed)
-    measured = [*placed, *by_reason[FEW_CORNERS]]
-    ratio = measured_ratio(board, _seen(board, measured))
-    if np.isfinite(ratio) and not _is_as_described(board, ratio):
-        yield Finding(code=RATIO, board=board.name, pictures=_names(measured), value=ratio)
 
-
-def _layout_findings(board: Board, pictures: Sequence[Picture]) -> Iterator[Finding]:
-    """Yield why markers are not where the description has them; an id or two that were misread are not a reason."""
-    wrong = [picture for picture in pictures if _view(picture, board).reason == LAYOUT]
+    # Why markers are not where the description has them; an id or two that were misread are not a reason.
+    wrong = by_reason[LAYOUT]
     doubtful = [picture for picture in pictures if _view(picture, board).misread]
-    if not wrong and not doubtful:
-        return
-    concerned = [*wrong, *doubtful]
-    code, better = explanation(board, _seen(board, concerned)) or (UNEXPLAINED, board)
-    value = np.nan
-    if code == RATIO:
-        value = measured_ratio(better, _seen(board, concerned))
-        if np.isnan(value) or _is_as_described(board, value):
-            code = UNEXPLAINED
-    if code != UNEXPLAINED:
-        names = _names(concerned)
-        yield Finding(code=code, board=board.name, pictures=names, better=better, value=value)
-    elif wrong:
-        yield Finding(code=UNEXPLAINED, board=board.name, pictures=_names(wrong))
+    if wrong or doubtful:
+        concerned = [*wrong, *doubtful]
+        code, better = explanation(board, _seen(board, concerned)) or (UNEXPLAINED, board)
+        value = np.nan
+        if code == RATIO:
+            value = measured_ratio(better, _seen(board, concerned))
+            if np.isnan(value) or _is_as_described(board, value):
+                code = UNEXPLAINED
+        if code != UNEXPLAINED:
+            names = _names(concerned)
+            yield Finding(code=code, board=board.name, pictures=names, better=better, value=value)
+        elif wrong:
+            yield Finding(code=UNEXPLAINED, board=board.name, pictures=_names(wrong))
 
-
-def _row_findings(board: Board, placed: Sequence[Picture]) -> Iterator[Finding]:
-    """Yield whether pictures of a board show more rows than described, or fewer."""
+    # More rows than described, or fewer.
+    placed = [picture for picture in pictures if _view(picture, board).visible]
     last = board.first_marker + board.markers
     larger = []
     seen_ids: set[int] = set()
@@ -185,6 +174,12 @@ def _row_findings(board: Board, placed: Sequence[Picture]) -> Iterator[Finding]:
     last_row = set(range(last - per_row, last))
     if len(placed) >= _FEWEST_PICTURES and not seen_ids & last_row:
         yield Finding(code=UNSEEN_ROW, board=board.name)
+
+    # Markers of another size.
+    measured = [*placed, *by_reason[FEW_CORNERS]]
+    ratio = measured_ratio(board, _seen(board, measured))
+    if np.isfinite(ratio) and not _is_as_described(board, ratio):
+        yield Finding(code=RATIO, board=board.name, pictures=_names(measured), value=ratio)
 
 
 def other_pattern(

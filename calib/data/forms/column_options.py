@@ -154,35 +154,28 @@ def names_by_brand(
     axes = brand.axes_in(written)
     joints = joint_names or axes
     if axes and len(axes) != len(joints):
-        _fail_on_count(brand, source, axes, written, joints)
+        external = [name for name in brand.external if _position_of(name, written) is not None]
+        if len(axes) > len(joints):
+            fix = (
+                f'Leave out each axis that is none of these joints, as --columns "{axes[-1]}=-", or name the arm\'s '
+                "end with --tip."
+            )
+        else:
+            unused = external[0] if external else "name in the table"
+            fix = (
+                "Name the arm's end with --tip, hold a joint that does not move with --hold, or map a column to a "
+                f'joint of it: --columns "{unused}={joints[0]}".'
+            )
+        others = f", besides external axes {choices(external)}" if external else ""
+        raise MeasurementError(
+            f"{source}: it has {len(axes)} axes of {brand.title}, {choices(axes)}{others}, and the robot "
+            f"{len(joints)} joints, {choices(joints)}. {fix}"
+        )
     for axis, joint in zip(axes, joints, strict=False):  # none of the axes may be there
         at = _position_of(axis, written)
         if at is not None:
             result[positions[at]] = joint
     return result
-
-
-def _fail_on_count(
-    brand: Brand, source: str, axes: Sequence[str], names: Sequence[str], joint_names: Sequence[str]
-) -> None:
-    """Refuse more or fewer axes than joints; arguments as of `names_by_brand`."""
-    external = [name for name in brand.external if _position_of(name, names) is not None]
-    if len(axes) > len(joint_names):
-        fix = (
-            f'Leave out each axis that is none of these joints, as --columns "{axes[-1]}=-", or name the arm\'s end '
-            "with --tip."
-        )
-    else:
-        unused = external[0] if external else "name in the table"
-        fix = (
-            "Name the arm's end with --tip, hold a joint that does not move with --hold, or map a column to a joint of "
-            f'it: --columns "{unused}={joint_names[0]}".'
-        )
-    others = f", besides external axes {choices(external)}" if external else ""
-    raise MeasurementError(
-        f"{source}: it has {len(axes)} axes of {brand.title}, {choices(axes)}{others}, and the robot "
-        f"{len(joint_names)} joints, {choices(joint_names)}. {fix}"
-    )
 
 
 def _position_of(name: str, names: Sequence[str], *, in_any_case: bool = False) -> int | None:

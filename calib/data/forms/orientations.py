@@ -72,16 +72,6 @@ def _angles_about_fixed_axes(R: Array) -> Array:
     return np.column_stack([x, y, z])
 
 
-def _about_moving_axes(angles: Array) -> Array:
-    """Return R = Rx(x) Ry(y) Rz(z), shape (N, 3, 3), the transpose of Rz(-z) Ry(-y) Rx(-x)."""
-    return np.swapaxes(_about_fixed_axes(-angles), 1, 2)
-
-
-def _angles_about_moving_axes(R: Array) -> Array:
-    """Return the angles x, y, z, shape (N, 3), [rad], of rotation matrices R = Rx(x) Ry(y) Rz(z), shape (N, 3, 3)."""
-    return -_angles_about_fixed_axes(R.transpose(0, 2, 1))
-
-
 # Matrices
 
 
@@ -153,8 +143,9 @@ _ROWS = (
         ("rx", "ry", "rz"),
         "deg",
         "Stäubli's Rx, Ry, Rz about moving axes",
-        _about_moving_axes,
-        _angles_about_moving_axes,
+        # Rx(x) Ry(y) Rz(z) is the transpose of Rz(-z) Ry(-y) Rx(-x).
+        lambda angles: np.swapaxes(_about_fixed_axes(-angles), 1, 2),
+        lambda R: -_angles_about_fixed_axes(R.transpose(0, 2, 1)),
     ),
     Convention(
         "yaskawa",

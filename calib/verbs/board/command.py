@@ -151,7 +151,7 @@ def _measure(description: Path | None, measured: str) -> list[str]:
     """Write what a print measures into its description."""
     from calib.basics.files import read_bytes, write_atomically
     from calib.boards.board_file import correct_toml, read_board
-    from calib.boards.print_scale import print_scale, rescaled
+    from calib.boards.printed import print_scale, rescaled
     from calib.verbs.board.text import measured_text
 
     if description is None:

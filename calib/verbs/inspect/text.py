@@ -10,7 +10,7 @@ import pinocchio as pin
 
 from calib.basics.arrays import Array
 from calib.basics.channels import RESIDUAL_UNITS
-from calib.data.generic import GENERIC_ANCHOR, GENERIC_TARGET
+from calib.data.inputs import GENERIC_ANCHOR, GENERIC_TARGET
 from calib.model.dh_table import dh_table
 from calib.robot.robot import Robot
 from calib.show.as_text import blocks_text
