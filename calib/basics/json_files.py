@@ -46,7 +46,7 @@ def read_json(
     Raises:
         FileError: It cannot be read, is not JSON, or has another schema.
     """
-    table = parsed_json(
+    table = parse_json(
         read_bytes(path, what), f"{path}", f" Wanted is a {what} with its 'schema'; {expected}"
     )
     stated = table.get("schema") if isinstance(table, dict) else None
@@ -55,7 +55,7 @@ def read_json(
     return table
 
 
-def parsed_json(text: str | bytes, source: str, wanted: str = "") -> Any:  # noqa: ANN401  any JSON
+def parse_json(text: str | bytes, source: str, wanted: str = "") -> Any:  # noqa: ANN401  any JSON
     """Return the value that JSON states.
 
     Args:
@@ -137,7 +137,7 @@ class JsonLayout:
     types: Mapping[type, tuple[Callable[[Any], Any] | None, Callable[[Any], Any] | None]]
 
     def table(self, value: Any) -> dict[str, Any]:  # noqa: ANN401  a dataclass
-        """Return a dataclass as nested tables."""
+        """Return a dataclass as nested tables, as the layout says and ready for `json_bytes`."""
         return nested(self.entries(value))
 
     def entries(self, value: Any) -> dict[str, Any]:  # noqa: ANN401  a dataclass

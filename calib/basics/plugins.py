@@ -28,7 +28,7 @@ from calib.errors import CalibError, FileError, PluginError, choices, did_you_me
 #: Group of entry points by which an installed distribution names its plugins.
 GROUP = "calib.plugins"
 
-#: What a registry has, in the singular, for messages; by the name of the attribute of `Plugin`.
+#: Word for an entry of each registry, for messages; by the name of the attribute of `Plugin`.
 WORDS: Mapping[str, str] = {
     "families": "family of errors",
     "kinds": "kind of measurement",
@@ -293,7 +293,7 @@ class _Loader(SourceFileLoader):
     """Loads a file as it is now, and leaves no compiled code beside it."""
 
     def get_code(self, fullname: str) -> CodeType:  # noqa: ARG002  as the base class has it
-        """Return the compiled file."""
+        """Return the code of the file as it is now, compiled, without reading or writing a cache."""
         return self.source_to_code(self.get_data(self.path), self.path)
 
 

@@ -88,12 +88,12 @@ def add_entries(of_file: Any, given: Any) -> Any:  # noqa: ANN401  two mappings,
 class Key:
     """A key of a table, which gives a field or a part of it."""
 
-    #: As the file has it, with its unit: ``"target_mm"``.
+    #: The key in the file, with its unit: ``"target_mm"``.
     name: str
     form: Form
-    #: What it means, in full sentences; empty: another field that shares the key says it.
+    #: Its meaning, in full sentences; empty: another field that shares the key states it.
     help: str
-    #: What counts without the key, in words; empty: the default of the field.
+    #: The value that counts without the key, in words; empty: the default of the field.
     absent: str = ""
     options: tuple[Option, ...] = ()
     #: Of a field with several keys: the argument that it gives.
@@ -255,7 +255,7 @@ def _read_rows(
     place: Place,
     besides: Sequence[Key] = (),
 ) -> dict[Label, Any]:
-    """Read the values of keys from a table, by labels of the keys."""
+    """Read a table by its keys: return their values in SI units by the label of each key; CalibError for a fault."""
     by_key: dict[str, list[tuple[Label, Key]]] = {row.name: [] for row in besides}
     for label, row in rows:
         by_key.setdefault(row.name, []).append((label, row))
@@ -418,7 +418,7 @@ def _checked_field(
 
 
 def _checked(value: Any, what: str, check: Check | None) -> Any:  # noqa: ANN401
-    """Return a value as its check keeps it."""
+    """Return a value as its check keeps it, or unchanged without one; CalibError if it refuses the value."""
     if check is None:
         return value
     return checked(value, what[0].upper() + what[1:], check.must, check.convert)
@@ -438,7 +438,7 @@ def _check_class(
 
 
 def _words(kind: Any, written: _Written) -> str:  # noqa: ANN401
-    """Return what messages call a value of a type."""
+    """Return the description of a value of a type for messages: ``"True or False"``."""
     if kind is bool:
         return "True or False"
     if kind is str:

@@ -24,7 +24,7 @@ from calib.basics.units import NUMBER, Unit, find_unit
 from calib.basics.workbook import read_sheet, split_sheet
 from calib.errors import CalibError, FileError, MeasurementError
 
-#: What may separate cells; if several are equally frequent in the header, the first of them does.
+#: Separators of cells; if several are equally frequent in the header, the first of them does.
 SEPARATORS = (",", ";", "\t")
 
 #: A line before the header that tells Excel the separator: ``sep=;``.

@@ -197,6 +197,6 @@ def _restored(kind: type[T], values: Mapping[str, Any]) -> T:
 
 
 def _read_only(array: NDArray[Any]) -> NDArray[Any]:
-    """Make an array that was just read read-only, and return it."""
+    """Return an array that was read from a pickle, made read-only in place."""
     array.setflags(write=False)
     return array

@@ -23,7 +23,7 @@ SUFFIXES = (".xlsx", ".xlsm")
 #: Between the name of a file and that of its sheet.
 _BEFORE_SHEET = "#"
 
-#: What openpyxl raises for a file that is not of Excel, or is damaged.
+#: Exceptions of openpyxl for a file that is not of Excel, or is damaged.
 _DAMAGED = (BadZipFile, KeyError, ValueError, TypeError, IndexError, AttributeError, SyntaxError)
 
 

@@ -47,7 +47,7 @@ _FEWEST = {CHARUCO: 2, CHESSBOARD: 3, APRILTAG: 1}
 
 
 def _length(typed: str, flag: str) -> float:
-    """Read a length as it was typed [m]."""
+    """Return a length in metres from a text such as ``"30 mm"``, typed as the option ``flag``."""
     return parse_amount(typed, flag, LENGTH, "30 mm")
 
 
@@ -145,7 +145,7 @@ class Board:
             help="Id of the first marker. Default: 0; boards in one picture need different ids.",
         ),
     )
-    #: Whether an even number of rows is laid out as by OpenCV before 4.6: a marker in the first square.
+    #: True if an even number of rows is laid out as by OpenCV before 4.6: a marker in the first square.
     legacy: bool = key(
         "layout",
         one_of({"new": False, "legacy": True}),
@@ -256,7 +256,7 @@ class Board:
         return np.array([width / 2.0, height / 2.0, 0.0])
 
     def corner_ids(self) -> Integers:
-        """Return the ids of the corners: 0 to n - 1, in rows along x; of a tag its corners, clockwise from top left."""
+        """Return the ids 0 to n - 1 of the n corners, shape (n,): in rows along x, of tags clockwise from top left."""
         return np.arange(len(self.corners))
 
 
@@ -274,7 +274,7 @@ def white_squares(board: Board) -> Mask:
 
 
 def corner_signs(board: Board) -> Array:
-    """Return 1 for each inner corner whose square towards +x, +y is white, -1 if it is black, shape (n,)."""
+    """Return for each of n inner corners 1 if its square towards +x, +y is white, -1 if it is black, shape (n,)."""
     return np.where(white_squares(board)[1:, 1:], 1.0, -1.0).reshape(-1)
 
 

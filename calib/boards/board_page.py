@@ -67,7 +67,7 @@ class Page(Value):
     height: float
     #: x and y of the upper left corner, width and height of the pattern's rectangles, shape (n, 4) [m].
     pattern: Array
-    #: The same for the lines of the rulers, shape (n, 4) [m].
+    #: x and y, width and height of the lines of the rulers, shape (n, 4) [m].
     lines: Array
     #: Texts, in a font of `TEXT_SIZE`.
     texts: tuple[Text, ...]
@@ -160,7 +160,7 @@ _POINTS = 72.0 / 25.4
 
 
 def _mm(length: float) -> str:
-    """Write a length [m] in millimetres, to 0.1 um."""
+    """Return a length [m] as text in millimetres, to 0.1 um, without trailing zeros."""
     return f"{1e3 * length:.4f}".rstrip("0").rstrip(".")
 
 
@@ -251,7 +251,7 @@ def pdf(page: Page) -> bytes:
 
 
 def _pdf_text(text: str) -> bytes:
-    """Write a text as the inside of a PDF string."""
+    """Encode a text as the inside of a PDF string, in Windows-1252 with brackets and backslashes escaped."""
     encoded = text.encode("cp1252", errors="replace")
     for sign in (b"\\", b"(", b")"):
         encoded = encoded.replace(sign, b"\\" + sign)

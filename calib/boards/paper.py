@@ -45,7 +45,7 @@ BOTTOM_BAND = 0.008
 #: Smallest white margin between the pattern and anything else that is printed [m].
 _LEAST_QUIET = 0.003
 
-#: The same around a chessboard, whose outer squares have no border of their own [m].
+#: Smallest white margin around a chessboard, whose outer squares have no border of their own [m].
 _CHESSBOARD_QUIET = 0.005
 
 #: The smallest sheet without a paper: it has room for the rulers and the text [m].
@@ -67,7 +67,7 @@ class Sheet:
     origin: tuple[float, float]
     #: White margin around the pattern [m].
     quiet: float
-    #: Whether the rulers show inches besides millimetres.
+    #: True if the rulers show inches besides millimetres.
     inches: bool = False
 
 

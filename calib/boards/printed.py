@@ -45,19 +45,19 @@ class PrintScale:
 
     #: Length measured [m].
     measured: float
-    #: The same length as drawn [m].
+    #: That length as drawn [m].
     drawn: float
     #: Number of squares in it, or of distances between tags; None for the whole pattern of a grid of tags.
     squares: int | None
 
     @property
     def scale(self) -> float:
-        """Measured over drawn."""
+        """Measured length over the drawn one."""
         return self.measured / self.drawn
 
     @property
     def sigma(self) -> float:
-        """Standard deviation of the scale."""
+        """Standard deviation of the scale, at least that of paper, which humidity stretches."""
         return max(READING / self.measured, _BEST)
 
 
@@ -142,7 +142,7 @@ class Print(Value):
     warp: tuple[float, float] = (0.0, 0.0)
     #: Displacement of each corner on the print, shape (n, 3) [m]; None: they are not displaced.
     offsets: Array | None = None
-    #: Whether it was printed mirrored: what lies at x is drawn at width - x. Corners stay where they are described.
+    #: True if it was printed mirrored: what lies at x is drawn at width - x. Corners stay where they are described.
     mirrored: bool = False
 
     def surface(self, x: Array, y: Array) -> Array:

@@ -107,11 +107,11 @@ class Camera(Value):
 
     @property
     def _title(self) -> str:
-        """The camera as messages name it."""
+        """Beginning of a message about the camera: ``"The camera 'NAME'"``."""
         return f"The camera '{self.name}'"
 
     def _numbers(self, what: str, given: object) -> Array:
-        """Return a read-only copy, shape (m,), of an attribute that has one entry for each intrinsic."""
+        """Return ``given``, numbers for the m intrinsics, as a read-only array (m,); CalibError for another shape."""
         names = LENSES[self.lens].names
         try:
             array = np.array(given, dtype=np.float64)

@@ -99,7 +99,7 @@ def camera_of_table(table: Mapping[str, Any], where: str, folder: str | Path = "
 
 
 def _camera_of_keys(table: Mapping[str, Any], folder: str | Path) -> Camera:
-    """Read a camera from a table, see `camera_of_table`."""
+    """Read a camera from the keys of a table, and of the file in ``folder`` that it may name; see `camera_of_table`."""
     # The keys of the camera's fields; those of its numbers are the lens's.
     rows = [replace(row, part=field.name, needed=False) for field, row in keys_of(Camera)]
     names = [row.name for row in rows]

@@ -50,7 +50,7 @@ _KEYS = {
     "roi": ("roi",),
 }
 
-#: How many coefficients of distortion files have, by lens.
+#: Numbers of coefficients of distortion that files have, by lens.
 _COUNTS = {"pinhole": (0, 4, 5, 8, 12, 14), "fisheye": (0, 4)}
 
 #: OpenCV's first line, which is not YAML's.
@@ -67,7 +67,7 @@ class _Loader(yaml.SafeLoader):
 
 
 def _matrix(loader: yaml.SafeLoader, node: yaml.Node) -> Any:  # noqa: ANN401
-    """Read OpenCV's matrix as a mapping."""
+    """Return a node of YAML with OpenCV's tag of a matrix as a mapping; a constructor of the loader."""
     assert isinstance(node, yaml.MappingNode)
     return loader.construct_mapping(node, deep=True)
 
@@ -197,7 +197,7 @@ def _linear_intrinsics(matrix: Array, where: str) -> Array:
 
 
 def _lens_name(table: Mapping[str, Any], where: str) -> str:
-    """Return the name of calib's lens model."""
+    """Return the name of calib's lens model, ``"pinhole"`` or ``"fisheye"``, that a file's entries name."""
     fisheye = bool(_number(table.get("fisheye_model")) or table.get("fisheye_model") is True)
     model = table.get("distortion_model")
     if model is None:
@@ -213,7 +213,10 @@ def _lens_name(table: Mapping[str, Any], where: str) -> str:
 
 
 def _coefficients(table: Mapping[str, Any], lens: str, where: str) -> Array:
-    """Return the coefficients of distortion that calib's lens has; CalibError if the file has others that matter."""
+    """Return the coefficients of distortion of calib's lens, shape (d,), zeros if the file has none or fewer.
+
+    CalibError if the file has other coefficients that are not zero.
+    """
     names = LENSES[lens].distortion
     if table.get("distortion_coefficients") is None:
         return np.zeros(len(names))
@@ -298,7 +301,7 @@ def opencv_yaml(camera: Camera) -> str:
 
 
 def _known(camera: Camera) -> Array:
-    """Return the numbers of a camera's lens; CalibError if they are not known."""
+    """Return the intrinsics of a camera, shape (m,), [px] and 1; CalibError if they are not known."""
     if camera.values is None:
         raise CalibError(
             f"Of the camera '{camera.name}' nothing but the size of its images is known; there is no camera matrix to "

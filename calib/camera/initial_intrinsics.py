@@ -30,7 +30,7 @@ from calib.camera.planar_pose import (
     determines_pose,
     first_rows,
     homography,
-    moved,
+    move_poses,
     planar_poses,
     view_system,
 )
@@ -170,7 +170,7 @@ def refine_bundle(
     for _ in range(iterations):
         change, motions = normal.step(damping)
         new_values = values + change
-        new_T = moved(T, motions)
+        new_T = move_poses(T, motions)
         new = bundle.normal(new_values, new_T, views)
         # With negative focal lengths the image is turned by half a turn.
         if not (new.cost < normal.cost and np.all(new_values[:2] > 0.0)):
@@ -260,7 +260,7 @@ def initial_intrinsics(camera: Camera, views: Sequence[View]) -> Array:
 
 
 def _closed_form(camera: Camera, views: Sequence[View]) -> Array | None:
-    """Return intrinsics, shape (m,), with focal lengths by the equations above; None if views do not determine them."""
+    """Return intrinsics (m,) [px, 1] whose focal lengths solve the equations above; None if undetermined."""
     middle = np.array([camera.width - 1, camera.height - 1]) / 2.0
     equations = []  # factors of 1 / fx^2, of 1 / fy^2, and of 1
     for points, pixels in views:
@@ -281,7 +281,7 @@ def _closed_form(camera: Camera, views: Sequence[View]) -> Array | None:
 
 
 def _bundle(camera: Camera, start: Array) -> Bundle:
-    """Return the lens with wide priors about the focal lengths of a start, shape (m,), without distortion."""
+    """Return the lens with wide priors about no distortion, the middle, and the focal lengths of ``start`` (m,)."""
     mean = _without_distortion(camera, camera.width)
     mean[:2] = start[:2]
     std = np.full(len(start), _DISTORTION)

@@ -21,7 +21,7 @@ def say_accepted(name: str, stated: str) -> None:
 
     Args:
         name: The file that the verdict is on.
-        stated: The verdict, as `calib.show.verdict_text.against` gives it; nothing is said if it is empty.
+        stated: The verdict, as `calib.show.verdict_text.do_not_use_text` gives it; nothing is said if it is empty.
     """
     if stated:
         typer.echo(

@@ -142,14 +142,14 @@ class CellOptions:
     groups: ClassVar[tuple[str, ...]] = ()
     #: Names of the options that a verb takes, if it does not take all.
     names: ClassVar[tuple[str, ...] | None] = None
-    #: Whether a verb takes ``--cell``.
+    #: True if a verb takes ``--cell``.
     has_file: ClassVar[bool] = True
     #: Help texts, by name, of options that mean something else to a verb.
     helps: ClassVar[Mapping[str, str]] = MappingProxyType({})
 
     #: ``--cell``; None: not given.
     file: Path | None = None
-    #: What was typed, by the names of the options that were given.
+    #: The words typed, by the names of the options that were given.
     given: Mapping[str, Any] = field(default_factory=dict)
 
     @classmethod
@@ -170,7 +170,7 @@ class CellOptions:
 
     @classmethod
     def of_typed(cls: type[Self], typed: Mapping[str, Any]) -> Self:
-        """Return the options from the values of `parameters`, by name."""
+        """Make the options from the values typed for `parameters`, by name; those not given are left out."""
         given = {name: value for name, value in typed.items() if value not in (None, False, [])}
         return cls(given.pop("cell", None), given)
 

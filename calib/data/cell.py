@@ -109,7 +109,7 @@ __all__ = [
 #: The value of `Cell.model` that lets the data choose the model.
 AUTO = "auto"
 
-#: What `Cell.repeats` may be.
+#: Allowed values of `Cell.repeats`.
 REPEATS = ("weighted", "average", "independent")
 
 
@@ -159,7 +159,7 @@ class Cell(Value):
             ),
         ),
     )
-    #: Whether the targets are estimated with the robot. A fit registers them first; ``target`` is then one of several
+    #: True if the targets are estimated with the robot. A fit registers them first; ``target`` is then one of several
     #: starts if that is not linear, the nominal robot is evaluated with it, and the estimate is checked against it.
     estimate_target: bool = key(
         "target",
@@ -208,7 +208,7 @@ class Cell(Value):
         default_factory=ReadOnlyMapping,
         each=IS_POSITION,
     )
-    #: Whether the measurement frames are estimated.
+    #: True if the measurement frames are estimated.
     estimate_frame: bool = key(
         "frame",
         FRAME_ESTIMATED,
@@ -224,7 +224,7 @@ class Cell(Value):
             "directions.",
         ),
     )
-    #: Which of `DIRECTIONS`, along the axes of the base, are estimated if frames are.
+    #: Directions, of `DIRECTIONS` along the axes of the base, that are estimated if frames are.
     frame_directions: tuple[str, ...] = key(
         "frame",
         FRAME_DIRECTIONS,
@@ -267,7 +267,7 @@ class Cell(Value):
     sigma: Mapping[str, float] = keys(
         sigma_keys, dict, default_factory=ReadOnlyMapping, check=ARE_SIGMAS
     )
-    #: Whether the instrument's scale was certified; else lengths of the arm may hide an error of it.
+    #: True if the instrument's scale was certified; otherwise lengths of the arm may hide an error of it.
     scale_certified: bool = key(
         "scale_certified",
         TRUTH,
@@ -286,8 +286,8 @@ class Cell(Value):
             f"one of {choices(REPEATS)}", lambda value: value if value in REPEATS else None
         ),
     )
-    #: What is estimated of the robot: ``"auto"``, as much as the measurements support, or a parameter set such as
-    #: ``"dh"``, with families of errors appended, ``"dh+gain+compliance"``.
+    #: Errors of the robot that are estimated: ``"auto"``, as many as the measurements support, or a parameter set such
+    #: as ``"dh"``, with families of errors appended, ``"dh+gain+compliance"``.
     model: str = key(
         "model",
         text("the name of a model"),
@@ -346,7 +346,7 @@ class Cell(Value):
         default_factory=ReadOnlyMapping,
         each=IS_PRIOR_STD,
     )
-    #: What the tip carries; None: nothing.
+    #: Mass that the tip carries; None: none.
     payload: Payload | None = key(
         "payload",
         table_of(Payload),

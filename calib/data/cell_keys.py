@@ -253,7 +253,7 @@ def _named_files(typed: Iterable[str], flag: str) -> dict[str, str]:
 
 
 def camera_keys() -> Sequence[Key]:
-    """Return the keys of cameras."""
+    """Return the keys ``camera`` and ``cameras`` of a cell file, with the option ``--camera``."""
     option = Option(
         "--camera",
         metavar="[NAME=]FILE|WIDTHxHEIGHT",
@@ -271,7 +271,7 @@ def camera_keys() -> Sequence[Key]:
 
 
 def board_keys() -> Sequence[Key]:
-    """Return the keys of printed boards."""
+    """Return the keys ``board`` and ``boards`` of a cell file, with the option ``--board``."""
     option = Option(
         "--board",
         metavar="[NAME=]FILE",

@@ -100,7 +100,7 @@ def by_word(words: Sequence[str], rows: Mask) -> dict[str, list[int]]:
 
 
 def mask_of_words(words: Sequence[str], *chosen: str) -> Mask:
-    """Mark the words that are among those chosen, shape (N,), read-only."""
+    """Return a mask, shape (N,), read-only: True for each of N words that is among those chosen."""
     present = set(words)  # mostly one word, and then no loop over the rows
     if present <= set(chosen) or present.isdisjoint(chosen):
         mask = np.full(len(words), not present.isdisjoint(chosen), dtype=np.bool_)
@@ -278,7 +278,7 @@ def checked_readings(
 
 
 def check_rotations(labels: RowLabels, rotations: Array, rows: Mask) -> None:
-    """Check the orientations of rows.
+    """Refuse measured orientations that are not rotation matrices.
 
     Args:
         labels: The N rows, for messages.
@@ -296,7 +296,7 @@ def check_rotations(labels: RowLabels, rotations: Array, rows: Mask) -> None:
 
 
 def check_torques(labels: RowLabels, torques: Array) -> None:
-    """Check that each joint has torques in all rows or in none.
+    """Refuse torques of a joint in some rows and not in others.
 
     Args:
         labels: The N rows, for messages.

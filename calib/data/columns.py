@@ -38,7 +38,7 @@ ORIENTATION = (*orientations.ROTATION_VECTOR.columns, *orientations.QUATERNION.c
 #: The column of a table of commands that says whether a row has one.
 STATUS = "status"
 
-#: What the column ``set`` may say.
+#: Allowed words of the column ``set``.
 SETS = ("estimate", "validate")
 
 #: Name of the target of rows without a column ``target``.
@@ -57,7 +57,7 @@ WORD_COLUMNS: Mapping[str, tuple[str, str]] = {
     "corners": ("corner", ""),
 }
 
-#: What follows a joint's name in the name of the column of its torque.
+#: Ending of the name of the column of a joint's torque, after the joint's name.
 TORQUE = ".torque"
 
 #: The name that ``--columns`` maps a column to so that it is not read.

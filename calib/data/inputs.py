@@ -35,7 +35,7 @@ TableInput: TypeAlias = Measurements | str | Path
 #: A cell, or the path of its file; None: the default cell.
 CellInput: TypeAlias = Cell | str | Path | None
 
-#: What messages call these.
+#: Descriptions of the three, for messages.
 ROBOT = "a Robot, the path of a URDF, a xacro or DH rows, or a name such as 'ur3'"
 TABLE = "Measurements, or the path of a table"
 CELL = "a Cell, the path of a cell file, or None"

@@ -62,14 +62,14 @@ class Checked(Protocol):
 
     @property
     def measure(self) -> Callable[[Array], Array] | None:
-        """Reading of a perfect instrument."""
+        """Reading (n, k) of a perfect instrument at poses T_frame_target; None: there is no such function."""
 
     @property
     def derivative(self) -> Callable[[Array, Array, Array], Array]:
-        """Derivative of the prediction."""
+        """Derivative (n, s, p) of the prediction by p parameters, from readings, poses and their twists."""
 
     def residual_of(self, measured: Array, T_frame_target: Array) -> Array:
-        """Return measured minus predicted."""
+        """Return measured minus predicted, shape (n, s), of readings (n, k) at poses T_frame_target."""
 
 
 @np.errstate(all="ignore")  # functions need not have a value at each pose
@@ -159,7 +159,7 @@ def _differences(kind: Checked, measured: Array, poses: Array) -> Array:
     meaning = "one number for each of its units"
 
     def residual(twist: Array) -> Array:
-        """Return the residual of the poses moved by a twist (rows, 6) along the axes of their frame."""
+        """Return the residual (n, s) of the poses moved by a twist (rows, 6) [m, rad] along the axes of their frame."""
         moved: Array = poses.copy()
         moved[..., :3, :3] = Rotation.from_rotvec(twist[:, 3:]).as_matrix() @ poses[..., :3, :3]
         moved[..., :3, 3] += twist[:, :3]

@@ -46,7 +46,7 @@ class Fault(NamedTuple):
     row: int
     #: Among the columns that were checked, from 0.
     column: int
-    #: What is wrong and how to mend it, for the message.
+    #: The fault and how to mend it, for the message.
     what: str
 
 
@@ -160,7 +160,7 @@ def _check_block(
 
 
 def _quaternion_fault(values: Array) -> Fault | None:
-    """Return the first quaternion, of (N, 4), whose length is not one."""
+    """Return the fault of the first of N quaternions (N, 4) whose length is not one; None without one."""
     lengths = np.linalg.norm(values, axis=1)
     wrong = np.flatnonzero(np.abs(lengths - 1.0) > _LENGTH_TOLERANCE)
     if not wrong.size:
@@ -171,7 +171,7 @@ def _quaternion_fault(values: Array) -> Fault | None:
 
 
 def _matrix_fault(values: Array) -> Fault | None:
-    """Return the first matrix, of (N, 9), that is not a rotation: R^T R = 1, and the determinant is 1."""
+    """Return the fault of the first of N matrices (N, 9) that is not a rotation; None without one."""
     R = values.reshape(-1, 3, 3)
     squares = R.transpose(0, 2, 1) @ R - np.eye(3)
     is_wrong = np.abs(squares).max(axis=(1, 2)) > _MATRIX_TOLERANCE

@@ -27,7 +27,7 @@ from calib.errors import MeasurementError, choices
 #: In the order in which they are tried; the last one stands for any number of blanks.
 _SEPARATORS = (";", "\t", ",", " ")
 
-#: What a remark begins with.
+#: Beginnings of remarks.
 _COMMENT = ("#", "//", "!", "%", ";")
 
 #: A ruled line.

@@ -74,7 +74,7 @@ def position_in_tip(value: ArrayLike, what: str) -> Array:
 
 
 def rotation_or_none(value: ArrayLike) -> Array | None:
-    """Return a given rotation matrix, shape (3, 3), read-only; None if it is not a rotation."""
+    """Return a given value as a rotation matrix, shape (3, 3), read-only; None if it is not a rotation."""
     R = np.asarray(value, dtype=np.float64)
     if R.shape != (3, 3) or not_rotations(R[None]).any():
         return None
@@ -82,7 +82,7 @@ def rotation_or_none(value: ArrayLike) -> Array | None:
 
 
 def pose_or_none(value: ArrayLike) -> Array | None:
-    """Return a given pose, shape (4, 4) [m], read-only.
+    """Return a given value as a pose, shape (4, 4) [m], read-only.
 
     None if it is not a homogeneous transform, or if a coordinate is beyond `FARTHEST`.
     """

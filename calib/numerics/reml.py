@@ -118,7 +118,7 @@ def prior_std_by_reml(
 
 
 def _scoring_step(score: Array, information: Array, at_bound: Mask) -> Array:
-    """Return the damped Newton step of C + K logarithms, limited in length and 0 at bounds; (B, C + K)."""
+    """Return the damped Newton step (B, C + K) of the logarithms, limited, and 0 where ``at_bound`` is True."""
     score[at_bound] = 0.0
     pivots = diagonals(information)
     pivots += _DAMPING * pivots + _LEAST_DAMPING

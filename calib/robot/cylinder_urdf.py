@@ -201,7 +201,7 @@ def _origin(T: Array) -> str:
 
 
 def _numbers(values: Array) -> str:
-    """Return numbers that read back exactly, rounding of zero as zero."""
+    """Return numbers (k,) as a text that reads back exactly, with those that are rounding of zero as zero."""
     return " ".join(repr(0.0 if abs(value) < _ROUNDING else float(value)) for value in values)
 
 

@@ -275,7 +275,7 @@ def _find_convention(columns: DHColumns, of_row_before: set[str], stated: str | 
 
 
 def _unknown_convention(word: str) -> str:
-    """Return the fault of a word that is not a convention."""
+    """Return the text of a message on a word that is not a convention of DH rows."""
     return f"'{word}' is not a convention of DH rows; it must be one of {choices(CONVENTIONS)}."
 
 

@@ -185,7 +185,7 @@ def _naming(columns: DHColumns) -> str:
 
 
 def _pose(columns: DHColumns, i: int) -> Array:
-    """Return the constant pose of a line, shape (4, 4), [m]."""
+    """Return the constant pose in line i, from 0, of a table, shape (4, 4) [m]."""
     if not {*POSE} & columns.by_name.keys():
         what = f"a constant pose needs the columns {choices(POSE)}, with units."
         raise columns.error(i, _naming(columns), what)

@@ -92,7 +92,7 @@ def joint_json(
 
 
 def robot_json(robot: DHRobot) -> dict[str, Any]:
-    """Return a robot of DH rows as the content of a file."""
+    """Return a robot of DH rows as the content of a JSON file, its rows as the table ``after``."""
     joints = []
     for row in robot.table.rows:
         coupled = robot.coupling.get(row.joint, {})

@@ -168,7 +168,7 @@ def twists(
         joint_moves: Array,
         block: slice,
     ) -> None:
-        """Add to (p, 3, B) the columns of measurement frames, targets and errors of the joints' state."""
+        """Add to a Jacobian (p, 3, B) the columns of measurement frames, targets and errors of joint values."""
         bases = directions.bases[:, components]
         targets = directions.targets[:, components]
         add_columns(part, moves[0], bases, samples.frame[block])
@@ -251,7 +251,7 @@ def _poses_to_fill(count: int) -> Array:
 
 
 def _steps(geometry: Geometry) -> Array:
-    """Return the placements (n + 1, 4, 4), P_1 in the base, ..., P_tip, between joints whose axis is z.
+    """Return the placements (n + 1, 4, 4) [m], P_1 in the base, ..., P_tip, between joints whose axis is z.
 
     With the rotation Q = ``turns`` a joint is J(axis, q) = Q J(z, q) Q^-1; Q^-1 and the next Q go into the placements.
     """
@@ -264,7 +264,7 @@ def _steps(geometry: Geometry) -> Array:
 
 
 def _frames(geometry: Geometry, steps: Array, samples: ChainSamples, block: slice) -> Array:
-    """Return the frames of base, joints before they move, tip and target, shape (n + 3, 4, 3, B)."""
+    """Return the frames of base, n joints before they move, tip and target, shape (n + 3, 4, 3, B) [m]."""
     values = samples.values[block].T
     n, B = values.shape
     sines = np.sin(values)

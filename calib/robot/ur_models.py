@@ -101,13 +101,13 @@ class UrModel(Value):
         """The nominal chain, shape (7, 4, 4), [m]."""
         return chain_of_rows(self.rows)
 
-    def same(self, rows: Array) -> bool:
+    def has_rows(self, rows: Array) -> bool:
         """Return True if DH rows, shape (6, 4), are the nominal ones of this type of arm."""
         return bool(np.abs(self.rows - rows).max() < _SAME)
 
 
 def _known_model(name: str, lengths: tuple[float, ...]) -> UrModel:
-    """Return an arm with the lengths d1, a2, a3, d4, d5, d6 [m]."""
+    """Return an arm of Universal Robots' structure by its name and lengths d1, a2, a3, d4, d5, d6 [m]."""
     d1, a2, a3, d4, d5, d6 = lengths
     theta = np.zeros(6)
     a = (0.0, a2, a3, 0.0, 0.0, 0.0)

@@ -83,7 +83,7 @@ def is_xacro(source: str | os.PathLike[str]) -> bool:
     return _FILE.search(text) is not None
 
 
-def flattened(call: XacroCall) -> bytes:
+def flatten(call: XacroCall) -> bytes:
     """Return the text that ``xacro FILE ARGUMENTS`` prints, without the folder in the remark at its head.
 
     Raises:

@@ -26,7 +26,7 @@ def page_text(page: Page) -> str:
 
 
 def blocks_text(blocks: Iterable[Block]) -> str:
-    """Draw blocks for a terminal."""
+    """Draw blocks as text for a terminal, with an empty line between them unless a block is tight."""
     text = ""
     for block in blocks:
         lines = _LINES[type(block)](block)
@@ -61,7 +61,7 @@ def _table_lines(table: Table) -> list[str]:
     return [*table_lines([title, *others], rows), *counted]
 
 
-#: How each kind of block is drawn; figures are for pages only.
+#: The function that draws each kind of block; figures are for pages only.
 _LINES: dict[type[Block], Callable[[Any], list[str]]] = {
     Paragraph: lambda paragraph: [wrap(paragraph.text)] if paragraph.text else [],
     Bullets: _bullet_lines,

@@ -105,7 +105,7 @@ class Verdict(Block):
 
     @property
     def sign(self) -> str:
-        """The sign before it."""
+        """The sign before the verdict, such as a check mark."""
         return _SHADES[self.use][0]
 
     @property
@@ -137,9 +137,9 @@ class GalleryPicture:
     name: str
     #: Name of its camera; empty if it has none
     camera: str
-    #: Whether something of it is used
+    #: True if something of it is used
     is_used: bool
-    #: What is used of it, or why nothing is
+    #: Text about what is used of it, or why nothing is
     text: str
     #: Width and height of the picture that the marks are in [px]
     size: tuple[int, int]
@@ -185,9 +185,9 @@ def report_date() -> str:
 class Page:
     """A page: the sections that a verb shows of a value, for all media."""
 
-    #: What it is, such as ``"Calibration report"``
+    #: Kind of document, such as ``"Calibration report"``
     document: str
-    #: What it is about, such as the robot's name
+    #: Its subject, such as the robot's name
     subject: str
     sections: Sequence[Section]
     #: When it was made

@@ -23,7 +23,7 @@ class ErrorColumn:
     head: str
     #: The figure, in the SI unit of the errors, or [px]; NaN if a set has none
     value: Callable[[UnitErrors], float]
-    #: What it is, for the docs
+    #: Its meaning, for the docs
     meaning: str
     #: Heading that it shares with its neighbours
     group: str = ""

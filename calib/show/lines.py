@@ -51,7 +51,7 @@ def wrap(text: str, indent: str = "") -> str:
 
 
 def plural(count: int, noun: str) -> str:
-    """Count things whose plural has an s: ``1 row``, ``2,000 rows``."""
+    """Write a number of things whose plural has an s: ``1 row``, ``2,000 rows``."""
     return f"{count} {noun}" if count == 1 else f"{count:,} {noun}s"
 
 

@@ -77,12 +77,12 @@ class Column:
 
 
 def name_column(head: str, width: int = 0) -> Column:
-    """First column of a table: names, aligned to the left."""
+    """Return the first column of a table: names under ``head``, aligned to the left."""
     return Column(head, width, left=True)
 
 
 def residual_column(head: str, unit: str, width: int = 0, *, group: str = "") -> Column:
-    """Column of errors in a unit of residuals, by its symbol such as ``"m"``, with the digits of that unit."""
+    """Return a column of errors in a unit of residuals, by its symbol such as ``"m"``, with the digits of that unit."""
     of_unit = RESIDUAL_UNITS[unit]
     return Column(head, width, unit=of_unit.shown, digits=of_unit.digits, group=group)
 
@@ -91,7 +91,7 @@ def residual_column(head: str, unit: str, width: int = 0, *, group: str = "") ->
 class Table(Block):
     """A table; without rows it is not shown."""
 
-    #: What it shows, with the unit if all numbers have the same
+    #: Its title, with the unit if all numbers have the same
     title: str
     #: Its columns, names first
     columns: Sequence[Column]
@@ -102,7 +102,7 @@ class Table(Block):
     strong: Sequence[int] = ()
     #: Rows that a medium lists at most; the others are counted
     most: Mapping[Medium, int] = field(default_factory=dict)
-    #: Where the others are, for a page
+    #: The place of the others, for a page
     elsewhere: str = ""
     #: In a terminal the title is a line of its own; otherwise it is the heading of the first column
     title_above: bool = False

@@ -362,7 +362,7 @@ def _ranges(values: Mapping[str, Any]) -> str:
     return ", ".join(parts)
 
 
-def against(verdict: Verdict | None) -> str:
+def do_not_use_text(verdict: Verdict | None) -> str:
     """Word the verdict ``do not use`` and its first reason in one line.
 
     Args:
@@ -384,7 +384,7 @@ def refusal(name: str, verdict: str) -> str:
 
     Args:
         name: What the verdict is on: a file in quotes, or "this calibration".
-        verdict: What speaks against it, as `against` has it.
+        verdict: The verdict in one line, as `do_not_use_text` words it.
 
     Returns:
         The verdict, that nothing was written because of it, and how to write it anyway, in one line.

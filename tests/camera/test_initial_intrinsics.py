@@ -10,7 +10,7 @@ from calib.boards.board import Board
 from calib.camera.camera import Camera
 from calib.camera.initial_intrinsics import Bundle, initial_intrinsics, refine_bundle
 from calib.camera.lenses import LENSES
-from calib.camera.planar_pose import moved, view_system
+from calib.camera.planar_pose import move_poses, view_system
 from calib.errors import MeasurementError
 
 POINTS = Board(pattern="chessboard", columns=7, rows=5, square=0.03).corners
@@ -44,7 +44,7 @@ def perturbed(name, T):
     rng = np.random.default_rng(2)
     values = TRUTH[name].copy()
     values[:4] *= 1.0 + rng.uniform(-0.03, 0.03, 4)
-    return values, moved(T, rng.normal(scale=3e-3, size=(len(T), 6)))
+    return values, move_poses(T, rng.normal(scale=3e-3, size=(len(T), 6)))
 
 
 @pytest.mark.parametrize("name", LENSES)

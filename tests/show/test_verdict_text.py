@@ -7,7 +7,7 @@ from string import Formatter
 import pytest
 
 from calib.diagnosis.reasons import CARE, NO, USE, Reason, Verdict, Why
-from calib.show.verdict_text import SENTENCES, against, reason_text, refusal
+from calib.show.verdict_text import SENTENCES, do_not_use_text, reason_text, refusal
 
 
 @pytest.mark.parametrize("why", Why)
@@ -33,10 +33,10 @@ def test_orientations_are_told_beside_positions():
 
 def test_only_do_not_use_speaks_against_a_result():
     reasons = (Reason.of(Why.PARAMETER_FAR, largest=0.2), Reason.of(Why.NO_LENGTH))
-    assert [against(Verdict(use, reasons)) for use in (USE, CARE)] == ["", ""]
-    assert against(None) == ""
-    assert against(Verdict(NO, ())) == "do not use"
-    said = against(Verdict(NO, reasons))
+    assert [do_not_use_text(Verdict(use, reasons)) for use in (USE, CARE)] == ["", ""]
+    assert do_not_use_text(None) == ""
+    assert do_not_use_text(Verdict(NO, ())) == "do not use"
+    said = do_not_use_text(Verdict(NO, reasons))
     assert said == f"do not use (parameter_far): {reason_text(reasons[0])}"
     assert said in refusal("'c.urdf'", said)
 

@@ -210,7 +210,7 @@ def find_chessboard(image: Any, board: Board) -> tuple[PlanarMap, Array] | None:
 
 
 def is_part_of_larger(image: Array, board: Board, planar_map: PlanarMap) -> bool:
-    """Return whether a chessboard continues beyond the corners found: OpenCV finds a part of a larger board too.
+    """Return True if a chessboard continues beyond the corners found: OpenCV finds a part of a larger board too.
 
     Args:
         image: Grey values, shape (height, width).

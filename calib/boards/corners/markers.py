@@ -49,7 +49,7 @@ class Markers(Value):
         return np.asarray(np.linalg.norm(edges, axis=2).mean(axis=1))
 
     def select(self, chosen: Mask) -> Markers:
-        """Return the markers of a mask, shape (m,)."""
+        """Return the markers at which a mask, shape (m,), is True."""
         return Markers(self.ids[chosen], self.corners[chosen])
 
     def of_ids(self, first: int, count: int) -> Markers:
@@ -67,7 +67,7 @@ class Markers(Value):
 
 
 def no_markers() -> Markers:
-    """Return no markers, as a chessboard has."""
+    """Return an empty set of markers, which is that of a chessboard."""
     return Markers(np.zeros(0, dtype=int), np.zeros((0, 4, 2)))
 
 
@@ -166,7 +166,7 @@ class Placement(Value):
 
     @property
     def is_sound(self) -> bool:
-        """True if enough markers agree."""
+        """True if two markers or more agree with the place, and few enough do not."""
         allowed = max(1.0, _MISREAD_SHARE * len(self.agrees))
         return int(self.agrees.sum()) >= FEWEST_MARKERS and self.misread <= allowed
 

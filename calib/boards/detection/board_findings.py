@@ -259,12 +259,12 @@ def is_wrong_description(finding: Finding, pictures: Sequence[Picture], board: B
 
 
 def _names(pictures: Sequence[Picture]) -> tuple[str, ...]:
-    """Return the names of pictures."""
+    """Return the names of the files of pictures."""
     return tuple(picture.file.name for picture in pictures)
 
 
 def _view(picture: Picture, board: Board) -> BoardView:
-    """Return what a picture shows of a board."""
+    """Return the corners of a board that were found in a picture, or the reason why there are none."""
     return next(view for view in picture.views if view.board == board.name)
 
 
@@ -362,7 +362,7 @@ def measured_ratio(board: Board, seen: Sequence[Seen]) -> float:
 
 
 def _middle(corners: Array) -> Array:
-    """Return where the diagonals of a quadrilateral (4, 2) meet, shape (2,): the middle of a square in perspective."""
+    """Return the point (2,) [px] where the diagonals of corners (4, 2) meet: the middle of a square."""
     first = corners[2] - corners[0]
     second = corners[3] - corners[1]
     along, _ = np.linalg.solve(np.stack([first, -second], axis=1), corners[1] - corners[0])
@@ -370,7 +370,7 @@ def _middle(corners: Array) -> Array:
 
 
 def _agreeing_share(board: Board, seen: Sequence[Seen]) -> float:
-    """Return the share of all markers that agree with a description."""
+    """Return the share, 0 to 1, of all markers in pictures that are where a description of the board has them."""
     layout = marker_outlines(board)
     agreeing = 0
     total = 0

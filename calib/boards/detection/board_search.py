@@ -233,7 +233,7 @@ def _is_in(image: Any, board: Board) -> bool:  # noqa: ANN401  8-bit
 
 
 def _empty(board: Board, reason: str) -> BoardView:
-    """Return a view without corners."""
+    """Return a view without corners of a board, with the reason."""
     return BoardView(
         board=board.name,
         ids=np.zeros(0, dtype=int),

@@ -57,7 +57,7 @@ class Detection(Value):
 
     @property
     def corner_count(self) -> int:
-        """Number of all corners that are used."""
+        """Number of corners that are used, in all pictures together."""
         return sum(len(view.ids) for picture in self.pictures for view in picture.used)
 
 

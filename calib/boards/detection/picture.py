@@ -177,7 +177,7 @@ class Search(Value):
     boards: tuple[Board, ...]
     #: Fewest corners of a board with which a picture is used.
     fewest: int
-    #: Whether OpenCV uses one thread, as beside other processes.
+    #: True if OpenCV uses one thread, as beside other processes.
     single_thread: bool = False
 
 
@@ -188,7 +188,7 @@ class Picture(Value):
     file: ImageFile
     #: Width and height [px]; zeros if it cannot be read.
     size: tuple[int, int] = (0, 0)
-    #: What it shows of each board, in their order.
+    #: Corners found of each board, in the order of the boards.
     views: tuple[BoardView, ...] = ()
     #: Why nothing of it is used; "" if something is, or if the reasons of the views say it.
     reason: str = ""

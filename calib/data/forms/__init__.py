@@ -1,1 +1,1 @@
-"""What tables come as: conventions of orientations, brands' columns and other options, and lists of points."""
+"""Forms of tables: conventions of orientations, brands' columns and other options, and lists of points."""

@@ -34,7 +34,7 @@ _POSITION = ("x", "y", "z")
 class Brand:
     """Names of columns that a brand's controllers and programs use."""
 
-    #: What ``--columns`` calls it.
+    #: Its name, as ``--columns`` takes it.
     name: str
     #: Its own spelling, for messages: ``"Stäubli"``.
     title: str
@@ -248,7 +248,7 @@ class ColumnOptions:
         return _units(self.joint_unit).get(quantity, of_brand.get(quantity))
 
 
-#: What functions take as ``columns``: names of calib by those of the table, or all that can be said; None: nothing.
+#: An argument ``columns``: names of calib by those of the table, or all options for columns; None: no option.
 ColumnsInput: TypeAlias = Mapping[str, str] | ColumnOptions | None
 
 

@@ -15,7 +15,7 @@ from calib.errors import MeasurementError
 class Orientation(NamedTuple):
     """The orientation of a table's rows."""
 
-    #: What its numbers mean.
+    #: The meaning of its numbers.
     convention: Convention
     #: Its columns, in the order of the convention.
     columns: Columns

@@ -30,13 +30,13 @@ _SCALAR_LAST = [1, 2, 3, 0]
 class Convention:
     """A way to write an orientation as numbers in columns."""
 
-    #: What ``--orientation`` calls it.
+    #: Its name, as ``--orientation`` takes it.
     name: str
     #: The columns' names; single capital letters are read as written, others in any case.
     columns: tuple[str, ...]
     #: Unit in which the numbers are usually written; empty: they have none.
     unit: str
-    #: What it is, for messages: ``"a quaternion"``.
+    #: Its description for messages: ``"a quaternion"``.
     words: str
     #: Rotation matrices, shape (N, 3, 3), of numbers, shape (N, k), in SI units; NaN where a number is.
     matrices: Callable[[Array], Array]
@@ -76,7 +76,7 @@ def _angles_about_fixed_axes(R: Array) -> Array:
 
 
 def _nearest_rotations(numbers: Array) -> Array:
-    """Return the rotations nearest to matrices r11, r12 ... r33, shape (N, 9), that were written with few digits.
+    """Return the rotations (N, 3, 3) nearest to matrices r11, r12 ... r33, (N, 9), of few digits; NaN stays.
 
     With M = U S V^T the nearest rotation is U V^T.
     """

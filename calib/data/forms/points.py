@@ -117,5 +117,5 @@ class Points:
 
 
 def _last(name: str) -> str:
-    """Return the point's own name, without collection and group."""
+    """Return the last part of a point's whole name, without collection and group: ``"P1"`` of ``"A::Main::P1"``."""
     return name.rpartition(PARTS)[2].strip()

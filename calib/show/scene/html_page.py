@@ -127,7 +127,7 @@ def _safe_text(path: Path) -> str:
 
 
 def _base64(data: bytes) -> str:
-    """Return bytes as text that needs no escaping."""
+    """Return bytes as base64, a text that needs no escaping."""
     return base64.b64encode(data).decode("ascii")
 
 

@@ -70,7 +70,7 @@ class SceneWindow:
         self._scene: dict[str, Any] = {"geometries": {}, "commands": []}
 
     def send(self, command: Any) -> None:  # noqa: ANN401  a command of meshcat
-        """Keep a command, as meshcat's server does."""
+        """Keep a command of meshcat, with identifiers that follow from its content."""
         message = command.lower()
         if message["type"] == "set_object":
             # Identify the object by its path and its geometry by its content; store each geometry once, by its name.

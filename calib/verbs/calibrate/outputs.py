@@ -99,14 +99,14 @@ class Outputs:
         Yields:
             The name of each output, after it was written.
         """
-        from calib.show.verdict_text import against
+        from calib.show.verdict_text import do_not_use_text
 
         if self.figures is not None and not self.force:
             from calib.verbs.calibrate.figures import drawings, figure_files
 
             # Figures that exist are refused before anything is written.
             figure_files(drawings(result), self.figures, self.figure_format or "png")
-        if self.output is not None and (self.accept or not against(result.verdict)):
+        if self.output is not None and (self.accept or not do_not_use_text(result.verdict)):
             yield result.write_urdf(
                 self.output,
                 overwrite=self.force,

@@ -141,14 +141,14 @@ def read_ur(
 
 def _arm_of_rows(rows: Array, path: PathLike, model: UrModel | None) -> UrModel:
     """Return the arm with the rows (6, 4) of a urcontrol.conf, which must be ``model`` if that is given."""
-    if model is not None and not model.same(rows):
+    if model is not None and not model.has_rows(rows):
         raise ModelError(
             f"The rows in [DH] of {path} are not those of the {model.name}. Leave the name of the "
             "arm out, or give the urcontrol.conf of this robot's own controller."
         )
     if model is not None:
         return UrModel(model.name, rows)
-    names = [known.name for known in MODELS if known.same(rows)]
+    names = [known.name for known in MODELS if known.has_rows(rows)]
     return UrModel(names[0] if names else f"arm of {Path(path).name}", rows)
 
 
