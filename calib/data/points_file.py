@@ -214,11 +214,18 @@ def _has_point(cells: Sequence[str], start: int) -> bool:
 
 
 def _columns(table: Table, headings: Sequence[str]) -> tuple[list[int], list[int]]:
-    """Find the columns, from 0, of the names (none without names) and of x, y, z; a heading may be their header."""
-    for remark in reversed(headings):
-        columns = _columns_of_header(table, remark)
-        if columns is not None:
-            return columns
+    """Return the indices of the columns of names (none without names) and of x, y, z; a heading may be their header."""
+    width = len(table.cells[0])
+    for heading in reversed(headings):
+        words = _split(heading, table.separator)
+        names = [re.sub(r"\s*[\[(].*", "", word).casefold() for word in words]
+        # Between blanks a heading may be of two words: then the header says nothing of positions.
+        fits = len(names) == width if table.separator == " " else len(names) >= width
+        if fits and all(names.count(axis) == 1 for axis in POINT):
+            point_columns = [names.index(axis) for axis in POINT]
+            name_columns = [names.index(name) for name in _NAMES if names.count(name) == 1]
+            return name_columns or list(range(min(point_columns))), point_columns
+
     x = _first_coordinate(table)
     if _is_numbered(table, x):
         x += 1
@@ -247,20 +254,6 @@ def _check_no_thousands(table: Table, x: int) -> None:
             'double quotes; if all is right, write a header line above the points, "name,x,y,z" and a name for what '
             "follows."
         )
-
-
-def _columns_of_header(table: Table, remark: str) -> tuple[list[int], list[int]] | None:
-    """Return the columns of names and of x, y, z if a remark is a header, as `_columns` does."""
-    width = len(table.cells[0])
-    cells = _split(remark, table.separator)
-    headings = [re.sub(r"\s*[\[(].*", "", cell).casefold() for cell in cells]
-    # Between blanks a heading may be of two words: then the header says nothing of positions.
-    fits = len(headings) == width if table.separator == " " else len(headings) >= width
-    if not fits or any(headings.count(axis) != 1 for axis in POINT):
-        return None
-    point_columns = [headings.index(axis) for axis in POINT]
-    name_columns = [headings.index(name) for name in _NAMES if headings.count(name) == 1]
-    return name_columns or list(range(min(point_columns))), point_columns
 
 
 def _first_coordinate(table: Table) -> int:

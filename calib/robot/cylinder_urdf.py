@@ -20,7 +20,7 @@ import pinocchio as pin
 
 from calib.basics.arrays import Array
 from calib.robot import kernel
-from calib.robot.dh_json import robot_json
+from calib.robot.dh_file import robot_json
 from calib.robot.dh_rows import MODIFIED, DHRobot, DHRow, DHTable, link_names, screw
 
 #: Radius of the first and of the last link, over the length of the stretched robot.

@@ -22,8 +22,7 @@ from calib.basics.json_files import parse_json
 from calib.basics.values import Value
 from calib.errors import CalibError, UrdfError, choices, did_you_mean
 from calib.robot.cylinder_urdf import REMARK, dh_urdf
-from calib.robot.dh_file import ENDINGS, read_dh_robot
-from calib.robot.dh_json import robot_of_json
+from calib.robot.dh_file import ENDINGS, read_dh_robot, robot_of_json
 from calib.robot.dh_rows import DHRobot
 from calib.robot.ur_models import MODELS, named_ur_urdf, ur_model
 from calib.robot.urdf_tree import UrdfJoint, read_tree

@@ -119,7 +119,13 @@ def detect(
         of_board = [*board_findings(board, readable), *other_pattern(board, readable, executor)]
         findings += of_board
         if any(is_wrong_description(finding, readable, board) for finding in of_board):
-            pictures = [_without_corners_of(picture, board) for picture in pictures]
+            # The board is described wrongly: its corners are used in no picture.
+            for k, picture in enumerate(pictures):
+                views = []
+                for view in picture.views:
+                    is_wrong = view.board == board.name and view.is_used
+                    views.append(replace(view, reason=LAYOUT) if is_wrong else view)
+                pictures[k] = replace(picture, views=tuple(views))
     return Detection(tuple(boards), tuple(pictures), tuple(findings), fewest)
 
 
@@ -151,12 +157,3 @@ def _check_sequence(
         raise wrong_type(argument, given, f"a sequence of {allowed}, one or more")
     for k, value in enumerate(given):
         check_type(f"{argument}[{k}]", value, types, f"one of {allowed}")
-
-
-def _without_corners_of(picture: Picture, board: Board) -> Picture:
-    """Return a picture in which the corners of a board are not used: the board is described wrongly."""
-    views = []
-    for view in picture.views:
-        is_wrong = view.board == board.name and view.is_used
-        views.append(replace(view, reason=LAYOUT) if is_wrong else view)
-    return replace(picture, views=tuple(views))

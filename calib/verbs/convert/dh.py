@@ -22,8 +22,13 @@ from calib.basics.files import write_atomically
 from calib.basics.json_files import json_bytes
 from calib.errors import FileError, ModelError, choices
 from calib.model.dh_table import dh_table, near_parallel, taken_as_parallel
-from calib.robot.dh_file import ENDINGS as SOURCE_ENDINGS
-from calib.robot.dh_json import NUMBERS, equation, file_content, joint_json
+from calib.robot.dh_file import (
+    ENDINGS as SOURCE_ENDINGS,
+    NUMBERS,
+    equation,
+    file_content,
+    joint_json,
+)
 from calib.robot.dh_rows import EQUATIONS, HAYATI, MODIFIED, STANDARD, DHRow, DHTable
 from calib.robot.ranges import spread_poses
 from calib.robot.readback import TOLERANCE
