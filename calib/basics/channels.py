@@ -193,7 +193,7 @@ class Channels:
         return Channels(self.units, self.vectors, self.index[rows])
 
     def vector_columns(self, unit: str) -> tuple[Integers, Mask]:
-        """Return where rows have vectors in a unit, by its symbol: the residuals of positions, or of orientations.
+        """Return the columns and rows that hold vectors in a unit: the residuals of positions, or of orientations.
 
         Returns:
             The three columns along x, y, z, and a mask of the rows that have such a vector in these columns, shape

@@ -342,7 +342,7 @@ def _registered_names(
     before: Mapping[str, Mapping[str, Any]],
     nested: Sequence[Plugin],
 ) -> dict[str, tuple[str, ...]]:
-    """Return the names that a plugin, but none that it loaded itself, added to the registries as they were before."""
+    """Return by registry the names that a plugin added since ``before``, without those of plugins that it loaded."""
     names = {}
     for what, entries in _REGISTRIES.items():
         earlier = before.get(what, _OWN[what])  # a registry that the plugin imported was not there

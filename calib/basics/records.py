@@ -464,7 +464,7 @@ def options(kind: type, groups: Collection[str] = ()) -> Iterator[Option]:
 
 
 def changes(value: Any, given: Mapping[str, Any]) -> dict[str, Any]:  # noqa: ANN401  any record
-    """Return what options change in a record.
+    """Return the fields of a record that options change, with their new values.
 
     Args:
         value: The record, as a file has it; or its class, if no option is merged with a value so far.

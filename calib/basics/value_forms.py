@@ -73,7 +73,7 @@ class Check:
 
 
 def checked(value: Any, what: object, must: str, convert: Callable[[Any], Any]) -> Any:  # noqa: ANN401
-    """Return a given value as it is kept.
+    """Check a given value by a conversion, and return it as it is kept.
 
     Args:
         value: The value as given.

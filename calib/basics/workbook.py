@@ -40,7 +40,7 @@ def split_sheet(path: str) -> tuple[str, str | None]:
 
 
 def read_sheet(data: bytes, source: str, sheet: str) -> tuple[str, str]:
-    r"""Read a sheet as text.
+    r"""Read a sheet of an Excel file as text, cells between tabs.
 
     Args:
         data: The file's bytes.

@@ -54,7 +54,7 @@ def design(
     first_marker: int = 0,
     **others: Any,  # noqa: ANN401
 ) -> Board:
-    """Choose what is not given of a board so that it is as large as fits on a paper.
+    """Design a board: choose what is not given so that it is as large as fits on a paper.
 
     Args:
         paper: Name of the paper, of `PAPERS` or `NO_PAPER`.

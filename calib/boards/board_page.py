@@ -112,7 +112,7 @@ def sizes_of_paper(paper: str) -> tuple[tuple[float, float], ...]:
 
 
 def margins(quiet: float) -> tuple[float, float]:
-    """Return how much of the width and of the height of a sheet margins and rulers take [m].
+    """Return the parts of the width and of the height of a sheet that margins and rulers take [m].
 
     Args:
         quiet: White margin around the pattern [m].
@@ -209,7 +209,7 @@ class Page(Value):
 
 
 def page_of(board: Board, sheet: Sheet, lines: Sequence[str]) -> Page:
-    """Draw the page of a board.
+    """Lay out the page of a board: pattern, rulers and lines of text on a sheet.
 
     Args:
         board: The board.

@@ -62,7 +62,7 @@ class PrintScale:
 
 
 def print_scale(board: Board, text: str) -> PrintScale:
-    """Read what was measured on a print: the whole pattern, one square, or several squares.
+    """Determine the scale of a print by a length measured on it: of the whole pattern, one square, or several.
 
     Args:
         board: The board as drawn.

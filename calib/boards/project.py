@@ -84,7 +84,7 @@ def camera_matrix(camera: Camera) -> tuple[Array, Array]:
 
 
 def project(camera: Camera, points: Array) -> Array:
-    """Project points by OpenCV.
+    """Project points in the frame of a camera to pixels, by OpenCV.
 
     Args:
         camera: The camera, whose intrinsics are known.
@@ -152,7 +152,7 @@ def corner_pixels(
 
 
 def in_image(pixels: Array, image_size: tuple[int, int], margin: float) -> Mask:
-    """Return which pixels are inside an image.
+    """Mark the pixels that are inside an image.
 
     Args:
         pixels: shape (..., 2) [px].

@@ -98,7 +98,7 @@ class Bundle:
     std: Array
 
     def normal(self, values: Array, T: Array, views: Sequence[View]) -> _Normal:
-        """Return the normal equations.
+        """Return the normal equations of a step from given intrinsics and poses.
 
         Args:
             values: shape (m,), the intrinsics.
@@ -298,5 +298,5 @@ def _without_distortion(camera: Camera, focal: float) -> Array:
 
 
 def _some(views: Sequence[View], count: int) -> Sequence[View]:
-    """Return at most so many of the views, evenly from first to last."""
+    """Return at most ``count`` of the views, chosen evenly from first to last."""
     return views[:: -(-len(views) // count)]

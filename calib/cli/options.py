@@ -130,7 +130,7 @@ def field_parameters(
 
 
 def is_list(parameter: inspect.Parameter) -> bool:
-    """Return whether an option of `field_parameters` can be repeated."""
+    """Return True if an option of `field_parameters` can be repeated."""
     return list[str] in get_args(get_args(parameter.annotation)[0])
 
 
@@ -257,7 +257,7 @@ class ColumnChoice:
     ] = None
 
     def parsed(self) -> ColumnOptions:
-        """Return what is said of the columns, in which ``--columns`` may rename some and name one brand.
+        """Return the options for columns; ``--columns`` may rename some and name one brand.
 
         Raises:
             CalibError: A word is not of its form, a column is named twice, or there is no such convention or unit.

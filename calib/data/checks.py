@@ -53,7 +53,7 @@ class RowLabels:
         return self.source or "Measurements"
 
     def fail(self, index: int, what: str) -> NoReturn:
-        """Refuse a row.
+        """Refuse a row of measurements, with its row number in the message.
 
         Args:
             index: The row, from 0; the message has its row number.
@@ -81,7 +81,7 @@ class RowLabels:
 
 
 def by_word(words: Sequence[str], rows: Mask) -> dict[str, list[int]]:
-    """Group rows by their words.
+    """Return the indices of chosen rows, from 0, by their words.
 
     Args:
         words: Word of each row.
@@ -111,7 +111,7 @@ def mask_of_words(words: Sequence[str], *chosen: str) -> Mask:
 
 
 def check_words(labels: RowLabels, words: Mapping[str, Sequence[str]], count: int) -> None:
-    """Check the words and the numbers of rows.
+    """Refuse words and row numbers that are not one a row, unknown, or repeated.
 
     Args:
         labels: The rows, whose numbers are checked too.
@@ -141,7 +141,7 @@ def check_words(labels: RowLabels, words: Mapping[str, Sequence[str]], count: in
 
 
 def check_joint_names(labels: RowLabels) -> None:
-    """Check that names of joints are unique and no other column's.
+    """Refuse names of joints that repeat, or that are names of other columns.
 
     Raises:
         MeasurementError: They are not; the message lists them.
@@ -214,7 +214,7 @@ def checked_numbers(
 
 
 def shared_by_pairs(labels: RowLabels, values: ArrayLike, pair_rows: Integers) -> Array:
-    """Return readings in which both rows of a pair have the pair's.
+    """Return readings that are the same in both rows of a pair, also if one row had none.
 
     Args:
         labels: The N rows, for messages.
@@ -243,7 +243,7 @@ def shared_by_pairs(labels: RowLabels, values: ArrayLike, pair_rows: Integers) -
 def checked_readings(
     labels: RowLabels, given: Mapping[str, ArrayLike | None], pair_rows: Integers
 ) -> dict[str, Array]:
-    """Return checked, read-only copies of the readings of kinds.
+    """Return checked, read-only copies of the readings that the registered kinds need.
 
     Args:
         labels: The N rows, for messages.

@@ -115,7 +115,7 @@ def column_names(table: Table, columns: ColumnsInput = None) -> set[str] | None:
 def name_columns(
     table: Table, joint_names: Sequence[str], columns: ColumnsInput
 ) -> tuple[dict[str, Column], Columns]:
-    """Name the columns of a table as calib does.
+    """Map the columns of a table to calib's names, by their headers, ``--columns`` and a brand.
 
     Args:
         table: The table.

@@ -131,7 +131,7 @@ def inputs_of(
 
 
 def _check_robot(robot: object, argument: str) -> None:
-    """Refuse what is not a robot, and the path of a table in its place."""
+    """Refuse an argument that is neither a robot nor a path or name of one, or is the path of a table."""
     check_type(argument, robot, (Robot, str, Path), ROBOT)
     if isinstance(robot, (str, Path)) and is_other_table(robot):
         raise CalibError(
@@ -151,7 +151,7 @@ GENERIC_ANCHOR = (0.7, -0.5, 0.3)
 
 
 def table_of_poses(robot: Robot, name: str, joints: Array) -> Measurements:
-    """Make a table of poses, whose measured values do not matter.
+    """Make a table of rows of one kind at given joint values, with placeholders for the measured values.
 
     Args:
         robot: The nominal robot.

@@ -186,7 +186,7 @@ def _matrix_fault(values: Array) -> Fault | None:
 
 
 def _degrees_fault(layout: Layout, values: Array) -> Fault | None:
-    """Return the first rotation vector beyond half a turn, of (N, 3) [rad], that may be three angles just as well.
+    """Return the fault of the first of N rotation vectors (N, 3) [rad] longer than half a turn; None without one.
 
     Only if the columns may be of another convention, and none was named.
     """

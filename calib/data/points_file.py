@@ -371,7 +371,7 @@ def decimal_sign_in(remarks: Iterable[str]) -> str | None:
 def decimal_sign_of(
     numerals: Iterable[tuple[int, str]], source: str, stated: str | None = None
 ) -> str:
-    """Return the decimal sign of the numbers of a file.
+    """Determine the decimal sign of the numbers of a file from all of them together.
 
     Args:
         numerals: Line of each number, from 1, and the number as written; anything else is ignored.

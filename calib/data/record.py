@@ -28,7 +28,7 @@ _ENDS = 2
 
 
 def _text_or_none(value: Any) -> str | None:  # noqa: ANN401
-    """Return an entry of a file: a text, a whole number such as a serial number, or a date; None for others."""
+    """Return a text, a whole number such as a serial number, or a date of a file as text; None for others."""
     if isinstance(value, date):
         return value.isoformat()
     is_count = isinstance(value, int) and not isinstance(value, bool)
@@ -62,7 +62,7 @@ def _temperatures_or_none(value: Any) -> tuple[Any, ...] | None:  # noqa: ANN401
 
 
 def _plausible_or_none(values: object) -> tuple[float, ...] | None:
-    """Return no, one or two temperatures [°C] as a tuple; None for anything else."""
+    """Return a tuple of no, one or two temperatures in a plausible range [°C]; None for anything else."""
     low, high = TEMPERATURES_C
     given = tuple(values) if isinstance(values, (tuple, list)) else (values,)
     if len(given) <= _ENDS and all(is_number(value) and low <= value <= high for value in given):

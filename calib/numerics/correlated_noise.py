@@ -140,7 +140,7 @@ def _likeliest(
     of_orientation = np.eye(POSE) - of_position
 
     def cost(logarithms: Array) -> tuple[float, Array]:
-        """Return the sum at the head of this module and its derivative (4,) by the logarithms of s, t, a and g."""
+        """Return sum w [log det V + tr(V^-1 S)] + (log s / log 10)^2, and its derivative (4,) by log s, t, a and g."""
         s, t, a, g = np.exp(logarithms)
         V = PoseNoise(s, t, a, g).covariances(stated, by_joints)
         inverse = np.linalg.inv(V)

@@ -303,12 +303,12 @@ def register(name: str, solver: Solver) -> None:
 
 
 def has_weights_and_priors(solver: str | Solver) -> bool:
-    """Return whether fits by a solver, a name or the function itself, weigh rows and have priors of parameters."""
+    """Return True if fits by a solver, a name or the function itself, weigh rows and have priors of parameters."""
     return callable(solver) or solver not in _WITHOUT_WEIGHTS_AND_PRIORS
 
 
 def check_name(name: str) -> None:
-    """Check that there is a solver of this name.
+    """Refuse a name that is not that of a registered solver.
 
     Raises:
         ModelError: There is none.

@@ -301,7 +301,7 @@ class Coupling:
 
 
 def coupling_of(urdf: Urdf, joints: Sequence[UrdfJoint], held: Mapping[str, float]) -> Coupling:
-    """Return how the joints of a chain follow those that move freely.
+    """Return the motion of a chain with the joints that move freely, q_chain = A theta + b.
 
     Args:
         urdf: The robot.

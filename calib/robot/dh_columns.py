@@ -282,7 +282,7 @@ def _unknown_convention(word: str) -> str:
 def value_added(
     columns: DHColumns, i: int, joint: str, *, slides: bool
 ) -> tuple[int, float, dict[str, float]]:
-    """Read what is added to a row.
+    """Read the value that is added to a row: direction, offset, and factors of other joints' readings.
 
     Args:
         columns: The columns of the table.

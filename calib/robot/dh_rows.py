@@ -102,7 +102,7 @@ class DHRow:
         return bool(sine < np.sin(NEARLY_PARALLEL_RAD))
 
     def matrix(self, q: ArrayLike = 0.0, *, modified: bool = False) -> Array:
-        """Return A_i, or M_i of the modified convention.
+        """Return the transform of the row at joint values: A_i, or M_i of the modified convention.
 
         Args:
             q: One value of the row's joint or N of them, [rad] or [m].

@@ -228,7 +228,7 @@ def add_columns(columns: Array, moves: Array, twists_at: Array, place: Numbers) 
 
 
 def carried(frames: Array, T: Array, place: Numbers) -> Array:
-    """Return frames followed by the placement that belongs to each sample.
+    """Return the next frames: frames times the placement that belongs to each sample.
 
     Args:
         frames: Shape (4, 3, B), [m].

@@ -150,7 +150,7 @@ def ur_model(name: str | UrModel) -> UrModel:
 
 
 def chain_of_rows(rows: Array) -> Array:
-    """Return the chain of DH rows.
+    """Return the chain of an arm of Universal Robots with given DH rows.
 
     Args:
         rows: theta, a, d, alpha of six joints, shape (6, 4), [rad] and [m].

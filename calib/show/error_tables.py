@@ -144,7 +144,7 @@ def sizes_of_errors(columns: Sequence[ErrorColumn]) -> list[ErrorColumn]:
 
 
 def error_title(unit: str, *channels: Channels) -> str:
-    """Title of a table of errors in one unit: an error of a distance is not one of a position.
+    """Return the title of a table of errors in one unit: an error of a distance is not one of a position.
 
     Args:
         unit: Symbol of the unit.

@@ -67,7 +67,7 @@ def times(fewest: int, most: int) -> str:
 
 
 def row_ranges(rows: Iterable[int], limit: int = 12) -> str:
-    """List row numbers, consecutive ones as a range: ``4, 7 to 9``.
+    """Write row numbers as text, consecutive ones as a range: ``4, 7 to 9``.
 
     Args:
         rows: The numbers, in any order.
@@ -100,7 +100,7 @@ def listed(parts: Sequence[str]) -> str:
 
 
 def number(value: float, digits: int = 3, sign: str = "-") -> str:
-    """Format a number.
+    """Format a number with so many digits after the point.
 
     Args:
         value: The number.

@@ -232,7 +232,7 @@ _BETTER = (
 
 
 def reason_text(reason: Reason) -> str:
-    """Word a reason of a verdict.
+    """Word a reason of a verdict in sentences.
 
     Args:
         reason: The reason; its values are in SI units.

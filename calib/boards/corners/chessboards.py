@@ -116,7 +116,7 @@ def find_inner_corners(
 
 
 def visible_corners(board: Board, planar_map: PlanarMap, image_size: tuple[int, int]) -> Mask:
-    """Return which corners of a board are inside an image of a width and height [px], shape (n,)."""
+    """Return a mask, shape (n,), of the corners of a board that are inside an image of a width and height [px]."""
     return in_image(planar_map.project(board.corners[:, :2]), image_size, _EDGE)
 
 
@@ -156,7 +156,7 @@ def is_ambiguous(board: Board) -> bool:
 
 
 def find_chessboard(image: Any, board: Board) -> tuple[PlanarMap, Array] | None:  # noqa: ANN401  8-bit
-    """Find a chessboard.
+    """Find a plain chessboard in an image, by OpenCV, and the order of its inner corners.
 
     Args:
         image: Grey values, 8 bits, shape (height, width).

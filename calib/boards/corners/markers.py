@@ -53,7 +53,7 @@ class Markers(Value):
         return Markers(self.ids[chosen], self.corners[chosen])
 
     def of_ids(self, first: int, count: int) -> Markers:
-        """Return the markers of a board.
+        """Return the markers whose ids are those of a board, with ids counted from 0.
 
         Args:
             first: Id of the board's first marker.
@@ -77,7 +77,7 @@ def find_markers(
     *,
     thorough: bool = False,
 ) -> Markers:
-    """Find the markers of a dictionary.
+    """Find the markers of a dictionary in an image.
 
     Args:
         image: Grey values, 8 bits, shape (height, width).

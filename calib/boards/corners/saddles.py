@@ -130,7 +130,7 @@ class Patch(Value):
 
 
 def find_saddles(image: Array, expected: Array, windows: Array, signs: Array) -> Saddles:
-    """Find the saddle next to each of several places.
+    """Refine corners of chessboards: find the saddle of the grey values next to each expected place.
 
     Args:
         image: Grey values, shape (height, width).
@@ -192,7 +192,7 @@ def _alternates(image: Array, q: Array, window: Array, sign: float) -> bool:
 
 
 def patch_at(image: Array, q: Array, window: Array) -> Patch | None:
-    """Cut out the pixels of a window.
+    """Return the pixels in a window around a corner, with their weights and gradients.
 
     Args:
         image: Grey values, shape (height, width).

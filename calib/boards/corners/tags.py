@@ -61,7 +61,7 @@ class _Line(Value):
 
 
 def tag_corners(image: Array, quadrilaterals: Array) -> Saddles:
-    """Refine the corners of tags.
+    """Refine the corners of tags by lines that are fitted to their edges.
 
     Args:
         image: Grey values, shape (height, width).

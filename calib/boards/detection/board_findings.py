@@ -229,7 +229,7 @@ def other_pattern(
 
 
 def _chessboard_in(_: None, file: ImageFile) -> tuple[int, int] | None:
-    """Return the size of whatever chessboard a picture shows, the larger number first."""
+    """Return columns and rows of whatever chessboard a picture shows, the larger number first; None without one."""
     return size_of_chessboard(read_image(file))
 
 
@@ -240,7 +240,7 @@ def _ids_in(_: None, file: ImageFile) -> dict[tuple[str, ...], set[int]]:
 
 
 def is_wrong_description(finding: Finding, pictures: Sequence[Picture], board: Board) -> bool:
-    """Return whether a finding discards a board's corners in all pictures: no fewer speak for it than against it.
+    """Return True if a finding discards a board's corners in all pictures: as many speak for it as against it, or more.
 
     Args:
         finding: The finding.
@@ -274,7 +274,7 @@ def _seen(board: Board, pictures: Sequence[Picture]) -> list[Seen]:
 
 
 def _is_as_described(board: Board, ratio: float) -> bool:
-    """Return whether markers of ``ratio`` sides of a square have the described size, as well as it is measured."""
+    """Return True if markers of ``ratio`` sides of a square have the described size, as well as it is measured."""
     return bool(abs(ratio * board.square / board.marker - 1.0) <= _RATIO_TOLERANCE)
 
 

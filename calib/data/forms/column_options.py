@@ -129,7 +129,7 @@ def fix_for_brand(names: Sequence[str]) -> str:
 def names_by_brand(
     brand: Brand, source: str, names: Mapping[int, str], joint_names: Sequence[str]
 ) -> dict[int, str]:
-    """Return calib's names of the columns that a brand names.
+    """Return calib's names of the columns that have names of a brand, by their positions in the table.
 
     Args:
         brand: The brand.
@@ -253,7 +253,7 @@ ColumnsInput: TypeAlias = Mapping[str, str] | ColumnOptions | None
 
 
 def column_options(columns: ColumnsInput) -> ColumnOptions:
-    """Return what is said of a table's columns, from what a function was given as ``columns``."""
+    """Return an argument ``columns`` as options: a mapping gives the names alone, None gives nothing."""
     return columns if isinstance(columns, ColumnOptions) else ColumnOptions(columns or {})
 
 

@@ -40,7 +40,7 @@ class Points:
     sha256: str
 
     def of_rows(self, source: str, rows: Sequence[int], names: Sequence[str] | None) -> list[int]:
-        """Find the point of each row of a table.
+        """Return the index of the point of each row of a table, by the names of points or by their order.
 
         Args:
             source: The table's name, for messages.

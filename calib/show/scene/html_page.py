@@ -51,7 +51,7 @@ class Page(NamedTuple):
         return write_atomically(path, self.html, overwrite=overwrite)
 
 
-class Key(NamedTuple):
+class LegendEntry(NamedTuple):
     """An entry of the legend, which shows and hides nodes."""
 
     #: Its text

@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 from calib.basics.arrays import Array
 from calib.robot.robot import Robot
 from calib.show.look import NOMINAL
-from calib.show.scene.html_page import Key, Page, fill_page
+from calib.show.scene.html_page import LegendEntry, Page, fill_page
 from calib.show.scene.posed_robot import PosedRobot, read_visuals, translation
 
 #: The scene's node that holds the robots.
@@ -93,7 +93,7 @@ class SceneWindow:
         return packed
 
 
-class Camera(NamedTuple):
+class ViewCamera(NamedTuple):
     """A camera that looks at a point."""
 
     #: Shape (3,), the point [m]
@@ -127,7 +127,7 @@ def camera_direction(points: Array, side_view: float = _SIDE_VIEW) -> Array:
 
 def look_at(
     points: Array, towards_camera: Array, between: tuple[float, float] = (-0.69, 0.75)
-) -> Camera:
+) -> ViewCamera:
     """Place a camera as near as possible so that it sees all points clear of the text, on a 16:9 screen.
 
     Args:
@@ -149,7 +149,7 @@ def look_at(
         at = local[:, :2] / (distance - local[:, 2:])
         centre[:2] += 0.5 * (at.min(axis=0) + at.max(axis=0)) * distance
     centre[1] -= 0.5 * (low + high) * tangents[1] * distance
-    return Camera(centre @ axes, axes, distance)
+    return ViewCamera(centre @ axes, axes, distance)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -164,7 +164,7 @@ class Scene:
     square: float
 
 
-def new_scene(camera: Camera, size: float, floor: float) -> Scene:
+def new_scene(camera: ViewCamera, size: float, floor: float) -> Scene:
     """Make a scene with a camera, lights, background and floor; its origin is the camera's centre.
 
     Args:
@@ -370,7 +370,7 @@ def single_page(
     robot: Robot,
     q: Array,
     points: Array,
-    draw: Callable[[meshcat.Visualizer, float], list[Key]],
+    draw: Callable[[meshcat.Visualizer, float], list[LegendEntry]],
     *,
     title: str,
     text: str,
@@ -398,7 +398,7 @@ def single_page(
     base = scene.root[SCENE]
     base.set_transform(translation(-camera.centre))
     draw_robot(base["nominal"], posed, 0, solid(NOMINAL))
-    keys = [Key(legend, NOMINAL, "nominal"), *draw(base, size)]
+    keys = [LegendEntry(legend, NOMINAL, "nominal"), *draw(base, size)]
     html = fill_page(
         "page.html",
         scene.window.scene(),
@@ -424,11 +424,11 @@ class Dots(NamedTuple):
     points: Array
 
 
-def draw_dots(scene: meshcat.Visualizer, sets: Sequence[Dots], radius: float) -> list[Key]:
+def draw_dots(scene: meshcat.Visualizer, sets: Sequence[Dots], radius: float) -> list[LegendEntry]:
     """Draw each set that has points, as balls of a radius [m]; return the entries of the legend."""
     keys = []
     for dots in sets:
         if len(dots.points):
             draw_points(scene[dots.node], dots.points.reshape(-1, 3), dots.colour, radius)
-            keys.append(Key(dots.text, dots.colour, dots.node, "dot"))
+            keys.append(LegendEntry(dots.text, dots.colour, dots.node, "dot"))
     return keys
