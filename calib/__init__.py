@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from calib.numerics import solvers as solvers
     from calib.result.calibrate import calibrate as calibrate
     from calib.result.calibration import Calibration as Calibration
-    from calib.robot.dh.rows import DHRow as DHRow
+    from calib.robot.dh_rows import DHRow as DHRow
     from calib.robot.robot import Robot as Robot
     from calib.verbs.base_frame.base_frame import base_frame as base_frame
     from calib.verbs.calibrate.uncertainty import bootstrap as bootstrap
@@ -82,7 +82,7 @@ _NAMES = {
     "calib.verbs.plan.plan": "Plan plan",
     "calib.verbs.evaluate.acceptance": "Acceptance acceptance",
     "calib.verbs.calibrate.uncertainty": "bootstrap",
-    "calib.robot.dh.rows": "DHRow",
+    "calib.robot.dh_rows": "DHRow",
     "calib.robot.robot": "Robot",
     "calib.verbs.simulate.scenario": "Scenario simulate",
     "calib.verbs.view.page": "view",

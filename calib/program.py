@@ -60,7 +60,7 @@ class _Commands(Mapping[str, Any]):
 
 @cache
 def _command(name: str) -> Any:  # noqa: ANN401  a class of typer's own
-    """Return the command of a verb."""
+    """Import a verb by its name, and return its command."""
     folder = _EARLIER.get(name, name).replace("-", "_")
     function = getattr(importlib.import_module(f"calib.verbs.{folder}.command"), folder)
     single = typer.Typer(add_completion=False, rich_markup_mode=None)
@@ -120,5 +120,5 @@ _VERSION = typer.Option(
 
 @app.callback()
 def _options(version: bool = _VERSION) -> None:
-    """Take the options before the verb."""
+    """Take the options before the verb; ``--version`` has been handled by its callback."""
     del version

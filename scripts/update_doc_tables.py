@@ -15,7 +15,7 @@ from pathlib import Path
 
 from calib.basics.records import key_rows
 from calib.data.cell import FILE_KEYS, Cell
-from calib.show.errors import ERROR_COLUMNS
+from calib.show.error_tables import ERROR_COLUMNS
 
 DOCS = Path(__file__).parents[1] / "docs"
 

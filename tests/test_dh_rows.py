@@ -11,8 +11,8 @@ import pytest
 
 import calib
 from calib.example import dh_rows
-from calib.robot.dh.file import read_dh_robot
-from calib.robot.dh.rows import DHRow
+from calib.robot.dh_file import read_dh_robot
+from calib.robot.dh_rows import DHRow
 from calib.verbs.convert.dh import DHTables
 from tests.places import ROOT
 

@@ -1,1 +1,1 @@
-"""What every room needs: errors' companions, units, arrays, values, files, tables, plugins, jobs. Imports errors."""
+"""Basics of every room: errors' companions, units, arrays, values, files, tables, plugins, jobs. Imports errors."""

@@ -18,7 +18,7 @@ Integers: TypeAlias = NDArray[np.int_]
 
 
 def read_only(values: ArrayLike) -> Array:
-    """Return a copy of the values as a float64 array that cannot be written to."""
+    """Return a copy of values of any shape as a float64 array of that shape that cannot be written to."""
     array = np.array(values, dtype=np.float64)
     array.setflags(write=False)
     return array

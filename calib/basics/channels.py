@@ -29,21 +29,21 @@ VECTOR = 3
 class ResidualUnit:
     """A unit in which residuals are computed, and what tables, texts and verdicts need to know about it."""
 
-    #: As in the units of a kind: ``"m"``
+    #: Its symbol, as in the units of a kind: ``"m"``
     symbol: str
-    #: What it measures, for columns of tables: ``"length"``
+    #: The quantity that it measures, for columns of tables: ``"length"``
     quantity: Quantity
     #: Symbol of the unit in which texts and tables show it: ``"mm"``
     shown: str
     #: Digits after the decimal point in texts, in the unit shown
     digits: int
-    #: What the noise of one scalar is stated for, in texts: ``"per coordinate"``
+    #: The scalar that its noise is stated for, in texts: ``"per coordinate"``
     per: str
-    #: What several scalars measure together, for texts: ``"orientation"``
+    #: The quantity that several scalars measure together, for texts: ``"orientation"``
     measured: str
-    #: Whether errors of vectors are ``"along"`` or ``"about"`` the axes of the frame
+    #: Errors of vectors are ``"along"`` or ``"about"`` the axes of the frame
     preposition: str = "along"
-    #: Whether tables of errors show their span along each axis of the frame
+    #: True if tables of errors show their span along each axis of the frame
     shows_span: bool = False
     #: Table column and cell key of the standard deviation of one scalar, without its unit: ``"sigma_angle"``
     sigma_name: str
@@ -185,7 +185,7 @@ class Channels:
         return np.isin(self.index, of_unit)
 
     def columns(self, unit: str) -> Integers:
-        """Return the columns in which some row has a scalar of a unit, ascending."""
+        """Return the indices, ascending from 0, of the columns in which some row has a scalar of a unit."""
         return np.flatnonzero(self.where(unit).any(axis=0))
 
     def select(self, rows: Mask | Integers | slice) -> Channels:
@@ -193,7 +193,7 @@ class Channels:
         return Channels(self.units, self.vectors, self.index[rows])
 
     def vector_columns(self, unit: str) -> tuple[Integers, Mask]:
-        """Return where rows have vectors in a unit, by its symbol: the residuals of positions, or of orientations.
+        """Return the columns and rows that hold vectors in a unit: the residuals of positions, or of orientations.
 
         Returns:
             The three columns along x, y, z, and a mask of the rows that have such a vector in these columns, shape

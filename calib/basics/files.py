@@ -18,7 +18,7 @@ _PIPED: dict[tuple[int, int], bytes] = {}
 
 
 def _check_path(path: object) -> None:
-    """Refuse anything but the path of a file."""
+    """Refuse an argument ``path`` that is not the path of a file, by an ArgumentError."""
     if not isinstance(path, (str, os.PathLike)):
         # Imported late because it imports NumPy, which files alone do not need.
         from calib.basics.arguments import wrong_type

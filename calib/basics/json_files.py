@@ -46,7 +46,7 @@ def read_json(
     Raises:
         FileError: It cannot be read, is not JSON, or has another schema.
     """
-    table = parsed_json(
+    table = parse_json(
         read_bytes(path, what), f"{path}", f" Wanted is a {what} with its 'schema'; {expected}"
     )
     stated = table.get("schema") if isinstance(table, dict) else None
@@ -55,7 +55,7 @@ def read_json(
     return table
 
 
-def parsed_json(text: str | bytes, source: str, wanted: str = "") -> Any:  # noqa: ANN401  any JSON
+def parse_json(text: str | bytes, source: str, wanted: str = "") -> Any:  # noqa: ANN401  any JSON
     """Return the value that JSON states.
 
     Args:
@@ -137,7 +137,7 @@ class JsonLayout:
     types: Mapping[type, tuple[Callable[[Any], Any] | None, Callable[[Any], Any] | None]]
 
     def table(self, value: Any) -> dict[str, Any]:  # noqa: ANN401  a dataclass
-        """Return a dataclass as nested tables."""
+        """Return a dataclass as nested tables, as the layout says and ready for `json_bytes`."""
         return nested(self.entries(value))
 
     def entries(self, value: Any) -> dict[str, Any]:  # noqa: ANN401  a dataclass
@@ -202,16 +202,8 @@ class JsonLayout:
             return float("nan") if entry is None else float(entry)
         if hint in (int, bool, str):
             return hint(entry)
-        if get_origin(hint) is not None:
-            return self._read_generic(hint, entry)
-        if isinstance(hint, enum.EnumMeta):
-            return hint[entry.upper()]
-        if isinstance(hint, type) and is_dataclass(hint):
-            return hint(**self.values(hint, entry))
-        return entry
 
-    def _read_generic(self, hint: Any, entry: Any) -> Any:  # noqa: ANN401  any type, any JSON
-        """Return a value of a type with parameters, such as ``tuple[float, ...]`` or ``Array | None``."""
+        # Types with parameters, such as ``tuple[float, ...]`` or ``Array | None``.
         origin = get_origin(hint)
         parameters = get_args(hint)
         if origin in (Union, UnionType):
@@ -224,6 +216,13 @@ class JsonLayout:
             return tuple(self.read(parameters[0], value) for value in entry)
         if origin in (dict, Mapping):
             return {str(name): self.read(parameters[1], value) for name, value in entry.items()}
+        if origin is not None:
+            return entry
+
+        if isinstance(hint, enum.EnumMeta):
+            return hint[entry.upper()]
+        if isinstance(hint, type) and is_dataclass(hint):
+            return hint(**self.values(hint, entry))
         return entry
 
     def _write(self, value: Any) -> Any:  # noqa: ANN401  any value

@@ -28,7 +28,7 @@ from calib.errors import CalibError, FileError, PluginError, choices, did_you_me
 #: Group of entry points by which an installed distribution names its plugins.
 GROUP = "calib.plugins"
 
-#: What a registry has, in the singular, for messages; by the name of the attribute of `Plugin`.
+#: Word for an entry of each registry, for messages; by the name of the attribute of `Plugin`.
 WORDS: Mapping[str, str] = {
     "families": "family of errors",
     "kinds": "kind of measurement",
@@ -239,7 +239,7 @@ def _load(given: str, source: str) -> Plugin:
         count = len(_LOADED)
         before = {what: dict(entries) for what, entries in _REGISTRIES.items()}
         try:
-            sha256 = _run(given, source)
+            sha256 = _import_plugin(given, source)
             names = _registered_names(given, before, _LOADED[count:])
         except BaseException:
             _restore(before, count)
@@ -257,7 +257,7 @@ def _restore(before: Mapping[str, Mapping[str, Any]], count: int) -> None:
     del _LOADED[count:]
 
 
-def _run(given: str, source: str) -> str:
+def _import_plugin(given: str, source: str) -> str:
     """Import a plugin, and return the SHA-256 of its source code; of a package, of all its Python files."""
     is_file = source.endswith(".py")
     if is_file:
@@ -293,7 +293,7 @@ class _Loader(SourceFileLoader):
     """Loads a file as it is now, and leaves no compiled code beside it."""
 
     def get_code(self, fullname: str) -> CodeType:  # noqa: ARG002  as the base class has it
-        """Return the compiled file."""
+        """Return the code of the file as it is now, compiled, without reading or writing a cache."""
         return self.source_to_code(self.get_data(self.path), self.path)
 
 
@@ -342,7 +342,7 @@ def _registered_names(
     before: Mapping[str, Mapping[str, Any]],
     nested: Sequence[Plugin],
 ) -> dict[str, tuple[str, ...]]:
-    """Return the names that a plugin, but none that it loaded itself, added to the registries as they were before."""
+    """Return by registry the names that a plugin added since ``before``, without those of plugins that it loaded."""
     names = {}
     for what, entries in _REGISTRIES.items():
         earlier = before.get(what, _OWN[what])  # a registry that the plugin imported was not there

@@ -88,12 +88,12 @@ def add_entries(of_file: Any, given: Any) -> Any:  # noqa: ANN401  two mappings,
 class Key:
     """A key of a table, which gives a field or a part of it."""
 
-    #: As the file has it, with its unit: ``"target_mm"``.
+    #: The key in the file, with its unit: ``"target_mm"``.
     name: str
     form: Form
-    #: What it means, in full sentences; empty: another field that shares the key says it.
+    #: Its meaning, in full sentences; empty: another field that shares the key states it.
     help: str
-    #: What counts without the key, in words; empty: the default of the field.
+    #: The value that counts without the key, in words; empty: the default of the field.
     absent: str = ""
     options: tuple[Option, ...] = ()
     #: Of a field with several keys: the argument that it gives.
@@ -255,7 +255,7 @@ def _read_rows(
     place: Place,
     besides: Sequence[Key] = (),
 ) -> dict[Label, Any]:
-    """Read the values of keys from a table, by labels of the keys."""
+    """Read a table by its keys: return their values in SI units by the label of each key; CalibError for a fault."""
     by_key: dict[str, list[tuple[Label, Key]]] = {row.name: [] for row in besides}
     for label, row in rows:
         by_key.setdefault(row.name, []).append((label, row))
@@ -335,7 +335,7 @@ def toml_lines(value: Any, *, without: Collection[str] = ()) -> list[str]:  # no
 
 
 def toml(value: Any) -> str:  # noqa: ANN401
-    """Return a text, a truth value, a number or a list of these as TOML."""
+    """Write a text, a truth value, a number, or a list of such values, as TOML."""
     if isinstance(value, bool | str):
         return json_text.dumps(value, ensure_ascii=False)
     if isinstance(value, list | tuple):
@@ -366,19 +366,21 @@ def keep_checked(value: Any, name: str) -> None:  # noqa: ANN401  any record
         ArgumentError: A value is of another type.
         CalibError: A check refuses it.
     """
-    types = _types(value.__class__)
+    types = _field_types(value.__class__)
     for field, written in _written_fields(value):
         kind, is_optional = types[field.name]
         given = getattr(value, field.name)
         if given is not None or not is_optional:
             what = f"a {name}'s {field.name}"
-            kept = _kept(given, kind, written, field.name, what, ", or None" if is_optional else "")
+            kept = _checked_field(
+                given, kind, written, field.name, what, ", or None" if is_optional else ""
+            )
             object.__setattr__(value, field.name, kept)
 
 
 @cache
-def _types(kind: Any) -> Mapping[str, tuple[Any, bool]]:  # noqa: ANN401  a class
-    """Return the type of each field, without None, and whether it may be None."""
+def _field_types(kind: Any) -> Mapping[str, tuple[Any, bool]]:  # noqa: ANN401  a class
+    """Return by name the type of each field, without None, and whether it may be None."""
     result = {}
     for name, hint in get_type_hints(kind).items():
         is_optional = get_origin(hint) in (Union, UnionType) and type(None) in get_args(hint)
@@ -386,7 +388,7 @@ def _types(kind: Any) -> Mapping[str, tuple[Any, bool]]:  # noqa: ANN401  a clas
     return result
 
 
-def _kept(
+def _checked_field(
     given: Any,  # noqa: ANN401
     kind: Any,  # noqa: ANN401
     written: _Written,
@@ -394,7 +396,7 @@ def _kept(
     what: str,
     or_none: str,
 ) -> Any:  # noqa: ANN401
-    """Return the value of a field as it is kept."""
+    """Check a field's value: return it as it is kept, a mapping read-only and a sequence as a tuple."""
     if written.check is not None:
         return _checked(given, what, written.check)
     if get_origin(kind) is Mapping:
@@ -416,7 +418,7 @@ def _kept(
 
 
 def _checked(value: Any, what: str, check: Check | None) -> Any:  # noqa: ANN401
-    """Return a value as its check keeps it."""
+    """Return a value as its check keeps it, or unchanged without one; CalibError if it refuses the value."""
     if check is None:
         return value
     return checked(value, what[0].upper() + what[1:], check.must, check.convert)
@@ -436,7 +438,7 @@ def _check_class(
 
 
 def _words(kind: Any, written: _Written) -> str:  # noqa: ANN401
-    """Return what messages call a value of a type."""
+    """Return the description of a value of a type for messages: ``"True or False"``."""
     if kind is bool:
         return "True or False"
     if kind is str:
@@ -462,7 +464,7 @@ def options(kind: type, groups: Collection[str] = ()) -> Iterator[Option]:
 
 
 def changes(value: Any, given: Mapping[str, Any]) -> dict[str, Any]:  # noqa: ANN401  any record
-    """Return what options change in a record.
+    """Return the fields of a record that options change, with their new values.
 
     Args:
         value: The record, as a file has it; or its class, if no option is merged with a value so far.

@@ -24,7 +24,7 @@ from calib.basics.units import NUMBER, Unit, find_unit
 from calib.basics.workbook import read_sheet, split_sheet
 from calib.errors import CalibError, FileError, MeasurementError
 
-#: What may separate cells; if several are equally frequent in the header, the first of them does.
+#: Separators of cells; if several are equally frequent in the header, the first of them does.
 SEPARATORS = (",", ";", "\t")
 
 #: A line before the header that tells Excel the separator: ``sep=;``.
@@ -123,7 +123,22 @@ class Table:
         if named is not None and named[1] in header_line:
             separator = named[1]
 
-        lines, cells = _split_lines(source, content, separator)
+        # The line at which each row ends, and its cells; the header is the first row.
+        lines: list[int] = []
+        cells: list[list[str]] = []
+        reader = csv.reader(
+            (line for _, line in content), delimiter=separator, skipinitialspace=True, strict=True
+        )
+        try:
+            for row in reader:
+                lines.append(content[reader.line_num - 1][0])
+                cells.append([cell.strip() for cell in row])
+        except csv.Error as error:
+            raise MeasurementError(
+                f"{source}, line {content[reader.line_num - 1][0]}: not a CSV table ({error}). Check "
+                'the double quotes (") there and above.'
+            ) from error
+
         header = tuple(cells[0])
         if all(NUMBER.fullmatch(cell) for cell in header):
             raise MeasurementError(
@@ -197,27 +212,6 @@ class Table:
         raise MeasurementError(
             f"{self.source}, line {self.lines[row]} (row {number}), column '{column.label}': {what}"
         )
-
-
-def _split_lines(
-    source: str, content: Sequence[tuple[int, str]], separator: str
-) -> tuple[list[int], list[list[str]]]:
-    """Return the line at which each row of numbered lines ends, and its stripped cells; the header is the first."""
-    reader = csv.reader(
-        (line for _, line in content), delimiter=separator, skipinitialspace=True, strict=True
-    )
-    lines: list[int] = []
-    cells: list[list[str]] = []
-    try:
-        for row in reader:
-            lines.append(content[reader.line_num - 1][0])
-            cells.append([cell.strip() for cell in row])
-    except csv.Error as error:
-        raise MeasurementError(
-            f"{source}, line {content[reader.line_num - 1][0]}: not a CSV table ({error}). Check "
-            'the double quotes (") there and above.'
-        ) from error
-    return lines, cells
 
 
 def _parse_numbers(texts: Sequence[str]) -> Array:

@@ -21,7 +21,7 @@ Quantity = Literal["length", "angle", "torque", "force", "mass", "pixel"]
 class Unit:
     """A unit of one quantity: ``value_si = value * to_si``."""
 
-    #: As written in a header, ``"mm"``.
+    #: Its symbol in a header, ``"mm"``.
     symbol: str
     #: Of the SI units m, rad, Nm, N and kg, and of px.
     quantity: Quantity
@@ -95,7 +95,7 @@ def unit_fault(value: float, *, slides: bool) -> str | None:
 
 
 def symbols(quantity: Quantity) -> tuple[str, ...]:
-    """Return the symbols of the units of one quantity."""
+    """Return the symbols of the units of one quantity: ``("m", "mm", ...)`` of ``"length"``."""
     return tuple(unit.symbol for unit in UNITS.values() if unit.quantity == quantity)
 
 

@@ -20,7 +20,7 @@ from calib.errors import CalibError, choices, did_you_mean
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where a value stands: a key of a table, or an option."""
+    """The place of a value in a file or on a command line: a key of a table, or an option; for messages."""
 
     #: For messages: ``"'xyz_mm' in [tracker]"``, ``"--target"``.
     words: str = ""
@@ -36,7 +36,7 @@ class Place:
         return self.words
 
     def key(self, name: str) -> Place:
-        """Return the place of a key of the table that stands here."""
+        """Return the place of a key of the table at this place."""
         if not self.heading:
             return Place(f"'{name}'", f"[{name}]", self.folder, name)
         words = f"'{name}' in {self.heading}"
@@ -44,7 +44,7 @@ class Place:
 
 
 def same(value: Any) -> Any:  # noqa: ANN401
-    """Return the value: it stands in the file as it is in memory."""
+    """Return the value unchanged: the file has it as it is in memory."""
     return value
 
 
@@ -58,7 +58,7 @@ class Form:
     read: Callable[[Any, Place], Any]
     #: From the value in SI units to what the file holds.
     write: Callable[[Any], Any] = same
-    #: What a text means, ``"the name of a link"``, for messages on values in memory.
+    #: Meaning of a text, ``"the name of a link"``, for messages on values in memory.
     meaning: str = ""
 
 
@@ -66,14 +66,14 @@ class Form:
 class Check:
     """A check of a value in memory, in SI units."""
 
-    #: What the value must be, for messages: ``"a 3 x 3 right-handed rotation"``.
+    #: Description of a right value, for messages: ``"a 3 x 3 right-handed rotation"``.
     must: str
     #: Gives the value that is kept, such as a read-only copy; refuses as that of `checked` does.
     convert: Callable[[Any], Any]
 
 
 def checked(value: Any, what: object, must: str, convert: Callable[[Any], Any]) -> Any:  # noqa: ANN401
-    """Return a given value as it is kept.
+    """Check a given value by a conversion, and return it as it is kept.
 
     Args:
         value: The value as given.

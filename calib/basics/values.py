@@ -1,4 +1,4 @@
-"""What calib's values have in common: they cannot be changed, can be pickled and copied, and show themselves.
+"""The base of calib's values: they cannot be changed, can be pickled and copied, and show themselves.
 
 Values are frozen dataclasses that extend `Value`. NumPy forgets that an array is read-only when it is pickled or
 deep-copied; a `Value` remembers it, for its own arrays and for those in the tuples, mappings and frozen dataclasses
@@ -197,6 +197,6 @@ def _restored(kind: type[T], values: Mapping[str, Any]) -> T:
 
 
 def _read_only(array: NDArray[Any]) -> NDArray[Any]:
-    """Make an array that was just read read-only, and return it."""
+    """Return an array that was read from a pickle, made read-only in place."""
     array.setflags(write=False)
     return array

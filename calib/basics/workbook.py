@@ -23,7 +23,7 @@ SUFFIXES = (".xlsx", ".xlsm")
 #: Between the name of a file and that of its sheet.
 _BEFORE_SHEET = "#"
 
-#: What openpyxl raises for a file that is not of Excel, or is damaged.
+#: Exceptions of openpyxl for a file that is not of Excel, or is damaged.
 _DAMAGED = (BadZipFile, KeyError, ValueError, TypeError, IndexError, AttributeError, SyntaxError)
 
 
@@ -40,7 +40,7 @@ def split_sheet(path: str) -> tuple[str, str | None]:
 
 
 def read_sheet(data: bytes, source: str, sheet: str) -> tuple[str, str]:
-    r"""Read a sheet as text.
+    r"""Read a sheet of an Excel file as text, cells between tabs.
 
     Args:
         data: The file's bytes.

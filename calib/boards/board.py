@@ -1,4 +1,4 @@
-"""Printed boards: where their corners are, as designed and as measured.
+"""Printed boards: where their squares, markers and corners are, as described and as measured.
 
 A board's frame is OpenCV's: the origin at the outer corner of the pattern, x along the columns, y along the rows, down
 the page, and z = x cross y, which points into the page, away from a camera that sees it. Lengths are those of the
@@ -13,7 +13,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from calib.basics.arrays import Array, Integers
+from calib.basics.arrays import Array, Integers, Mask
 from calib.basics.records import Option, key
 from calib.basics.units import LENGTH, parse_amount
 from calib.basics.value_forms import WHOLE, decimal, one_of, text
@@ -23,7 +23,7 @@ from calib.errors import CalibError, choices, did_you_mean
 #: A chessboard whose white squares hold markers: its corners are known even if only a part of it is seen.
 CHARUCO = "charuco"
 
-#: A plain chessboard, of which all inner corners must be seen.
+#: A plain chessboard; all of its inner corners must be seen.
 CHESSBOARD = "chessboard"
 
 #: A grid of AprilTags; the four corners of each are measured.
@@ -47,7 +47,7 @@ _FEWEST = {CHARUCO: 2, CHESSBOARD: 3, APRILTAG: 1}
 
 
 def _length(typed: str, flag: str) -> float:
-    """Read a length as it was typed [m]."""
+    """Return a length in metres from a text such as ``"30 mm"``, typed as the option ``flag``."""
     return parse_amount(typed, flag, LENGTH, "30 mm")
 
 
@@ -145,7 +145,7 @@ class Board:
             help="Id of the first marker. Default: 0; boards in one picture need different ids.",
         ),
     )
-    #: Whether an even number of rows is laid out as by OpenCV before 4.6: a marker in the first square.
+    #: True if an even number of rows is laid out as by OpenCV before 4.6: a marker in the first square.
     legacy: bool = key(
         "layout",
         one_of({"new": False, "legacy": True}),
@@ -256,5 +256,44 @@ class Board:
         return np.array([width / 2.0, height / 2.0, 0.0])
 
     def corner_ids(self) -> Integers:
-        """Return the ids of the corners: 0 to n - 1, in rows along x; of a tag its corners, clockwise from top left."""
+        """Return the ids 0 to n - 1 of the n corners, shape (n,): in rows along x, of tags clockwise from top left."""
         return np.arange(len(self.corners))
+
+
+# Layout: squares and markers
+
+
+def white_squares(board: Board) -> Mask:
+    """Return which squares of a chessboard or ChArUco board are white, shape (rows, columns).
+
+    The first square is black; in the legacy layout with an even number of rows it is white.
+    """
+    row, column = np.indices((board.rows, board.columns))
+    first = 1 if board.pattern == CHARUCO and board.legacy and board.rows % 2 == 0 else 0
+    return np.asarray((row + column + first) % 2 == 1)
+
+
+def corner_signs(board: Board) -> Array:
+    """Return for each of n inner corners 1 if its square towards +x, +y is white, -1 if it is black, shape (n,)."""
+    return np.where(white_squares(board)[1:, 1:], 1.0, -1.0).reshape(-1)
+
+
+def marker_outlines(board: Board) -> Array:
+    """Return the corners of all markers or tags of a board.
+
+    Args:
+        board: The board.
+
+    Returns:
+        shape (markers, 4, 2) [m], in the order of the ids, each clockwise from its top left as in OpenCV; a chessboard
+        has none.
+    """
+    if board.pattern == CHESSBOARD:
+        return np.zeros((0, 4, 2))
+    if board.pattern == APRILTAG:
+        return board.corners[:, :2].reshape(-1, 4, 2)
+    row, column = np.nonzero(white_squares(board))
+    margin = (board.square - board.marker) / 2.0
+    first = np.column_stack([column, row]) * board.square + margin
+    square = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+    return np.asarray(first[:, None] + board.marker * square)

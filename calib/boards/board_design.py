@@ -12,8 +12,8 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from calib.boards.board import APRILTAG, CHARUCO, CHESSBOARD, PATTERNS, Board
+from calib.boards.board_page import NO_PAPER, Sheet, margins, quiet_zone, sheet_for, sizes_of_paper
 from calib.boards.dictionaries import DICTIONARIES
-from calib.boards.paper import NO_PAPER, Sheet, margins, orientations, quiet_zone, sheet_for
 from calib.errors import CalibError, choices, did_you_mean
 
 #: Default columns and rows of each pattern: 54 corners, 54 corners, 96 corners of 24 tags.
@@ -54,7 +54,7 @@ def design(
     first_marker: int = 0,
     **others: Any,  # noqa: ANN401
 ) -> Board:
-    """Choose what is not given of a board so that it is as large as fits on a paper.
+    """Design a board: choose what is not given so that it is as large as fits on a paper.
 
     Args:
         paper: Name of the paper, of `PAPERS` or `NO_PAPER`.
@@ -83,10 +83,16 @@ def design(
         if count is not None and count < 1:
             raise CalibError(f"A board has 1 or more columns and rows, not {count}.")
     if paper != NO_PAPER:
-        orientations(paper)  # refuses an unknown paper
+        sizes_of_paper(paper)  # refuses an unknown paper
 
     def make(columns: int, rows: int, square: float) -> Board:
-        chosen = dictionary or _choose_dictionary(pattern, first_marker, columns * rows)
+        # The first dictionary of the pattern that is large enough, or the largest.
+        names = _DICTIONARIES[pattern]
+        count = columns * rows // 2 if pattern == CHARUCO else columns * rows
+        chosen = dictionary or names[-1]
+        if not dictionary and pattern != CHESSBOARD:
+            last = first_marker + count
+            chosen = next((n for n in names if last <= DICTIONARIES[n].markers), names[-1])
         side = marker
         if side is None:
             side = 0.0 if pattern == CHESSBOARD else _largest_marker(square, chosen)
@@ -103,8 +109,27 @@ def design(
 
     default_columns, default_rows = _COUNTS[pattern]
     if square is None:
-        counts = (columns or default_columns, rows or default_rows)
-        return _with_largest_squares(make, counts, marker, paper)
+        # The largest squares of whole millimetres that fit.
+        columns, rows = columns or default_columns, rows or default_rows
+        if paper == NO_PAPER:
+            return make(columns, rows, _SQUARE / 1e3)
+        longest = max(sizes_of_paper(paper)[0])
+        for millimetres in range(
+            int(1e3 * longest / max(columns, rows)) + 1, _SMALLEST_SQUARE - 1, -1
+        ):
+            if marker is not None and millimetres / 1e3 <= marker:
+                break
+            board = make(columns, rows, millimetres / 1e3)
+            if sheet_for(board, paper) is not None:
+                return board
+        least = f"{_SMALLEST_SQUARE} mm"
+        if marker is not None:
+            least = f"more than the marker's {1e3 * marker:g} mm"
+        raise CalibError(
+            f"{columns} columns and {rows} rows of squares of {least} do not fit on {paper}; ask for fewer, or take a "
+            "larger paper."
+        )
+
     if paper != NO_PAPER and (columns is None or rows is None):
         columns, rows = _most_squares(make, (columns, rows), square, paper)
     board = make(columns or default_columns, rows or default_rows, square)
@@ -150,18 +175,6 @@ def fitting_sheet(board: Board, paper: str) -> Sheet:
     )
 
 
-def _choose_dictionary(pattern: str, first_marker: int, squares: int) -> str:
-    """Return the first dictionary of the pattern that is large enough; the largest if none is."""
-    names = _DICTIONARIES[pattern]
-    if pattern == CHESSBOARD:
-        return names[0]
-    count = squares // 2 if pattern == CHARUCO else squares
-    for name in names:
-        if first_marker + count <= DICTIONARIES[name].markers:
-            return name
-    return names[-1]
-
-
 def _largest_marker(square: float, dictionary: str) -> float:
     """Return the largest marker m with m (1 + 2 / bits) <= square: one of its bits is white on each side [m]."""
     if dictionary not in DICTIONARIES:
@@ -171,29 +184,6 @@ def _largest_marker(square: float, dictionary: str) -> float:
     if largest_mm < _FINE:
         return math.floor(10.0 * largest_mm + 1e-6) / 10.0 / 1e3
     return math.floor(largest_mm + 1e-6) / 1e3
-
-
-def _with_largest_squares(
-    make: _Make, counts: tuple[int, int], marker: float | None, paper: str
-) -> Board:
-    """Return the board of these columns and rows with the largest squares of whole millimetres that fit."""
-    columns, rows = counts
-    if paper == NO_PAPER:
-        return make(columns, rows, _SQUARE / 1e3)
-    longest = max(orientations(paper)[0])
-    for millimetres in range(int(1e3 * longest / max(counts)) + 1, _SMALLEST_SQUARE - 1, -1):
-        if marker is not None and millimetres / 1e3 <= marker:
-            break
-        board = make(columns, rows, millimetres / 1e3)
-        if sheet_for(board, paper) is not None:
-            return board
-    least = f"{_SMALLEST_SQUARE} mm"
-    if marker is not None:
-        least = f"more than the marker's {1e3 * marker:g} mm"
-    raise CalibError(
-        f"{columns} columns and {rows} rows of squares of {least} do not fit on {paper}; ask for fewer, or take a "
-        "larger paper."
-    )
 
 
 def _most_squares(
@@ -207,7 +197,7 @@ def _most_squares(
     gap = square - smallest.marker if smallest.pattern == APRILTAG else 0.0
     best = given
     most = 0
-    for width, height in orientations(paper):
+    for width, height in sizes_of_paper(paper):
         fitting_columns = math.floor((width - across + gap) / square + 1e-6)
         fitting_rows = math.floor((height - down + gap) / square + 1e-6)
         chosen_columns = columns or fitting_columns

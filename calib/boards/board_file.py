@@ -78,15 +78,15 @@ def board_of_table(table: Mapping[str, Any], where: str, folder: str | Path = ".
         CalibError: A key is unknown, missing or has a wrong value, or the description does not make a board.
     """
     try:
-        return _board(table, folder)
+        return _board_of_keys(table, folder)
     except FileError:
         raise
     except CalibError as error:
         raise CalibError(f"{where}: {error}") from error
 
 
-def _board(table: Mapping[str, Any], folder: str | Path) -> Board:
-    """Read the description of a board from a table, see `board_of_table`."""
+def _board_of_keys(table: Mapping[str, Any], folder: str | Path) -> Board:
+    """Read a board from the keys of a table, and of the file in ``folder`` that it may name; see `board_of_table`."""
     rows = [replace(row, part=field.name, needed=False) for field, row in keys_of(Board)]
     values = read_parts([_FILE_KEY, *rows], table)
     file = values.pop(_FILE, None)
@@ -111,7 +111,9 @@ def board_toml(board: Board) -> str:
     Returns:
         The content of a TOML file, with a comment for every key.
     """
-    return "\n".join([_HEAD, *toml_lines(board, without=_unused(board)), ""])
+    attributes = _OF_SOME_PATTERNS - {*PATTERNS[board.pattern]}
+    unused = {row.name for field, row in keys_of(Board) if field.name in attributes}
+    return "\n".join([_HEAD, *toml_lines(board, without=unused), ""])
 
 
 def correct_toml(text: str, board: Board) -> str:
@@ -133,9 +135,3 @@ def correct_toml(text: str, board: Board) -> str:
         # A key is missing, or something else differs.
         return board_toml(board)
     return text
-
-
-def _unused(board: Board) -> set[str]:
-    """Return the keys that a board's pattern does not have."""
-    attributes = _OF_SOME_PATTERNS - {*PATTERNS[board.pattern]}
-    return {row.name for field, row in keys_of(Board) if field.name in attributes}

@@ -11,12 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.basics.arrays import Array
-from calib.boards.board import APRILTAG, Board
+from calib.boards.board import APRILTAG, Board, marker_outlines, white_squares
 from calib.boards.dictionaries import DICTIONARIES
-from calib.boards.layout import marker_outlines, white_squares
 from calib.boards.opencv import opencv
 
-#: What a length may exceed whole pixels by without needing one more [px].
+#: Excess of a length over whole pixels that needs no further pixel [px].
 _ROUNDING = 1e-6
 
 
@@ -45,7 +44,7 @@ def black_rectangles(board: Board) -> Array:
 
 
 def marker_rectangles(dictionary: str, marker: int) -> Array:
-    """Return the black parts of a marker of side 1, as runs of bits along x, shape (n, 4).
+    """Return the black parts of a marker of side 1: x, y, width and height of each run of bits along x, shape (n, 4).
 
     Args:
         dictionary: Name of the dictionary, ``"DICT_5X5_100"``.
@@ -74,7 +73,7 @@ class Texture:
     margin: float
 
     def place(self, lengths: Array) -> Array:
-        """Return where lengths along x or y of the board [m] lie in the picture [px]; 0 is a pixel's centre."""
+        """Convert coordinates along x or y of the board [m] to the picture [px], in which 0 is a pixel's centre."""
         return np.asarray((lengths + self.margin) / self.pixel - 0.5)
 
 

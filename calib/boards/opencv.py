@@ -9,7 +9,7 @@ from calib.errors import CalibError
 
 
 def opencv() -> Any:  # noqa: ANN401  a module without types
-    """Import OpenCV.
+    """Import OpenCV, and refuse a version that cannot find ArUco boards.
 
     Returns:
         The module ``cv2``, with ``cv2.aruco``.

@@ -27,7 +27,7 @@ _ITERATIONS = 15
 
 
 class Camera(Protocol):
-    """What is needed of a camera; z along the line of sight, x right, y down."""
+    """The attributes of a camera that projection needs; its frame has z along the line of sight, x right, y down."""
 
     @property
     def name(self) -> str:
@@ -84,7 +84,7 @@ def camera_matrix(camera: Camera) -> tuple[Array, Array]:
 
 
 def project(camera: Camera, points: Array) -> Array:
-    """Project points by OpenCV.
+    """Project points in the frame of a camera to pixels, by OpenCV.
 
     Args:
         camera: The camera, whose intrinsics are known.
@@ -152,7 +152,7 @@ def corner_pixels(
 
 
 def in_image(pixels: Array, image_size: tuple[int, int], margin: float) -> Mask:
-    """Return which pixels are inside an image.
+    """Mark the pixels that are inside an image.
 
     Args:
         pixels: shape (..., 2) [px].
@@ -168,7 +168,7 @@ def in_image(pixels: Array, image_size: tuple[int, int], margin: float) -> Mask:
 
 
 def rays(camera: Camera, pixels: Array) -> Array:
-    """Return the rays of pixels by OpenCV.
+    """Undistort pixels by OpenCV, and return the rays on which their points lie.
 
     Args:
         camera: The camera, whose intrinsics are known.

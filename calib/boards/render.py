@@ -111,7 +111,7 @@ class _Sheet:
         return slice(top, bottom), slice(left, right)
 
     def sample_size(self) -> float:
-        """Return what a sample of the picture covers where the board is nearest [m]."""
+        """Return the width that a sample of the picture covers where the board is nearest [m]."""
         K, _ = camera_matrix(self.camera)
         focal_length = float(max(K[0, 0], K[1, 1]))
         nearest = max(float(np.linalg.norm(self.outline(), axis=1).min()), NEAREST)
@@ -153,7 +153,7 @@ def render(
     noise: float = 1.5,
     seed: int | np.random.Generator = 0,
 ) -> Image:
-    """Draw what a camera sees of a printed board.
+    """Render the picture that a camera takes of a printed board.
 
     Args:
         printed: The board.
@@ -187,7 +187,7 @@ def render(
     light = 1.0 - scene.shade * (way - way.min()) / np.ptp(way)
 
     sheet = _Sheet(printed, camera, T_camera_board, scene.margin * printed.board.square)
-    picture = _with_sheet(background, sheet, scene) * light.astype(np.float32)
+    picture = _draw_sheet(background, sheet, scene) * light.astype(np.float32)
     if blur > 0.0:
         picture = cv2.GaussianBlur(picture, (0, 0), blur)
     grains = rng.standard_normal(picture.shape, dtype=np.float32)
@@ -216,8 +216,8 @@ def write_png(image: Image, path: str | os.PathLike[str], *, overwrite: bool = F
     return write_atomically(path, data.tobytes(), overwrite=overwrite)
 
 
-def _with_sheet(picture: NDArray[np.float32], sheet: _Sheet, scene: Scene) -> NDArray[np.float32]:
-    """Return a picture (height, width) with the sheet in front of it."""
+def _draw_sheet(picture: NDArray[np.float32], sheet: _Sheet, scene: Scene) -> NDArray[np.float32]:
+    """Return grey values (height, width) of a picture with the sheet drawn in front of it, without light and noise."""
     window = sheet.window()
     if window is None:
         return picture
@@ -225,45 +225,37 @@ def _with_sheet(picture: NDArray[np.float32], sheet: _Sheet, scene: Scene) -> ND
     board = sheet.printed.board
     longest = max(board.size) + 2.0 * sheet.margin
     drawn = texture(board, max(sheet.sample_size(), longest / _LARGEST_TEXTURE), sheet.margin)
-    places = _sample_places(sheet, window, drawn)
+
+    # The place in the texture of each sample of the window. They are computed at the centres of blocks of pixels, with
+    # one block more than the window has on every side, and enlarged by OpenCV, which keeps the centres where they are.
+    top, left = window[0].start, window[1].start
+    height, width = window[0].stop - top, window[1].stop - left
+    block_columns = -(-width // _STEP) + 2
+    block_rows = -(-height // _STEP) + 2
+    u = left + _STEP * (np.arange(block_columns) - 1.0) + (_STEP - 1) / 2.0
+    v = top + _STEP * (np.arange(block_rows) - 1.0) + (_STEP - 1) / 2.0
+    grid = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
+    of_blocks = sheet.place(grid, drawn).reshape(block_rows, block_columns, 2)
+    finer = _STEP * _SAMPLES
+    enlarged = cv2.resize(
+        of_blocks.astype(np.float32),
+        (block_columns * finer, block_rows * finer),
+        interpolation=cv2.INTER_LINEAR,
+    )
+    # Cut the additional blocks off again.
+    inside_y = slice(finer, finer + height * _SAMPLES)
+    inside_x = slice(finer, finer + width * _SAMPLES)
+    places = np.asarray(enlarged[inside_y, inside_x])
 
     # The second layer is the sheet itself, so that its edges are as smooth as the pattern's.
     ink = drawn.white[:, ::-1] if sheet.printed.mirrored else drawn.white
     levels = np.rint(255.0 * ink).astype(np.uint8)
     layers = np.dstack([levels, np.full_like(levels, 255)])
     samples = cv2.remap(layers, places, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
-    rows, columns = window
-    size = (columns.stop - columns.start, rows.stop - rows.start)
-    means = cv2.resize(samples, size, interpolation=cv2.INTER_AREA)
+    means = cv2.resize(samples, (width, height), interpolation=cv2.INTER_AREA)
     white, share = np.moveaxis(means.astype(np.float32) / 255.0, -1, 0)
 
     grey = scene.black * share + (scene.white - scene.black) * white
     result: NDArray[np.float32] = picture.copy()
     result[window] = grey + (1.0 - share) * picture[window]
     return result
-
-
-def _sample_places(
-    sheet: _Sheet, window: tuple[slice, slice], drawn: Texture
-) -> NDArray[np.float32]:
-    """Return column and row in the texture of each sample of a window, shape (3 height, 3 width, 2) [px].
-
-    They are computed at the centres of blocks of `_STEP` x `_STEP` pixels, with one block more than the window has on
-    every side, and enlarged by OpenCV, which keeps the centres where they are. `_NOWHERE`: the ray misses the board.
-    """
-    cv2 = opencv()
-    top, left = window[0].start, window[1].start
-    height, width = window[0].stop - top, window[1].stop - left
-    columns = -(-width // _STEP) + 2
-    rows = -(-height // _STEP) + 2
-    u = left + _STEP * (np.arange(columns) - 1.0) + (_STEP - 1) / 2.0
-    v = top + _STEP * (np.arange(rows) - 1.0) + (_STEP - 1) / 2.0
-    grid = np.stack(np.meshgrid(u, v), axis=-1)
-    places = sheet.place(grid.reshape(-1, 2), drawn).reshape(rows, columns, 2)
-    finer = _STEP * _SAMPLES
-    size = (columns * finer, rows * finer)
-    samples = cv2.resize(places.astype(np.float32), size, interpolation=cv2.INTER_LINEAR)
-    # Cut the additional blocks off again.
-    inside_y = slice(finer, finer + height * _SAMPLES)
-    inside_x = slice(finer, finer + width * _SAMPLES)
-    return np.asarray(samples[inside_y, inside_x])

@@ -64,7 +64,17 @@ class Camera(Value):
     def __post_init__(self) -> None:
         """Check the intrinsics, and keep read-only copies of them."""
         for side in ("width", "height"):
-            object.__setattr__(self, side, self._side(side))
+            given = getattr(self, side)
+            try:
+                pixels = operator.index(given)
+            except TypeError:
+                pixels = 0
+            if isinstance(given, bool) or not 0 < pixels <= _LARGEST:
+                raise CalibError(
+                    f"{self._title} has the image {side} {given!r}; it must be a whole number of pixels from 1 to "
+                    f"{_LARGEST}, such as {1280 if side == 'width' else 720}."
+                )
+            object.__setattr__(self, side, pixels)
         if not isinstance(self.lens, str) or self.lens not in LENSES:
             raise CalibError(
                 f"{self._title} has the lens '{self.lens}'{did_you_mean(self.lens, LENSES)}; allowed are "
@@ -97,25 +107,11 @@ class Camera(Value):
 
     @property
     def _title(self) -> str:
-        """The camera as messages name it."""
+        """Beginning of a message about the camera: ``"The camera 'NAME'"``."""
         return f"The camera '{self.name}'"
 
-    def _side(self, side: str) -> int:
-        """Return the image's width or height as an int."""
-        given = getattr(self, side)
-        try:
-            pixels = operator.index(given)
-        except TypeError:
-            pixels = 0
-        if isinstance(given, bool) or not 0 < pixels <= _LARGEST:
-            raise CalibError(
-                f"{self._title} has the image {side} {given!r}; it must be a whole number of pixels from 1 to "
-                f"{_LARGEST}, such as {1280 if side == 'width' else 720}."
-            )
-        return pixels
-
     def _numbers(self, what: str, given: object) -> Array:
-        """Return a read-only copy, shape (m,), of an attribute that has one entry for each intrinsic."""
+        """Return ``given``, numbers for the m intrinsics, as a read-only array (m,); CalibError for another shape."""
         names = LENSES[self.lens].names
         try:
             array = np.array(given, dtype=np.float64)

@@ -92,14 +92,14 @@ def camera_of_table(table: Mapping[str, Any], where: str, folder: str | Path = "
         CalibError: A key is unknown, missing or has a wrong value, or calib does not have the lens.
     """
     try:
-        return _camera(table, folder)
+        return _camera_of_keys(table, folder)
     except CalibError as error:
         kind = FileError if isinstance(error, FileError) else CalibError
         raise kind(f"{where}: {error}") from error
 
 
-def _camera(table: Mapping[str, Any], folder: str | Path) -> Camera:
-    """Read a camera from a table, see `camera_of_table`."""
+def _camera_of_keys(table: Mapping[str, Any], folder: str | Path) -> Camera:
+    """Read a camera from the keys of a table, and of the file in ``folder`` that it may name; see `camera_of_table`."""
     # The keys of the camera's fields; those of its numbers are the lens's.
     rows = [replace(row, part=field.name, needed=False) for field, row in keys_of(Camera)]
     names = [row.name for row in rows]
@@ -132,12 +132,12 @@ def _camera(table: Mapping[str, Any], folder: str | Path) -> Camera:
                 f"a camera with the lens '{lens.name}' has no key '{name}'{did_you_mean(name, known)}; its keys are "
                 f"{choices(known, len(known))}."
             )
-    camera = replace(camera, values=_values(table, lens, camera))
-    return replace(camera, sigma=_sigma(table, lens, camera))
+    camera = replace(camera, values=_lens_values(table, lens, camera))
+    return replace(camera, sigma=_lens_sigma(table, lens, camera))
 
 
-def _values(table: Mapping[str, Any], lens: Lens, camera: Camera) -> Array | None:
-    """Return the numbers of a lens, shape (m,): the camera's, except for those that a table gives; None without any."""
+def _lens_values(table: Mapping[str, Any], lens: Lens, camera: Camera) -> Array | None:
+    """Return the intrinsics, shape (m,): the camera's, except for those that a table gives; None without any."""
     given = {name: table[name] for name in lens.names if name in table}
     if not given:
         return camera.values
@@ -157,7 +157,7 @@ def _values(table: Mapping[str, Any], lens: Lens, camera: Camera) -> Array | Non
 
 
 def _sigma_keys(lens: Lens) -> dict[str, tuple[str, ...]]:
-    """Return the numbers whose standard deviation each key gives; those of one number come last."""
+    """Return the names of the intrinsics whose standard deviation each key gives; keys of one intrinsic come last."""
     keys = {
         "sigma_focal_px": ("fx", "fy"),
         "sigma_centre_px": ("cx", "cy"),
@@ -169,21 +169,36 @@ def _sigma_keys(lens: Lens) -> dict[str, tuple[str, ...]]:
 
 
 def _sigma_key(name: str, unit: str) -> str:
-    """Return the key of the standard deviation of one number."""
+    """Return the key of the standard deviation of one intrinsic by its name and unit: ``"sigma_fx_px"``."""
     return f"sigma_{name}_px" if unit == "px" else f"sigma_{name}"
 
 
-def _sigma(table: Mapping[str, Any], lens: Lens, camera: Camera) -> Array | None:
-    """Return the standard deviations of a lens's numbers, shape (m,), as a table has them; None: the default of all.
+def _lens_sigma(table: Mapping[str, Any], lens: Lens, camera: Camera) -> Array | None:
+    """Return the standard deviations of the intrinsics, shape (m,), from a table; None: they are the lens's default.
 
-    Those that the table does not give are the camera's, or else the default.
+    Those that the table does not give are the camera's, or else the default. The table may also say in a word that all
+    are exact or unknown.
     """
     keys = _sigma_keys(lens)
     given = [key for key in keys if key in table]
     if _INTRINSICS in table:
         if given:
             raise CalibError(f"both '{_INTRINSICS}' and {choices(given)} are given; leave out one.")
-        return _shared_sigma(table[_INTRINSICS], camera)
+        word = table[_INTRINSICS]
+        if not isinstance(word, str) or word not in _KNOWN:
+            raise CalibError(
+                f"'{_INTRINSICS}' is {word!r}{did_you_mean(str(word), _KNOWN)}; it must be one of {choices(_KNOWN)}, "
+                "or left out: then the usual accuracy of a manufacturer's numbers is assumed; or write sigma_focal_px, "
+                "sigma_centre_px and sigma_distortion."
+            )
+        if camera.values is not None:
+            return np.full(len(camera.values), _KNOWN[word])
+        if word != "unknown":
+            raise CalibError(
+                f"'{_INTRINSICS}' is '{word}', but there are none; give {choices(_LINEAR)}, or a file."
+            )
+        return None
+
     if not given:
         return camera.sigma
     if camera.values is None:
@@ -201,23 +216,6 @@ def _sigma(table: Mapping[str, Any], lens: Lens, camera: Camera) -> Array | None
             )
         sigma[[lens.names.index(name) for name in keys[key]]] = value
     return sigma
-
-
-def _shared_sigma(word: object, camera: Camera) -> Array | None:
-    """Return the standard deviations of numbers that are all exact or all unknown, shape (m,); None without numbers."""
-    if not isinstance(word, str) or word not in _KNOWN:
-        raise CalibError(
-            f"'{_INTRINSICS}' is {word!r}{did_you_mean(str(word), _KNOWN)}; it must be one of {choices(_KNOWN)}, or "
-            "left out: then the usual accuracy of a manufacturer's numbers is assumed; or write sigma_focal_px, "
-            "sigma_centre_px and sigma_distortion."
-        )
-    if camera.values is not None:
-        return np.full(len(camera.values), _KNOWN[word])
-    if word != "unknown":
-        raise CalibError(
-            f"'{_INTRINSICS}' is '{word}', but there are none; give {choices(_LINEAR)}, or a file."
-        )
-    return None
 
 
 def camera_toml(camera: Camera) -> str:

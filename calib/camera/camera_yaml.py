@@ -50,7 +50,7 @@ _KEYS = {
     "roi": ("roi",),
 }
 
-#: How many coefficients of distortion files have, by lens.
+#: Numbers of coefficients of distortion that files have, by lens.
 _COUNTS = {"pinhole": (0, 4, 5, 8, 12, 14), "fisheye": (0, 4)}
 
 #: OpenCV's first line, which is not YAML's.
@@ -67,7 +67,7 @@ class _Loader(yaml.SafeLoader):
 
 
 def _matrix(loader: yaml.SafeLoader, node: yaml.Node) -> Any:  # noqa: ANN401
-    """Read OpenCV's matrix as a mapping."""
+    """Return a node of YAML with OpenCV's tag of a matrix as a mapping; a constructor of the loader."""
     assert isinstance(node, yaml.MappingNode)
     return loader.construct_mapping(node, deep=True)
 
@@ -89,25 +89,6 @@ def camera_of_yaml(text: str, where: str) -> Camera:
         FileError: The text is not YAML.
         CalibError: A key is missing or has a wrong value, or calib does not have the lens.
     """
-    table = _by_keys(_parsed(text, where), where)
-    _check_whole_image(table, where)
-    width = _pixels(table, "image_width", where)
-    height = _pixels(table, "image_height", where)
-    lens = _lens(table, where)
-    matrix = _numbers(table, "camera_matrix", where)
-    coefficients = _coefficients(table, lens, where)
-    name = str(table.get("camera_name") or "camera")
-    values = None
-    if np.any(matrix):
-        values = np.concatenate([_linear(matrix, where), coefficients])
-    try:
-        return Camera(name=name, width=width, height=height, lens=lens, values=values)
-    except CalibError as error:
-        raise CalibError(f"{where}: {error}") from error
-
-
-def _parsed(text: str, where: str) -> Mapping[Any, Any]:
-    """Return the first document of a YAML text, which is a mapping."""
     if text.lstrip().startswith("<"):
         raise FileError(f"{where}: this is XML. Write the camera as YAML (OpenCV: name it .yaml).")
     try:
@@ -117,26 +98,20 @@ def _parsed(text: str, where: str) -> Mapping[Any, Any]:
         raise FileError(f"{where}: this is neither YAML nor TOML: {reason}. {_FORMS}.") from error
     if not isinstance(data, Mapping):
         raise FileError(f"{where}: this is not the description of a camera. {_FORMS}.")
-    return data
 
-
-def _by_keys(data: Mapping[Any, Any], where: str) -> dict[str, Any]:
-    """Return the entries by the names of `_KEYS`; CalibError if one that is needed is missing."""
+    # The entries by the names of `_KEYS`.
     plain = {str(key).replace("_", "").casefold(): value for key, value in data.items()}
     table = {}
-    for name, spellings in _KEYS.items():
+    for key, spellings in _KEYS.items():
         for spelling in reversed(spellings):
             if spelling in plain:
-                table[name] = plain[spelling]
+                table[key] = plain[spelling]
     needed = ("image_width", "image_height", "camera_matrix")
-    missing = [name for name in needed if name not in table]
+    missing = [key for key in needed if key not in table]
     if missing:
         raise CalibError(f"{where}: the camera lacks {choices(missing)}; add it. {_FORMS}.")
-    return table
 
-
-def _check_whole_image(table: Mapping[str, Any], where: str) -> None:
-    """Refuse a message whose images are binned or a part of the sensor: camera matrix and pixels do not agree then."""
+    # The camera matrix is not that of the images if these are binned or a part of the sensor.
     for key in ("binning_x", "binning_y"):
         if table.get(key) not in (None, 0, 1):
             raise CalibError(
@@ -149,6 +124,20 @@ def _check_whole_image(table: Mapping[str, Any], where: str) -> None:
             f"{where}: 'roi' begins at ({roi.get('x_offset')}, {roi.get('y_offset')}): the images are cut from "
             "those that the camera matrix belongs to. Give the camera matrix of the images themselves, and no roi."
         )
+
+    width = _pixels(table, "image_width", where)
+    height = _pixels(table, "image_height", where)
+    lens = _lens_name(table, where)
+    matrix = _numbers(table, "camera_matrix", where)
+    coefficients = _coefficients(table, lens, where)
+    name = str(table.get("camera_name") or "camera")
+    values = None
+    if np.any(matrix):
+        values = np.concatenate([_linear_intrinsics(matrix, where), coefficients])
+    try:
+        return Camera(name=name, width=width, height=height, lens=lens, values=values)
+    except CalibError as error:
+        raise CalibError(f"{where}: {error}") from error
 
 
 def _pixels(table: Mapping[str, Any], key: str, where: str) -> int:
@@ -191,7 +180,7 @@ def _numbers(table: Mapping[str, Any], key: str, where: str) -> Array:
     return np.array(numbers, dtype=np.float64)
 
 
-def _linear(matrix: Array, where: str) -> Array:
+def _linear_intrinsics(matrix: Array, where: str) -> Array:
     """Return fx, fy, cx, cy of a camera matrix (9,), shape (4,) [px]."""
     if matrix.shape != (9,):
         raise CalibError(
@@ -207,8 +196,8 @@ def _linear(matrix: Array, where: str) -> Array:
     return np.array([fx, fy, cx, cy])
 
 
-def _lens(table: Mapping[str, Any], where: str) -> str:
-    """Return the name of calib's lens model."""
+def _lens_name(table: Mapping[str, Any], where: str) -> str:
+    """Return the name of calib's lens model, ``"pinhole"`` or ``"fisheye"``, that a file's entries name."""
     fisheye = bool(_number(table.get("fisheye_model")) or table.get("fisheye_model") is True)
     model = table.get("distortion_model")
     if model is None:
@@ -224,7 +213,10 @@ def _lens(table: Mapping[str, Any], where: str) -> str:
 
 
 def _coefficients(table: Mapping[str, Any], lens: str, where: str) -> Array:
-    """Return the coefficients of distortion that calib's lens has; CalibError if the file has others that matter."""
+    """Return the coefficients of distortion of calib's lens, shape (d,), zeros if the file has none or fewer.
+
+    CalibError if the file has other coefficients that are not zero.
+    """
     names = LENSES[lens].distortion
     if table.get("distortion_coefficients") is None:
         return np.zeros(len(names))
@@ -309,7 +301,7 @@ def opencv_yaml(camera: Camera) -> str:
 
 
 def _known(camera: Camera) -> Array:
-    """Return the numbers of a camera's lens; CalibError if they are not known."""
+    """Return the intrinsics of a camera, shape (m,), [px] and 1; CalibError if they are not known."""
     if camera.values is None:
         raise CalibError(
             f"Only the image size of the camera '{camera.name}' is known, so there is no camera matrix to write. "
@@ -326,11 +318,11 @@ def _rows(
     lines.append(f"   cols: {columns}")
     if opencv:
         lines.append("   dt: d")
-    lines.append(f"   data: [{', '.join(map(_written, numbers))}]")
+    written = []
+    for number in numbers:
+        # With a point in it, without which YAML 1.1 takes 1e-05 for a text.
+        mantissa, e, exponent = repr(number).partition("e")
+        has_no_point = e and "." not in mantissa
+        written.append(f"{mantissa}.0e{exponent}" if has_no_point else repr(number))
+    lines.append(f"   data: [{', '.join(written)}]")
     return lines
-
-
-def _written(number: float) -> str:
-    """Write a number with a point in it, without which YAML 1.1 takes 1e-05 for a text."""
-    mantissa, e, exponent = repr(number).partition("e")
-    return f"{mantissa}.0e{exponent}" if e and "." not in mantissa else repr(number)

@@ -69,7 +69,7 @@ class Lens:
 
     @property
     def units(self) -> tuple[str, ...]:
-        """Symbols of their units."""
+        """Symbols of the units of the m intrinsics: ``"px"``, and ``"1"`` of coefficients."""
         return ("px",) * len(_LINEAR) + ("1",) * len(self.distortion)
 
     def project(self, points: Array, values: Array) -> Array:
@@ -168,7 +168,7 @@ class Lens:
 
 
 def _normalised(points: Array) -> Array:
-    """Return X / Z and Y / Z of points (n, 3), shape (2, n)."""
+    """Return X / Z and Y / Z, shape (2, n), of points (n, 3) [m] in the camera; depths are at least 1 mm."""
     depth = np.maximum(points[:, 2], _NEAREST)
     return np.array([points[:, 0] / depth, points[:, 1] / depth])
 
@@ -177,7 +177,7 @@ def _normalised(points: Array) -> Array:
 
 
 def _pinhole(normalised: Array, coefficients: Array) -> Array:
-    """Distort normalised coordinates (2, n) by k1, k2, p1, p2, k3, shape (5, n)."""
+    """Return normalised coordinates X / Z, Y / Z, shape (2, n), distorted by k1, k2, p1, p2, k3, shape (5, n)."""
     x, y = normalised
     k1, k2, p1, p2, k3 = coefficients
     rr = x**2 + y**2
@@ -191,7 +191,7 @@ def _pinhole(normalised: Array, coefficients: Array) -> Array:
 
 
 def _pinhole_slopes(normalised: Array, coefficients: Array) -> tuple[Array, Array]:
-    """Return the derivatives of `_pinhole` by the coordinates and by the coefficients."""
+    """Return the derivatives of `_pinhole` by the coordinates, (2, 2, n), and by the five coefficients, (2, 5, n)."""
     x, y = normalised
     k1, k2, p1, p2, k3 = coefficients
     rr = x**2 + y**2
@@ -213,13 +213,13 @@ def _pinhole_slopes(normalised: Array, coefficients: Array) -> tuple[Array, Arra
 
 
 def _fisheye(normalised: Array, coefficients: Array) -> Array:
-    """Distort normalised coordinates (2, n) by k1 to k4, shape (4, n)."""
+    """Return normalised coordinates X / Z, Y / Z, shape (2, n), distorted by k1 to k4, shape (4, n)."""
     ratio, _, _ = _fisheye_ratio(normalised, coefficients)
     return normalised * ratio
 
 
 def _fisheye_slopes(normalised: Array, coefficients: Array) -> tuple[Array, Array]:
-    """Return the derivatives of `_fisheye` by the coordinates and by the coefficients."""
+    """Return the derivatives of `_fisheye` by the coordinates, (2, 2, n), and by the four coefficients, (2, 4, n)."""
     ratio, slope, angle = _fisheye_ratio(normalised, coefficients)
     r = np.maximum(np.hypot(*normalised), _TINY)
     outer = normalised[:, None] * normalised[None] / r**2
@@ -229,7 +229,7 @@ def _fisheye_slopes(normalised: Array, coefficients: Array) -> tuple[Array, Arra
 
 
 def _fisheye_ratio(normalised: Array, coefficients: Array) -> tuple[Array, Array, Array]:
-    """Return s / r, its ds / dr, and the angle a = atan(r) from the line of sight, each of shape (n,)."""
+    """Return s / r, ds / dr and the angle a = atan(r) [rad], each of shape (n,), of coordinates (2, n)."""
     k1, k2, k3, k4 = coefficients
     r = np.hypot(*normalised)
     angle = np.arctan(r)

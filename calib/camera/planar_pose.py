@@ -164,7 +164,7 @@ def determines_pose(points: Array) -> bool:
 
 
 def _homogeneous(points: Array) -> Array:
-    """Return points (k, 2) with a third coordinate of 1."""
+    """Return points (k, 2) with a third coordinate of 1, shape (k, 3)."""
     return np.column_stack([points, np.ones(len(points))])
 
 
@@ -225,7 +225,7 @@ def _refine(
         least = _LEAST_DAMPING * np.sum(diagonal, axis=1) + np.finfo(float).tiny
         damped = N + (damping[:, None] * diagonal + least[:, None])[:, :, None] * np.eye(6)
         step = np.linalg.solve(damped, g[:, :, None])[:, :, 0]
-        trial = moved(T, step)
+        trial = move_poses(T, step)
         new_cost, new_N, new_g = _normal_equations(trial, views, lens, values)
         better = new_cost < cost
         settled = np.where(better, cost - new_cost <= _SETTLED * cost, damping > _STUCK)
@@ -242,7 +242,7 @@ def _refine(
 def _normal_equations(
     T: Array, views: Sequence[View], lens: Lens, values: Array
 ) -> tuple[Array, Array, Array]:
-    """Return r^T r, (V,), J^T J, (V, 6, 6), and J^T r, (V, 6), of each of V views, by the twist of its pose."""
+    """Return r^T r (V,) [px^2], J^T J (V, 6, 6) and J^T r (V, 6) of V views, by the twists of their poses."""
     residual, J, _ = view_system(T, views, lens, values)
     first = first_rows(views)
     cost = np.add.reduceat(np.sum(residual**2, axis=1), first)
@@ -279,12 +279,12 @@ def view_system(
 
 
 def first_rows(views: Sequence[View]) -> Integers:
-    """Return the row of each view's first point among the points of all V views, shape (V,)."""
+    """Return the index, from 0, of each of V views' first point among the points of all views, shape (V,)."""
     return np.cumsum([0, *(len(points) for points, _ in views[:-1])])
 
 
-def moved(T: Array, twists: Array) -> Array:
-    """Return poses (V, 4, 4) with their origins moved by the first half of twists (V, 6) and turned by the second."""
+def move_poses(T: Array, twists: Array) -> Array:
+    """Return poses (V, 4, 4) [m] moved, then turned about their origins, by twists (V, 6) [m, rad]."""
     result: Array = T.copy()
     result[:, :3, :3] = Rotation.from_rotvec(twists[:, 3:]).as_matrix() @ T[:, :3, :3]
     result[:, :3, 3] += twists[:, :3]

@@ -44,19 +44,15 @@ def executor_of(
         with _dask_executor(dask) as cluster:
             yield cluster
         return
-    processes = min(workers or default or _cores(), count)
+    cores = os.cpu_count() or 1
+    if hasattr(os, "sched_getaffinity"):
+        cores = len(os.sched_getaffinity(0))
+    processes = min(workers or default or cores, count)
     if processes < 2:
         yield None
         return
     with _process_pool(processes) as pool:
         yield pool
-
-
-def _cores() -> int:
-    """Return the number of processor cores that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 @contextmanager

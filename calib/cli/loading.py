@@ -58,7 +58,7 @@ def load_with_data(
     from calib.basics.tables import Table
     from calib.data.columns import column_names
     from calib.data.measurements import Measurements
-    from calib.robot.dh.file import is_other_table
+    from calib.robot.dh_file import is_other_table
 
     options = table_options or TableOptions()
     points, points_unit = options.points, options.points_unit

@@ -8,7 +8,7 @@ import typer
 
 from calib.errors import choices
 from calib.show.lines import fill, row_ranges
-from calib.show.readings import coupling_sentence
+from calib.show.robot_sentences import coupling_sentence
 
 if TYPE_CHECKING:
     from calib.data.cell import Cell
@@ -21,7 +21,7 @@ def say_accepted(name: str, stated: str) -> None:
 
     Args:
         name: The file that the verdict is on.
-        stated: The verdict, as `calib.show.verdict.against` gives it; nothing is said if it is empty.
+        stated: The verdict, as `calib.show.verdict_text.do_not_use_text` gives it; nothing is said if it is empty.
     """
     if stated:
         typer.echo(
@@ -39,6 +39,7 @@ def say_ignored(measurements: Measurements, robot: Robot) -> None:
         measurements: The table, which knows what of it was not used.
         robot: The chain that was measured.
     """
+    from calib.basics.units import split_header
     from calib.data.forms.orientations import QUATERNION, find_convention
 
     empty = measurements.unmeasured
@@ -54,23 +55,17 @@ def say_ignored(measurements: Measurements, robot: Robot) -> None:
     if not measurements.ignored:
         return
     text = f"Columns not used: {choices(measurements.ignored)}."
-    outside = _joints_outside(measurements, robot)
+
+    # A held joint and one that follows another have columns that are not needed: nothing is wrong with the chain.
+    moving = {joint.name for joint in robot.urdf.joints if joint.type != "fixed"}
+    beside = moving - {*robot.held, *(joint.name for joint in robot.joints)}
+    names = [split_header(label)[0] for label in measurements.ignored]
+    outside = [name for name in names if name in beside]
     if outside:
         text += (
             f" Not between '{robot.base}' and '{robot.tip}' (--base, --tip): {choices(outside)}."
         )
     typer.echo(fill(text) + "\n")
-
-
-def _joints_outside(measurements: Measurements, robot: Robot) -> list[str]:
-    """Return the joints of the URDF that have a column and are not in the chain."""
-    from calib.basics.units import split_header
-
-    moving = {joint.name for joint in robot.urdf.joints if joint.type != "fixed"}
-    # A held joint and one that follows another have columns that are not needed: nothing is wrong with the chain.
-    outside = moving - {*robot.held, *(joint.name for joint in robot.joints)}
-    names = [split_header(label)[0] for label in measurements.ignored]
-    return [name for name in names if name in outside]
 
 
 def say_unused_camera(measurements: Measurements, cell: Cell) -> None:

@@ -130,7 +130,7 @@ def field_parameters(
 
 
 def is_list(parameter: inspect.Parameter) -> bool:
-    """Return whether an option of `field_parameters` can be repeated."""
+    """Return True if an option of `field_parameters` can be repeated."""
     return list[str] in get_args(get_args(parameter.annotation)[0])
 
 
@@ -142,14 +142,14 @@ class CellOptions:
     groups: ClassVar[tuple[str, ...]] = ()
     #: Names of the options that a verb takes, if it does not take all.
     names: ClassVar[tuple[str, ...] | None] = None
-    #: Whether a verb takes ``--cell``.
+    #: True if a verb takes ``--cell``.
     has_file: ClassVar[bool] = True
     #: Help texts, by name, of options that mean something else to a verb.
     helps: ClassVar[Mapping[str, str]] = MappingProxyType({})
 
     #: ``--cell``; None: not given.
     file: Path | None = None
-    #: What was typed, by the names of the options that were given.
+    #: The words typed, by the names of the options that were given.
     given: Mapping[str, Any] = field(default_factory=dict)
 
     @classmethod
@@ -170,7 +170,7 @@ class CellOptions:
 
     @classmethod
     def of_typed(cls: type[Self], typed: Mapping[str, Any]) -> Self:
-        """Return the options from the values of `parameters`, by name."""
+        """Make the options from the values typed for `parameters`, by name; those not given are left out."""
         given = {name: value for name, value in typed.items() if value not in (None, False, [])}
         return cls(given.pop("cell", None), given)
 
@@ -257,14 +257,13 @@ class ColumnChoice:
     ] = None
 
     def parsed(self) -> ColumnOptions:
-        """Return what is said of the columns, in which ``--columns`` may rename some and name one brand.
+        """Return the options for columns; ``--columns`` may rename some and name one brand.
 
         Raises:
             CalibError: A word is not of its form, a column is named twice, or there is no such convention or unit.
         """
         from calib.basics.units import parse_pairs
-        from calib.data.forms.brands import BRANDS
-        from calib.data.forms.column_options import ColumnOptions
+        from calib.data.forms.column_options import BRANDS, ColumnOptions
 
         given = list(self.columns or [])
         brands = [word for word in dict.fromkeys(given) if word.strip().casefold() in BRANDS]

@@ -69,32 +69,28 @@ class Verb(TyperCommand):
         parameters: list[Any] = self.get_params(ctx)
         listing = [each for each in parameters if "{" in (getattr(each, "help", "") or "")]
         if listing:
-            registered = _registered()
+            # The registries import NumPy, which other calls of the program do without.
+            from calib.data.forms.column_options import BRANDS
+            from calib.data.forms.orientations import CONVENTIONS
+            from calib.data.kinds import names as kind_names
+            from calib.model.error_model import MODELS
+            from calib.model.families import joint_families
+            from calib.numerics.solvers import SOLVERS
+
+            registered = {
+                "{brands}": tuple(BRANDS),
+                "{conventions}": tuple(CONVENTIONS),
+                "{families}": joint_families(),  # those that no URDF holds
+                "{kinds}": kind_names(),
+                "{models}": tuple(MODELS),
+                "{solvers}": tuple(SOLVERS),
+            }
             for placeholder, names in getattr(self.callback, "registered", {}).items():
                 registered[placeholder] = names()
             for option in listing:
                 for placeholder, names in registered.items():
                     option.help = option.help.replace(placeholder, ", ".join(names))
         super().format_help(ctx, formatter)
-
-
-def _registered() -> dict[str, tuple[str, ...]]:
-    """Return what the placeholders in the help of any verb stand for; the registries import NumPy."""
-    from calib.data.forms.brands import BRANDS
-    from calib.data.forms.orientations import CONVENTIONS
-    from calib.data.kinds import names
-    from calib.model.error_model import MODELS
-    from calib.model.families import joint_families
-    from calib.numerics.solvers import SOLVERS
-
-    return {
-        "{brands}": tuple(BRANDS),
-        "{conventions}": tuple(CONVENTIONS),
-        "{families}": joint_families(),  # those that no URDF holds
-        "{kinds}": names(),
-        "{models}": tuple(MODELS),
-        "{solvers}": tuple(SOLVERS),
-    }
 
 
 def verb(

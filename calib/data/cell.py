@@ -109,18 +109,8 @@ __all__ = [
 #: The value of `Cell.model` that lets the data choose the model.
 AUTO = "auto"
 
-#: What `Cell.repeats` may be.
+#: Allowed values of `Cell.repeats`.
 REPEATS = ("weighted", "average", "independent")
-
-
-def _with_mass(payload: Payload | None, mass: float) -> Payload:
-    """Return the payload of a cell file with another mass, or one whose centre of mass is the tip."""
-    return Payload(mass) if payload is None else replace(payload, mass=mass)
-
-
-def _at(tracker: Tracker | None, position: Array) -> Tracker:
-    """Return the tracker of a cell file at another position, or a usual one there."""
-    return Tracker(position) if tracker is None else replace(tracker, position=position)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -169,7 +159,7 @@ class Cell(Value):
             ),
         ),
     )
-    #: Whether the targets are estimated with the robot. A fit registers them first; ``target`` is then one of several
+    #: True if the targets are estimated with the robot. A fit registers them first; ``target`` is then one of several
     #: starts if that is not linear, the nominal robot is evaluated with it, and the estimate is checked against it.
     estimate_target: bool = key(
         "target",
@@ -218,7 +208,7 @@ class Cell(Value):
         default_factory=ReadOnlyMapping,
         each=IS_POSITION,
     )
-    #: Whether the measurement frames are estimated.
+    #: True if the measurement frames are estimated.
     estimate_frame: bool = key(
         "frame",
         FRAME_ESTIMATED,
@@ -234,7 +224,7 @@ class Cell(Value):
             "directions.",
         ),
     )
-    #: Which of `DIRECTIONS`, along the axes of the base, are estimated if frames are.
+    #: Directions, of `DIRECTIONS` along the axes of the base, that are estimated if frames are.
     frame_directions: tuple[str, ...] = key(
         "frame",
         FRAME_DIRECTIONS,
@@ -277,7 +267,7 @@ class Cell(Value):
     sigma: Mapping[str, float] = keys(
         sigma_keys, dict, default_factory=ReadOnlyMapping, check=ARE_SIGMAS
     )
-    #: Whether the instrument's scale was certified; else lengths of the arm may hide an error of it.
+    #: True if the instrument's scale was certified; otherwise lengths of the arm may hide an error of it.
     scale_certified: bool = key(
         "scale_certified",
         TRUTH,
@@ -296,8 +286,8 @@ class Cell(Value):
             f"one of {choices(REPEATS)}", lambda value: value if value in REPEATS else None
         ),
     )
-    #: What is estimated of the robot: ``"auto"``, as much as the measurements support, or a parameter set such as
-    #: ``"dh"``, with families of errors appended, ``"dh+gain+compliance"``.
+    #: Errors of the robot that are estimated: ``"auto"``, as many as the measurements support, or a parameter set such
+    #: as ``"dh"``, with families of errors appended, ``"dh+gain+compliance"``.
     model: str = key(
         "model",
         text("the name of a model"),
@@ -356,7 +346,7 @@ class Cell(Value):
         default_factory=ReadOnlyMapping,
         each=IS_PRIOR_STD,
     )
-    #: What the tip carries; None: nothing.
+    #: Mass that the tip carries; None: none.
     payload: Payload | None = key(
         "payload",
         table_of(Payload),
@@ -369,7 +359,7 @@ class Cell(Value):
             help='Mass that the tip carries, such as "5 kg", for compliances. Its centre of mass is given in the cell '
             "file.",
             parse=lambda typed, flag: parse_amount(typed, flag, MASS, "5 kg"),
-            merge=_with_mass,
+            merge=lambda payload, mass: replace(payload or Payload(mass), mass=mass),
         ),
     )
     #: shape (3,), acceleration of gravity in the URDF's root frame [m/s^2].
@@ -426,7 +416,9 @@ class Cell(Value):
             metavar='"X Y Z UNIT"',
             help='Position of the tracker in the base frame, such as "2500 0 500 mm".',
             parse=lambda typed, flag: parse_point(typed, flag, "2500 0 500 mm"),
-            merge=_at,
+            merge=lambda tracker, position: replace(
+                tracker or Tracker(position), position=position
+            ),
         ),
     )
     #: Direction and opening of the reflector; None: it is turned by hand, and seen from everywhere.
@@ -538,7 +530,7 @@ class Cell(Value):
         return replace(self, target=read_only(np.asarray(target)), estimate_target=estimate)
 
 
-#: Keys of a cell file that are no attributes of a cell.
+#: Keys of a cell file that are not attributes of a cell.
 FILE_KEYS = (
     Key(
         "plugins",

@@ -29,7 +29,6 @@ from calib.basics.value_forms import (
     three_numbers,
 )
 from calib.basics.values import ReadOnlyMapping
-from calib.boards.board import Board
 from calib.boards.board_file import board_of_table, read_board
 from calib.camera.camera import Camera
 from calib.camera.camera_file import camera_of_table, read_camera
@@ -47,14 +46,8 @@ _Described = TypeVar("_Described")
 # Poses and noise
 
 
-def _rpy_matrix(rpy: Array) -> Array:
-    """Return Rz(yaw) Ry(pitch) Rx(roll), shape (3, 3), of roll, pitch, yaw [deg]."""
-    matrix: Array = Rotation.from_euler("xyz", np.radians(rpy)).as_matrix()
-    return matrix
-
-
 #: Roll, pitch, yaw about fixed axes, as a rotation matrix (3, 3).
-RPY_DEG = three_numbers("deg", _rpy_matrix)
+RPY_DEG = three_numbers("deg", lambda rpy: Rotation.from_euler("xyz", np.radians(rpy)).as_matrix())
 
 
 def pose_keys(prefix: str, what: str, *, needed: bool = False) -> Sequence[Key]:
@@ -99,7 +92,7 @@ def sigma_keys() -> Sequence[Key]:
 
 
 def frame_of(value: str | Sequence[str]) -> tuple[bool, tuple[str, ...]]:
-    """Return what the key ``frame`` says of the measurement frame.
+    """Read the key ``frame``: whether the measurement frame is estimated, and in which directions.
 
     Args:
         value: ``"known"``, ``"estimate"`` (in all directions), or the directions of the base that are estimated, as a
@@ -172,11 +165,6 @@ def _read_bounds(value: Any, place: Place) -> tuple[float, ...]:  # noqa: ANN401
     return -largest, largest
 
 
-def _read_tie(value: Any, _place: Place) -> Any:  # noqa: ANN401
-    """Read what a parameter is tied to: another one's name, or its name and a factor."""
-    return (value, 1.0) if isinstance(value, str) else value
-
-
 #: The change of a parameter from its nominal value.
 CHANGE = Form('a change with its unit, "0.5 mm"', _read_change)
 
@@ -184,7 +172,10 @@ CHANGE = Form('a change with its unit, "0.5 mm"', _read_change)
 BOUNDS = Form('one change for both directions, or two: ["-0.02 deg", "1 mrad"]', _read_bounds)
 
 #: Another parameter and a factor.
-TIE = Form('another parameter, or a parameter and a factor: ["a2", -1.0]', _read_tie)
+TIE = Form(
+    'another parameter, or a parameter and a factor: ["a2", -1.0]',
+    lambda value, _place: (value, 1.0) if isinstance(value, str) else value,
+)
 
 
 # Cameras and boards
@@ -248,11 +239,6 @@ def _parse_cameras(typed: Iterable[str], flag: str) -> dict[str, Camera]:
     return result
 
 
-def _parse_boards(typed: Iterable[str], flag: str) -> dict[str, Board]:
-    """Return the boards of ``[NAME=]FILE``, by name."""
-    return {name: read_board(path) for name, path in _named_files(typed, flag).items()}
-
-
 def _named_files(typed: Iterable[str], flag: str) -> dict[str, str]:
     """Return what follows the names in ``NAME=FILE``, by name, ``""`` without one; CalibError for a name twice."""
     result: dict[str, str] = {}
@@ -267,7 +253,7 @@ def _named_files(typed: Iterable[str], flag: str) -> dict[str, str]:
 
 
 def camera_keys() -> Sequence[Key]:
-    """Return the keys of cameras."""
+    """Return the keys ``camera`` and ``cameras`` of a cell file, with the option ``--camera``."""
     option = Option(
         "--camera",
         metavar="[NAME=]FILE|WIDTHxHEIGHT",
@@ -285,14 +271,16 @@ def camera_keys() -> Sequence[Key]:
 
 
 def board_keys() -> Sequence[Key]:
-    """Return the keys of printed boards."""
+    """Return the keys ``board`` and ``boards`` of a cell file, with the option ``--board``."""
     option = Option(
         "--board",
         metavar="[NAME=]FILE",
         type=list[str],
         help="Description of the printed board, as 'calib board' writes it, with the accuracy of its print. With "
         "NAME=, the board of that target.",
-        parse=_parse_boards,
+        parse=lambda typed, flag: {
+            name: read_board(path) for name, path in _named_files(typed, flag).items()
+        },
         merge=add_entries,
     )
     meanings = ("The printed board.", "Several boards, by target (column `target`).")
@@ -314,7 +302,7 @@ def _number_within(value: Any, low: float, high: float) -> float | None:  # noqa
     return value if is_number(value) and low <= value <= high else None
 
 
-def _directions(value: Iterable[str]) -> tuple[str, ...] | None:
+def _directions_or_none(value: Iterable[str]) -> tuple[str, ...] | None:
     """Return given directions of a frame in the order of `DIRECTIONS`; None if others are given."""
     directions = tuple(d for d in DIRECTIONS if d in value)
     if not directions or sorted(directions) != sorted(value):
@@ -322,7 +310,7 @@ def _directions(value: Iterable[str]) -> tuple[str, ...] | None:
     return directions
 
 
-def _tie(value: tuple[str, float]) -> tuple[str, float] | None:
+def _tie_or_none(value: tuple[str, float]) -> tuple[str, float] | None:
     """Return another parameter's name and a factor; None if the factor is not a number, or zero."""
     name, factor = value
     if not is_number(factor) or factor == 0.0:
@@ -330,20 +318,20 @@ def _tie(value: tuple[str, float]) -> tuple[str, float] | None:
     return name, float(factor)
 
 
-def _interval(value: tuple[float, float]) -> tuple[float, float] | None:
-    """Return two increasing numbers, else None; they stay `Angle` or `Length`."""
+def _interval_or_none(value: tuple[float, float]) -> tuple[float, float] | None:
+    """Return two increasing numbers, or None for others; they stay `Angle` or `Length`."""
     low, high = value
     return (low, high) if low < high else None
 
 
-def _bounds(value: tuple[float, float]) -> tuple[float, float] | None:
+def _bounds_or_none(value: tuple[float, float]) -> tuple[float, float] | None:
     """Return the least and the largest change of a parameter; None unless 0 is between them."""
     low, high = value
-    return _interval(value) if low <= 0.0 <= high else None
+    return _interval_or_none(value) if low <= 0.0 <= high else None
 
 
-def _factors(value: Mapping[str, float]) -> ReadOnlyMapping[str, float] | None:
-    """Return the factors of joints' readings by name, else None."""
+def _factors_or_none(value: Mapping[str, float]) -> ReadOnlyMapping[str, float] | None:
+    """Return factors of joints' readings by name if all are numbers other than 0, or None."""
     if not isinstance(value, Mapping) or not all(isinstance(name, str) for name in value):
         return None
     if not value or not all(is_number(factor) and factor for factor in value.values()):
@@ -351,8 +339,8 @@ def _factors(value: Mapping[str, float]) -> ReadOnlyMapping[str, float] | None:
     return ReadOnlyMapping({name: float(factor) for name, factor in value.items()})
 
 
-def _sigma(value: Mapping[str, float]) -> ReadOnlyMapping[str, float] | None:
-    """Return standard deviations by unit, else None."""
+def _sigma_or_none(value: Mapping[str, float]) -> ReadOnlyMapping[str, float] | None:
+    """Return standard deviations by the symbol of their unit if all are numbers in range, or None."""
     if not isinstance(value, Mapping) or not value.keys() <= RESIDUAL_UNITS.keys():
         return None
     if not all(is_number(std) and SIGMAS[0] <= std <= SIGMAS[1] for std in value.values()):
@@ -365,11 +353,11 @@ IS_POSITION = Check("three numbers [m]", lambda value: position_in_tip(value, "t
 ARE_SIGMAS = Check(
     f"standard deviations from {SIGMAS[0]:g} to {SIGMAS[1]:g} by unit, such as {{'m': 1e-05}}; units are "
     f"{choices(RESIDUAL_UNITS)}",
-    _sigma,
+    _sigma_or_none,
 )
-IS_TIE = Check("another parameter and a factor that is not zero, such as ('a2', 1.0)", _tie)
+IS_TIE = Check("another parameter and a factor that is not zero, such as ('a2', 1.0)", _tie_or_none)
 ARE_BOUNDS = Check(
-    "the least and the largest change, with 0 between them, (-0.001, 0.001)", _bounds
+    "the least and the largest change, with 0 between them, (-0.001, 0.001)", _bounds_or_none
 )
 IS_PRIOR_STD = Check(
     f"a number from {PRIOR_STD_RANGE[0]:g} to {PRIOR_STD_RANGE[1]:g} of the parameter's unit",
@@ -381,7 +369,7 @@ IS_JOINT_VALUE = Check(
 )
 ARE_FACTORS = Check(
     "factors of other joints' readings by name, none of them zero, such as {'joint_2': 1.0}",
-    _factors,
+    _factors_or_none,
 )
-ARE_DIRECTIONS = Check(f"some of {choices(DIRECTIONS)}, each once", _directions)
-IS_RANGE = Check("the least and the largest value [rad or m]", _interval)
+ARE_DIRECTIONS = Check(f"some of {choices(DIRECTIONS)}, each once", _directions_or_none)
+IS_RANGE = Check("the least and the largest value [rad or m]", _interval_or_none)

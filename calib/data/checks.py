@@ -53,7 +53,7 @@ class RowLabels:
         return self.source or "Measurements"
 
     def fail(self, index: int, what: str) -> NoReturn:
-        """Refuse a row.
+        """Refuse a row of measurements, with its row number in the message.
 
         Args:
             index: The row, from 0; the message has its row number.
@@ -81,7 +81,7 @@ class RowLabels:
 
 
 def by_word(words: Sequence[str], rows: Mask) -> dict[str, list[int]]:
-    """Group rows by their words.
+    """Return the indices of chosen rows, from 0, by their words.
 
     Args:
         words: Word of each row.
@@ -100,7 +100,7 @@ def by_word(words: Sequence[str], rows: Mask) -> dict[str, list[int]]:
 
 
 def mask_of_words(words: Sequence[str], *chosen: str) -> Mask:
-    """Mark the words that are among those chosen, shape (N,), read-only."""
+    """Return a mask, shape (N,), read-only: True for each of N words that is among those chosen."""
     present = set(words)  # mostly one word, and then no loop over the rows
     if present <= set(chosen) or present.isdisjoint(chosen):
         mask = np.full(len(words), not present.isdisjoint(chosen), dtype=np.bool_)
@@ -111,7 +111,7 @@ def mask_of_words(words: Sequence[str], *chosen: str) -> Mask:
 
 
 def check_words(labels: RowLabels, words: Mapping[str, Sequence[str]], count: int) -> None:
-    """Check the words and the numbers of rows.
+    """Refuse words and row numbers that are not one a row, unknown, or repeated.
 
     Args:
         labels: The rows, whose numbers are checked too.
@@ -141,7 +141,7 @@ def check_words(labels: RowLabels, words: Mapping[str, Sequence[str]], count: in
 
 
 def check_joint_names(labels: RowLabels) -> None:
-    """Check that names of joints are unique and no other column's.
+    """Refuse names of joints that repeat, or that are names of other columns.
 
     Raises:
         MeasurementError: They are not; the message lists them.
@@ -196,36 +196,25 @@ def checked_numbers(
         raise MeasurementError(
             f"Measurements: '{name}' has shape {array.shape} and should have {shape}"
         )
-    _check_range(labels, name, array, rows, limits)
-    array[~rows] = np.nan
-    return read_only(array)
 
-
-def _check_range(
-    labels: RowLabels,
-    name: str,
-    array: Array,
-    rows: Mask,
-    limits: tuple[float, float],
-) -> None:
-    """Refuse a number out of ``limits`` in the chosen rows of an array (N, ...), see `checked_numbers`."""
     least, largest = limits
     in_range = (array >= least) & (array <= largest)
     each_row = rows.reshape(-1, *[1] * (array.ndim - 1))
     out_of_range = np.argwhere(~in_range & each_row)
-    if not out_of_range.size:
-        return
-    at = out_of_range[0].tolist()
-    what = labels.joint_names[at[1]] if name == "joints" else name
-    labels.fail(
-        at[0],
-        f"'{what}' is {array[tuple(at)]:g}; in a row of the kind '{labels.kinds[at[0]]}' it is a "
-        f"number from {least:g} to {largest:g}, in SI units. Correct it, or its unit.",
-    )
+    if out_of_range.size:
+        at = out_of_range[0].tolist()
+        what = labels.joint_names[at[1]] if name == "joints" else name
+        labels.fail(
+            at[0],
+            f"'{what}' is {array[tuple(at)]:g}; in a row of the kind '{labels.kinds[at[0]]}' it is a "
+            f"number from {least:g} to {largest:g}, in SI units. Correct it, or its unit.",
+        )
+    array[~rows] = np.nan
+    return read_only(array)
 
 
 def shared_by_pairs(labels: RowLabels, values: ArrayLike, pair_rows: Integers) -> Array:
-    """Return readings in which both rows of a pair have the pair's.
+    """Return readings that are the same in both rows of a pair, also if one row had none.
 
     Args:
         labels: The N rows, for messages.
@@ -254,7 +243,7 @@ def shared_by_pairs(labels: RowLabels, values: ArrayLike, pair_rows: Integers) -
 def checked_readings(
     labels: RowLabels, given: Mapping[str, ArrayLike | None], pair_rows: Integers
 ) -> dict[str, Array]:
-    """Return checked, read-only copies of the readings of kinds.
+    """Return checked, read-only copies of the readings that the registered kinds need.
 
     Args:
         labels: The N rows, for messages.
@@ -289,7 +278,7 @@ def checked_readings(
 
 
 def check_rotations(labels: RowLabels, rotations: Array, rows: Mask) -> None:
-    """Check the orientations of rows.
+    """Refuse measured orientations that are not rotation matrices.
 
     Args:
         labels: The N rows, for messages.
@@ -307,7 +296,7 @@ def check_rotations(labels: RowLabels, rotations: Array, rows: Mask) -> None:
 
 
 def check_torques(labels: RowLabels, torques: Array) -> None:
-    """Check that each joint has torques in all rows or in none.
+    """Refuse torques of a joint in some rows and not in others.
 
     Args:
         labels: The N rows, for messages.

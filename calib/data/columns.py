@@ -14,8 +14,13 @@ from calib.basics.channels import RESIDUAL_UNITS
 from calib.basics.tables import Column, Table
 from calib.basics.units import UNITS, Quantity, split_header, symbols
 from calib.data.forms import orientations
-from calib.data.forms.brands import brands_like, names_by_brand
-from calib.data.forms.column_options import ColumnOptions, ColumnsInput, column_options
+from calib.data.forms.column_options import (
+    ColumnOptions,
+    ColumnsInput,
+    brands_like,
+    column_options,
+    names_by_brand,
+)
 from calib.errors import MeasurementError, choices, did_you_mean
 
 #: Columns of a position.
@@ -33,7 +38,7 @@ ORIENTATION = (*orientations.ROTATION_VECTOR.columns, *orientations.QUATERNION.c
 #: The column of a table of commands that says whether a row has one.
 STATUS = "status"
 
-#: What the column ``set`` may say.
+#: Allowed words of the column ``set``.
 SETS = ("estimate", "validate")
 
 #: Name of the target of rows without a column ``target``.
@@ -52,7 +57,7 @@ WORD_COLUMNS: Mapping[str, tuple[str, str]] = {
     "corners": ("corner", ""),
 }
 
-#: What follows a joint's name in the name of the column of its torque.
+#: Ending of the name of the column of a joint's torque, after the joint's name.
 TORQUE = ".torque"
 
 #: The name that ``--columns`` maps a column to so that it is not read.
@@ -91,7 +96,7 @@ def list_columns(table: Table) -> str:
 
 
 def column_names(table: Table, columns: ColumnsInput = None) -> set[str] | None:
-    """Return the names that a table's columns may be called by, without their units.
+    """Return the names by which a table's columns may be called, without their units.
 
     Args:
         table: The table.
@@ -110,7 +115,7 @@ def column_names(table: Table, columns: ColumnsInput = None) -> set[str] | None:
 def name_columns(
     table: Table, joint_names: Sequence[str], columns: ColumnsInput
 ) -> tuple[dict[str, Column], Columns]:
-    """Name the columns of a table as calib does.
+    """Map the columns of a table to calib's names, by their headers, ``--columns`` and a brand.
 
     Args:
         table: The table.
@@ -130,8 +135,20 @@ def name_columns(
             brand's axes are more or fewer than the joints.
     """
     options = column_options(columns)
-    renamed = _renamed(table, options.names)
-    renamed = _renamed_by_brand(table, joint_names, options, renamed) | renamed
+    # What --columns maps columns to, by their position in the table. The names in it are those written in the table,
+    # so that two columns can swap theirs.
+    renamed: dict[int, str] = {}
+    written_names = {i: split_header(label)[0] for i, label in enumerate(table.header) if label}
+    for key, new_name in options.names.items():
+        hits = [i for i, name in written_names.items() if key.strip() in (name, table.header[i])]
+        if not hits:
+            raise MeasurementError(
+                f"{table.source}: there is no column '{key}', which --columns maps to "
+                f"'{new_name}'{did_you_mean(key, written_names.values())}. {list_columns(table)}"
+            )
+        renamed |= dict.fromkeys(hits, new_name)
+    renamed = _map_by_brand(table, joint_names, options, renamed) | renamed
+
     in_any_case = {name: name for name in (*reserved(), STATUS)}
     in_any_case.update(orientations.IN_ANY_CASE)
     for convention in options.conventions:
@@ -169,31 +186,13 @@ def name_columns(
     return named, tuple(groups)
 
 
-def _renamed(table: Table, columns: Mapping[str, str]) -> dict[int, str]:
-    """Return what ``--columns`` maps columns to, by their position in the table, from 0.
-
-    The names in it are those written in the table, so that two columns can swap theirs.
-    """
-    written = {i: split_header(label)[0] for i, label in enumerate(table.header) if label}
-    renamed: dict[int, str] = {}
-    for key, new_name in columns.items():
-        hits = [i for i, name in written.items() if key.strip() in (name, table.header[i])]
-        if not hits:
-            raise MeasurementError(
-                f"{table.source}: there is no column '{key}', which --columns maps to "
-                f"'{new_name}'{did_you_mean(key, written.values())}. {list_columns(table)}"
-            )
-        renamed |= dict.fromkeys(hits, new_name)
-    return renamed
-
-
-def _renamed_by_brand(
+def _map_by_brand(
     table: Table,
     joint_names: Sequence[str],
     options: ColumnOptions,
     renamed: Mapping[int, str],
 ) -> dict[int, str]:
-    """Return what a brand maps columns to, by their position, from 0, with the brand's unit if they have none.
+    """Return the names that a brand maps columns to, by position from 0, with the brand's unit if they have none.
 
     Columns and joints that are renamed already, and columns that are called as their joints, are not the brand's.
     """
@@ -227,7 +226,7 @@ def with_unit(
     proposed: str = "",
     also: str = "",
 ) -> Column:
-    """Return a column if it is in a unit of the right quantity.
+    """Return a column unchanged if its unit is of the right quantity; raise `MeasurementError` otherwise.
 
     Args:
         table: The column's table, for messages.

@@ -21,7 +21,7 @@ _ENTRIES = (-(SIGMAS[1] ** 2), SIGMAS[1] ** 2)
 #: Difference of a correlation from that of the same two numbers, in digits that a table may have.
 _SYMMETRIC = 1e-4
 
-#: What messages say of a matrix.
+#: The order and the units of the entries, for messages.
 _ENTRIES_ARE = "It has x, y, z [m] and the rotations about x, y, z [rad], row by row."
 
 
@@ -57,42 +57,39 @@ def checked_covariances(labels: RowLabels, values: ArrayLike | None, poses: Mask
     checked = checked_numbers(labels, "covariances", given, (POSE, POSE), with_one, _ENTRIES)
     if checked is None:
         return None
+
     for i in np.flatnonzero(with_one).tolist():
-        _check(labels, i, checked[i])
+        C = checked[i]
+        if not np.any(C):
+            labels.fail(i, "the covariance is zero; leave out the columns if it is not known")
+        std = np.sqrt(np.maximum(np.diagonal(C), 0.0))
+        if not np.all((std >= SIGMAS[0]) & (std <= SIGMAS[1])):
+            allowed = f"{SIGMAS[0]:g} to {SIGMAS[1]:g}, in SI units"
+            labels.fail(
+                i,
+                f"a standard deviation of the covariance is not from {allowed}. {_ENTRIES_ARE} Write numbers with an "
+                "exponent, 1.234567e-08.",
+            )
+        correlation = C / np.outer(std, std)
+        if np.max(np.abs(correlation - correlation.T)) > _SYMMETRIC:
+            labels.fail(i, f"the covariance is not symmetric. {_ENTRIES_ARE}")
+        if np.linalg.eigvalsh(0.5 * (correlation + correlation.T))[0] <= 0.0:
+            labels.fail(
+                i,
+                f"the covariance is not positive definite. {_ENTRIES_ARE} Are all entries in this order, and written "
+                "with six digits or more?",
+            )
     return read_only(0.5 * (checked + checked.transpose(0, 2, 1)))
-
-
-def _check(labels: RowLabels, index: int, C: Array) -> None:
-    """Check the covariance of a row, from 0, shape (6, 6)."""
-    if not np.any(C):
-        labels.fail(index, "the covariance is zero; leave out the columns if it is not known")
-    std = np.sqrt(np.maximum(np.diagonal(C), 0.0))
-    if not np.all((std >= SIGMAS[0]) & (std <= SIGMAS[1])):
-        allowed = f"{SIGMAS[0]:g} to {SIGMAS[1]:g}, in SI units"
-        labels.fail(
-            index,
-            f"a standard deviation of the covariance is not from {allowed}. {_ENTRIES_ARE} Write numbers with an "
-            "exponent, 1.234567e-08.",
-        )
-    correlation = C / np.outer(std, std)
-    if np.max(np.abs(correlation - correlation.T)) > _SYMMETRIC:
-        labels.fail(index, f"the covariance is not symmetric. {_ENTRIES_ARE}")
-    if np.linalg.eigvalsh(0.5 * (correlation + correlation.T))[0] <= 0.0:
-        labels.fail(
-            index,
-            f"the covariance is not positive definite. {_ENTRIES_ARE} Are all entries in this order, and written with "
-            "six digits or more?",
-        )
 
 
 def sigma_with_covariances(
     sigma: Mapping[str, Array], covariances: Array | None
 ) -> dict[str, Array]:
-    """Return standard deviations of scalars with those of the rows that have a covariance: rms over the axes.
+    """Return standard deviations by unit, shape (N,): rms over the axes in rows that have a covariance.
 
     Args:
-        sigma: Of the other rows, by unit, shape (N,) each [m], [rad].
-        covariances: shape (N, 6, 6), NaN in rows without one; None: no row has one.
+        sigma: Standard deviations by unit ``"m"``, ``"rad"``, shape (N,) each; kept for rows without a covariance.
+        covariances: shape (N, 6, 6) [m^2, m rad, rad^2], NaN in rows without one; None: no row has one.
     """
     result = dict(sigma)
     if covariances is None:

@@ -2,7 +2,8 @@
 
 Where a path or a name stands in for a value, it is read as the command line reads it: base, tip, held joints and
 coupled readings are the cell's; a tip that the cell does not name is the end of the longest chain whose joints all have
-values in the table.
+values in the table. For plans and inspections without measurements there are a table of poses and a generic target and
+anchor.
 """
 
 from __future__ import annotations
@@ -11,13 +12,17 @@ from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import TypeAlias
 
+import numpy as np
+
+import calib.data.kinds as registry
 from calib.basics.arguments import check_type
+from calib.basics.arrays import Array
 from calib.basics.tables import Table
 from calib.data.cell import Cell
 from calib.data.columns import column_names
 from calib.data.measurements import Measurements
-from calib.errors import CalibError, choices
-from calib.robot.dh.file import is_other_table
+from calib.errors import CalibError, ModelError, choices
+from calib.robot.dh_file import is_other_table
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf, read_urdf
 
@@ -30,7 +35,7 @@ TableInput: TypeAlias = Measurements | str | Path
 #: A cell, or the path of its file; None: the default cell.
 CellInput: TypeAlias = Cell | str | Path | None
 
-#: What messages call these.
+#: Descriptions of the three, for messages.
 ROBOT = "a Robot, the path of a URDF, a xacro or DH rows, or a name such as 'ur3'"
 TABLE = "Measurements, or the path of a table"
 CELL = "a Cell, the path of a cell file, or None"
@@ -126,10 +131,49 @@ def inputs_of(
 
 
 def _check_robot(robot: object, argument: str) -> None:
-    """Refuse what is not a robot, and the path of a table in its place."""
+    """Refuse an argument that is neither a robot nor a path or name of one, or is the path of a table."""
     check_type(argument, robot, (Robot, str, Path), ROBOT)
     if isinstance(robot, (str, Path)) and is_other_table(robot):
         raise CalibError(
             f"The argument '{argument}' is the table '{robot}', which has no DH rows: it has no columns d and alpha. "
             f"It must be {ROBOT}. The robot comes before the table."
         )
+
+
+# Without measurements
+
+#: Place in the tip of a target that was not given: off every axis of the tip [m].
+GENERIC_TARGET = (0.05, 0.07, 0.03)
+
+
+#: Place in the base of an anchor that was not given: off the first axis, which its distances would not observe [m].
+GENERIC_ANCHOR = (0.7, -0.5, 0.3)
+
+
+def table_of_poses(robot: Robot, name: str, joints: Array) -> Measurements:
+    """Make a table of rows of one kind at given joint values, with placeholders for the measured values.
+
+    Args:
+        robot: The nominal robot.
+        name: Kind of the rows, such as ``"point"``.
+        joints: Joint values, shape (N, m), [rad] or [m].
+
+    Returns:
+        A table of N rows of this kind.
+
+    Raises:
+        ModelError: A kind of pairs, or one that needs the target at a certain place, such as a socket.
+    """
+    kind = registry.get(name)
+    if kind.paired or kind.measure is None:
+        raise ModelError(f"Poses alone say nothing of kind '{name}'. Give a table of such rows.")
+    T_frame_target = np.tile(np.eye(4), (len(joints), 1, 1))
+    T_frame_target[:, :3, 3] = 1.0
+    sliding = tuple(joint.name for joint in robot.inputs if joint.type == "prismatic")
+    return Measurements(
+        joint_names=robot.joint_names,
+        joints=joints,
+        kinds=(name,) * len(joints),
+        **Measurements.columns_of(kind, kind.measure(T_frame_target)),
+        prismatic=sliding,
+    )

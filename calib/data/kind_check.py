@@ -62,16 +62,17 @@ class Checked(Protocol):
 
     @property
     def measure(self) -> Callable[[Array], Array] | None:
-        """Reading of a perfect instrument."""
+        """Reading (n, k) of a perfect instrument at poses T_frame_target; None: there is no such function."""
 
     @property
     def derivative(self) -> Callable[[Array, Array, Array], Array]:
-        """Derivative of the prediction."""
+        """Derivative (n, s, p) of the prediction by p parameters, from readings, poses and their twists."""
 
     def residual_of(self, measured: Array, T_frame_target: Array) -> Array:
-        """Return measured minus predicted."""
+        """Return measured minus predicted, shape (n, s), of readings (n, k) at poses T_frame_target."""
 
 
+@np.errstate(all="ignore")  # functions need not have a value at each pose
 def check_functions(kind: Checked) -> None:
     """Call the functions of a kind at generic poses, and compare its derivative with differences of its residual.
 
@@ -87,16 +88,48 @@ def check_functions(kind: Checked) -> None:
     """
     if kind.measure is None and kind.size:
         return
-    poses = _poses(2 if kind.paired else 1)
-    with np.errstate(all="ignore"):
-        measured = _readings(kind, _at_rows(kind, poses))
-        expected = _differences(kind, measured, poses)
-        _check_turns(kind, expected)
-        _check_derivative(kind, measured, poses, expected)
+    poses = _generic_poses(2 if kind.paired else 1)
+    T = _at_rows(kind, poses)
+    measured = np.zeros((len(T), 0))
+    if kind.measure is not None:
+        call = partial(kind.measure, T)
+        meaning = "one number for x, y, z and each reading"
+        measured = _called(kind, "measure", call, (len(T), kind.size), meaning)
+    expected = _differences(kind, measured, poses)
+
+    # A residual that is said not to depend on orientations does not change when a target turns.
+    if not kind.depends_on_orientation:
+        without_turns = expected.copy()
+        for k in range(expected.shape[2]):
+            if 3 <= k % _MOTIONS.shape[1] < 6:
+                without_turns[:, :, k] = 0.0
+        fault = disagreement(without_turns, expected)
+        if fault is not None:
+            raise CalibError(
+                f"The kind '{kind.name}' depends on the orientation of the target: scalar {fault.scalar + 1} changes "
+                f"by {fault.expected:.3g} {kind.units[fault.scalar]}/rad as it turns {_motion(kind, fault.parameter)}. "
+                "State 'turns=True'."
+            )
+
+    # The derivative is called with whole twists, and with their first three rows if only positions matter.
+    twists = np.tile(_twists(poses.shape[1]), (len(poses), 1, 1, 1))
+    for height in (6,) if kind.depends_on_orientation else (6, 3):
+        cut = _at_rows(kind, twists[:, :, :height])
+        call = partial(kind.derivative, measured, T, cut)
+        meaning = f"units by parameters, of twists {cut.shape}"
+        given = _called(kind, "derivative", call, expected.shape, meaning)
+        fault = disagreement(given, expected)
+        if fault is not None:
+            raise CalibError(
+                f"The kind '{kind.name}': 'derivative' does not agree with finite differences: for scalar "
+                f"{fault.scalar + 1} [{kind.units[fault.scalar]}] of a target that moves "
+                f"{_motion(kind, fault.parameter)} it is {fault.given:.3g}, the difference {fault.expected:.3g}. "
+                "Check its sign and terms: it is that of 'measure', or minus that of 'residual'."
+            )
 
 
-def _poses(rows: int) -> Array:
-    """Return the poses of both rows of a pair, or of one, shape (n, rows, 4, 4) [m]; the same ones in each call."""
+def _generic_poses(rows: int) -> Array:
+    """Return random poses of targets, the same in each call, for 1 or 2 ``rows``: shape (n, rows, 4, 4) [m]."""
     rng = np.random.default_rng(0)
     count = _COUNT * rows
     directions = rng.normal(size=(count, 3))
@@ -112,78 +145,30 @@ def _at_rows(kind: Checked, values: Array) -> Array:
     return values if kind.paired else values[:, 0]
 
 
-def _moved(poses: Array, twist: Array) -> Array:
-    """Return poses (n, rows, 4, 4) moved by a twist (rows, 6) [m and rad] along the axes of their frame."""
-    moved: Array = poses.copy()
-    moved[..., :3, :3] = Rotation.from_rotvec(twist[:, 3:]).as_matrix() @ poses[..., :3, :3]
-    moved[..., :3, 3] += twist[:, :3]
-    return moved
-
-
 def _twists(rows: int) -> Array:
-    """Return the twists of the rows for each motion, one row moved after the other, shape (rows, 6, p), p = 7 rows."""
+    """Return twists [m, rad] that move one of 1 or 2 rows at a time by each motion: shape (rows, 6, p), p = 7 rows."""
     return np.asarray(np.kron(np.eye(rows), _MOTIONS).reshape(rows, 6, -1), dtype=np.float64)
 
 
-def _readings(kind: Checked, T: Array) -> Array:
-    """Return what a perfect instrument reads, shape (n, k); without an instrument (n, 0)."""
-    if kind.measure is None:
-        return np.zeros((len(T), 0))
-    meaning = "one number for x, y, z and each reading"
-    return _called(kind, "measure", partial(kind.measure, T), (len(T), kind.size), meaning)
-
-
 def _differences(kind: Checked, measured: Array, poses: Array) -> Array:
-    """Return minus the central differences of the residual for each motion, shape (n, s, p)."""
+    """Return minus the central differences of the residual for each motion, shape (n, s, p) [its unit per m or rad].
+
+    ``measured``, shape (n, k), is what a perfect instrument reads at ``poses``, shape (n, rows, 4, 4).
+    """
     shape = (len(poses), len(kind.units))
     meaning = "one number for each of its units"
 
     def residual(twist: Array) -> Array:
-        T = _at_rows(kind, _moved(poses, twist))
-        call = partial(kind.residual_of, measured, T)
+        """Return the residual (n, s) of the poses moved by a twist (rows, 6) [m, rad] along the axes of their frame."""
+        moved: Array = poses.copy()
+        moved[..., :3, :3] = Rotation.from_rotvec(twist[:, 3:]).as_matrix() @ poses[..., :3, :3]
+        moved[..., :3, 3] += twist[:, :3]
+        call = partial(kind.residual_of, measured, _at_rows(kind, moved))
         return _called(kind, "residual", call, shape, meaning)
 
     steps = np.moveaxis(_STEP * _twists(poses.shape[1]), -1, 0)
     changes = [residual(-step) - residual(step) for step in steps]
     return np.stack(changes, axis=-1) / (2.0 * _STEP)
-
-
-def _check_turns(kind: Checked, expected: Array) -> None:
-    """Check, by the differences (n, s, p), that the residual does not depend on orientations if the kind states so."""
-    if kind.depends_on_orientation:
-        return
-    without_turns = expected.copy()
-    for k in range(expected.shape[2]):
-        if 3 <= k % _MOTIONS.shape[1] < 6:
-            without_turns[:, :, k] = 0.0
-    fault = disagreement(without_turns, expected)
-    if fault is not None:
-        raise CalibError(
-            f"The kind '{kind.name}' depends on the orientation of the target: scalar {fault.scalar + 1} changes by "
-            f"{fault.expected:.3g} {kind.units[fault.scalar]}/rad as it turns {_motion(kind, fault.parameter)}. State "
-            "'turns=True'."
-        )
-
-
-def _check_derivative(kind: Checked, measured: Array, poses: Array, expected: Array) -> None:
-    """Compare the derivative with the differences (n, s, p), for each number of rows that the twists may have."""
-    T = _at_rows(kind, poses)
-    twists = np.tile(_twists(poses.shape[1]), (len(poses), 1, 1, 1))
-    meaning = "units by parameters"
-    for height in (6,) if kind.depends_on_orientation else (6, 3):
-        cut = _at_rows(kind, twists[:, :, :height])
-        call = partial(kind.derivative, measured, T, cut)
-        given = _called(
-            kind, "derivative", call, expected.shape, f"{meaning}, of twists {cut.shape}"
-        )
-        fault = disagreement(given, expected)
-        if fault is not None:
-            raise CalibError(
-                f"The kind '{kind.name}': 'derivative' does not agree with finite differences: for scalar "
-                f"{fault.scalar + 1} [{kind.units[fault.scalar]}] of a target that moves "
-                f"{_motion(kind, fault.parameter)} it is {fault.given:.3g}, the difference {fault.expected:.3g}. "
-                "Check its sign and terms: it is that of 'measure', or minus that of 'residual'."
-            )
 
 
 def _motion(kind: Checked, parameter: int) -> str:

@@ -28,8 +28,12 @@ from calib.data.columns import (
     with_unit,
 )
 from calib.data.covariances import may_have_covariance
-from calib.data.forms.brands import fix_for_brand
-from calib.data.forms.column_options import ColumnOptions, ColumnsInput, column_options
+from calib.data.forms.column_options import (
+    ColumnOptions,
+    ColumnsInput,
+    column_options,
+    fix_for_brand,
+)
 from calib.data.forms.orientation_columns import Orientation, conventions_of, find_orientation
 from calib.data.kinds import Kind
 from calib.errors import MeasurementError, choices, did_you_mean

@@ -46,7 +46,7 @@ class Fault(NamedTuple):
     row: int
     #: Among the columns that were checked, from 0.
     column: int
-    #: What is wrong and how to mend it, for the message.
+    #: The fault and how to mend it, for the message.
     what: str
 
 
@@ -75,20 +75,13 @@ def implausible_length(values: Array, units: Sequence[Unit], *, near: bool = Tru
         return None
     k = int(np.argmax(np.abs(metres[row])))
     number = values[row, k]
-    fix = _proposed_unit(number, units[k])
-    return Fault(row, k, f"{number:.10g} was read as {metres[row, k]:.6g} m, {what}. {fix}")
-
-
-def _proposed_unit(number: float, unit: Unit) -> str:
-    """Return the sentence that says how to mend a length as written."""
+    # The first unit in which it is a length as one would measure, unless that is the one it was read in.
+    fix = "Correct the value."
     least, largest = _PROPOSED_RANGE_M
-    for symbol in _PROPOSED_UNITS:
-        if not least <= abs(number) * UNITS[symbol].to_si <= largest:
-            continue
-        if symbol == unit.symbol:
-            break
-        return f"If it is in {symbol}, say so in the header: [{symbol}]."
-    return "Correct the value."
+    likely = [s for s in _PROPOSED_UNITS if least <= abs(number) * UNITS[s].to_si <= largest]
+    if likely and likely[0] != units[k].symbol:
+        fix = f"If it is in {likely[0]}, say so in the header: [{likely[0]}]."
+    return Fault(row, k, f"{number:.10g} was read as {metres[row, k]:.6g} m, {what}. {fix}")
 
 
 @np.errstate(over="ignore")  # an infinite length is too large as well
@@ -111,7 +104,19 @@ def check_units(table: Table, layout: Layout, numbers: Mapping[str, Array]) -> N
             for k, column in enumerate(columns):
                 _check_block(table, layout, name, [column], block[:, [k]])
         elif name == "covariances":
-            _check_covariances(table, block)
+            # Half of them must not imply positions that are measured worse than by any camera.
+            complete = block[np.isfinite(block).all(axis=1)]
+            if not len(complete):
+                continue
+            variances = np.diagonal(complete.reshape(-1, 6, 6), axis1=1, axis2=2)[:, :3]
+            std = np.sqrt(np.maximum(np.median(np.mean(variances, axis=1)), 0.0))
+            if std > RESIDUAL_UNITS["m"].absurd:
+                raise MeasurementError(
+                    f"{table.source}: half of the covariances imply a standard deviation of {std:.2g} m or more for a "
+                    "coordinate. They are variances, in m^2, m rad and rad^2. If lengths are in mm, divide the "
+                    "first three rows by 1000 and then the first three columns; if these are standard deviations, "
+                    "square them."
+                )
         else:
             _check_block(table, layout, name, columns, block)
 
@@ -132,7 +137,14 @@ def _check_block(
     if name == "orientation" and not units:
         fault = _quaternion_fault(values) if len(columns) == 4 else _matrix_fault(values)
     elif name in ("orientation", "joints") and {unit.symbol for unit in units} == {"rad"}:
-        _check_radians(table, columns[0], values[complete])
+        # Angles, or the lengths of rotation vectors.
+        median = np.median(np.linalg.norm(values[complete], axis=1))
+        if median > _TURNS_RAD:
+            raise MeasurementError(
+                f"{table.source}, column '{columns[0].label}': half of the values are beyond "
+                f"{median:.4g} rad, more than a turn; they look like degrees. If they are, write "
+                f"'{columns[0].name} [deg]' into the header."
+            )
     elif name == "orientation":
         fault = _degrees_fault(layout, values * [column.to_si for column in columns])
     elif name == "points":
@@ -148,7 +160,7 @@ def _check_block(
 
 
 def _quaternion_fault(values: Array) -> Fault | None:
-    """Return the first quaternion, of (N, 4), whose length is not one."""
+    """Return the fault of the first of N quaternions (N, 4) whose length is not one; None without one."""
     lengths = np.linalg.norm(values, axis=1)
     wrong = np.flatnonzero(np.abs(lengths - 1.0) > _LENGTH_TOLERANCE)
     if not wrong.size:
@@ -159,7 +171,7 @@ def _quaternion_fault(values: Array) -> Fault | None:
 
 
 def _matrix_fault(values: Array) -> Fault | None:
-    """Return the first matrix, of (N, 9), that is not a rotation: R^T R = 1, and the determinant is 1."""
+    """Return the fault of the first of N matrices (N, 9) that is not a rotation; None without one."""
     R = values.reshape(-1, 3, 3)
     squares = R.transpose(0, 2, 1) @ R - np.eye(3)
     is_wrong = np.abs(squares).max(axis=(1, 2)) > _MATRIX_TOLERANCE
@@ -173,24 +185,8 @@ def _matrix_fault(values: Array) -> Fault | None:
     return Fault(int(wrong[0]), 0, what)
 
 
-def _check_covariances(table: Table, values: Array) -> None:
-    """Refuse covariances, of (N, 36), half of which imply positions that are measured worse than by any camera."""
-    complete = values[np.isfinite(values).all(axis=1)]
-    if not len(complete):
-        return
-    variances = np.diagonal(complete.reshape(-1, 6, 6), axis1=1, axis2=2)[:, :3]
-    std = np.sqrt(np.maximum(np.median(np.mean(variances, axis=1)), 0.0))
-    if std > RESIDUAL_UNITS["m"].absurd:
-        raise MeasurementError(
-            f"{table.source}: half of the covariances imply a standard deviation of {std:.2g} m or more for a "
-            "coordinate. "
-            "They are variances, in m^2, m rad and rad^2. If lengths are in mm, divide the first three rows by 1000 "
-            "and then the first three columns; if these are standard deviations, square them."
-        )
-
-
 def _degrees_fault(layout: Layout, values: Array) -> Fault | None:
-    """Return the first rotation vector beyond half a turn, of (N, 3) [rad], that may be three angles just as well.
+    """Return the fault of the first of N rotation vectors (N, 3) [rad] longer than half a turn; None without one.
 
     Only if the columns may be of another convention, and none was named.
     """
@@ -207,14 +203,3 @@ def _degrees_fault(layout: Layout, values: Array) -> Fault | None:
         f"are three angles, name their convention: {others}; else --orientation {orientation.convention.name}."
     )
     return Fault(int(wrong[0]), 0, what)
-
-
-def _check_radians(table: Table, column: Column, values: Array) -> None:
-    """Refuse angles, or rotation vectors, in rad whose median norm is that of degrees."""
-    median = np.median(np.linalg.norm(values, axis=1))
-    if median > _TURNS_RAD:
-        raise MeasurementError(
-            f"{table.source}, column '{column.label}': half of the values are beyond "
-            f"{median:.4g} rad, more than a turn; they look like degrees. If they are, write "
-            f"'{column.name} [deg]' into the header."
-        )

@@ -1,21 +1,25 @@
-"""Lists of points as laser tracker programs write them."""
+"""Lists of points as laser tracker programs write them: a name and three numbers a line, in many ways.
+
+The decimal sign of a file may be a point or a comma, and a sign may stand between thousands. A sign with other than
+three digits after it is decimal, one that occurs twice in a number stands between thousands, and of two in one number
+the last is decimal. Numbers such as 1,992 and 1.992 may be either: the other numbers of the file decide.
+"""
 
 from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from itertools import pairwise, takewhile
 from pathlib import Path
 from typing import NoReturn
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calib.basics.arrays import read_only
 from calib.basics.tables import Column, Table, read_text
 from calib.basics.units import UNITS, Unit, symbols
 from calib.data.columns import POINT
-from calib.data.forms.numerals import NUMERAL, decimal_sign_in, decimal_sign_of, plain
 from calib.data.forms.points import PARTS, Points
 from calib.data.plausibility import implausible_length
 from calib.errors import MeasurementError, choices
@@ -23,7 +27,7 @@ from calib.errors import MeasurementError, choices
 #: In the order in which they are tried; the last one stands for any number of blanks.
 _SEPARATORS = (";", "\t", ",", " ")
 
-#: What a remark begins with.
+#: Beginnings of remarks.
 _COMMENT = ("#", "//", "!", "%", ";")
 
 #: A ruled line.
@@ -84,7 +88,10 @@ def read_points(path: str | Path, unit: str | None = None) -> Points:
     source, sha256, text = read_text(path, "The list of points")
     written = text.split("\n")
     plain_lines = [_without_labels(line) for line in written]
-    first = _first_point(plain_lines)
+    with_point = (
+        i for i, line in enumerate(plain_lines) if _remark(line) is None and _separator_of(line)
+    )
+    first = next(with_point, None)
     if first is None:
         raise MeasurementError(
             f"{source}: no line of it holds three numbers. A list of points has lines such as "
@@ -122,7 +129,19 @@ def read_points(path: str | Path, unit: str | None = None) -> Points:
     for row in cells:
         for i in point_columns:
             row[i] = plain(row[i], decimal_sign)
-    metres = _positions(table, point_columns, length_unit)
+
+    named = [
+        Column(i, axis, axis, length_unit.symbol)
+        for i, axis in zip(point_columns, POINT, strict=True)
+    ]
+    values = table.numbers(named)
+    incomplete = np.flatnonzero(~np.isfinite(values).all(axis=1))
+    if incomplete.size:
+        _refuse(table, int(incomplete[0]))
+    fault = implausible_length(values, [length_unit] * 3)
+    if fault is not None:
+        raise MeasurementError(f"{source}, line {lines[fault.row]}: {fault.what}")
+    metres = read_only(values * length_unit.to_si)
 
     names: tuple[str, ...] = ()
     if name_columns:
@@ -141,14 +160,6 @@ def _without_labels(line: str) -> str:
     return "\t".join([name, *numbers] if name else numbers)
 
 
-def _first_point(lines: Sequence[str]) -> int | None:
-    """Return the index of the first line that holds a point; None without one."""
-    for i, line in enumerate(lines):
-        if _remark(line) is None and _separator_of(line):
-            return i
-    return None
-
-
 def _separator_of(line: str) -> str:
     """Return the separator by which a line holds a point; empty if it holds none."""
     for separator in _SEPARATORS:
@@ -156,21 +167,6 @@ def _separator_of(line: str) -> str:
         if any(_has_point(cells, i) for i in range(len(cells))):
             return separator
     return ""
-
-
-def _positions(table: Table, columns: Sequence[int], unit: Unit) -> NDArray[np.float64]:
-    """Return the positions of the points, shape (N, 3) [m], read-only, from the columns x, y, z of their lines."""
-    named = [Column(i, axis, axis, unit.symbol) for i, axis in zip(columns, POINT, strict=True)]
-    values = table.numbers(named)
-    incomplete = np.flatnonzero(~np.isfinite(values).all(axis=1))
-    if incomplete.size:
-        _refuse(table, int(incomplete[0]))
-    fault = implausible_length(values, [unit] * 3)
-    if fault is not None:
-        raise MeasurementError(f"{table.source}, line {table.lines[fault.row]}: {fault.what}")
-    metres = values * unit.to_si
-    metres.setflags(write=False)
-    return metres
 
 
 def _refuse(table: Table, row: int) -> NoReturn:
@@ -218,11 +214,18 @@ def _has_point(cells: Sequence[str], start: int) -> bool:
 
 
 def _columns(table: Table, headings: Sequence[str]) -> tuple[list[int], list[int]]:
-    """Find the columns, from 0, of the names (none without names) and of x, y, z; a heading may be their header."""
-    for remark in reversed(headings):
-        columns = _columns_of_header(table, remark)
-        if columns is not None:
-            return columns
+    """Return the indices of the columns of names (none without names) and of x, y, z; a heading may be their header."""
+    width = len(table.cells[0])
+    for heading in reversed(headings):
+        words = _split(heading, table.separator)
+        names = [re.sub(r"\s*[\[(].*", "", word).casefold() for word in words]
+        # Between blanks a heading may be of two words: then the header says nothing of positions.
+        fits = len(names) == width if table.separator == " " else len(names) >= width
+        if fits and all(names.count(axis) == 1 for axis in POINT):
+            point_columns = [names.index(axis) for axis in POINT]
+            name_columns = [names.index(name) for name in _NAMES if names.count(name) == 1]
+            return name_columns or list(range(min(point_columns))), point_columns
+
     x = _first_coordinate(table)
     if _is_numbered(table, x):
         x += 1
@@ -251,20 +254,6 @@ def _check_no_thousands(table: Table, x: int) -> None:
             'double quotes; if all is right, write a header line above the points, "name,x,y,z" and a name for what '
             "follows."
         )
-
-
-def _columns_of_header(table: Table, remark: str) -> tuple[list[int], list[int]] | None:
-    """Return the columns of names and of x, y, z if a remark is a header, as `_columns` does."""
-    width = len(table.cells[0])
-    cells = _split(remark, table.separator)
-    headings = [re.sub(r"\s*[\[(].*", "", cell).casefold() for cell in cells]
-    # Between blanks a heading may be of two words: then the header says nothing of positions.
-    fits = len(headings) == width if table.separator == " " else len(headings) >= width
-    if not fits or any(headings.count(axis) != 1 for axis in POINT):
-        return None
-    point_columns = [headings.index(axis) for axis in POINT]
-    name_columns = [headings.index(name) for name in _NAMES if headings.count(name) == 1]
-    return name_columns or list(range(min(point_columns))), point_columns
 
 
 def _first_coordinate(table: Table) -> int:
@@ -331,11 +320,11 @@ def _unit_of(remark: str) -> str:
     """
     plain = remark.casefold()
     bracket = re.search(r"\bx\s*[\[(]\s*([^\W\d_]+)\s*[\])]", plain)
-    behind = re.search(r"\bunits?\b(.*)", plain) or re.search(r"\bunit[^\W\d_]*\b(.*)", plain)
+    after = re.search(r"\bunits?\b(.*)", plain) or re.search(r"\bunit[^\W\d_]*\b(.*)", plain)
     if bracket:
         words = [bracket[1]]
-    elif behind:
-        words = _WORDS.findall(behind[1])
+    elif after:
+        words = _WORDS.findall(after[1])
     else:
         words = _WORDS.findall(plain)
         if len(words) != 1:
@@ -344,3 +333,114 @@ def _unit_of(remark: str) -> str:
     if known:
         return known[0]
     return "in" if words[:1] == ["in"] else ""
+
+
+# Numbers
+
+#: Between thousands, and never decimal: the apostrophe, and blanks at which no line is broken.
+_BETWEEN_THOUSANDS = "'\N{NO-BREAK SPACE}\N{NARROW NO-BREAK SPACE}"
+
+#: A number in any of the ways.
+NUMERAL = re.compile(
+    r"[+-]?(?:\d+(?:[.,]\d*)?|[.,]\d+"
+    r"|\d{1,3}(?:,\d{3})+(?:\.\d*)?|\d{1,3}(?:\.\d{3})+(?:,\d*)?"
+    rf"|\d{{1,3}}(?:[{_BETWEEN_THOUSANDS}]\d{{3}})+(?:[.,]\d*)?)(?:[eE][+-]?\d+)?"
+)
+
+#: A number whose one sign is decimal or stands between thousands.
+_EITHER = re.compile(r"[+-]?[1-9]\d{0,2}[.,]\d{3}")
+
+#: A remark that says which sign is decimal: ``Decimal: comma``.
+_REMARK = re.compile(
+    r"\bdecimals?\b[^.,\w]*(?:sign|separator)?[^.,\w]*(comma\b|point\b|[.,])", re.IGNORECASE
+)
+
+#: Signs by what remarks call them.
+_SIGNS = {"comma": ",", "point": ".", ",": ",", ".": "."}
+
+
+def decimal_sign_in(remarks: Iterable[str]) -> str | None:
+    """Return the decimal sign that a remark names; None if none does."""
+    for remark in remarks:
+        found = _REMARK.search(remark)
+        if found:
+            return _SIGNS[found[1].casefold()]
+    return None
+
+
+def decimal_sign_of(
+    numerals: Iterable[tuple[int, str]], source: str, stated: str | None = None
+) -> str:
+    """Determine the decimal sign of the numbers of a file from all of them together.
+
+    Args:
+        numerals: Line of each number, from 1, and the number as written; anything else is ignored.
+        source: The file's name, for messages.
+        stated: The sign that the file states; None: it states none.
+
+    Returns:
+        ``"."`` or ``","``; ``"."`` if nothing decides and no number has a comma: 1.992 alone is less than 2.
+
+    Raises:
+        MeasurementError: Numbers contradict each other or what is stated, or there are commas, each with three digits
+            after it, and nothing decides what they are.
+    """
+    # The first line with each meaning of each sign.
+    decimal: dict[str, int] = {}
+    thousands: dict[str, int] = {}
+    either: dict[str, int] = {}
+    for line, text in numerals:
+        signs = [character for character in text if character in ".,"]
+        if not signs or not NUMERAL.fullmatch(text):
+            continue
+        if _EITHER.fullmatch(text):
+            either.setdefault(signs[0], line)
+        elif len(signs) == 1:
+            decimal.setdefault(signs[0], line)
+        else:
+            thousands.setdefault(signs[0], line)
+            if signs[-1] != signs[0]:
+                decimal.setdefault(signs[-1], line)
+    if stated is not None:
+        decimal.setdefault(stated, 1)
+
+    fault = ""
+    if len(decimal) == 2:
+        fault = f"a decimal point in line {decimal['.']} and a decimal comma in line {decimal[',']}"
+    elif len(thousands) == 2:
+        fault = (
+            f"points between thousands in line {thousands['.']} and commas in line {thousands[',']}"
+        )
+    elif decimal.keys() & thousands.keys():
+        sign = next(iter(decimal))
+        fault = f"'{sign}' as the decimal sign in line {decimal[sign]} and between thousands in line {thousands[sign]}"
+    if fault:
+        raise MeasurementError(
+            f"{source}: numbers have {fault}. Write all in one way, without thousands separators."
+        )
+
+    if decimal:
+        return next(iter(decimal))
+    if thousands:
+        return "." if "," in thousands else ","
+    if "," in either:
+        raise MeasurementError(
+            f"{source}, line {either[',']}: a comma may be decimal or stand between thousands: three digits follow "
+            "each, and nothing else decides. Write a first line '# Decimal: comma' or '# Decimal: point'."
+        )
+    return "."
+
+
+def plain(text: str, decimal_sign: str) -> str:
+    """Return a number with a decimal point and nothing between thousands; anything else stays as it is.
+
+    Args:
+        text: As written.
+        decimal_sign: Which of ``"."`` and ``","`` is decimal; the other stands between thousands.
+    """
+    if not NUMERAL.fullmatch(text):
+        return text
+    between = "," if decimal_sign == "." else "."
+    for character in (between, *_BETWEEN_THOUSANDS):
+        text = text.replace(character, "")
+    return text.replace(",", ".")

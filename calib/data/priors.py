@@ -11,7 +11,7 @@ from calib.basics.value_forms import number, one_of, to_si
 from calib.errors import CalibError, choices
 from calib.model.families import FAMILIES, family_of
 
-#: What `Priors.source` may be.
+#: Allowed values of `Priors.source`.
 PRIOR_SOURCES = ("data", "given", "off")
 
 #: Least and largest prior standard deviation, in the family's SI unit: a larger one has no effect,
@@ -73,12 +73,12 @@ class Priors:
             family: Name of the family, ``"length"``.
 
         Returns:
-            The value given, else the default of the registry.
+            The value given, or the default of the registry.
         """
         return dict(self.given).get(family, family_of(family).prior)
 
 
-#: What an error of calib's own families is of, for the documentation.
+#: Description of an error of each of calib's own families, for the documentation.
 _MEANINGS = {
     "length": "an error in length",
     "angle": "an error in angle",

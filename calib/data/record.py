@@ -27,15 +27,15 @@ TEMPERATURES_C = (-50.0, 80.0)
 _ENDS = 2
 
 
-def _text(value: Any) -> str | None:  # noqa: ANN401
-    """Return an entry of a file: a text, a whole number such as a serial number, or a date; None for others."""
+def _text_or_none(value: Any) -> str | None:  # noqa: ANN401
+    """Return a text, a whole number such as a serial number, or a date of a file as text; None for others."""
     if isinstance(value, date):
         return value.isoformat()
     is_count = isinstance(value, int) and not isinstance(value, bool)
     return str(value) if is_count or isinstance(value, str) else None
 
 
-_TEXT = form("a text in quotes, a whole number or a date", _text)
+_TEXT = form("a text in quotes, a whole number or a date", _text_or_none)
 
 
 def _entry(name: str, meaning: str, room: int = LONGEST) -> Any:  # noqa: ANN401  a field
@@ -55,14 +55,14 @@ def _entry(name: str, meaning: str, room: int = LONGEST) -> Any:  # noqa: ANN401
     return key(name, _TEXT, meaning, default="", absent="blank", check=check)
 
 
-def _temperatures(value: Any) -> tuple[Any, ...] | None:  # noqa: ANN401
+def _temperatures_or_none(value: Any) -> tuple[Any, ...] | None:  # noqa: ANN401
     """Return one temperature of a file, or a list of two, as a tuple; None for others."""
     values = value if isinstance(value, list) else [value]
     return tuple(values) if all(map(is_number, values)) else None
 
 
-def _plausible(values: object) -> tuple[float, ...] | None:
-    """Return no, one or two temperatures [°C] as a tuple; None for anything else."""
+def _plausible_or_none(values: object) -> tuple[float, ...] | None:
+    """Return a tuple of no, one or two temperatures in a plausible range [°C]; None for anything else."""
     low, high = TEMPERATURES_C
     given = tuple(values) if isinstance(values, (tuple, list)) else (values,)
     if len(given) <= _ENDS and all(is_number(value) and low <= value <= high for value in given):
@@ -75,8 +75,8 @@ class Record:
     """The record of a measurement, ``[record]`` of a cell file; an entry that is not given is empty.
 
     Raises:
-        CalibError: An entry is longer than `LONGEST` characters, the note than `LONGEST_NOTE`, or a temperature is no
-            number or out of range.
+        CalibError: An entry is longer than `LONGEST` characters, the note than `LONGEST_NOTE`, or a temperature is not
+            a number or out of range.
     """
 
     customer: str = _entry("customer", "Who the report is for.")
@@ -97,13 +97,13 @@ class Record:
     #: [°C], one, or those at the start and at the end; empty: not given
     temperature_C: tuple[float, ...] = key(
         "temperature_C",
-        form("a number, or a list of two: [21.5, 23.0]", _temperatures),
+        form("a number, or a list of two: [21.5, 23.0]", _temperatures_or_none),
         "Air temperature [°C]: one, or those at the start and at the end.",
         absent="blank",
         check=Check(
             "one number or two, at the start and at the end, from "
             f"{TEMPERATURES_C[0]:g} to {TEMPERATURES_C[1]:g} °C",
-            _plausible,
+            _plausible_or_none,
         ),
         default=(),
     )

@@ -35,7 +35,7 @@ _SHORTEST_NORMAL = 1e-100
 
 
 def _noise_form(part: int) -> Form:
-    """Return the form of an instrument's noise, of which a field keeps the constant (0) or the part per metre (1)."""
+    """Return the form of an instrument's noise, of which part 0, the constant [m], or 1, the slope [m/m], is read."""
 
     def read(value: Any, place: Place) -> float:  # noqa: ANN401
         return parse_noise(str(value), str(place))[part]

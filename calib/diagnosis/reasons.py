@@ -1,4 +1,4 @@
-"""Reasons of a verdict: codes and the numbers that they rest on; the sentences are in `calib.show.verdict`."""
+"""Reasons of a verdict: codes and the numbers that they rest on; the sentences are in `calib.show.verdict_text`."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class Group(Enum):
 
 
 class Why(str, Enum):
-    """Reasons by their codes, as the result file has them; `calib.show.verdict.SENTENCES` has a sentence for each."""
+    """Reasons by their codes in the result file; `calib.show.verdict_text.SENTENCES` has a sentence for each."""
 
     #: The effect on the verdict
     role: Role

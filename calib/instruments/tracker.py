@@ -17,7 +17,7 @@ import calib.data.kinds as registry
 from calib.basics.arrays import Array, Mask, read_only
 from calib.basics.channels import RESIDUAL_UNITS, VECTOR
 from calib.data.cell import Cell
-from calib.data.generic import table_of_poses
+from calib.data.inputs import table_of_poses
 from calib.data.kinds import Kind
 from calib.data.measurements import Measurements
 from calib.data.surroundings import Reflector, TrackerNoise

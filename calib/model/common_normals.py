@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from calib.basics.arrays import Array, rigid_inverse
-from calib.robot.dh.rows import HAYATI, MODIFIED, NEARLY_PARALLEL_RAD, DHRow
+from calib.robot.dh_rows import HAYATI, MODIFIED, NEARLY_PARALLEL_RAD, DHRow
 
 #: Parallel axes whose offset is shorter than this coincide except for rounding [m].
 _COINCIDENT = 1e-13
@@ -32,7 +32,7 @@ _ALONG = 1e-6
 class Rule:
     """The convention of rows, and the angle below which they take axes as parallel."""
 
-    #: One of `calib.robot.dh.rows.CONVENTIONS`
+    #: One of `calib.robot.dh_rows.CONVENTIONS`
     convention: str
     #: Axes at a smaller angle are parallel, in the standard and modified conventions [rad]
     limit: float

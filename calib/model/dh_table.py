@@ -1,4 +1,4 @@
-"""The DH table of a robot's chain, row by row from the base to the tip; `calib.robot.dh.rows` has the conventions."""
+"""The DH table of a robot's chain, row by row from the base to the tip; `calib.robot.dh_rows` has the conventions."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from calib.model.common_normals import (
     row_to,
     sliding_axis,
 )
-from calib.robot.dh.rows import (
+from calib.robot.dh_rows import (
     HAYATI,
     MODIFIED,
     NEARLY_PARALLEL_RAD,

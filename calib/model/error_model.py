@@ -33,7 +33,7 @@ from calib.model.parameters import (
     Parameter as Parameter,
     twist_of,
 )
-from calib.robot.dh.rows import dh_frames, screw
+from calib.robot.dh_rows import dh_frames, screw
 from calib.robot.gravity import GRAVITY
 from calib.robot.robot import Robot
 

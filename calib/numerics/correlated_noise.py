@@ -134,13 +134,13 @@ def support(
 def _likeliest(
     stated: Array, by_joints: Array, squares: Array, weights: Array, start: PoseNoise
 ) -> tuple[PoseNoise, float]:
-    """Return what `likeliest_noise` does, and the least value of the sum at the head of this module."""
+    """Return the noise as `likeliest_noise` does, and the least value of the sum at the head of this module."""
     begin = [start.scale, start.position, start.orientation, start.joint]
     of_position = np.diag([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
     of_orientation = np.eye(POSE) - of_position
 
     def cost(logarithms: Array) -> tuple[float, Array]:
-        """Return the sum at the head of this module and its derivative by the logarithms of s, t, a and g."""
+        """Return sum w [log det V + tr(V^-1 S)] + (log s / log 10)^2, and its derivative (4,) by log s, t, a and g."""
         s, t, a, g = np.exp(logarithms)
         V = PoseNoise(s, t, a, g).covariances(stated, by_joints)
         inverse = np.linalg.inv(V)

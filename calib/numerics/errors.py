@@ -17,7 +17,7 @@ from calib.basics.values import ReadOnlyMapping
 
 
 def rms(values: Array) -> float:
-    """Return the root mean square over all entries, in their unit."""
+    """Return the root mean square over all entries of an array of any shape, in their unit."""
     return float(np.sqrt(np.mean(values**2)))
 
 

@@ -74,7 +74,7 @@ def position_in_tip(value: ArrayLike, what: str) -> Array:
 
 
 def rotation_or_none(value: ArrayLike) -> Array | None:
-    """Return a given rotation matrix, shape (3, 3), read-only; None if it is not a rotation."""
+    """Return a given value as a rotation matrix, shape (3, 3), read-only; None if it is not a rotation."""
     R = np.asarray(value, dtype=np.float64)
     if R.shape != (3, 3) or not_rotations(R[None]).any():
         return None
@@ -82,7 +82,7 @@ def rotation_or_none(value: ArrayLike) -> Array | None:
 
 
 def pose_or_none(value: ArrayLike) -> Array | None:
-    """Return a given pose, shape (4, 4) [m], read-only.
+    """Return a given value as a pose, shape (4, 4) [m], read-only.
 
     None if it is not a homogeneous transform, or if a coordinate is beyond `FARTHEST`.
     """
@@ -197,15 +197,10 @@ def inverse_right_jacobian(rotations: Rotation) -> Array:
     safe = np.where(is_small, 1.0, t)
     factor = 1.0 / safe**2 - 0.5 / (safe * np.tan(0.5 * safe))
     factor = np.where(is_small, 1.0 / 12.0, factor)
-    cross = _cross_matrices(r)
-    result: Array = np.eye(3) + 0.5 * cross + factor[:, None, None] * (cross @ cross)
-    return result
-
-
-def _cross_matrices(r: Array) -> Array:
-    """Return [r]x, shape (N, 3, 3), of vectors (N, 3): [r]x v = r x v."""
     upper = np.zeros((len(r), 3, 3))
     upper[:, 0, 1] = -r[:, 2]
     upper[:, 0, 2] = r[:, 1]
     upper[:, 1, 2] = -r[:, 0]
-    return np.asarray(upper - upper.transpose(0, 2, 1))
+    cross = upper - upper.transpose(0, 2, 1)  # [r]x
+    result: Array = np.eye(3) + 0.5 * cross + factor[:, None, None] * (cross @ cross)
+    return result

@@ -166,7 +166,7 @@ class NormalEquations:
         return np.where(proper, self.held**2 / divisor, 0.0)
 
     def of_fits(self, which: Integers) -> NormalEquations:
-        """Return the equations of some of the B fits, by their numbers from 0."""
+        """Return the equations of some of the B fits, by their indices from 0, shape (b,)."""
         return replace(
             self,
             H=self.H[which],

@@ -118,7 +118,7 @@ def prior_std_by_reml(
 
 
 def _scoring_step(score: Array, information: Array, at_bound: Mask) -> Array:
-    """Return the damped Newton step of C + K logarithms, limited in length and 0 at bounds; (B, C + K)."""
+    """Return the damped Newton step (B, C + K) of the logarithms, limited, and 0 where ``at_bound`` is True."""
     score[at_bound] = 0.0
     pivots = diagonals(information)
     pivots += _DAMPING * pivots + _LEAST_DAMPING
@@ -142,7 +142,7 @@ def score_and_information(
 
     Args:
         data: Normal equations of B linear fits.
-        members: shape (K, p), 1 for the parameters of each family, else 0.
+        members: shape (K, p), 1 for the parameters of each family, 0 for others.
         priors: Normal priors of the p parameters besides those of the families.
         logs: shape (B, C + K), log noise and log prior standard deviations.
 

@@ -45,7 +45,7 @@ class Repeats(Value):
 
     @property
     def freedom(self) -> float:
-        """Degrees of freedom in all units together."""
+        """Degrees of freedom of the scatter within repeats, in all units together."""
         return float(sum(self.freedoms.values()))
 
 
@@ -71,7 +71,7 @@ class _Moments(NamedTuple):
 
     @classmethod
     def of(cls, e: Array, w: Array, pose: Integers) -> _Moments:
-        """Add up residuals e, 0 where their weight w is, both of shape (N, D), of rows of these poses, from 0."""
+        """Sum over poses the residuals e (N, D), 0 where the weights w are; ``pose`` (N,) counts from 0."""
         sum_w = _sum_by_pose(pose, w)
         sum_w2 = _sum_by_pose(pose, w**2)
         measured = sum_w > 0.0
@@ -176,5 +176,5 @@ def pose_means(values: Array, weights: Array, poses: Integers) -> tuple[Array, I
 
 
 def _sum_by_pose(pose: Integers, values: Array) -> Array:
-    """Return the sums of rows (N, D) over each of K poses, shape (K, D)."""
+    """Return the sums of ``values`` (N, D) over each of K poses, (K, D); ``pose`` (N,) is 0 to K - 1."""
     return np.stack([np.bincount(pose, column) for column in values.T], axis=1)

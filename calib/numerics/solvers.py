@@ -54,7 +54,7 @@ class Iteration:
     gain: float | None
     #: Length of the step, in the solver's units
     step: float
-    #: Whether x moved
+    #: True if x moved
     accepted: bool
 
 
@@ -238,7 +238,7 @@ def scipy_least_squares(
     history: list[Iteration] = []
 
     def residual(x: Array) -> Array:
-        """Return the residual, and add each new x to the history."""
+        """Return the residual at x (p,), and add each new x to the history."""
         nonlocal best_cost, best_x
         r, _ = system(x)
         if not np.array_equal(x, best_x):
@@ -303,12 +303,12 @@ def register(name: str, solver: Solver) -> None:
 
 
 def has_weights_and_priors(solver: str | Solver) -> bool:
-    """Return whether fits by a solver, a name or the function itself, weigh rows and have priors of parameters."""
+    """Return True if fits by a solver, a name or the function itself, weigh rows and have priors of parameters."""
     return callable(solver) or solver not in _WITHOUT_WEIGHTS_AND_PRIORS
 
 
 def check_name(name: str) -> None:
-    """Check that there is a solver of this name.
+    """Refuse a name that is not that of a registered solver.
 
     Raises:
         ModelError: There is none.
@@ -327,7 +327,7 @@ def _start(system: System, x0: Array) -> tuple[Array, Array, Array]:
 
 
 def _cost(r: Array) -> float:
-    """Return E = 1/2 r^T r."""
+    """Return the cost E = 1/2 r^T r of a residual r (m,)."""
     return 0.5 * float(r @ r)
 
 
@@ -365,7 +365,7 @@ def triangle(A: Array) -> Array:
 
 
 def _damped_step(R: Array, rhs: Array, damping: Array) -> Array:
-    """Return the dx, shape (p,), that minimises |R dx - rhs|^2 + |diag(damping) dx|^2, by QR."""
+    """Return the dx (p,) that minimises |R dx - rhs|^2 + |diag(damping) dx|^2, R (p, p), the others (p,), by QR."""
     p = len(rhs)
     stacked = np.zeros((2 * p, p + 1), order="F")
     stacked[:p, :p] = R

@@ -34,11 +34,11 @@ MOVING = ("revolute", "continuous", "prismatic")
 #: Usual names of a tip, the preferred ones first.
 _USUAL_TIPS = ("tool0", "tcp", "tool", "flange", "ee_link")
 
-#: What the names of the joints and links of a gripper or hand contain, in lower case.
+#: Words in the names of joints and links of a gripper or hand, in lower case.
 _FINGER_WORDS = ("finger", "thumb", "pinky", "jaw")
 _HAND_WORDS = (*_FINGER_WORDS, "gripper", "hand")
 
-#: What the names of wrist joints contain, also if they contain a word of a hand, such as ``gripper_yaw_joint``.
+#: Words in the names of wrist joints, which may also contain a word of a hand: ``gripper_yaw_joint``.
 _WRIST_WORDS = ("roll", "pitch", "yaw")
 
 
@@ -167,7 +167,7 @@ class _Step:
 
     @property
     def path_joint(self) -> UrdfJoint:
-        """The joint with its axis in the sense of the path."""
+        """The joint, its axis reversed if the path passes it from child to parent."""
         if not self.up:
             return self.joint
         return replace(self.joint, axis=read_only(-self.joint.axis + 0.0))
@@ -181,7 +181,7 @@ def _path(urdf: Urdf, base: str, tip: str) -> list[_Step]:
 
 
 def _product(steps: Sequence[_Step]) -> Array:
-    """Return the product of the steps' origins, (4, 4)."""
+    """Return the product of the origins of steps of a path, shape (4, 4) [m]."""
     T = np.eye(4)
     for step in steps:
         T = T @ step.origin
@@ -215,7 +215,7 @@ def farthest_link(
     """Return the link with the most moving joints between it and the base: the default tip.
 
     Joints of a gripper or hand, by their names, do not count unless no other joint moves. Among links equally far out a
-    usual name such as ``tool0`` wins, else the last one that is not part of a gripper or hand.
+    usual name such as ``tool0`` wins, or else the last one that is not part of a gripper or hand.
 
     Args:
         urdf: The robot.
@@ -301,7 +301,7 @@ class Coupling:
 
 
 def coupling_of(urdf: Urdf, joints: Sequence[UrdfJoint], held: Mapping[str, float]) -> Coupling:
-    """Return how the joints of a chain follow those that move freely.
+    """Return the motion of a chain with the joints that move freely, q_chain = A theta + b.
 
     Args:
         urdf: The robot.
@@ -346,7 +346,7 @@ def checked_held(urdf: Urdf, held: Mapping[str, float] | None) -> tuple[tuple[st
     for name, value in given.items():
         if name not in moving:
             raise UrdfError(
-                f"{urdf.source}: the joint '{name}', to be held at {value:g}, is none that moves"
+                f"{urdf.source}: the joint '{name}', to be held at {value:g}, is not a joint that moves"
                 f"{did_you_mean(name, moving)}. Joints that can be held: {choices(moving, limit=60)}."
             )
         fault = unit_fault(value, slides=moving[name].type == "prismatic")

@@ -168,7 +168,7 @@ def twists(
         joint_moves: Array,
         block: slice,
     ) -> None:
-        """Add to (p, 3, B) the columns of measurement frames, targets and errors of the joints' state."""
+        """Add to a Jacobian (p, 3, B) the columns of measurement frames, targets and errors of joint values."""
         bases = directions.bases[:, components]
         targets = directions.targets[:, components]
         add_columns(part, moves[0], bases, samples.frame[block])
@@ -228,7 +228,7 @@ def add_columns(columns: Array, moves: Array, twists_at: Array, place: Numbers) 
 
 
 def carried(frames: Array, T: Array, place: Numbers) -> Array:
-    """Return frames followed by the placement that belongs to each sample.
+    """Return the next frames: frames times the placement that belongs to each sample.
 
     Args:
         frames: Shape (4, 3, B), [m].
@@ -244,14 +244,14 @@ def carried(frames: Array, T: Array, place: Numbers) -> Array:
 
 
 def _poses_to_fill(count: int) -> Array:
-    """Return N poses, (N, 4, 4), of which only the last row is filled in."""
+    """Return ``count`` poses to fill in, (N, 4, 4): only their last row, 0 0 0 1, is set."""
     T = np.empty((count, 4, 4))
     T[:, 3] = 0.0, 0.0, 0.0, 1.0
     return T
 
 
 def _steps(geometry: Geometry) -> Array:
-    """Return the placements (n + 1, 4, 4), P_1 in the base, ..., P_tip, between joints whose axis is z.
+    """Return the placements (n + 1, 4, 4) [m], P_1 in the base, ..., P_tip, between joints whose axis is z.
 
     With the rotation Q = ``turns`` a joint is J(axis, q) = Q J(z, q) Q^-1; Q^-1 and the next Q go into the placements.
     """
@@ -264,7 +264,7 @@ def _steps(geometry: Geometry) -> Array:
 
 
 def _frames(geometry: Geometry, steps: Array, samples: ChainSamples, block: slice) -> Array:
-    """Return the frames of base, joints before they move, tip and target, shape (n + 3, 4, 3, B)."""
+    """Return the frames of base, n joints before they move, tip and target, shape (n + 3, 4, 3, B) [m]."""
     values = samples.values[block].T
     n, B = values.shape
     sines = np.sin(values)
@@ -279,30 +279,22 @@ def _frames(geometry: Geometry, steps: Array, samples: ChainSamples, block: slic
     moved_joint = np.empty((4, 3, B))
     for i in range(n):
         np.matmul(steps[i].T, moved.reshape(4, -1), out=frames[i + 1].reshape(4, -1))
+        # The joint moves its frame along, or about, its own z.
+        frame = frames[i + 1]
         if geometry.slides[i]:
-            _slide(frames[i + 1], values[i], out=moved_joint)
+            moved_joint[:] = frame
+            moved_joint[3] += frame[2] * values[i]
         else:
-            _turn(frames[i + 1], sines[i], cosines[i], out=moved_joint)
+            x, y = frame[:2]
+            np.multiply(x, cosines[i], out=moved_joint[0])
+            moved_joint[0] += y * sines[i]
+            np.multiply(y, cosines[i], out=moved_joint[1])
+            moved_joint[1] -= x * sines[i]
+            moved_joint[2:] = frame[2:]
         moved = moved_joint
     np.matmul(steps[n].T, moved.reshape(4, -1), out=frames[n + 1].reshape(4, -1))
     frames[n + 2] = carried(frames[n + 1], geometry.targets, samples.target[block])
     return frames
-
-
-def _slide(frame: Array, value: Array, out: Array) -> None:
-    """Move frames (4, 3, B) along their own z by values (B,) [m], into ``out``."""
-    out[:] = frame
-    out[3] += frame[2] * value
-
-
-def _turn(frame: Array, sine: Array, cosine: Array, out: Array) -> None:
-    """Turn frames (4, 3, B) about their own z by angles of these sines and cosines (B,), into ``out``."""
-    x, y = frame[:2]
-    np.multiply(x, cosine, out=out[0])
-    out[0] += y * sine
-    np.multiply(y, cosine, out=out[1])
-    out[1] -= x * sine
-    out[2:] = frame[2:]
 
 
 T = TypeVar("T")

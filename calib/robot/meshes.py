@@ -54,7 +54,7 @@ class LinkShape:
         """The file name of a mesh and its scale along x, y, z; None for any other geometry."""
         if self.geometry.tag != "mesh":
             return None
-        scale = numbers(self.geometry.get("scale"), (1.0, 1.0, 1.0))
+        scale = parse_vector(self.geometry.get("scale"), (1.0, 1.0, 1.0))
         return self.geometry.get("filename", ""), scale
 
     @property
@@ -89,8 +89,8 @@ def link_shapes(urdf: Urdf, kind: Literal["visual", "collision"]) -> Iterator[Li
         for element in link.findall(kind):
             T = np.eye(4)
             for origin in element.findall("origin"):
-                T[:3, 3] = numbers(origin.get("xyz"), zeros)
-                T[:3, :3] = pin.rpy.rpyToMatrix(*numbers(origin.get("rpy"), zeros))
+                T[:3, 3] = parse_vector(origin.get("xyz"), zeros)
+                T[:3, :3] = pin.rpy.rpyToMatrix(*parse_vector(origin.get("rpy"), zeros))
             for geometry in element.findall("geometry/*")[:1]:
                 yield LinkShape(link.get("name", ""), T, geometry)
 
@@ -131,7 +131,7 @@ def find_mesh(name: str, folders: Sequence[Path]) -> Path | None:
 
 
 def _candidates(name: str, folders: Sequence[Path]) -> Iterator[Path]:
-    """Yield the files that a name may mean, the likeliest first."""
+    """Yield the paths that the name of a mesh may stand for, the likeliest first; they need not exist."""
     scheme, separator, path = name.partition("://")
     if not separator or scheme == "file":
         plain = urllib.parse.unquote(path) if separator else name
@@ -202,8 +202,10 @@ def load_mesh(path: Path, scale: Sequence[float]) -> tuple[Any, str]:
     return mesh, ""
 
 
-def numbers(text: str | None, default: tuple[float, float, float]) -> tuple[float, float, float]:
-    """Return the three finite numbers of a text.
+def parse_vector(
+    text: str | None, default: tuple[float, float, float]
+) -> tuple[float, float, float]:
+    """Return the three finite numbers in the value of an attribute such as ``xyz``.
 
     Args:
         text: The value of an attribute; None if it is missing.

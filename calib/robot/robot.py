@@ -36,7 +36,7 @@ from calib.robot.chain import (
     farthest_link,
 )
 from calib.robot.coupled_readings import ReadingCoupling, checked_coupling, reading_matrix
-from calib.robot.dh.rows import STANDARD, DHRobot, DHRow, DHTable
+from calib.robot.dh_rows import STANDARD, DHRobot, DHRow, DHTable
 from calib.robot.urdf import Urdf, read_urdf, urdf_of_dh
 from calib.robot.urdf_tree import UrdfJoint
 
@@ -483,7 +483,7 @@ class Robot(Value):
 
 @lru_cache(maxsize=16)
 def _axes_of(robot: Robot) -> tuple[Mask, Array, Array]:
-    """Return the mask of sliding joints (n,), rotations that take z to the axes (n, 3, 3), and T_base_root (4, 4)."""
+    """Return the mask (n,) of sliding joints, rotations from z to the axes (n, 3, 3), and T_base_root (4, 4) [m]."""
     slides = np.array([joint.type == "prismatic" for joint in robot.joints])
     turns = kernel.turns_to(np.array([joint.axis for joint in robot.joints]))
     return slides, turns, rigid_inverse(robot.T_root_base)

@@ -18,17 +18,16 @@ import pinocchio as pin
 
 from calib.basics.arrays import Array
 from calib.basics.files import check_no_xacro, read_bytes, write_atomically
-from calib.basics.json_files import parsed_json
+from calib.basics.json_files import parse_json
 from calib.basics.values import Value
 from calib.errors import CalibError, UrdfError, choices, did_you_mean
-from calib.robot.dh.file import ENDINGS, read_dh_robot
-from calib.robot.dh.json_file import robot_of_json
-from calib.robot.dh.rows import DHRobot
-from calib.robot.generated.dh_urdf import REMARK, dh_urdf
-from calib.robot.generated.universal_robots import MODELS, named_ur_urdf, ur_model
+from calib.robot.cylinder_urdf import REMARK, dh_urdf
+from calib.robot.dh_file import ENDINGS, read_dh_robot, robot_of_json
+from calib.robot.dh_rows import DHRobot
+from calib.robot.ur_models import MODELS, named_ur_urdf, ur_model
 from calib.robot.urdf_tree import UrdfJoint, read_tree
 from calib.robot.urdf_xml import Document
-from calib.robot.xacro_file import XacroCall, flattened, is_xacro
+from calib.robot.xacro_file import XacroCall, flatten, is_xacro
 
 #: Name of the link that carries the target in a corrected URDF, when asked for.
 TARGET_LINK = "calib_target"
@@ -98,7 +97,7 @@ class Urdf(Value):
 
     @property
     def root(self) -> str:
-        """The link that is no joint's child."""
+        """The link that no joint has as its child."""
         children = {joint.child for joint in self.joints}
         return next(link for link in self.links if link not in children)
 
@@ -123,7 +122,7 @@ class Urdf(Value):
             if not text.startswith(REMARK):
                 continue
             try:
-                stated = parsed_json(text.removeprefix(REMARK), self.source)
+                stated = parse_json(text.removeprefix(REMARK), self.source)
                 return robot_of_json(stated, self.source)
             except CalibError as error:
                 raise UrdfError(
@@ -295,7 +294,7 @@ class Urdf(Value):
         )
 
     def _check_link(self, name: str) -> None:
-        """Refuse a name that is not that of a link."""
+        """Refuse a name that is not that of a link, by an UrdfError that lists the links."""
         if name in self.links:
             return
         child = next((joint.child for joint in self.joints if joint.name == name), None)
@@ -315,12 +314,12 @@ def _xyz_rpy(T: Array) -> dict[str, str]:
 
 
 def _number_text(values: Array) -> str:
-    """Return numbers, without signs of zero, as text that reads back exactly."""
+    """Return numbers (k,), without signs of zero, as a text with blanks between them that reads back exactly."""
     return " ".join(repr(float(value) + 0.0) for value in values)
 
 
 def _origin_tag(T: Array) -> bytes:
-    """Return a whole <origin/> of a pose (4, 4) [m]."""
+    """Return the tag ``<origin xyz="..." rpy="..."/>`` of a pose (4, 4) [m]."""
     return '<origin xyz="{xyz}" rpy="{rpy}"/>'.format(**_xyz_rpy(T)).encode()
 
 
@@ -349,7 +348,7 @@ def read_urdf(source: str | Path) -> Urdf:
     """
     if is_xacro(source):
         call = XacroCall.parse(source)
-        data = flattened(call)
+        data = flatten(call)
         try:
             return Urdf.from_bytes(data, call.name, call.path)
         except UrdfError as error:
@@ -400,7 +399,7 @@ def find_urdf(source: str | Path) -> Path | None:
 
 
 def _similar(name: str, known: list[str]) -> str:
-    """Return known names like the one given, as the end of a message that says they may be other robots.
+    """Return " (similar names, ...)", the end of a message about an unknown robot; empty if no known name is similar.
 
     They continue the name given, or it continues them, after a separator; else they differ by few letters.
     """

@@ -78,7 +78,7 @@ class UrdfJoint(Value):
 
     @property
     def T_parent_joint(self) -> Array:
-        """The origin: pose of the joint's frame in the parent link, (4, 4)."""
+        """The origin: pose of the joint's frame in the parent link, (4, 4) [m]."""
         T = np.eye(4)
         T[:3, :3] = pin.rpy.rpyToMatrix(*self.rpy)
         T[:3, 3] = self.xyz

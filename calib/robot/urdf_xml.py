@@ -74,7 +74,7 @@ class Document:
     data: bytes
     #: Its name, for messages.
     source: str
-    #: As its XML declaration states it, else UTF-8.
+    #: Its encoding, from the XML declaration; UTF-8 without one.
     encoding: str
     #: The outermost element.
     root: Element
@@ -209,7 +209,7 @@ class _Scanner:
     source: str
     #: The parser that calls the handlers.
     parser: expat.XMLParserType
-    #: As the XML declaration states it.
+    #: Encoding, from the XML declaration.
     encoding: str = "utf-8"
     #: The outermost element.
     root: Element | None = None
@@ -222,7 +222,7 @@ class _Scanner:
     _xacro: set[str] = field(default_factory=lambda: {"xacro"})
 
     def declaration(self, _version: str, encoding: str | None, _standalone: int) -> None:
-        """Record the encoding of an XML declaration."""
+        """Record the encoding that the XML declaration states, UTF-8 without one."""
         self.encoding = encoding or "utf-8"
 
     def start(self, tag: str, attributes: dict[str, str]) -> None:
@@ -259,7 +259,7 @@ class _Scanner:
                 element.close = self.parser.CurrentByteIndex
 
     def comment(self, text: str) -> None:
-        """Record a comment."""
+        """Record the text of a comment and its place in the bytes."""
         first = self.parser.CurrentByteIndex
         last = self.data.index(b"-->", first) + len(b"-->")
         self.comments.append(Comment(text, first, last))

@@ -50,7 +50,7 @@ class XacroCall:
             (('ur_type', 'ur5e'), ('name', 'my arm'))
         """
         text = os.fspath(source)
-        # A folder may have the ending too: the path is the whole text or the first part that is a file, else the first.
+        # A folder may have the ending too: the path is the whole text, or the first part of it that is a file.
         ends = [len(text), *(match.end() for match in _FILE.finditer(text))]
         end = next((end for end in ends if os.path.isfile(text[:end])), ends[:2][-1])  # noqa: PTH113
         path = Path(text[:end]).expanduser()
@@ -83,7 +83,7 @@ def is_xacro(source: str | os.PathLike[str]) -> bool:
     return _FILE.search(text) is not None
 
 
-def flattened(call: XacroCall) -> bytes:
+def flatten(call: XacroCall) -> bytes:
     """Return the text that ``xacro FILE ARGUMENTS`` prints, without the folder in the remark at its head.
 
     Raises:

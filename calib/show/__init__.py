@@ -1,1 +1,1 @@
-"""How results look: lines, tables, pages, figures, 3-D scenes, and the words of the verdict."""
+"""The look of results: lines, tables, pages, figures, 3-D scenes, and the words of the verdict."""

@@ -26,7 +26,7 @@ def page_text(page: Page) -> str:
 
 
 def blocks_text(blocks: Iterable[Block]) -> str:
-    """Draw blocks for a terminal."""
+    """Draw blocks as text for a terminal, with an empty line between them unless a block is tight."""
     text = ""
     for block in blocks:
         lines = _LINES[type(block)](block)
@@ -36,25 +36,10 @@ def blocks_text(blocks: Iterable[Block]) -> str:
     return text
 
 
-def _paragraph_lines(paragraph: Paragraph) -> list[str]:
-    """Break a paragraph into lines."""
-    return [wrap(paragraph.text)] if paragraph.text else []
-
-
 def _bullet_lines(bullets: Bullets) -> list[str]:
     """Write an item a line, after the lead; nothing without items."""
     lines = [wrap(item, bullets.indent) for item in bullets.listed(TERMINAL)]
     return [wrap(bullets.lead), *lines] if lines and bullets.lead else lines
-
-
-def _fact_lines(facts: Facts) -> list[str]:
-    """Write a label and its text a line; labels without a text are left out."""
-    return [wrap(f"{label}: {text}") for label, text in facts.pairs if text]
-
-
-def _verdict_lines(verdict: Verdict) -> list[str]:
-    """Write a verdict, and below it what it rests on."""
-    return [verdict.text, *(wrap(reason, "  ") for reason in verdict.reasons)]
 
 
 def _table_lines(table: Table) -> list[str]:
@@ -76,12 +61,12 @@ def _table_lines(table: Table) -> list[str]:
     return [*table_lines([title, *others], rows), *counted]
 
 
-#: How each kind of block is drawn; figures are for pages only.
+#: The function that draws each kind of block; figures are for pages only.
 _LINES: dict[type[Block], Callable[[Any], list[str]]] = {
-    Paragraph: _paragraph_lines,
+    Paragraph: lambda paragraph: [wrap(paragraph.text)] if paragraph.text else [],
     Bullets: _bullet_lines,
-    Facts: _fact_lines,
-    Verdict: _verdict_lines,
+    Facts: lambda facts: [wrap(f"{label}: {text}") for label, text in facts.pairs if text],
+    Verdict: lambda verdict: [verdict.text, *(wrap(reason, "  ") for reason in verdict.reasons)],
     Table: _table_lines,
     Drawing: lambda _: [],
 }

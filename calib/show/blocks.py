@@ -1,7 +1,7 @@
-"""What a verb shows, as values: a page of sections, and sections of blocks.
+"""The content that a verb shows, as values: a page of sections, and sections of blocks.
 
-A verb says once what its page contains. `calib.show.as_text` draws it for a terminal, `calib.show.page` as HTML to
-print and as an excerpt for notebooks. A section, or a block in it, may be for some of these media only.
+A verb says once what its page contains. `calib.show.as_text` draws it for a terminal, `calib.show.as_html` as HTML to
+print and as an excerpt for notebooks. A section, or a block in it, may be for some media only.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 class Medium(Flag):
-    """Where a page is drawn."""
+    """A medium on which a page is drawn."""
 
     #: Text of 100 columns
     TERMINAL = auto()
@@ -105,7 +105,7 @@ class Verdict(Block):
 
     @property
     def sign(self) -> str:
-        """The sign before it."""
+        """The sign before the verdict, such as a check mark."""
         return _SHADES[self.use][0]
 
     @property
@@ -137,9 +137,9 @@ class GalleryPicture:
     name: str
     #: Name of its camera; empty if it has none
     camera: str
-    #: Whether something of it is used
+    #: True if something of it is used
     is_used: bool
-    #: What is used of it, or why nothing is
+    #: Text about what is used of it, or why nothing is
     text: str
     #: Width and height of the picture that the marks are in [px]
     size: tuple[int, int]
@@ -173,7 +173,7 @@ class Section:
 
 
 def report_date() -> str:
-    """Return the date and time of a page, UTC: that of the environment variable ``SOURCE_DATE_EPOCH``, else now."""
+    """Return the date and time of a page, UTC: that of the environment variable ``SOURCE_DATE_EPOCH``, or now."""
     epoch = os.environ.get("SOURCE_DATE_EPOCH", "")
     date = datetime.now(timezone.utc)
     if epoch.isdecimal():
@@ -183,11 +183,11 @@ def report_date() -> str:
 
 @dataclass(frozen=True, slots=True)
 class Page:
-    """What a verb shows of a value."""
+    """A page: the sections that a verb shows of a value, for all media."""
 
-    #: What it is, such as ``"Calibration report"``
+    #: Kind of document, such as ``"Calibration report"``
     document: str
-    #: What it is about, such as the robot's name
+    #: Its subject, such as the robot's name
     subject: str
     sections: Sequence[Section]
     #: When it was made

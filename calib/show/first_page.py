@@ -30,7 +30,7 @@ _REASON = 2 * _LINE
 #: Most letters of a robot's name.
 _NAME = 60
 
-#: What follows a text that was shortened.
+#: Ending of a text that was shortened.
 _MORE = " ..."
 
 #: Label and value of a line of a form; without a value it is filled in by hand.
@@ -78,7 +78,7 @@ class FirstPage(Block):
 
     @property
     def right(self) -> list[Line]:
-        """Lines of its right half: instrument, place, time."""
+        """Lines of the form's right half: instrument, place, time."""
         record = self.record
         temperatures = " to ".join(number(value, 1) for value in record.temperature_C)
         return [

@@ -51,7 +51,7 @@ def wrap(text: str, indent: str = "") -> str:
 
 
 def plural(count: int, noun: str) -> str:
-    """Count things whose plural has an s: ``1 row``, ``2,000 rows``."""
+    """Write a number of things whose plural has an s: ``1 row``, ``2,000 rows``."""
     return f"{count} {noun}" if count == 1 else f"{count:,} {noun}s"
 
 
@@ -67,7 +67,7 @@ def times(fewest: int, most: int) -> str:
 
 
 def row_ranges(rows: Iterable[int], limit: int = 12) -> str:
-    """List row numbers, consecutive ones as a range: ``4, 7 to 9``.
+    """Write row numbers as text, consecutive ones as a range: ``4, 7 to 9``.
 
     Args:
         rows: The numbers, in any order.
@@ -82,18 +82,15 @@ def row_ranges(rows: Iterable[int], limit: int = 12) -> str:
             runs[-1][1] = row
         else:
             runs.append([row, row])
-    text = ", ".join(_row_range(first, last) for first, last in runs[:limit])
+    ranges = []
+    for first, last in runs[:limit]:
+        if last <= first + 1:
+            ranges.append(f"{first}, {last}" if last > first else str(first))
+        else:
+            ranges.append(f"{first} to {last}")
+    text = ", ".join(ranges)
     more = sum(last - first + 1 for first, last in runs[limit:])
     return f"{text} and {more} more" if more else text
-
-
-def _row_range(first: int, last: int) -> str:
-    """Consecutive row numbers: ``4``, ``4, 5`` or ``4 to 6``."""
-    if last == first:
-        return str(first)
-    if last == first + 1:
-        return f"{first}, {last}"
-    return f"{first} to {last}"
 
 
 def listed(parts: Sequence[str]) -> str:
@@ -103,7 +100,7 @@ def listed(parts: Sequence[str]) -> str:
 
 
 def number(value: float, digits: int = 3, sign: str = "-") -> str:
-    """Format a number.
+    """Format a number with so many digits after the point.
 
     Args:
         value: The number.

@@ -1,7 +1,7 @@
 """Tables: columns with their type and unit, rows of values; drawn as lines of at most 100 columns here.
 
 A row holds values: texts, counts, and numbers in SI units. A column says how they are written, so that every drawing of
-a table has the same digits. `calib.show.page` draws tables as HTML.
+a table has the same digits. `calib.show.as_html` draws tables as HTML.
 """
 
 from __future__ import annotations
@@ -77,12 +77,12 @@ class Column:
 
 
 def name_column(head: str, width: int = 0) -> Column:
-    """First column of a table: names, aligned to the left."""
+    """Return the first column of a table: names under ``head``, aligned to the left."""
     return Column(head, width, left=True)
 
 
 def residual_column(head: str, unit: str, width: int = 0, *, group: str = "") -> Column:
-    """Column of errors in a unit of residuals, by its symbol such as ``"m"``, with the digits of that unit."""
+    """Return a column of errors in a unit of residuals, by its symbol such as ``"m"``, with the digits of that unit."""
     of_unit = RESIDUAL_UNITS[unit]
     return Column(head, width, unit=of_unit.shown, digits=of_unit.digits, group=group)
 
@@ -91,7 +91,7 @@ def residual_column(head: str, unit: str, width: int = 0, *, group: str = "") ->
 class Table(Block):
     """A table; without rows it is not shown."""
 
-    #: What it shows, with the unit if all numbers have the same
+    #: Its title, with the unit if all numbers have the same
     title: str
     #: Its columns, names first
     columns: Sequence[Column]
@@ -102,7 +102,7 @@ class Table(Block):
     strong: Sequence[int] = ()
     #: Rows that a medium lists at most; the others are counted
     most: Mapping[Medium, int] = field(default_factory=dict)
-    #: Where the others are, for a page
+    #: The place of the others, for a page
     elsewhere: str = ""
     #: In a terminal the title is a line of its own; otherwise it is the heading of the first column
     title_above: bool = False
@@ -140,7 +140,7 @@ def format_cells(
 
 
 def _has_value(cell: Cell) -> bool:
-    """Say if a cell is neither empty nor NaN."""
+    """Return True if a cell is neither empty nor NaN."""
     return not math.isnan(cell) if isinstance(cell, float) else bool(cell)
 
 
@@ -166,7 +166,19 @@ def table_lines(columns: Sequence[Column], rows: Iterable[Row]) -> list[str]:
         heads.append(f"{column.group} {column.head}" if starts_group else column.head)
         group = column.group
     every = [heads, *texts] if any(heads) else texts
-    widths = _widths(shown, [row for row in every if not isinstance(row, str)])
+
+    # Columns as wide as their longest cell; if there is no room, the first one and then the widest are narrower.
+    rows_of_cells = [row for row in every if not isinstance(row, str)]
+    longest = [max((len(row[k]) for row in rows_of_cells), default=0) for k in range(len(shown))]
+    widths = [max(column.width, width) for column, width in zip(shown, longest, strict=True)]
+    room = WIDTH - sum(column.gap for column in shown[1:])
+    widths[0] = min(widths[0], max(room - sum(widths[1:]), shown[0].width))
+    while sum(widths) > room:
+        loose = [k for k in range(1, len(widths)) if widths[k] > longest[k]]
+        if not loose:
+            break
+        widths[max(loose, key=lambda k: widths[k])] -= 1
+
     lines = []
     for row in every:
         if isinstance(row, str):
@@ -182,20 +194,6 @@ def table_lines(columns: Sequence[Column], rows: Iterable[Row]) -> list[str]:
             line += " " * column.gap + (text.ljust(width) if column.left else text.rjust(width))
         lines.append(line.rstrip())
     return lines
-
-
-def _widths(columns: Sequence[Column], texts: Sequence[Sequence[str]]) -> list[int]:
-    """Find the width of each column; the first one may be narrower than its longest name."""
-    longest = [max((len(row[k]) for row in texts), default=0) for k in range(len(columns))]
-    widths = [max(column.width, width) for column, width in zip(columns, longest, strict=True)]
-    room = WIDTH - sum(column.gap for column in columns[1:])
-    widths[0] = min(widths[0], max(room - sum(widths[1:]), columns[0].width))
-    while sum(widths) > room:
-        loose = [k for k in range(1, len(widths)) if widths[k] > longest[k]]
-        if not loose:
-            break
-        widths[max(loose, key=lambda k: widths[k])] -= 1
-    return widths
 
 
 def labelled(label: str, text: str, width: int, indent: str = "") -> str:

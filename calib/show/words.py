@@ -25,7 +25,7 @@ _MOST_NAMES = 6
 
 
 def chain_name(robot: Robot) -> str:
-    """Name a robot and its chain."""
+    """Return the text that names a robot and its chain: ``'ur3', base to tool0``."""
     return f"'{robot.name}', {robot.base} to {robot.tip}"
 
 
@@ -35,7 +35,7 @@ def joint_unit(*, prismatic: bool) -> tuple[float, str]:
 
 
 def kinds_text(m: Measurements) -> str:
-    """Word the kinds of measurements with their numbers of rows."""
+    """Return the text that lists the kinds of measurements with their numbers of rows."""
     counts = Counter(m.kinds)
     return "; ".join(f"{kind_named(kind).words} ({n:,} rows)" for kind, n in counts.items())
 

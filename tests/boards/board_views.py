@@ -11,8 +11,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from calib.basics.arrays import Array
-from calib.boards.board import APRILTAG, CHESSBOARD, Board
-from calib.boards.layout import white_squares
+from calib.boards.board import APRILTAG, CHESSBOARD, Board, white_squares
 
 #: Parts of a pixel along u and v.
 PARTS = 3

@@ -10,8 +10,7 @@ import numpy as np
 from calib.boards.board import Board
 from calib.boards.detection.board_search import BoardView
 from calib.boards.detection.detect import Detection
-from calib.boards.detection.image_files import ImageFile
-from calib.boards.detection.picture import Picture
+from calib.boards.detection.picture import ImageFile, Picture
 from tests.boards.board_views import CHARUCO_BOARD
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from calib.boards.board import APRILTAG, CHARUCO, CHESSBOARD, PATTERNS
 from calib.boards.board_design import design
-from calib.boards.paper import PAPERS, module_size, sheet_for
+from calib.boards.board_page import PAPERS, module_size, sheet_for
 from calib.errors import CalibError
 
 

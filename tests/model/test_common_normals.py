@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calib.model.common_normals import Reference, Rule, cross, first_frame, last_row, row_to
-from calib.robot.dh.rows import HAYATI, MODIFIED, STANDARD, DHRow, screw
+from calib.robot.dh_rows import HAYATI, MODIFIED, STANDARD, DHRow, screw
 
 PURE = Rule(STANDARD, 1e-7)
 TILTED = Rule(HAYATI, 0.0)

@@ -6,7 +6,7 @@ from hypothesis import given, settings, strategies as st
 from scipy.spatial.transform import Rotation
 
 from calib.model.dh_table import dh_table, near_parallel, taken_as_parallel
-from calib.robot.dh.rows import CONVENTIONS, DHRobot, DHRow, DHTable, screw
+from calib.robot.dh_rows import CONVENTIONS, DHRobot, DHRow, DHTable, screw
 from calib.robot.robot import Robot
 from calib.robot.urdf import urdf_of_dh
 from tests.robot.shared import SOME_AND_SLOWLY_ALL

@@ -14,7 +14,7 @@ from calib.model.error_model import (
 from calib.model.families import ANGLE, LENGTH, ZERO
 from calib.model.kinematics import Kinematics
 from calib.model.parameters import FRAME, TARGET, TIP, ErrorModel
-from calib.robot.dh.rows import DHTable
+from calib.robot.dh_rows import DHTable
 from calib.robot.robot import Robot
 from tests.robot.shared import joint, urdf_of
 

@@ -218,7 +218,7 @@ def test_mimic_joints_move_as_pinocchio_s_own(name, base, tip, columns, joints):
 
 ARM = Robot.load("ur3").joint_names
 HELD = {
-    "a fixed joint": ({"world_joint": 0.1}, "is none that moves"),
+    "a fixed joint": ({"world_joint": 0.1}, "is not a joint that moves"),
     "a misspelt name": ({"elbow": 0.1}, "did you mean 'elbow_joint'"),
     "no number": ({"elbow_joint": np.nan}, "give a finite number"),
     "a length": ({"elbow_joint": Length(0.3)}, "is a length, and the joint turns"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from calib.show.as_html import notebook_html, page_bytes
 from calib.show.as_text import blocks_text, page_text
 from calib.show.blocks import (
     HTML,
@@ -17,7 +18,6 @@ from calib.show.blocks import (
     Section,
     Verdict,
 )
-from calib.show.page import notebook_html, page_bytes
 from calib.show.tables import Column, Table, name_column
 from tests.show.pages import Page as Drawn
 

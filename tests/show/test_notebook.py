@@ -10,7 +10,7 @@ import pytest
 from calib.data.cell import Cell
 from calib.result.calibration import Calibration
 from calib.show.lines import mm
-from calib.show.verdict import reason_text
+from calib.show.verdict_text import reason_text
 from calib.show.words import rms_text
 from calib.verbs.compare.comparison import compare
 from calib.verbs.compare.text import sentence

@@ -1,5 +1,11 @@
-"""Plain chessboards: OpenCV finds all inner corners or none, and does not know where the board begins.
+"""The inner corners of chessboards and ChArUco boards.
 
+They are sought where a map expects them, and the map is refitted with each find. OpenCV's detector takes a corner of a
+ChArUco board from the markers beside it. Here a marker that was not read costs nothing: the other markers and corners
+determine lens and pose, hence where its corners must be. A corner is taken if there is a saddle with the right colours.
+
+The first map to a plain chessboard is from OpenCV, which finds all inner corners or none, and does not know where the
+board begins.
 Of the orders of the corners, turned by quarters or halves, the right one has a black square at the origin. It is unique
 if columns and rows add up to an odd number. Otherwise the board looks the same after half a turn; then the order is
 taken whose x axis points most to the right of the image, which is the same board pose in two images only while the
@@ -12,14 +18,130 @@ from typing import Any
 
 import numpy as np
 
-from calib.basics.arrays import Array
-from calib.boards.board import Board
-from calib.boards.corners.growth import windows_at
+from calib.basics.arrays import Array, Mask
+from calib.boards.board import CHARUCO, Board, corner_signs
 from calib.boards.corners.planar_map import PlanarMap, fit_planar_map
-from calib.boards.corners.saddles import find_saddles
-from calib.boards.layout import corner_signs
+from calib.boards.corners.saddles import Saddles, find_saddles
 from calib.boards.opencv import opencv
+from calib.boards.project import in_image
 from calib.errors import CalibError
+
+#: Width of the window around a corner of a chessboard, in squares; the largest of a ChArUco board.
+_WINDOW = 0.14
+
+#: Width of the window around a corner of a ChArUco board, in widths of the white around a marker.
+_WINDOW_IN_MARGINS = 0.7
+
+#: Smallest width of a window, if there is hardly any white, in squares.
+_SMALLEST_WINDOW = 0.04
+
+#: Step of the differences by which a map is differentiated, in squares.
+_STEP = 0.25
+
+#: Maximum number of searches, each with the map of the last.
+_ROUNDS = 4
+
+#: Weight of a marker's corner relative to a saddle's.
+_MARKER_WEIGHT = 0.01
+
+#: Smallest side of a square whose corners can be told apart [px].
+_SMALLEST_SQUARE = 5.0
+
+#: Distance from the image's edges within which corners are not found [px].
+_EDGE = 2.5
+
+#: A corner is an outlier if its distance from the map of all exceeds this many times the median, ...
+_OUTLYING = 6.0
+
+#: ... and this many squares, which the map may be off for what it does not know of the lens, ...
+_TOLERANCE = 0.05
+
+#: ... and this [px].
+_TOLERANCE_PX = 1.0
+
+
+def find_inner_corners(
+    image: Array, board: Board, start: PlanarMap, points: Array, pixels: Array
+) -> tuple[Saddles, PlanarMap]:
+    """Find the inner corners of a board, refining a map from the board to the image as more corners are found.
+
+    Args:
+        image: Grey values, shape (height, width).
+        board: A chessboard or ChArUco board.
+        start: A map from the board to the image.
+        points: Points of the board to which the map was fitted, shape (m, 2) [m].
+        pixels: Their pixels, shape (m, 2).
+
+    Returns:
+        The corners in the order of their ids, those that agree with the others; and the map fitted to them.
+    """
+    corners = board.corners[:, :2]
+    signs = corner_signs(board)
+    image_size = (image.shape[1], image.shape[0])
+    planar_map = start
+    count = -1
+    for _ in range(_ROUNDS):
+        # Search the corners that are in the image, and large enough there.
+        expected = planar_map.project(corners)
+        windows = windows_at(board, planar_map, corners)
+        is_large = _smallest_squares(board, planar_map, corners) >= _SMALLEST_SQUARE
+        tried = is_large & in_image(expected, image_size, _EDGE)
+        found = find_saddles(image, expected[tried], windows[tried], signs[tried])
+        saddles = found.among(len(corners), tried)
+
+        exist = saddles.exist
+        if exist.any():
+            weights = np.concatenate([np.ones(exist.sum()), np.full(len(points), _MARKER_WEIGHT)])
+            planar_map = fit_planar_map(
+                np.concatenate([corners[exist], points]),
+                np.concatenate([saddles.pixels[exist], pixels]),
+                image_size,
+                weights,
+            )
+
+            # Drop the corners that disagree with the map of all.
+            distance = np.linalg.norm(saddles.pixels - planar_map.project(corners), axis=1)
+            usual = float(np.nanmedian(distance))
+            spacing = _smallest_squares(board, planar_map, corners)
+            tolerance = np.maximum(_TOLERANCE_PX, _TOLERANCE * spacing)
+            tolerance = np.maximum(tolerance, _OUTLYING * usual)
+            agrees = distance <= tolerance  # False for corners that were not found
+            kept = Saddles(saddles.pixels[agrees], saddles.sigma[agrees])
+            saddles = kept.among(len(corners), agrees)
+        last = count
+        count = int(saddles.exist.sum())
+        if count <= last or count == visible_corners(board, planar_map, image_size).sum():
+            break
+    return saddles, planar_map
+
+
+def visible_corners(board: Board, planar_map: PlanarMap, image_size: tuple[int, int]) -> Mask:
+    """Return a mask, shape (n,), of the corners of a board that are inside an image of a width and height [px]."""
+    return in_image(planar_map.project(board.corners[:, :2]), image_size, _EDGE)
+
+
+def windows_at(board: Board, planar_map: PlanarMap, points: Array) -> Array:
+    """Return the windows around points (n, 2) [m] of a board: their columns along its x and y, shape (n, 2, 2) [px]."""
+    return window_size(board) * planar_map.jacobians(points, _STEP * board.square)
+
+
+def window_size(board: Board) -> float:
+    """Return the width of the window around a corner on the board [m]: it holds no marker, or both alike."""
+    largest = _WINDOW * board.square
+    if board.pattern != CHARUCO:
+        return largest
+    margin = (board.square - board.marker) / 2.0
+    return float(np.clip(_WINDOW_IN_MARGINS * margin, _SMALLEST_WINDOW * board.square, largest))
+
+
+def _smallest_squares(board: Board, planar_map: PlanarMap, corners: Array) -> Array:
+    """Return the width of a square at each corner where it is narrowest, shape (n,) [px]; 0 behind the camera."""
+    jacobians = planar_map.jacobians(corners, _STEP * board.square)
+    known = np.nan_to_num(jacobians, nan=0.0)
+    return np.asarray(board.square * np.linalg.svd(known, compute_uv=False)[:, 1])
+
+
+# Plain chessboards
 
 #: Fewest columns and rows of squares that OpenCV finds.
 _FEWEST = 4
@@ -29,12 +151,12 @@ _MOST_ON_EDGE = 0.5
 
 
 def is_ambiguous(board: Board) -> bool:
-    """Return whether a chessboard looks the same after half a turn."""
+    """Return True if a chessboard looks the same after half a turn."""
     return (board.columns + board.rows) % 2 == 0
 
 
 def find_chessboard(image: Any, board: Board) -> tuple[PlanarMap, Array] | None:  # noqa: ANN401  8-bit
-    """Find a chessboard.
+    """Find a plain chessboard in an image, by OpenCV, and the order of its inner corners.
 
     Args:
         image: Grey values, 8 bits, shape (height, width).
@@ -52,12 +174,19 @@ def find_chessboard(image: Any, board: Board) -> tuple[PlanarMap, Array] | None:
             f"The board '{board.name}' is a chessboard of {board.columns} columns and {board.rows} rows; OpenCV needs "
             f"{_FEWEST} or more of each. A ChArUco board may be smaller."
         )
-    pixels = _all_corners(image, board)
-    if pixels is None:
+    cv2 = opencv()
+    size = (board.columns - 1, board.rows - 1)
+    is_seen, corners = cv2.findChessboardCornersSB(image, size, flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
+    if not is_seen:
+        flags = (
+            cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_FAST_CHECK
+        )
+        is_seen, corners = cv2.findChessboardCorners(image, size, flags=flags)
+    if not is_seen:
         return None
 
     # The orders in which the corners may be: turned, not mirrored.
-    grid = pixels.reshape(board.rows - 1, board.columns - 1, 2)
+    grid = np.asarray(corners, dtype=np.float64).reshape(board.rows - 1, board.columns - 1, 2)
     along_x = grid[0, -1] - grid[0, 0]
     along_y = grid[-1, 0] - grid[0, 0]
     if along_x[0] * along_y[1] - along_x[1] * along_y[0] < 0.0:
@@ -81,7 +210,7 @@ def find_chessboard(image: Any, board: Board) -> tuple[PlanarMap, Array] | None:
 
 
 def is_part_of_larger(image: Array, board: Board, planar_map: PlanarMap) -> bool:
-    """Return whether a chessboard continues beyond the corners found: OpenCV finds a part of a larger board too.
+    """Return True if a chessboard continues beyond the corners found: OpenCV finds a part of a larger board too.
 
     Args:
         image: Grey values, shape (height, width).
@@ -114,18 +243,3 @@ def size_of_chessboard(image: Any) -> tuple[int, int] | None:  # noqa: ANN401  8
         return None
     larger, smaller = sorted(np.asarray(meta).shape[:2], reverse=True)
     return larger + 1, smaller + 1
-
-
-def _all_corners(image: Any, board: Board) -> Array | None:  # noqa: ANN401  8-bit
-    """Return all inner corners in rows, in any of OpenCV's orders, shape (n, 2) [px]; None if they are not all seen."""
-    cv2 = opencv()
-    size = (board.columns - 1, board.rows - 1)
-    is_seen, corners = cv2.findChessboardCornersSB(image, size, flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
-    if not is_seen:
-        flags = (
-            cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_FAST_CHECK
-        )
-        is_seen, corners = cv2.findChessboardCorners(image, size, flags=flags)
-    if not is_seen:
-        return None
-    return np.asarray(corners, dtype=np.float64).reshape(-1, 2)

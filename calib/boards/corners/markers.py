@@ -1,4 +1,7 @@
-"""Markers in an image, by OpenCV's detector with parameters for small, steep and blurred ones."""
+"""Markers in an image, and the place of a board by them: a map on which most of its markers agree.
+
+The markers are found by OpenCV's detector, with parameters for small, steep and blurred ones.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +12,7 @@ import numpy as np
 
 from calib.basics.arrays import Array, Integers, Mask
 from calib.basics.values import Value
+from calib.boards.corners.planar_map import PlanarMap, fit_planar_map
 from calib.boards.dictionaries import DICTIONARIES
 from calib.boards.opencv import opencv
 from calib.errors import CalibError
@@ -45,11 +49,11 @@ class Markers(Value):
         return np.asarray(np.linalg.norm(edges, axis=2).mean(axis=1))
 
     def select(self, chosen: Mask) -> Markers:
-        """Return the markers of a mask, shape (m,)."""
+        """Return the markers at which a mask, shape (m,), is True."""
         return Markers(self.ids[chosen], self.corners[chosen])
 
     def of_ids(self, first: int, count: int) -> Markers:
-        """Return the markers of a board.
+        """Return the markers whose ids are those of a board, with ids counted from 0.
 
         Args:
             first: Id of the board's first marker.
@@ -63,7 +67,7 @@ class Markers(Value):
 
 
 def no_markers() -> Markers:
-    """Return no markers, as a chessboard has."""
+    """Return an empty set of markers, which is that of a chessboard."""
     return Markers(np.zeros(0, dtype=int), np.zeros((0, 4, 2)))
 
 
@@ -73,7 +77,7 @@ def find_markers(
     *,
     thorough: bool = False,
 ) -> Markers:
-    """Find the markers of a dictionary.
+    """Find the markers of a dictionary in an image.
 
     Args:
         image: Grey values, 8 bits, shape (height, width).
@@ -112,7 +116,7 @@ def find_markers(
 
 
 def _without_doubles(markers: Markers) -> Markers:
-    """Drop a second outline of the same marker, such as the inner edge of its black frame: the larger one is kept."""
+    """Drop further outlines of the same marker, such as the inner edge of its black frame: the largest one is kept."""
     centres = markers.corners.mean(axis=1)
     sides = markers.sides
     kept = np.zeros(len(sides), dtype=bool)
@@ -121,3 +125,124 @@ def _without_doubles(markers: Markers) -> Markers:
         distances = np.linalg.norm(centres[same] - centres[k], axis=1)
         kept[k] = not np.any(distances < _DOUBLE * sides[k])
     return markers.select(kept)
+
+
+# The place of a board
+
+#: Fewest markers that place a board.
+FEWEST_MARKERS = 2
+
+#: Tolerance with which the corners of a marker agree with a homography, in sides of a marker: a lens bends it.
+_COARSE = 0.4
+
+#: Tolerance with which they agree with a map that includes the lens, in sides of the marker.
+_FINE = 0.15
+
+#: Tolerance with which they agree with the homography of the neighbouring markers, in sides of the marker.
+_BESIDE = 0.3
+
+#: Number of neighbours that predict where a marker is.
+_NEIGHBOURS = 4
+
+#: Smallest value of the tolerances above [px].
+_TOLERANCE_PX = 1.5
+
+#: Share of the markers that may disagree on where the board is, and one in any case: an id that was misread. With a
+#: wrong layout every second row may agree, or all markers but the last of every second row.
+_MISREAD_SHARE = 0.06
+
+#: Maximum number of fits of the map, each to the markers that agreed with the last.
+_ROUNDS = 3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Placement(Value):
+    """The place of a board by its markers."""
+
+    #: From the board to pixels.
+    map: PlanarMap
+    #: The markers that agree, shape (m,).
+    agrees: Mask
+
+    @property
+    def is_sound(self) -> bool:
+        """True if two markers or more agree with the place, and few enough do not."""
+        allowed = max(1.0, _MISREAD_SHARE * len(self.agrees))
+        return int(self.agrees.sum()) >= FEWEST_MARKERS and self.misread <= allowed
+
+    @property
+    def misread(self) -> int:
+        """Number of the markers that do not agree."""
+        return int((~self.agrees).sum())
+
+
+def place_board(markers: Markers, layout: Array, image_size: tuple[int, int]) -> Placement | None:
+    """Fit a map from a board to an image by the markers found, leaving out those that were misread.
+
+    Args:
+        markers: The markers of the board that were found, with ids counted from 0.
+        layout: Corners of all markers of the board, shape (markers, 4, 2) [m].
+        image_size: Width and height [px].
+
+    Returns:
+        The placement on which most markers agree, sound or not; None for fewer than two markers, or no agreement.
+    """
+    if len(markers.ids) < FEWEST_MARKERS:
+        return None
+    points = layout[markers.ids]
+
+    # The largest set of markers that one homography explains roughly.
+    cv2 = opencv()
+    tolerance = max(_TOLERANCE_PX, _COARSE * float(np.median(markers.sides)))
+    source = points.reshape(-1, 1, 2)
+    image = markers.corners.reshape(-1, 1, 2)
+    _, used = cv2.findHomography(source, image, cv2.RANSAC, tolerance)
+    if used is None:
+        return None
+    agrees = np.asarray(used.reshape(-1, 4).astype(bool).all(axis=1))
+    if agrees.sum() < FEWEST_MARKERS:
+        return None
+
+    # The map that includes the lens, refitted to the markers whose corners are where it predicts them.
+    for _ in range(_ROUNDS):
+        planar_map = fit_planar_map(
+            points[agrees].reshape(-1, 2), markers.corners[agrees].reshape(-1, 2), image_size
+        )
+        before = agrees
+        agrees = _agree_with_map(planar_map, points, markers)
+        if agrees.sum() < FEWEST_MARKERS:
+            return None
+        if (agrees == before).all():
+            break
+    return Placement(planar_map, agrees | _agree_with_neighbours(points, markers, agrees))
+
+
+def _agree_with_map(planar_map: PlanarMap, points: Array, markers: Markers) -> Mask:
+    """Return True for markers whose corners are where a map projects ``points`` (m, 4, 2) [m] to, shape (m,)."""
+    predicted = planar_map.project(points.reshape(-1, 2)).reshape(-1, 4, 2)
+    distance = np.linalg.norm(markers.corners - predicted, axis=2).max(axis=1)
+    return np.asarray(distance <= np.maximum(_TOLERANCE_PX, _FINE * markers.sides))
+
+
+def _agree_with_neighbours(points: Array, markers: Markers, agrees: Mask) -> Mask:
+    """Return True for further markers that the homography of their nearest neighbours predicts, shape (m,).
+
+    A lens may bend in a way that no map of the whole board follows.
+    """
+    result = np.zeros(len(points), dtype=bool)
+    known = np.flatnonzero(agrees)
+    if len(known) < _NEIGHBOURS:
+        return result
+    cv2 = opencv()
+    middles = points.mean(axis=1)
+    tolerance = np.maximum(_TOLERANCE_PX, _BESIDE * markers.sides)
+    for k in np.flatnonzero(~agrees).tolist():
+        distances = np.linalg.norm(middles[known] - middles[k], axis=1)
+        near = known[np.argsort(distances)[:_NEIGHBOURS]]
+        source = points[near].reshape(-1, 2)
+        H, _ = cv2.findHomography(source, markers.corners[near].reshape(-1, 2))
+        if H is not None:
+            predicted = cv2.perspectiveTransform(points[k][None], H)[0]
+            distance = np.linalg.norm(predicted - markers.corners[k], axis=1)
+            result[k] = distance.max() <= tolerance[k]
+    return result

@@ -122,13 +122,13 @@ def fit_planar_map(
 
 
 def _apply(H: Array, points: Array) -> Array:
-    """Return points mapped by a homography, shape (n, 2)."""
+    """Return points (n, 2) mapped by a homography H (3, 3), shape (n, 2)."""
     homogeneous = np.column_stack([points, np.ones(len(points))]) @ H.T
     return np.asarray(homogeneous[:, :2] / homogeneous[:, 2:])
 
 
 def _undistort(distorted: Array, distortion: float) -> Array:
-    """Return normalised image points without distortion, shape (n, 2)."""
+    """Return normalised image points (n, 2) without the distortion lambda that ``distorted`` (n, 2) have."""
     angle = np.sqrt(3.0 * abs(distortion)) * np.linalg.norm(distorted, axis=1, keepdims=True)
     small = angle < _TINY
     safe = np.where(small, 1.0, angle)
@@ -137,7 +137,7 @@ def _undistort(distorted: Array, distortion: float) -> Array:
 
 
 def _distort(undistorted: Array, distortion: float) -> Array:
-    """Return normalised image points with distortion, shape (n, 2)."""
+    """Return normalised image points ``undistorted`` (n, 2) with a distortion lambda, shape (n, 2)."""
     length = np.sqrt(3.0 * abs(distortion)) * np.linalg.norm(undistorted, axis=1, keepdims=True)
     small = length < _TINY
     safe = np.where(small, 1.0, length)
@@ -146,10 +146,10 @@ def _distort(undistorted: Array, distortion: float) -> Array:
 
 
 def _homography(points: Array, image: Array, root_weights: Array) -> Array:
-    """Return the homography of least algebraic error, shape (3, 3), with positive depth at the points' middle.
+    """Return the homography H (3, 3) of least weighted algebraic error from points (n, 2) to images (n, 2).
 
-    Both sides are first moved and scaled to mean 0 and size 1 (Hartley 1997, "In defense of the eight-point
-    algorithm").
+    Its sign gives the points' middle a positive depth. Both sides are first moved and scaled to mean 0 and size 1
+    (Hartley 1997, "In defense of the eight-point algorithm").
     """
     from_points = _normalisation(points)
     from_image = _normalisation(image)
@@ -169,7 +169,7 @@ def _homography(points: Array, image: Array, root_weights: Array) -> Array:
 
 
 def _normalisation(points: Array) -> Array:
-    """Return the similarity that moves points to mean 0 and size 1, shape (3, 3)."""
+    """Return the similarity, shape (3, 3), that moves points (n, 2) to mean 0 and scales them to size 1."""
     mean = points.mean(axis=0)
     scale = 1.0 / max(float(np.sqrt(np.mean((points - mean) ** 2))), 1e-12)
     return np.array(

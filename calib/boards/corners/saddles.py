@@ -97,7 +97,7 @@ class Saddles(Value):
         return np.isfinite(self.sigma)
 
     def among(self, count: int, places: Integers | Mask) -> Saddles:
-        """Return saddles of ``count`` corners: these at their places (indices or a mask), none at the others."""
+        """Return saddles of ``count`` corners: these at places, indices (n,) or a mask, and none at others."""
         pixels = np.full((count, 2), np.nan)
         sigma = np.full(count, np.nan)
         pixels[places] = self.pixels
@@ -118,19 +118,19 @@ class Patch(Value):
 
     @property
     def normal_matrix(self) -> Array:
-        """A, shape (2, 2)."""
+        """A = sum_i w_i g_i g_i^T, shape (2, 2)."""
         g = self.gradients
         return np.asarray(np.einsum("ij,ijk,ijl->kl", self.weights, g, g))
 
     @property
     def pulls(self) -> Array:
-        """How strongly each pixel draws q towards it, g (g . d), shape (h, w, 2)."""
+        """Pull of each pixel on q, g (g . d), shape (h, w, 2)."""
         along = np.sum(self.gradients * self.offsets, axis=-1, keepdims=True)
         return np.asarray(self.gradients * along)
 
 
 def find_saddles(image: Array, expected: Array, windows: Array, signs: Array) -> Saddles:
-    """Find the saddle next to each of several places.
+    """Refine corners of chessboards: find the saddle of the grey values next to each expected place.
 
     Args:
         image: Grey values, shape (height, width).
@@ -158,7 +158,7 @@ def find_saddles(image: Array, expected: Array, windows: Array, signs: Array) ->
 
 
 def _converge(image: Array, expected: Array, window: Array) -> Array | None:
-    """Return the corner that the gradients point at, shape (2,) [px]; None if there is none near the place expected."""
+    """Return the corner (2,) [px] near ``expected`` to which gradients in a window point; None without one."""
     q = expected
     inverse = np.linalg.inv(window)
     for _ in range(_MAX_STEPS):
@@ -178,7 +178,7 @@ def _converge(image: Array, expected: Array, window: Array) -> Array | None:
 
 
 def _alternates(image: Array, q: Array, window: Array, sign: float) -> bool:
-    """Return whether grey levels around q alternate like four squares; sign 1: the one towards +x, +y is white."""
+    """Return True if greys around q (2,) [px] alternate as four squares do; sign 1: the one to +x, +y is white."""
     directions = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)], axis=1)
     places = q + _RADIUS * directions @ window.T
     inside = (places >= 1.0) & (places <= np.array(image.shape[::-1]) - 3.0)
@@ -192,7 +192,7 @@ def _alternates(image: Array, q: Array, window: Array, sign: float) -> bool:
 
 
 def patch_at(image: Array, q: Array, window: Array) -> Patch | None:
-    """Cut out the pixels of a window.
+    """Return the pixels in a window around a corner, with their weights and gradients.
 
     Args:
         image: Grey values, shape (height, width).
@@ -311,7 +311,7 @@ def uncertainty(image: Array, q: Array, window: Array) -> float:
 
 
 def _noise(image: Array, q: Array, patch: Patch) -> float:
-    """Return the standard deviation s of the grey values, from the difference to the picture turned by half about q."""
+    """Return the noise s of grey values in a patch about q (2,) [px], from its difference to its half turn."""
     used = patch.weights > 0.0
     offsets = patch.offsets[used]
     turned = q - offsets

@@ -19,10 +19,10 @@ from calib.boards.corners.saddles import FLOOR, Saddles
 #: Cells along a side of a tag, border included, at most: the black border is one cell wide.
 _CELLS = 10.0
 
-#: Where the part of an edge that is used begins, in lengths of the edge from the corner: the blur rounds the corner.
+#: Beginning of the part of an edge that is used, in lengths of the edge from the corner: the blur rounds the corner.
 _FROM = 0.08
 
-#: Where it ends, in lengths of the edge.
+#: Its end, in lengths of the edge.
 _TO = 0.55
 
 #: Shortest and longest reach to either side of an edge [px].
@@ -61,7 +61,7 @@ class _Line(Value):
 
 
 def tag_corners(image: Array, quadrilaterals: Array) -> Saddles:
-    """Refine the corners of tags.
+    """Refine the corners of tags by lines that are fitted to their edges.
 
     Args:
         image: Grey values, shape (height, width).
@@ -86,7 +86,7 @@ def tag_corners(image: Array, quadrilaterals: Array) -> Saddles:
 
 
 def _corner(image: Array, corners: Array, j: int) -> tuple[Array, float] | None:
-    """Return where the two edges beside corner j meet, and its standard deviation [px]; None if there is no edge."""
+    """Return where the edges beside corner j of four (4, 2) meet, (2,), and its sigma [px]; None without an edge."""
     here = corners[j]
     before = _line(image, here, corners[j - 1], inside=1.0)
     after = _line(image, here, corners[(j + 1) % 4], inside=-1.0)
@@ -103,7 +103,7 @@ def _corner(image: Array, corners: Array, j: int) -> tuple[Array, float] | None:
 
 
 def _line(image: Array, corner: Array, other: Array, inside: float) -> _Line | None:
-    """Fit a line to the half of an edge that begins at a corner; None if too little of it is seen.
+    """Fit a line to the half of an edge next to ``corner`` (2,) [px]; None if too little of it is seen.
 
     ``inside`` is 1 if the tag is on the left when the image is walked from the corner to the other end, otherwise -1.
     """
@@ -132,7 +132,7 @@ def _line(image: Array, corner: Array, other: Array, inside: float) -> _Line | N
 
 
 def _edge_shifts(image: Array, starts: Array, outwards: Array, reach: float) -> Array:
-    """Return how far outside each start the edge from black to white lies, shape (n,) [px]; NaN without an edge."""
+    """Return the distances outwards from places (n, 2) to an edge from black to white, (n,) [px]; NaN without it."""
     steps = np.arange(-reach - _STEP, reach + 1.5 * _STEP, _STEP)
     places = starts[:, None, :] + steps[:, None] * outwards
     values = _interpolate(image, places)

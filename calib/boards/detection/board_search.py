@@ -9,15 +9,21 @@ import numpy as np
 
 from calib.basics.arrays import Array, Integers
 from calib.basics.values import Value
-from calib.boards.board import APRILTAG, CHESSBOARD, Board
-from calib.boards.corners.chessboards import find_chessboard, is_part_of_larger
-from calib.boards.corners.growth import grow, visible_corners
-from calib.boards.corners.markers import Markers, find_markers
-from calib.boards.corners.placing import FEWEST_MARKERS, Placement, place
-from calib.boards.corners.planar_map import PlanarMap, fit_planar_map
-from calib.boards.corners.saddles import Saddles
+from calib.boards.board import APRILTAG, CHESSBOARD, Board, marker_outlines
+from calib.boards.corners.chessboards import (
+    find_chessboard,
+    find_inner_corners,
+    is_part_of_larger,
+    visible_corners,
+)
+from calib.boards.corners.markers import (
+    FEWEST_MARKERS,
+    Markers,
+    find_markers,
+    place_board,
+)
+from calib.boards.corners.planar_map import fit_planar_map
 from calib.boards.corners.tags import tag_corners
-from calib.boards.layout import marker_outlines
 from calib.boards.opencv import opencv
 
 #: Default for the fewest corners of a board with which an image is used: with fewer the pose is poor.
@@ -120,27 +126,41 @@ def search_board(
         if chessboard is None:
             return _empty(board, NO_BOARD)
         planar_map, pixels = chessboard
-        saddles, planar_map = grow(grey, board, planar_map, board.corners[:, :2], pixels)
+        saddles, planar_map = find_inner_corners(
+            grey, board, planar_map, board.corners[:, :2], pixels
+        )
         if is_part_of_larger(grey, board, planar_map):
             return _empty(board, LAYOUT)
     else:
         markers = markers.of_ids(board.first_marker, board.markers)
         layout = marker_outlines(board)
-        placement = place(markers, layout, image_size)
+        placement = place_board(markers, layout, image_size)
         if len(markers.ids) < FEWEST_MARKERS:
             return _empty(board, NO_BOARD)
-        if placement is not None and _shows_second(markers, layout, placement, image_size):
-            return _empty(board, TWO_BOARDS)
+        if placement is not None:
+            # Markers that do not agree on the board, but have ids of it, may make a second one.
+            others = markers.select(~placement.agrees)
+            twice = others.select(np.isin(others.ids, markers.ids[placement.agrees]))
+            if len(twice.ids) >= _SECOND_BOARD:
+                second = place_board(twice, layout, image_size)
+                if second is not None and second.agrees.sum() >= _SECOND_BOARD and second.is_sound:
+                    return _empty(board, TWO_BOARDS)
         if placement is None or not placement.is_sound:
             return _empty(board, LAYOUT)
         misread = placement.misread
         used = markers.select(placement.agrees)
         if board.pattern == APRILTAG:
-            saddles, planar_map = _refine_tags(grey, board, used)
+            ids = (4 * used.ids[:, None] + np.arange(4)).reshape(-1)
+            saddles = tag_corners(grey, used.corners).among(len(board.corners), ids)
+            refined = saddles.exist
+            points, pixels = board.corners[refined, :2], saddles.pixels[refined]
+            if refined.sum() < _FEWEST_REFINED:
+                points, pixels = board.corners[ids, :2], used.corners.reshape(-1, 2)
+            planar_map = fit_planar_map(points, pixels, image_size)
         else:
             points = layout[used.ids].reshape(-1, 2)
             pixels = used.corners.reshape(-1, 2)
-            saddles, planar_map = grow(grey, board, placement.map, points, pixels)
+            saddles, planar_map = find_inner_corners(grey, board, placement.map, points, pixels)
 
     exist = saddles.exist
     visible = int(visible_corners(board, planar_map, image_size).sum())
@@ -189,7 +209,12 @@ def blur_of(image: Any) -> float:  # noqa: ANN401  8-bit
     cv2 = opencv()
     smooth = cv2.GaussianBlur(image.astype(np.float32), (0, 0), 1.0)
     smoother = cv2.GaussianBlur(image.astype(np.float32), (0, 0), _FURTHER_BLUR)
-    before, after = (_steepest(picture) for picture in (smooth, smoother))
+    slopes = []
+    for picture in (smooth, smoother):
+        by_v, by_u = np.gradient(picture)
+        # The slope that one pixel of a thousand exceeds.
+        slopes.append(float(np.quantile(np.hypot(by_u, by_v), 0.999)))
+    before, after = slopes
     if before < _LEAST_SLOPE:
         return 0.0
     if before <= after:
@@ -198,23 +223,17 @@ def blur_of(image: Any) -> float:  # noqa: ANN401  8-bit
     return float(np.sqrt(max((_FURTHER_BLUR**2 - square) / (square - 1.0), 0.0)))
 
 
-def _steepest(image: Any) -> float:  # noqa: ANN401  32-bit
-    """Return the slope that one pixel of a thousand exceeds [grey values per px]."""
-    by_v, by_u = np.gradient(image)
-    return float(np.quantile(np.hypot(by_u, by_v), 0.999))
-
-
 def _is_in(image: Any, board: Board) -> bool:  # noqa: ANN401  8-bit
-    """Return whether a board is found in an image, roughly."""
+    """Return True if a board is found in an image, grey values (h, w), roughly: whether it is there, not where."""
     if board.pattern == CHESSBOARD:
         return find_chessboard(image, board) is not None
     markers = find_markers(image, board.dictionary).of_ids(board.first_marker, board.markers)
-    placement = place(markers, marker_outlines(board), (image.shape[1], image.shape[0]))
+    placement = place_board(markers, marker_outlines(board), (image.shape[1], image.shape[0]))
     return placement is not None and placement.is_sound
 
 
 def _empty(board: Board, reason: str) -> BoardView:
-    """Return a view without corners."""
+    """Return a view without corners of a board, with the reason."""
     return BoardView(
         board=board.name,
         ids=np.zeros(0, dtype=int),
@@ -222,27 +241,3 @@ def _empty(board: Board, reason: str) -> BoardView:
         sigma=np.zeros(0),
         reason=reason,
     )
-
-
-def _refine_tags(image: Array, board: Board, markers: Markers) -> tuple[Saddles, PlanarMap]:
-    """Return all corners of a grid of tags, those found refined, and the map fitted to them."""
-    ids = (4 * markers.ids[:, None] + np.arange(4)).reshape(-1)
-    saddles = tag_corners(image, markers.corners).among(len(board.corners), ids)
-    exist = saddles.exist
-    image_size = (image.shape[1], image.shape[0])
-    if exist.sum() < _FEWEST_REFINED:
-        points = board.corners[ids, :2]
-        return saddles, fit_planar_map(points, markers.corners.reshape(-1, 2), image_size)
-    return saddles, fit_planar_map(board.corners[exist, :2], saddles.pixels[exist], image_size)
-
-
-def _shows_second(
-    markers: Markers, layout: Array, placement: Placement, image_size: tuple[int, int]
-) -> bool:
-    """Return whether markers that do not agree on the first board, but have ids of it, make a second one."""
-    others = markers.select(~placement.agrees)
-    twice = others.select(np.isin(others.ids, markers.ids[placement.agrees]))
-    if len(twice.ids) < _SECOND_BOARD:
-        return False
-    second = place(twice, layout, image_size)
-    return second is not None and second.agrees.sum() >= _SECOND_BOARD and second.is_sound

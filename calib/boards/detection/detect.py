@@ -18,8 +18,7 @@ from calib.basics.arguments import (
 )
 from calib.basics.values import Value
 from calib.boards.board import CHESSBOARD, Board
-from calib.boards.detection.board_search import FEWEST_CORNERS, LAYOUT
-from calib.boards.detection.findings import (
+from calib.boards.detection.board_findings import (
     Finding,
     board_findings,
     is_wrong_description,
@@ -27,15 +26,22 @@ from calib.boards.detection.findings import (
     picture_findings,
     usual_sizes,
 )
-from calib.boards.detection.image_files import ImageFile, find_images
-from calib.boards.detection.picture import OTHER_SIZE, Picture, Search, look
+from calib.boards.detection.board_search import FEWEST_CORNERS, LAYOUT
+from calib.boards.detection.picture import (
+    OTHER_SIZE,
+    ImageFile,
+    Picture,
+    Search,
+    find_images,
+    search_picture,
+)
 from calib.boards.dictionaries import kind_of
 from calib.errors import CalibError, choices
 
 
 @dataclass(frozen=True, slots=True)
 class Detection(Value):
-    """What was found in pictures."""
+    """The corners of boards found in pictures, and the mistakes that the pictures show."""
 
     boards: tuple[Board, ...]
     #: In the order in which they were given.
@@ -51,7 +57,7 @@ class Detection(Value):
 
     @property
     def corner_count(self) -> int:
-        """Number of all corners that are used."""
+        """Number of corners that are used, in all pictures together."""
         return sum(len(view.ids) for picture in self.pictures for view in picture.used)
 
 
@@ -97,7 +103,7 @@ def detect(
 
     search = Search(tuple(boards), fewest, single_thread=executor is not None)
     by_number: dict[int, Picture] = {}
-    for number, picture in jobs.run(look, search, files, executor):
+    for number, picture in jobs.run(search_picture, search, files, executor):
         by_number[number] = picture
         if progress is not None:
             progress(len(by_number), len(files))
@@ -113,7 +119,13 @@ def detect(
         of_board = [*board_findings(board, readable), *other_pattern(board, readable, executor)]
         findings += of_board
         if any(is_wrong_description(finding, readable, board) for finding in of_board):
-            pictures = [_without(picture, board) for picture in pictures]
+            # The board is described wrongly: its corners are used in no picture.
+            for k, picture in enumerate(pictures):
+                views = []
+                for view in picture.views:
+                    is_wrong = view.board == board.name and view.is_used
+                    views.append(replace(view, reason=LAYOUT) if is_wrong else view)
+                pictures[k] = replace(picture, views=tuple(views))
     return Detection(tuple(boards), tuple(pictures), tuple(findings), fewest)
 
 
@@ -145,12 +157,3 @@ def _check_sequence(
         raise wrong_type(argument, given, f"a sequence of {allowed}, one or more")
     for k, value in enumerate(given):
         check_type(f"{argument}[{k}]", value, types, f"one of {allowed}")
-
-
-def _without(picture: Picture, board: Board) -> Picture:
-    """Return a picture in which the corners of a board are not used: the board is described wrongly."""
-    views = []
-    for view in picture.views:
-        is_wrong = view.board == board.name and view.is_used
-        views.append(replace(view, reason=LAYOUT) if is_wrong else view)
-    return replace(picture, views=tuple(views))

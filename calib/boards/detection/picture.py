@@ -1,18 +1,158 @@
-"""One picture: read, searched for all boards, and reduced to a small copy for a page."""
+"""Pictures: named by files, folders and patterns as on a command line, read, and searched for all boards."""
 
 from __future__ import annotations
 
+import glob
 import hashlib
+import os
+import re
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from calib.basics.files import read_bytes
 from calib.basics.values import ReadOnlyMapping, Value
 from calib.boards.board import CHESSBOARD, Board
 from calib.boards.corners.markers import Markers, find_markers, no_markers
 from calib.boards.detection.board_search import NO_BOARD, BoardView, reason_of_nothing, search_board
-from calib.boards.detection.image_files import ImageFile, read_image
 from calib.boards.opencv import opencv
-from calib.errors import FileError
+from calib.errors import FileError, choices
+
+# Files
+
+#: Endings of pictures in a folder, in lower case.
+ENDINGS = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
+
+#: Characters that make a name a pattern.
+_PATTERN = re.compile(r"[*?\[]")
+
+#: Numbers in a name; names are sorted by their values, as people do.
+_NUMBER = re.compile(r"(\d+)")
+
+
+@dataclass(frozen=True, slots=True)
+class ImageFile(Value):
+    """A picture on disk."""
+
+    #: The file.
+    path: Path
+    #: Its name in tables: that of the file, with as many folders in front as make it unique.
+    name: str
+    #: The camera that took it; "" if that is not stated.
+    camera: str = ""
+
+
+def find_images(
+    words: Sequence[str | Path], cameras: Mapping[str, str] | None = None
+) -> tuple[ImageFile, ...]:
+    """List the pictures that files, folders and patterns name, with unique names and their cameras.
+
+    Args:
+        words: Files, folders (all pictures in them), and patterns such as ``run/*.png``; ``**`` descends into folders.
+        cameras: Names of cameras by the folders with their pictures, "" for all other pictures. None: not stated.
+
+    Returns:
+        The pictures, each once, in the order of the words; those of a folder or pattern sorted, numbers by value.
+
+    Raises:
+        FileError: A file does not exist, a folder or pattern has no pictures, or a camera has none.
+    """
+    paths: dict[str, Path] = {}
+    for word in words:
+        for path in _named_by(word):
+            paths.setdefault(os.path.realpath(path), path)
+    unique = list(paths.values())
+    folders = {os.path.realpath(folder): name for folder, name in (cameras or {}).items() if folder}
+    of_others = (cameras or {}).get("", "")
+    images = []
+    for path, name in zip(unique, _names(unique), strict=True):
+        # The innermost of the folders that the picture is in.
+        around = [str(folder) for folder in Path(os.path.realpath(path)).parents]
+        named = [folders[folder] for folder in around if folder in folders]
+        images.append(ImageFile(path, name, named[0] if named else of_others))
+    without = set((cameras or {}).values()) - {image.camera for image in images}
+    if without:
+        raise FileError(
+            f"There is no picture of the camera {choices(sorted(without))}; name its folder, one of those with the "
+            'pictures: --camera-name "NAME=FOLDER".'
+        )
+    return tuple(images)
+
+
+def read_image(image: ImageFile) -> Any:  # noqa: ANN401  8-bit, which Array is not
+    """Read a picture.
+
+    Args:
+        image: The file.
+
+    Returns:
+        Grey values, 8 bits, shape (height, width), as stored: an orientation tag is ignored, since a camera's
+        intrinsics refer to its sensor. None if the file is not a picture.
+
+    Raises:
+        FileError: The file cannot be read.
+    """
+    cv2 = opencv()
+    data = np.frombuffer(read_bytes(image.path, "The picture"), dtype=np.uint8)
+    if not len(data):
+        return None
+    return cv2.imdecode(data, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION)
+
+
+def _named_by(word: str | Path) -> list[Path]:
+    """Return the pictures that a word names: a file, those in a folder, or those that match a pattern."""
+    path = Path(word)
+    if path.is_dir():
+        inside = [entry for entry in path.iterdir() if entry.suffix.lower() in ENDINGS]
+        if not inside:
+            raise FileError(
+                f"The folder '{word}' has no picture ({choices(ENDINGS)}). For pictures in its subfolders give a "
+                f'pattern, "{path}/**/*.png".'
+            )
+        return sorted(inside, key=_by_numbers)
+    if path.exists() or not _PATTERN.search(str(word)):
+        if not path.exists():
+            raise FileError(f"The picture '{word}' does not exist; check the name and the folder.")
+        return [path]
+    matching = [Path(name) for name in glob.glob(str(word), recursive=True)]  # noqa: PTH207  absolute patterns
+    files = [entry for entry in matching if entry.is_file()]
+    if not files:
+        raise FileError(f"No file matches '{word}'; check the pattern and the folder.")
+    return sorted(files, key=_by_numbers)
+
+
+def _by_numbers(path: Path) -> list[tuple[int, int, str]]:
+    """Return a sorting key by which ``pose_2`` comes before ``pose_10``."""
+    key = []
+    for part in _NUMBER.split(str(path)):
+        is_number = part.isdecimal()
+        key.append((int(is_number), int(part) if is_number else 0, part))
+    return key
+
+
+def _names(paths: Iterable[Path]) -> list[str]:
+    """Return the shortest unique name of each file: its own, or with folders in front."""
+    parts = [Path(os.path.abspath(path)).parts for path in paths]  # noqa: PTH100  links keep their names
+    names = [""] * len(parts)
+    length = 1
+    unnamed = set(range(len(parts)))
+    while unnamed:
+        ends = {k: "/".join(parts[k][-length:]) for k in unnamed}
+        counts = Counter(ends.values())
+        is_last = length >= max(len(parts[k]) for k in unnamed)
+        for k, end in ends.items():
+            if counts[end] == 1 or is_last:
+                names[k] = end
+                unnamed.discard(k)
+        length += 1
+    return names
+
+
+# Pictures
 
 #: The file is not a picture.
 UNREADABLE = "unreadable"
@@ -37,7 +177,7 @@ class Search(Value):
     boards: tuple[Board, ...]
     #: Fewest corners of a board with which a picture is used.
     fewest: int
-    #: Whether OpenCV uses one thread, as beside other processes.
+    #: True if OpenCV uses one thread, as beside other processes.
     single_thread: bool = False
 
 
@@ -48,7 +188,7 @@ class Picture(Value):
     file: ImageFile
     #: Width and height [px]; zeros if it cannot be read.
     size: tuple[int, int] = (0, 0)
-    #: What it shows of each board, in their order.
+    #: Corners found of each board, in the order of the boards.
     views: tuple[BoardView, ...] = ()
     #: Why nothing of it is used; "" if something is, or if the reasons of the views say it.
     reason: str = ""
@@ -65,8 +205,8 @@ class Picture(Value):
         return () if self.reason else tuple(view for view in self.views if view.is_used)
 
 
-def look(search: Search, file: ImageFile) -> Picture:
-    """Read a picture and search it for boards.
+def search_picture(search: Search, file: ImageFile) -> Picture:
+    """Read a picture, search it for boards, and make a small copy of it for a page.
 
     Args:
         search: The boards.

@@ -1,1 +1,1 @@
-"""Forms in which people have tables: brands' columns, conventions of orientations, sheets, numbers, points."""
+"""Forms of tables: conventions of orientations, brands' columns and other options, and lists of points."""

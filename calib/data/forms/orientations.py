@@ -30,13 +30,13 @@ _SCALAR_LAST = [1, 2, 3, 0]
 class Convention:
     """A way to write an orientation as numbers in columns."""
 
-    #: What ``--orientation`` calls it.
+    #: Its name, as ``--orientation`` takes it.
     name: str
     #: The columns' names; single capital letters are read as written, others in any case.
     columns: tuple[str, ...]
     #: Unit in which the numbers are usually written; empty: they have none.
     unit: str
-    #: What it is, for messages: ``"a quaternion"``.
+    #: Its description for messages: ``"a quaternion"``.
     words: str
     #: Rotation matrices, shape (N, 3, 3), of numbers, shape (N, k), in SI units; NaN where a number is.
     matrices: Callable[[Array], Array]
@@ -72,21 +72,11 @@ def _angles_about_fixed_axes(R: Array) -> Array:
     return np.column_stack([x, y, z])
 
 
-def _about_moving_axes(angles: Array) -> Array:
-    """Return R = Rx(x) Ry(y) Rz(z), shape (N, 3, 3), the transpose of Rz(-z) Ry(-y) Rx(-x)."""
-    return np.swapaxes(_about_fixed_axes(-angles), 1, 2)
-
-
-def _angles_about_moving_axes(R: Array) -> Array:
-    """Return the angles x, y, z, shape (N, 3), [rad], of rotation matrices R = Rx(x) Ry(y) Rz(z), shape (N, 3, 3)."""
-    return -_angles_about_fixed_axes(R.transpose(0, 2, 1))
-
-
 # Matrices
 
 
 def _nearest_rotations(numbers: Array) -> Array:
-    """Return the rotations nearest to matrices r11, r12 ... r33, shape (N, 9), that were written with few digits.
+    """Return the rotations (N, 3, 3) nearest to matrices r11, r12 ... r33, (N, 9), of few digits; NaN stays.
 
     With M = U S V^T the nearest rotation is U V^T.
     """
@@ -153,8 +143,9 @@ _ROWS = (
         ("rx", "ry", "rz"),
         "deg",
         "Stäubli's Rx, Ry, Rz about moving axes",
-        _about_moving_axes,
-        _angles_about_moving_axes,
+        # Rx(x) Ry(y) Rz(z) is the transpose of Rz(-z) Ry(-y) Rx(-x).
+        lambda angles: np.swapaxes(_about_fixed_axes(-angles), 1, 2),
+        lambda R: -_angles_about_fixed_axes(R.transpose(0, 2, 1)),
     ),
     Convention(
         "yaskawa",

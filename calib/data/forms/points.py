@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,7 +40,7 @@ class Points:
     sha256: str
 
     def of_rows(self, source: str, rows: Sequence[int], names: Sequence[str] | None) -> list[int]:
-        """Find the point of each row of a table.
+        """Return the index of the point of each row of a table, by the names of points or by their order.
 
         Args:
             source: The table's name, for messages.
@@ -59,21 +59,31 @@ class Points:
                 row; or there are no names, and more or fewer points than rows.
         """
         if names is None:
-            self._check_count(source, len(rows))
+            if len(self.points) != len(rows):
+                raise MeasurementError(
+                    f"{self.source} has {len(self.points)} points and {source} {len(rows)} rows to match "
+                    "them with, in their order. Add a column 'point' with the points' names, or remove "
+                    "what has no counterpart."
+                )
             return list(range(len(rows)))
+
         indices_by_name = self._indices_by_name()
         if indices_by_name.keys().isdisjoint(names):
             # All rows or none: beside P1 a point OLD_P2 is hardly the P2 that was not measured.
             indices_by_name = self._indices_by_part()
         hits = [indices_by_name.get(name, []) for name in names]
+        # A name that is not in the list is that of a point not measured yet, or a misspelt one.
         is_complete = {i for indices in hits for i in indices} == {*range(len(self.points))}
         row_of_point: dict[int, int] = {}
         for row, name, indices in zip(rows, names, hits, strict=True):
             fault = None
             if len(indices) > 1:
-                fault = self._ambiguous(name, indices)
+                lines = ", ".join(str(self.lines[i]) for i in indices[:_LISTED_LINES])
+                whole = choices(dict.fromkeys(self.names[i] for i in indices))
+                fault = f"several points are called '{name}', in lines {lines}; write the whole name: {whole}"
             elif not indices and not is_complete:
-                fault = self._unknown(name)
+                near = did_you_mean(name, [*self.names, *map(_last, self.names)][:_COMPARED_NAMES])
+                fault = f"there is no point '{name}'{near}; it has {choices(self.names)}"
             elif indices:
                 first_row = row_of_point.setdefault(indices[0], row)
                 if first_row != row:
@@ -86,15 +96,6 @@ class Points:
                 )
         return [indices[0] if indices else -1 for indices in hits]
 
-    def _check_count(self, source: str, count: int) -> None:
-        """Refuse a table of another number of rows than points."""
-        if len(self.points) != count:
-            raise MeasurementError(
-                f"{self.source} has {len(self.points)} points and {source} {count} rows to match "
-                "them with, in their order. Add a column 'point' with the points' names, or remove "
-                "what has no counterpart."
-            )
-
     def _indices_by_name(self) -> Mapping[str, list[int]]:
         """Return the indices of points, from 0, by whole and by last names; whole names win."""
         by_last: dict[str, list[int]] = {}
@@ -105,35 +106,16 @@ class Points:
         return by_last | by_whole
 
     def _indices_by_part(self) -> Mapping[str, list[int]]:
-        """Return the indices of points, from 0, by what their names end with, from any part on."""
+        """Return the indices of points, from 0, by each ending of their names that begins at one of its later parts."""
         by_part: dict[str, list[int]] = {}
         for i, name in enumerate(self.names):
-            for part in _endings(name):
-                by_part.setdefault(part, []).append(i)
+            for before in _BEFORE_LAST.finditer(name):
+                ending = name[before.end() :]
+                if ending:
+                    by_part.setdefault(ending, []).append(i)
         return by_part
-
-    def _ambiguous(self, name: str, indices: Sequence[int]) -> str:
-        """Return the fault of a name that several points have."""
-        lines = ", ".join(str(self.lines[i]) for i in indices[:_LISTED_LINES])
-        whole = choices(dict.fromkeys(self.names[i] for i in indices))
-        return (
-            f"several points are called '{name}', in lines {lines}; write the whole name: {whole}"
-        )
-
-    def _unknown(self, name: str) -> str:
-        """Return the fault of a name that no point has."""
-        known = [*self.names, *map(_last, self.names)][:_COMPARED_NAMES]
-        near = did_you_mean(name, known)
-        return f"there is no point '{name}'{near}; it has {choices(self.names)}"
 
 
 def _last(name: str) -> str:
-    """Return the point's own name, without collection and group."""
+    """Return the last part of a point's whole name, without collection and group: ``"P1"`` of ``"A::Main::P1"``."""
     return name.rpartition(PARTS)[2].strip()
-
-
-def _endings(name: str) -> Iterator[str]:
-    """Yield the endings of a name that begin at each of its parts but the first."""
-    for before in _BEFORE_LAST.finditer(name):
-        if name[before.end() :]:
-            yield name[before.end() :]

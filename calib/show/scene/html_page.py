@@ -51,7 +51,7 @@ class Page(NamedTuple):
         return write_atomically(path, self.html, overwrite=overwrite)
 
 
-class Key(NamedTuple):
+class LegendEntry(NamedTuple):
     """An entry of the legend, which shows and hides nodes."""
 
     #: Its text
@@ -127,7 +127,7 @@ def _safe_text(path: Path) -> str:
 
 
 def _base64(data: bytes) -> str:
-    """Return bytes as text that needs no escaping."""
+    """Return bytes as base64, a text that needs no escaping."""
     return base64.b64encode(data).decode("ascii")
 
 

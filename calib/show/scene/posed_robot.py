@@ -88,7 +88,7 @@ def read_visuals(urdf: Urdf) -> tuple[tuple[Visual, ...], tuple[str, ...]]:
 
 @lru_cache(maxsize=64)
 def _mesh_file(path: Path, scale: tuple[float, float, float]) -> tuple[Mesh | None, str]:
-    """Return the triangles of a file, scaled along x, y, z, and what is wrong with it."""
+    """Return the triangles of a mesh file [m], scaled along x, y, z, and ``""``; or None and its fault."""
     mesh, problem = read_mesh(path, scale)
     if mesh is None:
         return None, f"{problem}; a simple shape stands for it"
@@ -96,7 +96,7 @@ def _mesh_file(path: Path, scale: tuple[float, float, float]) -> tuple[Mesh | No
 
 
 def _solid(shape: LinkShape) -> Mesh | None:
-    """Return a box, a sphere or a cylinder as triangles; a capsule is drawn as a cylinder."""
+    """Return a box, sphere or cylinder (a capsule too) as triangles [m]; None for a shape without sizes."""
     if shape.sizes is None:
         return None
     if shape.geometry.tag == "box":

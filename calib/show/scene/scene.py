@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 from calib.basics.arrays import Array
 from calib.robot.robot import Robot
 from calib.show.look import NOMINAL
-from calib.show.scene.html_page import Key, Page, fill_page
+from calib.show.scene.html_page import LegendEntry, Page, fill_page
 from calib.show.scene.posed_robot import PosedRobot, read_visuals, translation
 
 #: The scene's node that holds the robots.
@@ -70,10 +70,21 @@ class SceneWindow:
         self._scene: dict[str, Any] = {"geometries": {}, "commands": []}
 
     def send(self, command: Any) -> None:  # noqa: ANN401  a command of meshcat
-        """Keep a command, as meshcat's server does."""
+        """Keep a command of meshcat, with identifiers that follow from its content."""
         message = command.lower()
         if message["type"] == "set_object":
-            self._identify(message["object"], message["path"])
+            # Identify the object by its path and its geometry by its content; store each geometry once, by its name.
+            lowered, path = message["object"], message["path"]
+            lowered["object"]["uuid"] = f"object of {path}"
+            if "geometries" in lowered:  # one, with its material
+                (geometry,) = lowered["geometries"]
+                (material,) = lowered["materials"]
+                del geometry["uuid"]
+                name = hashlib.sha256(umsgpack.packb(geometry)).hexdigest()[:32]
+                self._scene["geometries"].setdefault(name, {"uuid": name, **geometry})
+                material["uuid"] = f"material of {path}"
+                lowered["geometries"] = [name]
+                lowered["object"] |= {"geometry": name, "material": material["uuid"]}
         self._scene["commands"].append(message)
 
     def scene(self) -> bytes:
@@ -81,21 +92,8 @@ class SceneWindow:
         packed: bytes = umsgpack.packb(self._scene)
         return packed
 
-    def _identify(self, lowered: dict[str, Any], path: str) -> None:
-        """Identify an object by its path and its geometry by its content; store each geometry once, by its name."""
-        lowered["object"]["uuid"] = f"object of {path}"
-        if "geometries" in lowered:  # one, with its material
-            (geometry,) = lowered["geometries"]
-            (material,) = lowered["materials"]
-            del geometry["uuid"]
-            name = hashlib.sha256(umsgpack.packb(geometry)).hexdigest()[:32]
-            self._scene["geometries"].setdefault(name, {"uuid": name, **geometry})
-            material["uuid"] = f"material of {path}"
-            lowered["geometries"] = [name]
-            lowered["object"] |= {"geometry": name, "material": material["uuid"]}
 
-
-class Camera(NamedTuple):
+class ViewCamera(NamedTuple):
     """A camera that looks at a point."""
 
     #: Shape (3,), the point [m]
@@ -129,7 +127,7 @@ def camera_direction(points: Array, side_view: float = _SIDE_VIEW) -> Array:
 
 def look_at(
     points: Array, towards_camera: Array, between: tuple[float, float] = (-0.69, 0.75)
-) -> Camera:
+) -> ViewCamera:
     """Place a camera as near as possible so that it sees all points clear of the text, on a 16:9 screen.
 
     Args:
@@ -151,7 +149,7 @@ def look_at(
         at = local[:, :2] / (distance - local[:, 2:])
         centre[:2] += 0.5 * (at.min(axis=0) + at.max(axis=0)) * distance
     centre[1] -= 0.5 * (low + high) * tangents[1] * distance
-    return Camera(centre @ axes, axes, distance)
+    return ViewCamera(centre @ axes, axes, distance)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -166,7 +164,7 @@ class Scene:
     square: float
 
 
-def new_scene(camera: Camera, size: float, floor: float) -> Scene:
+def new_scene(camera: ViewCamera, size: float, floor: float) -> Scene:
     """Make a scene with a camera, lights, background and floor; its origin is the camera's centre.
 
     Args:
@@ -196,12 +194,8 @@ def new_scene(camera: Camera, size: float, floor: float) -> Scene:
     )
     for node, name, value in properties:
         root[node].set_property(name, value)
-    square = _draw_floor(root["/Floor/grid"], size, floor - camera.centre[2])
-    return Scene(window, root, square)
 
-
-def _draw_floor(node: meshcat.Visualizer, size: float, height: float) -> float:
-    """Draw the floor's grid at a height [m]; return the edge of a square [m], which is 1, 2 or 5 times 10^n."""
+    # The floor's grid: the edge of a square is 1, 2 or 5 times 10^n.
     power = 10.0 ** np.floor(np.log10(size / _SQUARES))
     step = max(step for step in (1, 2, 5) if step * power <= size / _SQUARES)
     square = float(power * step)
@@ -209,9 +203,10 @@ def _draw_floor(node: meshcat.Visualizer, size: float, height: float) -> float:
     ends = [[[k, -n, 0.0], [k, n, 0.0]] for k in range(-n, n + 1)]
     along = square * np.array(ends)
     across = along[..., [1, 0, 2]]
-    draw_lines(node, np.concatenate([along, across]), "#9aa7b4", 0.42)
-    node.set_transform(translation([0, 0, height]))
-    return square
+    grid = root["/Floor/grid"]
+    draw_lines(grid, np.concatenate([along, across]), "#9aa7b4", 0.42)
+    grid.set_transform(translation([0, 0, floor - camera.centre[2]]))
+    return Scene(window, root, square)
 
 
 def draw_robot(
@@ -375,7 +370,7 @@ def single_page(
     robot: Robot,
     q: Array,
     points: Array,
-    draw: Callable[[meshcat.Visualizer, float], list[Key]],
+    draw: Callable[[meshcat.Visualizer, float], list[LegendEntry]],
     *,
     title: str,
     text: str,
@@ -403,7 +398,7 @@ def single_page(
     base = scene.root[SCENE]
     base.set_transform(translation(-camera.centre))
     draw_robot(base["nominal"], posed, 0, solid(NOMINAL))
-    keys = [Key(legend, NOMINAL, "nominal"), *draw(base, size)]
+    keys = [LegendEntry(legend, NOMINAL, "nominal"), *draw(base, size)]
     html = fill_page(
         "page.html",
         scene.window.scene(),
@@ -429,11 +424,11 @@ class Dots(NamedTuple):
     points: Array
 
 
-def draw_dots(scene: meshcat.Visualizer, sets: Sequence[Dots], radius: float) -> list[Key]:
+def draw_dots(scene: meshcat.Visualizer, sets: Sequence[Dots], radius: float) -> list[LegendEntry]:
     """Draw each set that has points, as balls of a radius [m]; return the entries of the legend."""
     keys = []
     for dots in sets:
         if len(dots.points):
             draw_points(scene[dots.node], dots.points.reshape(-1, 3), dots.colour, radius)
-            keys.append(Key(dots.text, dots.colour, dots.node, "dot"))
+            keys.append(LegendEntry(dots.text, dots.colour, dots.node, "dot"))
     return keys

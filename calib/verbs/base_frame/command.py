@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 import typer
 
 from calib.cli.options import CellOptions, ColumnChoice, Force, PointsUnit, Quiet
-from calib.cli.outputs import check_outputs, written_lines
+from calib.cli.output_files import check_outputs, written_lines
 from calib.cli.verb import verb
 from calib.errors import CalibError
 

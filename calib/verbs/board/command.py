@@ -13,7 +13,7 @@ import typer
 from calib.basics.records import changes
 from calib.boards.board import Board
 from calib.cli.options import Force, Quiet, field_parameters
-from calib.cli.outputs import check_outputs
+from calib.cli.output_files import check_outputs
 from calib.cli.verb import verb
 from calib.errors import CalibError
 
@@ -135,8 +135,7 @@ def _draw(board: Board, files: list[Path], paper: str, *, force: bool) -> list[s
     from calib.basics.files import write_atomically
     from calib.boards.board_design import fitting_sheet
     from calib.boards.board_file import board_toml
-    from calib.boards.page import page_of
-    from calib.boards.page_files import WRITERS
+    from calib.boards.board_page import WRITERS, page_of
     from calib.verbs.board.text import drawn_text, page_lines
 
     sheet = fitting_sheet(board, paper)
@@ -152,7 +151,7 @@ def _measure(description: Path | None, measured: str) -> list[str]:
     """Write what a print measures into its description."""
     from calib.basics.files import read_bytes, write_atomically
     from calib.boards.board_file import correct_toml, read_board
-    from calib.boards.print_scale import print_scale, rescaled
+    from calib.boards.printed import print_scale, rescaled
     from calib.verbs.board.text import measured_text
 
     if description is None:

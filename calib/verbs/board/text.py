@@ -7,8 +7,8 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from calib.boards.board import APRILTAG, CHARUCO, CHESSBOARD, Board
-from calib.boards.paper import NO_PAPER, PAPERS, Sheet
-from calib.boards.print_scale import READING, PrintScale
+from calib.boards.board_page import NO_PAPER, PAPERS, Sheet
+from calib.boards.printed import READING, PrintScale
 from calib.show.lines import fill, plural
 
 #: Names of the patterns.

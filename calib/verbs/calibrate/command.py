@@ -59,7 +59,7 @@ def calibrate(
         arm, measurements = load_with_data(robot, cell, data, table_options)
 
         from calib.result.calibrate import calibrate as calibrate_robot
-        from calib.show.verdict import against, refusal
+        from calib.show.verdict_text import do_not_use_text, refusal
 
         with progress_bar("cross-validation", quiet=quiet, first="fits") as progress:
             result = calibrate_robot(
@@ -84,10 +84,10 @@ def calibrate(
             typer.echo(
                 "No URDF was written (no -o), and there is no verdict because of --no-validate."
             )
-        elif outputs.output is None and not against(result.verdict):
+        elif outputs.output is None and not do_not_use_text(result.verdict):
             typer.echo("No URDF was written; add -o corrected.urdf to write it.")
 
-    stated = against(result.verdict)
+    stated = do_not_use_text(result.verdict)
     if outputs.output is None or not stated:
         return
     if outputs.accept:

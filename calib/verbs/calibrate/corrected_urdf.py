@@ -12,7 +12,7 @@ from calib.result.calibration import Calibration
 from calib.robot.ranges import random_joint_values
 from calib.robot.readback import check_written
 from calib.robot.urdf import TARGET_LINK, Urdf
-from calib.show.verdict import against, refusal
+from calib.show.verdict_text import do_not_use_text, refusal
 
 
 def write_urdf(
@@ -24,7 +24,7 @@ def write_urdf(
     accept: bool = False,
 ) -> Path:
     """Write the corrected URDF; see `Calibration.write_urdf`."""
-    verdict_against = against(c.verdict)
+    verdict_against = do_not_use_text(c.verdict)
     if verdict_against and not accept:
         raise VerdictError(refusal(f"'{path}'", verdict_against))
     return checked_urdf(c, target_link=target_link).write(path, overwrite=overwrite)
@@ -40,7 +40,7 @@ def checked_urdf(c: Calibration, *, target_link: bool = False) -> Urdf:
                 f"There are {len(names)} targets, {choices(names)}; a target link can be written for one."
             )
         urdf = _with_target_link(urdf, c.robot.tip, c.setup.T_tip_target[0])
-    robot = replace(c.robot, urdf=urdf.with_verdict(against(c.verdict)))
+    robot = replace(c.robot, urdf=urdf.with_verdict(do_not_use_text(c.verdict)))
     q = random_joint_values(robot)
     # Straight from the parameters, by the path that the fit took, not through the corrected robot.
     T_base_tip = c.geometry.tips(Samples.at(q))

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from calib.cli.options import Accept, Force, TargetLink
-from calib.cli.outputs import check_outputs
+from calib.cli.output_files import check_outputs
 from calib.cli.terminal import command_line, progress_bar
 from calib.errors import CalibError
 
@@ -74,7 +74,7 @@ class Outputs:
 
             require_matplotlib("A report" if self.report is not None else "A figure")
         if self.report is not None:
-            from calib.show.page import check_ending
+            from calib.show.as_html import check_ending
 
             check_ending(self.report)
         files = (self.output, self.json, self.view, self.report)
@@ -99,14 +99,14 @@ class Outputs:
         Yields:
             The name of each output, after it was written.
         """
-        from calib.show.verdict import against
+        from calib.show.verdict_text import do_not_use_text
 
         if self.figures is not None and not self.force:
             from calib.verbs.calibrate.figures import drawings, figure_files
 
             # Figures that exist are refused before anything is written.
             figure_files(drawings(result), self.figures, self.figure_format or "png")
-        if self.output is not None and (self.accept or not against(result.verdict)):
+        if self.output is not None and (self.accept or not do_not_use_text(result.verdict)):
             yield result.write_urdf(
                 self.output,
                 overwrite=self.force,

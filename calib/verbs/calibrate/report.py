@@ -25,6 +25,7 @@ from calib.numerics.errors import interval_factor
 from calib.result.calibration import Calibration
 from calib.result.calibration_file import versions
 from calib.result.fitted_model import ParameterEstimate
+from calib.show.as_html import check_ending, notebook_html, page_bytes
 from calib.show.as_text import blocks_text, page_text
 from calib.show.blocks import (
     HTML,
@@ -40,14 +41,13 @@ from calib.show.blocks import (
     Verdict,
     report_date,
 )
-from calib.show.errors import ERROR_COLUMNS, ErrorColumn, ErrorRow, error_table, error_title
+from calib.show.error_tables import ERROR_COLUMNS, ErrorColumn, ErrorRow, error_table, error_title
 from calib.show.first_page import FirstPage, robot_name
 from calib.show.lines import deg, mm, plural, times
-from calib.show.page import check_ending, notebook_html, page_bytes
 from calib.show.plotting import require_matplotlib
-from calib.show.readings import coupling_sentence, rows_sentence
+from calib.show.robot_sentences import coupling_sentence, rows_sentence
 from calib.show.tables import MOST_LISTED
-from calib.show.verdict import reason_text
+from calib.show.verdict_text import reason_text
 from calib.show.words import (
     before_and_after,
     chain_name,

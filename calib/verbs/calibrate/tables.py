@@ -18,7 +18,7 @@ from calib.numerics.errors import Errors
 from calib.result.calibration import Calibration
 from calib.result.fitted_model import ParameterEstimate
 from calib.show.blocks import HTML, TERMINAL
-from calib.show.errors import (
+from calib.show.error_tables import (
     ERROR_COLUMNS,
     ErrorColumn,
     ErrorRow,

@@ -16,7 +16,7 @@ from calib.numerics.correlated_noise import PoseNoise
 from calib.result.calibration import Calibration
 from calib.result.fitted_model import ParameterEstimate
 from calib.result.parts import Outlier
-from calib.show.errors import measured_lengths
+from calib.show.error_tables import measured_lengths
 from calib.show.lines import listed, mm, plural
 from calib.show.sizes import shown, with_unit
 from calib.show.words import before_and_after, chain_name, rms_text

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from calib.cli.options import Force, Quiet
-from calib.cli.outputs import check_outputs, written_lines
+from calib.cli.output_files import check_outputs, written_lines
 from calib.cli.verb import verb
 
 if TYPE_CHECKING:

@@ -8,10 +8,10 @@ from functools import partial
 import numpy as np
 
 from calib.errors import choices
+from calib.show.as_html import notebook_html
 from calib.show.as_text import page_text
 from calib.show.blocks import NOTEBOOK, TERMINAL, Block, Bullets, Facts, Page, Paragraph, Section
 from calib.show.lines import deg, mm
-from calib.show.page import notebook_html
 from calib.show.words import before_and_after, chain_name, rms_text
 from calib.verbs.compare.comparison import Comparison
 from calib.verbs.compare.difference import own_names, unknown_frame

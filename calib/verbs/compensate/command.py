@@ -12,7 +12,7 @@ import typer
 from calib.cli.loading import coupling_of_result, load
 from calib.cli.notices import say_accepted
 from calib.cli.options import Accept, CellOptions, ColumnChoice, Force, Quiet, RobotFile
-from calib.cli.outputs import check_outputs
+from calib.cli.output_files import check_outputs
 from calib.cli.verb import verb
 from calib.errors import CalibError, VerdictError
 
@@ -171,7 +171,7 @@ class _Models:
     actual: Calibration | Robot
     #: What the tip carried when it was calibrated; None: nothing is known
     payload: Payload | None
-    #: The verdict, as `calib.show.verdict.against` gives it; empty: nothing against it
+    #: The verdict, as `calib.show.verdict_text.do_not_use_text` gives it; empty: nothing against it
     stated: str
     #: What to do about it besides
     remedy: str = ""
@@ -256,7 +256,7 @@ def compensate(
     quiet: Quiet = False,
 ) -> None:
     """Load both models, compute the commands and write them; a verdict 'do not use' must have been accepted."""
-    from calib.show.verdict import refusal
+    from calib.show.verdict_text import refusal
     from calib.verbs.compensate.text import no_commands, text
 
     source = model_options.source
@@ -302,7 +302,7 @@ def _load_models(
 def _models_of_result(robot: str, path: Path, model_options: ModelChoice, given: Cell) -> _Models:
     """Load a result, and the nominal robot with its chain unless the options name another."""
     from calib.result.calibration_file import read_result
-    from calib.show.verdict import against
+    from calib.show.verdict_text import do_not_use_text
 
     result = read_result(path)
     calibrated_chain = result.nominal
@@ -315,9 +315,9 @@ def _models_of_result(robot: str, path: Path, model_options: ModelChoice, given:
     )
     nominal = load(robot, cell)
     payload = result.non_geometric.payload if result.non_geometric else None
-    stated = against(result.verdict_on(non_geometric=not model_options.geometry))
+    stated = do_not_use_text(result.verdict_on(non_geometric=not model_options.geometry))
     remedy = ""
-    if stated and not against(result.verdict):
+    if stated and not do_not_use_text(result.verdict):
         remedy = " --geometry leaves out the non-geometric model, which this verdict is on."
     return _Models(nominal, result, payload, stated, remedy)
 

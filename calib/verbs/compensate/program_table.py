@@ -26,8 +26,12 @@ from calib.data.columns import (
     name_columns,
     with_unit,
 )
-from calib.data.forms.brands import fix_for_brand
-from calib.data.forms.column_options import ColumnOptions, ColumnsInput, column_options
+from calib.data.forms.column_options import (
+    ColumnOptions,
+    ColumnsInput,
+    column_options,
+    fix_for_brand,
+)
 from calib.data.forms.orientation_columns import conventions_of, in_units, is_complete
 from calib.data.forms.orientations import (
     CONVENTIONS,

@@ -12,9 +12,9 @@ from scipy.spatial.transform import Rotation
 from calib.basics.arrays import Array, rigid_inverse
 from calib.data.forms.orientations import find_convention
 from calib.show.lines import fill
-from calib.show.readings import coupling_sentence
+from calib.show.robot_sentences import coupling_sentence
 from calib.show.tables import Column, name_column, table_lines
-from calib.show.verdict import reason_text
+from calib.show.verdict_text import reason_text
 from calib.verbs.compensate.expected import BAND
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ import typer
 
 from calib.cli.notices import say_accepted
 from calib.cli.options import Accept, CellOptions, Force, Quiet
-from calib.cli.outputs import check_outputs
+from calib.cli.output_files import check_outputs
 from calib.cli.verb import verb
 
 if TYPE_CHECKING:

@@ -24,14 +24,14 @@ import calib.verbs.convert.universal_robots as universal_robots
 import calib.verbs.convert.zeros as zeros
 from calib.basics.arguments import check_type
 from calib.basics.files import read_bytes
-from calib.basics.json_files import parsed_json
+from calib.basics.json_files import parse_json
 from calib.data.inputs import ROBOT, RobotInput
 from calib.errors import CalibError, FileError, VerdictError, choices, did_you_mean
 from calib.result.calibration import Calibration
-from calib.robot.dh.file import TABLES
+from calib.robot.dh_file import TABLES
 from calib.robot.robot import Robot
 from calib.robot.xacro_file import is_xacro
-from calib.show.verdict import against, refusal
+from calib.show.verdict_text import do_not_use_text, refusal
 from calib.verbs.convert.format import (
     YAML,
     CameraOptions as CameraOptions,
@@ -174,7 +174,7 @@ def convert(
 
     # If another file is applied to a URDF, the verdict that this URDF states is on an earlier calibration, and does not
     # count.
-    verdict_against = against(content.verdict)
+    verdict_against = do_not_use_text(content.verdict)
     if content.kind == "robot":
         verdict_against = content.robot.urdf.verdict
     if verdict_against and not chosen.accept:
@@ -233,7 +233,7 @@ def source_kind(source: str) -> str:
     keys: tuple[str, ...] = ()
     if ending == ".json":
         try:
-            table = parsed_json(read_bytes(source, "JSON file"), source)
+            table = parse_json(read_bytes(source, "JSON file"), source)
         except FileError:
             table = None  # its reader reports this
         keys = tuple(map(str, table)) if isinstance(table, dict) else ()

@@ -22,9 +22,14 @@ from calib.basics.files import write_atomically
 from calib.basics.json_files import json_bytes
 from calib.errors import FileError, ModelError, choices
 from calib.model.dh_table import dh_table, near_parallel, taken_as_parallel
-from calib.robot.dh.file import ENDINGS as SOURCE_ENDINGS
-from calib.robot.dh.json_file import NUMBERS, equation, file_content, joint_json
-from calib.robot.dh.rows import EQUATIONS, HAYATI, MODIFIED, STANDARD, DHRow, DHTable
+from calib.robot.dh_file import (
+    ENDINGS as SOURCE_ENDINGS,
+    NUMBERS,
+    equation,
+    file_content,
+    joint_json,
+)
+from calib.robot.dh_rows import EQUATIONS, HAYATI, MODIFIED, STANDARD, DHRow, DHTable
 from calib.robot.ranges import spread_poses
 from calib.robot.readback import TOLERANCE
 from calib.robot.robot import Robot
@@ -98,7 +103,7 @@ class DHTables:
         Args:
             robot: The robot.
             nominal: The same chain before the calibration; None: not known.
-            convention: One of `calib.robot.dh.rows.CONVENTIONS`.
+            convention: One of `calib.robot.dh_rows.CONVENTIONS`.
 
         Returns:
             The rows of both robots.

@@ -20,8 +20,8 @@ from calib.data.inputs import RobotInput, chain_of, robot_of
 from calib.diagnosis.reasons import Verdict
 from calib.errors import FileError
 from calib.result.calibration import Calibration
-from calib.robot.generated.universal_robots import UrModel
 from calib.robot.robot import Robot
+from calib.robot.ur_models import UrModel
 
 #: Endings of YAML files.
 YAML = (".yaml", ".yml")

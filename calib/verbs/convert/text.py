@@ -6,7 +6,7 @@ import numpy as np
 
 from calib.robot.ranges import spread_poses
 from calib.show.lines import deg, fill, mm
-from calib.show.readings import coupling_sentence
+from calib.show.robot_sentences import coupling_sentence
 from calib.verbs.convert.convert import FORMATS
 from calib.verbs.convert.format import Conversion, Source
 

@@ -23,10 +23,10 @@ from calib.basics.arrays import Array, read_only
 from calib.basics.files import write_atomically
 from calib.errors import CalibError, FileError, ModelError, choices
 from calib.model.dh_table import dh_table
-from calib.robot.dh.rows import STANDARD
-from calib.robot.generated.universal_robots import MODELS, UrModel, chain_of_rows, ur_model
+from calib.robot.dh_rows import STANDARD
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
+from calib.robot.ur_models import MODELS, UrModel, chain_of_rows, ur_model
 from calib.verbs.compensate.nominal_actual import check_same_joints
 from calib.verbs.convert.anchored_placements import anchored_placements
 from calib.verbs.convert.format import (
@@ -141,14 +141,14 @@ def read_ur(
 
 def _arm_of_rows(rows: Array, path: PathLike, model: UrModel | None) -> UrModel:
     """Return the arm with the rows (6, 4) of a urcontrol.conf, which must be ``model`` if that is given."""
-    if model is not None and not model.same(rows):
+    if model is not None and not model.has_rows(rows):
         raise ModelError(
             f"The rows in [DH] of {path} are not those of the {model.name}. Leave the name of the "
             "arm out, or give the urcontrol.conf of this robot's own controller."
         )
     if model is not None:
         return UrModel(model.name, rows)
-    names = [known.name for known in MODELS if known.same(rows)]
+    names = [known.name for known in MODELS if known.has_rows(rows)]
     return UrModel(names[0] if names else f"arm of {Path(path).name}", rows)
 
 

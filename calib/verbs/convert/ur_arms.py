@@ -28,9 +28,9 @@ from numpy.typing import ArrayLike
 from calib.basics.arrays import Array, read_only, rigid_inverse
 from calib.errors import ModelError, UrdfError, choices
 from calib.model.dh_table import zero_poses
-from calib.robot.dh.rows import screw
-from calib.robot.generated.universal_robots import JOINTS, MODELS, UrModel, ur_model, ur_urdf
+from calib.robot.dh_rows import screw
 from calib.robot.robot import Robot
+from calib.robot.ur_models import JOINTS, MODELS, UrModel, ur_model, ur_urdf
 from calib.robot.urdf import Urdf
 
 SPREAD = read_only(np.random.default_rng(20170401).uniform(-np.pi, np.pi, (200, 6)))

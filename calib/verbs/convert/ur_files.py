@@ -24,7 +24,7 @@ from calib.basics.arrays import Array, read_only
 from calib.basics.files import read_bytes
 from calib.basics.units import NUMBER
 from calib.errors import FileError, choices
-from calib.robot.generated.universal_robots import COLUMNS, LINKS
+from calib.robot.ur_models import COLUMNS, LINKS
 from calib.verbs.convert.format import parse_yaml
 
 PathLike = str | os.PathLike[str]

@@ -10,7 +10,7 @@ import typer
 
 from calib.cli.executor import executor_of
 from calib.cli.options import ColumnChoice, Columns, Force, Quiet, Workers
-from calib.cli.outputs import check_outputs, written_lines
+from calib.cli.output_files import check_outputs, written_lines
 from calib.cli.terminal import progress_bar
 from calib.cli.verb import verb
 from calib.errors import CalibError
@@ -124,7 +124,7 @@ class DetectOutputs:
 
     def check(self, inputs: list[Path]) -> None:
         """Refuse, before the work begins, outputs that cannot be written; raises `CalibError`."""
-        from calib.show.page import check_ending
+        from calib.show.as_html import check_ending
 
         if self.no_sheet and self.sheet is not None:
             raise CalibError(
@@ -180,7 +180,7 @@ def detect(
 ) -> None:
     """Run the verb; its help is the text of `verb`."""
     from calib.boards.detection.detect import check_boards, detect as detect_boards
-    from calib.boards.detection.image_files import find_images
+    from calib.boards.detection.picture import find_images
     from calib.verbs.detect.corner_table import with_cameras, with_rows_only
     from calib.verbs.detect.matching import match
 

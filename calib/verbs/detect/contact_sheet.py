@@ -7,6 +7,7 @@ from pathlib import Path
 from calib.basics.files import write_atomically
 from calib.boards.detection.detect import Detection
 from calib.boards.detection.picture import Picture
+from calib.show.as_html import check_ending, page_bytes
 from calib.show.blocks import (
     HTML,
     Bullets,
@@ -17,7 +18,6 @@ from calib.show.blocks import (
     Section,
     report_date,
 )
-from calib.show.page import check_ending, page_bytes
 from calib.verbs.detect.text import findings_text, reason_text, summary
 
 _KEY = (

@@ -9,8 +9,7 @@ from calib.basics.files import csv_bytes
 from calib.boards.board import Board
 from calib.boards.detection.board_search import BoardView
 from calib.boards.detection.detect import Detection
-from calib.boards.detection.image_files import ImageFile
-from calib.boards.detection.picture import NO_ROW
+from calib.boards.detection.picture import NO_ROW, ImageFile
 from calib.errors import MeasurementError
 from calib.verbs.detect.matching import IMAGE, TARGET, JointTable, Matches
 

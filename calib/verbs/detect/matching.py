@@ -10,7 +10,7 @@ from pathlib import Path, PurePosixPath
 
 from calib.basics.tables import Column, Table
 from calib.basics.values import Value
-from calib.boards.detection.image_files import ENDINGS, ImageFile
+from calib.boards.detection.picture import ENDINGS, ImageFile
 from calib.data.columns import list_columns, name_columns
 from calib.errors import MeasurementError, choices, did_you_mean
 

@@ -52,7 +52,7 @@ def _find_corners(
 ) -> bytes:
     """Find the corners in the pictures of a folder, and return their table."""
     from calib.boards.detection.detect import detect
-    from calib.boards.detection.image_files import find_images
+    from calib.boards.detection.picture import find_images
     from calib.cli.executor import executor_of
     from calib.cli.terminal import progress_bar, say
     from calib.verbs.detect.corner_table import corner_table, with_cameras, with_rows_only

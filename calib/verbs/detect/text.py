@@ -7,8 +7,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from calib.boards.board import CHARUCO, Board
+from calib.boards.detection.board_findings import Finding
 from calib.boards.detection.detect import Detection
-from calib.boards.detection.findings import Finding
 from calib.boards.detection.picture import Picture
 from calib.show.lines import fill, number, plural
 from calib.verbs.detect.matching import JointTable, Matches

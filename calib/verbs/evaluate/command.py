@@ -23,7 +23,7 @@ from calib.cli.options import (
     RobotFile,
     TableOptions,
 )
-from calib.cli.outputs import check_outputs, written_lines
+from calib.cli.output_files import check_outputs, written_lines
 from calib.cli.terminal import command_line, say
 from calib.cli.verb import verb
 from calib.errors import CalibError
@@ -126,7 +126,7 @@ class EvaluationOutputs:
     def check(self, inputs: Iterable[str | Path | None]) -> None:
         """Refuse files that cannot be written before the work begins; see `check_outputs`."""
         if self.report is not None:
-            from calib.show.page import check_ending
+            from calib.show.as_html import check_ending
 
             check_ending(self.report)
         check_outputs([self.json, self.report], inputs, force=self.force)

@@ -13,6 +13,7 @@ from pathlib import Path
 from calib.basics.arguments import check_type
 from calib.basics.files import write_atomically
 from calib.result.calibration_file import versions
+from calib.show.as_html import check_ending, notebook_html, page_bytes
 from calib.show.as_text import page_text
 from calib.show.blocks import (
     EVERYWHERE,
@@ -28,12 +29,11 @@ from calib.show.blocks import (
     Verdict,
     report_date,
 )
-from calib.show.errors import ERROR_COLUMNS, ErrorColumn
+from calib.show.error_tables import ERROR_COLUMNS, ErrorColumn
 from calib.show.first_page import FirstPage, robot_name
 from calib.show.lines import listed
-from calib.show.page import check_ending, notebook_html, page_bytes
 from calib.show.sizes import with_unit
-from calib.show.verdict import reason_text
+from calib.show.verdict_text import reason_text
 from calib.show.words import chain_name, kinds_text
 from calib.verbs.evaluate import tables
 from calib.verbs.evaluate.acceptance import Acceptance, Assessment

@@ -11,7 +11,7 @@ import numpy as np
 import calib.data.kinds as registry
 from calib.basics.channels import RESIDUAL_UNITS
 from calib.show.blocks import HTML, TERMINAL, Medium
-from calib.show.errors import (
+from calib.show.error_tables import (
     ERROR_COLUMNS,
     ErrorColumn,
     ErrorRow,

@@ -7,8 +7,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.data.cell import AUTO, Cell
-from calib.data.generic import GENERIC_ANCHOR, GENERIC_TARGET, table_of_poses
-from calib.data.inputs import CellInput, RobotInput, TableInput, cell_of, inputs_of, robot_of
+from calib.data.inputs import (
+    GENERIC_ANCHOR,
+    GENERIC_TARGET,
+    CellInput,
+    RobotInput,
+    TableInput,
+    cell_of,
+    inputs_of,
+    robot_of,
+    table_of_poses,
+)
 from calib.fit.estimate.problem import Problem
 from calib.fit.estimate.task import Task
 from calib.fit.registration.known_distances import known_distances

@@ -10,13 +10,13 @@ import pinocchio as pin
 
 from calib.basics.arrays import Array
 from calib.basics.channels import RESIDUAL_UNITS
-from calib.data.generic import GENERIC_ANCHOR, GENERIC_TARGET
+from calib.data.inputs import GENERIC_ANCHOR, GENERIC_TARGET
 from calib.model.dh_table import dh_table
 from calib.robot.robot import Robot
 from calib.show.as_text import blocks_text
 from calib.show.blocks import Block, Bullets, Paragraph
 from calib.show.lines import deg, listed, mm
-from calib.show.readings import coupling_sentence, rows_sentence
+from calib.show.robot_sentences import coupling_sentence, rows_sentence
 from calib.show.sizes import with_unit
 from calib.show.tables import Column, Table, name_column
 from calib.show.words import combination_text, joint_unit

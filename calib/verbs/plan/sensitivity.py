@@ -14,7 +14,7 @@ from calib.basics.arrays import Array, read_only
 from calib.basics.channels import RESIDUAL_UNITS
 from calib.data.cell import AUTO, Cell
 from calib.data.columns import DEFAULT_TARGET
-from calib.data.generic import GENERIC_TARGET
+from calib.data.inputs import GENERIC_TARGET
 from calib.fit.estimate.task import Task
 from calib.fit.registration.setup import Setup
 from calib.fit.registration.table_optics import initial_optics

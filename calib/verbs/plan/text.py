@@ -13,10 +13,10 @@ from calib.basics.channels import RESIDUAL_UNITS
 from calib.basics.values import one_line
 from calib.instruments.camera import CameraInstrument
 from calib.instruments.instrument import Instrument
+from calib.show.as_html import notebook_html
 from calib.show.blocks import NOTEBOOK, Facts, Page, Paragraph, Section
 from calib.show.lines import mm, paragraphs, plural, wrap
-from calib.show.page import notebook_html
-from calib.show.readings import coupling_sentence
+from calib.show.robot_sentences import coupling_sentence
 from calib.show.tables import Column, labelled, name_column, table_lines
 from calib.show.words import chain_name
 from calib.verbs.plan.plan import Plan

@@ -17,7 +17,7 @@ from calib.data.cell import Box
 from calib.instruments.camera import CameraInstrument
 from calib.instruments.instrument import Instrument
 from calib.show.look import BEAM, ESTIMATION, VALIDATION
-from calib.show.scene.html_page import Key, Page
+from calib.show.scene.html_page import LegendEntry, Page
 from calib.show.scene.scene import (
     Dots,
     draw_boxes,
@@ -81,7 +81,7 @@ def plan_page(plan: Plan, *, first_row: int = 1) -> Page:
     taken = moving.places(moving.taken).reshape(-1, 3)
     tracker, boxes = plan.cell.tracker, moving.cell.boxes
 
-    def draw(group: meshcat.Visualizer, size: float) -> list[Key]:
+    def draw(group: meshcat.Visualizer, size: float) -> list[LegendEntry]:
         chosen = np.array(moving.sets) == "estimate"
         estimate = f"to estimate from, {chosen.sum()}"
         validate = f"to validate with, {(~chosen).sum()}"
@@ -94,14 +94,14 @@ def plan_page(plan: Plan, *, first_row: int = 1) -> Page:
         if boxes:
             sizes = [box.size for box in boxes]
             draw_boxes(group["around"], sizes, [box.T_base_box for box in boxes], _BOXES_COLOUR)
-            keys.append(Key(", ".join(box.name for box in boxes), _BOXES_COLOUR, "around"))
+            keys.append(LegendEntry(", ".join(box.name for box in boxes), _BOXES_COLOUR, "around"))
         if tracker is not None:  # the page's script draws it
-            keys.append(Key("tracker and its line of sight", BEAM, "tracker"))
-            keys.append(Key("lines of sight to all poses", BEAM, "sight", on=False))
-        keys.append(Key("line to the next pose", WAY_COLOUR, "next"))
+            keys.append(LegendEntry("tracker and its line of sight", BEAM, "tracker"))
+            keys.append(LegendEntry("lines of sight to all poses", BEAM, "sight", on=False))
+        keys.append(LegendEntry("line to the next pose", WAY_COLOUR, "next"))
         ways = np.stack([places[:-1, 0], places[1:, 0]], axis=1)
         draw_lines(group["way"], ways, WAY_COLOUR, 0.55)
-        keys.append(Key("order of all poses", WAY_COLOUR, "way", on=False))
+        keys.append(LegendEntry("order of all poses", WAY_COLOUR, "way", on=False))
         return keys
 
     ends = []

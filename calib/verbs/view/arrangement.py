@@ -12,7 +12,7 @@ import numpy as np
 
 from calib.basics.arrays import Array
 from calib.show.scene.posed_robot import BASE_MOVER, PosedRobot
-from calib.show.scene.scene import Camera, camera_direction, look_at
+from calib.show.scene.scene import ViewCamera, camera_direction, look_at
 
 #: Upper end of the text at the foot and lower end of the heading; the picture is from -1 to 1, see `look_at`.
 _TEXT = (-0.54, 0.67)
@@ -45,9 +45,9 @@ class Arrangement:
     #: Shape (3,), place of the label of a robot that is not displaced [m]
     foot: Array
     #: The camera for the robots side by side
-    side: Camera
+    side: ViewCamera
     #: The camera for the overlaid robots
-    over: Camera
+    over: ViewCamera
 
 
 def arrange(

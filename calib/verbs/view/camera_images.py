@@ -17,7 +17,7 @@ from calib.camera.camera import Camera
 from calib.camera.lenses import LENSES
 from calib.show.look import INK
 from calib.show.measured_rows import setup_of_rows
-from calib.show.scene.html_page import COLOURS, Key, floats
+from calib.show.scene.html_page import COLOURS, LegendEntry, floats
 from calib.show.scene.posed_robot import PosedRobot, translation
 from calib.show.scene.scene import SCENE, Scene, draw_cloud, draw_lines
 from calib.verbs.evaluate.evaluation import Evaluation
@@ -236,7 +236,9 @@ def _board_shapes(e: Evaluation, boards: Sequence[str]) -> dict[str, Shape]:
 # On the page
 
 
-def draw_cameras(scene: Scene, shown: Mapping[str, PosedRobot], images: CameraImages) -> Key:
+def draw_cameras(
+    scene: Scene, shown: Mapping[str, PosedRobot], images: CameraImages
+) -> LegendEntry:
     """Draw cameras and boards with each robot, in the robot's colour.
 
     Args:
@@ -257,7 +259,7 @@ def draw_cameras(scene: Scene, shown: Mapping[str, PosedRobot], images: CameraIm
             node.set_transform(T_base_shape[which])
             _draw_shape(node, shape, COLOURS[name])
         nodes += [f"{name}/{target}", f"{name}/{_STANDING}"]
-    return Key("camera and board, as fitted with each robot", INK, " ".join(nodes))
+    return LegendEntry("camera and board, as fitted with each robot", INK, " ".join(nodes))
 
 
 def _draw_shape(node: meshcat.Visualizer, shape: Shape, colour: str) -> None:

@@ -23,7 +23,7 @@ from calib.cli.options import (
     RobotFile,
     TableOptions,
 )
-from calib.cli.outputs import check_outputs
+from calib.cli.output_files import check_outputs
 from calib.cli.verb import verb
 from calib.errors import CalibError
 

@@ -29,7 +29,7 @@ from calib.result.calibration import Calibration
 from calib.result.calibration_file import RESULT, is_result_file, result_of
 from calib.robot.robot import Robot
 from calib.show.look import BEAM, ESTIMATION, OUTLIER, VALIDATION
-from calib.show.scene.html_page import COLOURS, Key, Page, fill_page, floats
+from calib.show.scene.html_page import COLOURS, LegendEntry, Page, fill_page, floats
 from calib.show.scene.posed_robot import PosedRobot, Visual, packed, read_visuals, translation
 from calib.show.scene.scene import SCENE, draw_robot, new_scene, solid, span
 from calib.verbs.view.arrangement import Arrangement, arrange, outline_of
@@ -69,7 +69,7 @@ class About:
     #: Shape (K, 3), points that the camera sees too [m]
     points: Array = field(default_factory=lambda: np.zeros((0, 3)))
     #: Draws below the node given, gets the scene's size [m], and returns its entries of the legend; None: nothing
-    draw: Callable[[meshcat.Visualizer, float], list[Key]] | None = None
+    draw: Callable[[meshcat.Visualizer, float], list[LegendEntry]] | None = None
     #: Shape (3,), the tracker [m]; None without one
     tracker: Array | None = None
     #: Shape (N, T, 3), of a plan all targets at each pose, which the tracker sees one after the other [m]
@@ -218,7 +218,7 @@ def view_page(view: View, *, about: About | None = None) -> Page:
         group.set_transform(translation(places.offsets[name] - places.side.centre))
         material = solid(COLOURS[name], front=name == "calibrated")
         draw_robot(group, posed, view.start, material, _BALL * size)
-    keys: list[Key] = []
+    keys: list[LegendEntry] = []
     if about.draw is not None:
         drawn = about.draw(scene.root[SCENE]["nominal"], size)
         keys += [key._replace(nodes=f"nominal/{key.nodes}") for key in drawn]

@@ -26,7 +26,7 @@ from calib.show.measured_rows import (
     setup_of_rows,
 )
 from calib.show.scene.posed_robot import translation
-from calib.show.verdict import against, reason_text
+from calib.show.verdict_text import do_not_use_text, reason_text
 from calib.verbs.evaluate.evaluation import PLACES, Evaluation, evaluate
 from calib.verbs.view.camera_images import CameraImages, camera_images
 from calib.verbs.view.steps import (
@@ -179,7 +179,7 @@ def view_of(calibration: Calibration, *, accepted: bool = False) -> View:
     view = view_at_rows(before, after, flagged_rows(c), c.optics.cameras)
     if np.array_equal(c.robot.placements, c.nominal.placements):
         meaning = "unchanged: no joint origin was corrected"
-    elif not against(c.verdict):
+    elif not do_not_use_text(c.verdict):
         meaning = "the corrected URDF"
     elif accepted:
         meaning = "the corrected URDF, accepted in spite of the verdict"

@@ -10,7 +10,7 @@ import typer
 
 from calib.cli.loading import load
 from calib.cli.options import CellOptions, ColumnChoice, Force, Quiet, RobotFile, Seed
-from calib.cli.outputs import check_outputs, written_lines
+from calib.cli.output_files import check_outputs, written_lines
 from calib.cli.terminal import progress_bar
 from calib.cli.verb import verb
 

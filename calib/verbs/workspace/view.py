@@ -10,7 +10,7 @@ from meshcat import geometry as mc
 
 from calib.basics.arrays import Array
 from calib.show.look import ESTIMATION, LITTLE_TO_MUCH, NOMINAL, VALIDATION
-from calib.show.scene.html_page import Key, Page
+from calib.show.scene.html_page import LegendEntry, Page
 from calib.show.scene.posed_robot import translation
 from calib.show.scene.scene import (
     Dots,
@@ -49,7 +49,7 @@ def region_page(view: RegionView) -> Page:
     centres = view.region.points
     title, text = headings(view)
 
-    def draw(scene: meshcat.Visualizer, size: float) -> list[Key]:
+    def draw(scene: meshcat.Visualizer, size: float) -> list[LegendEntry]:
         node = scene["nominal"]["target"]
         node.set_object(mc.Sphere(_BALL * size), solid(NOMINAL))
         node.set_transform(translation(target))
@@ -74,7 +74,7 @@ def region_page(view: RegionView) -> Page:
     )
 
 
-def _draw_voxels(scene: meshcat.Visualizer, view: RegionView, centres: Array) -> list[Key]:
+def _draw_voxels(scene: meshcat.Visualizer, view: RegionView, centres: Array) -> list[LegendEntry]:
     """Draw the voxels of a region, whose centres in the base are (K, 3) [m], in bands by density, the densest first."""
     share_of = view.density.share_of(centres)
     chosen = np.sort(np.random.default_rng(0).permutation(len(centres))[:_MOST_POINTS])
@@ -89,5 +89,5 @@ def _draw_voxels(scene: meshcat.Visualizer, view: RegionView, centres: Array) ->
         if band.any():
             draw_cloud(scene[f"band{i}"], centres[band], colour, _POINT * view.region.voxel)
             prefix = "the densest" if i == 0 else "up to"
-            keys.append(Key(f"{prefix} {100 * end:.3g} %", colour, f"band{i}"))
+            keys.append(LegendEntry(f"{prefix} {100 * end:.3g} %", colour, f"band{i}"))
     return keys

@@ -9,8 +9,8 @@ import pytest
 
 import calib.boards.corners.saddles as saddles_module
 from calib.basics.arrays import Array
-from calib.boards.board import Board
-from calib.boards.corners.growth import window_size
+from calib.boards.board import Board, corner_signs
+from calib.boards.corners.chessboards import window_size
 from calib.boards.corners.planar_map import fit_planar_map
 from calib.boards.corners.saddles import (
     Saddles,
@@ -19,7 +19,6 @@ from calib.boards.corners.saddles import (
     patch_at,
     window_weights,
 )
-from calib.boards.layout import corner_signs
 from tests.boards.board_views import CHARUCO_BOARD, CHESS_BOARD, View, render
 
 #: A window that is sheared and narrow.

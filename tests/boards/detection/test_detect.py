@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from calib.boards.board import Board
+from calib.boards.detection.board_findings import Finding
 from calib.boards.detection.detect import Detection, check_boards, detect
-from calib.boards.detection.findings import Finding
-from calib.boards.detection.image_files import find_images
+from calib.boards.detection.picture import find_images
 from calib.errors import CalibError
 from tests.boards.board_views import CHARUCO_BOARD, CHESS_BOARD, TAG_BOARD, View, render
 

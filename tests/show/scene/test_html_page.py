@@ -6,7 +6,7 @@ import base64
 import hashlib
 from html.parser import HTMLParser
 
-from calib.show.scene.html_page import Key, fill_page
+from calib.show.scene.html_page import LegendEntry, fill_page
 
 
 class Reader(HTMLParser):
@@ -40,7 +40,7 @@ def make(**changes):
         "title": "UR3",
         "text": "a fact",
         "warnings": (),
-        "keys": [Key("arm", "#123456", "arm")],
+        "keys": [LegendEntry("arm", "#123456", "arm")],
         "grid": 0.1,
         "table": {"labels": ["row 1"]},
     }

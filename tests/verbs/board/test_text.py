@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from calib.boards.board_design import design
-from calib.boards.paper import sheet_for
-from calib.boards.print_scale import print_scale, rescaled
+from calib.boards.board_page import sheet_for
+from calib.boards.printed import print_scale, rescaled
 from calib.verbs.board.text import description, drawn_text, measured_text, page_lines
 
 BOARD = design("a4")

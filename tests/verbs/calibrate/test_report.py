@@ -11,12 +11,12 @@ import pytest
 
 from calib.data.record import Record
 from calib.errors import CalibError, FileError
-from calib.show import page as page_module
+from calib.show import as_html as page_module
+from calib.show.as_html import notebook_html, page_bytes
 from calib.show.as_text import page_text
-from calib.show.errors import ERROR_COLUMNS, ErrorColumn
+from calib.show.error_tables import ERROR_COLUMNS, ErrorColumn
 from calib.show.lines import mm
-from calib.show.page import notebook_html, page_bytes
-from calib.show.verdict import reason_text
+from calib.show.verdict_text import reason_text
 from calib.verbs.calibrate import report as report_module
 from calib.verbs.calibrate.figures import drawings, write_figures
 from calib.verbs.calibrate.report import report, write_report

@@ -20,8 +20,8 @@ import calib.example
 from calib.diagnosis.reasons import CARE, NO, Reason, Verdict, Why
 from calib.errors import CalibError, FileError, ModelError, VerdictError
 from calib.result.calibration_file import read_result, write_result
-from calib.robot.generated.universal_robots import chain_of_rows, ur_model
 from calib.robot.robot import Robot
+from calib.robot.ur_models import chain_of_rows, ur_model
 from calib.robot.urdf import Urdf
 from calib.verbs.convert.convert import FORMATS, KINDS, chosen_format, convert, source_kind
 from calib.verbs.convert.format import CameraOptions, Options, Source

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from calib.errors import CalibError, FileError, ModelError
 from calib.example import dh_rows, paper_measurements
 from calib.model.dh_table import dh_table
-from calib.robot.dh.rows import CONVENTIONS
+from calib.robot.dh_rows import CONVENTIONS
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
 from calib.verbs.convert.convert import source_kind

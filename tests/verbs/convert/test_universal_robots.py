@@ -11,8 +11,8 @@ import pinocchio as pin
 import pytest
 
 from calib.errors import FileError, ModelError
-from calib.robot.generated.universal_robots import chain_of_rows, ur_model
 from calib.robot.robot import Robot
+from calib.robot.ur_models import chain_of_rows, ur_model
 from calib.verbs.convert.format import Notes, Options, Source
 from calib.verbs.convert.universal_robots import FORMATS, conf_file, kinematics_file, read_ur
 from calib.verbs.convert.ur_arms import chain_poses, kinematics_hash, the_mount, ur_robot

@@ -7,8 +7,8 @@ import pinocchio as pin
 import pytest
 
 from calib.errors import ModelError
-from calib.robot.generated.universal_robots import MODELS, chain_of_rows, ur_model
 from calib.robot.robot import Robot
+from calib.robot.ur_models import MODELS, chain_of_rows, ur_model
 from calib.robot.urdf import Urdf
 from calib.verbs.convert.ur_arms import (
     at_flange,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calib.errors import FileError
-from calib.robot.generated.universal_robots import chain_of_rows, ur_model
+from calib.robot.ur_models import chain_of_rows, ur_model
 from calib.verbs.convert.ur_arms import at_flange
 from calib.verbs.convert.ur_files import (
     LINEARISED,

@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 import pytest
 
+from calib.boards.detection.board_findings import Finding
 from calib.boards.detection.detect import Detection
-from calib.boards.detection.findings import Finding
 from calib.errors import FileError
 from calib.verbs.detect.contact_sheet import write_contact_sheet
 from tests.boards.detections import detection, picture, view

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from calib.boards.detection.detect import Detection
-from calib.boards.detection.image_files import ImageFile
+from calib.boards.detection.picture import ImageFile
 from calib.errors import MeasurementError
 from calib.verbs.detect.corner_table import corner_table, with_cameras, with_rows_only
 from calib.verbs.detect.matching import JointTable, Matches, match, read_joint_table

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from calib.boards.detection.image_files import ImageFile
+from calib.boards.detection.picture import ImageFile
 from calib.errors import MeasurementError
 from calib.verbs.detect.matching import JointTable, match, read_joint_table
 

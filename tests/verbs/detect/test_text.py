@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 import calib.verbs.detect.text as text_module
-from calib.boards.detection import board_search, findings, other_boards, picture as pictures
-from calib.boards.detection.findings import Finding
+from calib.boards.detection import board_findings as findings, board_search, picture as pictures
+from calib.boards.detection.board_findings import Finding
 from calib.verbs.detect.matching import match
 from calib.verbs.detect.text import detection_text, findings_text, not_used, reason_text
 from tests.boards.board_views import CHARUCO_BOARD
@@ -92,4 +92,4 @@ def codes(*modules: object) -> set[str]:
 def test_every_code_has_its_sentence():
     known = set(text_module._FINDINGS) | set(text_module._REASONS) | set(text_module._VIEW_REASONS)
     boards = {"charuco", "chessboard", "apriltag"}
-    assert codes(board_search, findings, other_boards, pictures) - boards == known
+    assert codes(board_search, findings, pictures) - boards == known

@@ -10,7 +10,7 @@ from calib.data.measurements import Measurements
 from calib.data.record import Record
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
-from calib.show.page import page_bytes
+from calib.show.as_html import page_bytes
 from calib.verbs.evaluate.acceptance import Assessment, assess
 from calib.verbs.evaluate.report import Origins, report
 from tests.show.pages import Page

@@ -12,7 +12,7 @@ import calib
 from calib.data.cell import Cell
 from calib.errors import ArgumentError, FileError
 from calib.robot.robot import Robot
-from calib.show.page import page_bytes
+from calib.show.as_html import page_bytes
 from calib.show.sizes import shown
 from calib.verbs.evaluate.acceptance import Assessment
 from calib.verbs.evaluate.report import report, summary, write_report

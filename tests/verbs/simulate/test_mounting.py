@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from calib.boards.printed import Print
 from calib.errors import CalibError
-from calib.robot.dh.rows import DHRow
+from calib.robot.dh_rows import DHRow
 from calib.robot.robot import Robot
 from calib.verbs.simulate.mounting import (
     board_in_workspace,

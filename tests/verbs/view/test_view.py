@@ -14,7 +14,7 @@ from calib.result.calibrate import calibrate
 from calib.result.calibration_file import read_result
 from calib.robot.ranges import column_ranges, random_joint_values
 from calib.show.scene.posed_robot import translation
-from calib.show.verdict import reason_text
+from calib.show.verdict_text import reason_text
 from calib.verbs.view.steps import MOST_STEPS
 from calib.verbs.view.view import (
     View,

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.robot.generated.universal_robots import COLUMNS
+from calib.robot.ur_models import COLUMNS
 from calib.verbs.convert.ur_files import conf_bytes
 
 CASES = json.loads(Path(__file__).with_name("cases.json").read_text(encoding="utf-8"))

@@ -1,1 +1,0 @@
-"""Robots from DH rows: the rows and their conventions, and the files that hold them."""

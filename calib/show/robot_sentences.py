@@ -1,0 +1,40 @@
+"""Coupled joint readings, and the DH rows that a robot was made from, in one sentence each."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from calib.robot.robot import Robot
+
+
+def coupling_sentence(robot: Robot) -> str:
+    """Word how the joints follow from their readings; empty if none are coupled.
+
+    Returns:
+        Such as ``"Coupled readings: 'joint_3' is at its reading plus that of 'joint_2'."``
+    """
+    joints = []
+    for name, factors in robot.reading_coupling.items():
+        words = f"'{name}' is at its reading"
+        for other, factor in factors.items():
+            times = "" if abs(factor) == 1.0 else f"{abs(factor):.6g} times "
+            words += f" {'plus' if factor > 0.0 else 'minus'} {times}that of '{other}'"
+        joints.append(words)
+    return f"Coupled readings: {'; '.join(joints)}." if joints else ""
+
+
+def rows_sentence(robot: Robot) -> str:
+    """Word from which DH rows a robot was made; empty if it was made from none.
+
+    Returns:
+        Such as ``"Made from DH rows, standard convention: A_i = ..."``, without a full stop.
+    """
+    # Late: the command line loads nothing heavy at its start.
+    from calib.robot.dh_rows import EQUATIONS
+
+    rows = robot.urdf.dh
+    if rows is None:
+        return ""
+    convention = rows.table.convention
+    return f"Made from DH rows, {convention} convention: {EQUATIONS[convention]}"

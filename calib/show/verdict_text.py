@@ -1,0 +1,406 @@
+"""The verdict in words: its reasons, rows outside of the measured range, weights that were lowered."""
+
+from __future__ import annotations
+
+import string
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from calib.diagnosis.reasons import NO, Reason, Verdict, Why
+from calib.show.lines import listed, mm, plural
+from calib.show.sizes import absurd_size, sizes_of
+from calib.show.words import joint_unit
+
+_DEG = float(np.degrees(1.0))
+
+#: A p-value below this is shown as such: its digits mean nothing.
+_SMALLEST_P = 1e-6
+
+#: A share below this is shown as such [%].
+_SMALLEST_PERCENT = 0.01
+
+_OFF = (
+    "The nominal robot is {given_m:mm.0f} mm rms off, far more than an uncalibrated arm, but only "
+    "{error_m:mm.1f} mm if "
+)
+_TURNED = (
+    "The nominal robot's orientations are {given_rad:deg.0f} deg rms off, but only "
+    "{error_rad:deg.1f} deg if "
+)
+_REGISTERED_AGAIN = (
+    "The rms error is {given_m:mm.3g} mm with the frame and target of the result, but only "
+    "{error_m:mm.3g} mm if the "
+)
+_NOT_NOISE = "The residuals are not noise: "
+_SHARE = "explains {explained} % of them (by chance {chance_explains} %; {chance_p})"
+_FALLS = "With this effect modelled, the error on held-out blocks of rows {falls_by}."
+_CHANGED = "Did the arm, its tool or the instrument change in between?"
+_CHECK = (
+    "Check base and tip, the joint columns and their signs, whether the measurements belong to "
+    "these joint values, and "
+)
+_COMPENSATE = "send compensated commands (calib compensate with the result file)."
+
+#: The sentence of each code; a number is written as ``{name:unit.digits}``.
+SENTENCES = {
+    Why.TARGET_ELSEWHERE: _OFF + "the target is estimated from the data: omit --fix-target.",
+    Why.WRONG_UNIT: _OFF
+    + "the {what} are in {unit}, although the header says {header}: correct the header.",
+    Why.OTHER_BASE: _OFF + "the points are in the frame of '{link}': try --base {link}.",
+    Why.OWN_FRAME: _OFF + "the points are not in the base frame: try --frame estimate.",
+    Why.JOINTS_TURNED: _OFF + "the sign of {joints} is reversed: check the positive direction.",
+    Why.JOINT_ZERO: _OFF + "{add_rad:deg.0f} deg is added to '{joint}': check its zero position.",
+    Why.COLUMNS_SWAPPED: _OFF
+    + "the columns '{first}' and '{second}' are swapped: check the header.",
+    Why.POSES_INVERSE: _OFF
+    + "the poses are inverted: give the pose of the target in the measurement frame, not that of "
+    "the frame in the target (solvePnP gives the board in the camera).",
+    Why.COLUMNS_REVERSED: _OFF + "the joint columns are in reverse order: check the header.",
+    Why.READINGS_COUPLED: _OFF
+    + "the readings of '{joint}' are coupled to those of '{reading}': write "
+    "{joint} = {{ {reading} = {factor:.1f} }} below [coupling] in the cell file.",
+    Why.READINGS_NOT_COUPLED: _OFF
+    + "the readings of '{joint}' are not coupled to those of '{reading}': omit '{reading}' there, "
+    "below [coupling] in the cell file.",
+    Why.ROWS_SHIFTED: _OFF
+    + "joint values and measurements are shifted by one row against each other: check which "
+    "measurement belongs to which pose.",
+    Why.OTHER_TIP: _OFF + "the target is mounted on '{link}': try --tip {link}.",
+    Why.JOINT_CONSTANT: _OFF
+    + "'{joint}' moved, although its column holds a single value: give the actual values.",
+    Why.SCALAR_ELSEWHERE: _TURNED
+    + "the quaternions have their scalar {scalar}: give it in the column qw.",
+    Why.ORIENTATIONS_INVERSE: _TURNED
+    + "they are inverted: give those of the target in the measurement frame.",
+    Why.ORIENTATIONS_JOINT_TURNED: _TURNED
+    + "the sign of '{joint}' is reversed: check the positive direction.",
+    Why.ORIENTATIONS_JOINT_ZERO: _TURNED
+    + "{add_rad:deg.0f} deg is added to '{joint}': check its zero position.",
+    Why.FRAME_NOT_FOUND: "The measurement frame{of_station} was not found: from every start the errors "
+    "stay larger than those of any uncalibrated arm, so the nominal robot cannot be judged. "
+    "Give the frame's approximate pose in the cell; if that does not help, check the robot and the "
+    "table.",
+    Why.SIGN_TURNED: _OFF + "the sign of '{column}' is reversed: check the column.",
+    Why.POINTS_MIRRORED: _OFF
+    + "the points are mirrored: two of the columns x, y and z are swapped, or one has the wrong "
+    "sign.",
+    Why.PARAMETER_ABSURD: "The nominal robot is {before_off} rms off on held-out rows, and "
+    "the fit changes a parameter by {largest:mm.0f} mm or mrad, more than any arm needs. "
+    + _CHECK
+    + "that each station has a group of its own.",
+    Why.NOISE_ABSURD: "The residuals are {noise_off} per coordinate, which no arm or "
+    "instrument explains. "
+    + _CHECK
+    + "that they are in the base frame (otherwise: --frame estimate).",
+    Why.ORIENTATION_ABSURD: "On held-out rows the calibrated robot's orientations are "
+    "{after_rad:deg.0f} deg rms off: are they inverted, is the quaternion's scalar in the column "
+    "qw, are rx, ry, rz a rotation vector?",
+    Why.NO_URDF_HOLDS: "No URDF can represent these errors: on held-out rows ({method}) the error "
+    "of the corrected robot is {after} (nominal: {before}), that of the non-geometric model "
+    "'{model}' {less}. Keep the URDF, and " + _COMPENSATE,
+    Why.NOTHING_TO_GAIN: "Nothing to gain: the nominal robot is {before} off on held-out rows, "
+    "which is about the measurement noise. Keep its URDF.",
+    Why.STILL_FAR_OFF: "On held-out rows ({method}) the calibrated robot is still "
+    "{after_off} rms off.",
+    Why.TOO_FEW: "{measured} are too few for {parameters} parameters: no significant improvement "
+    "on held-out rows ({change}, {gain:.1f} standard errors). Measure more poses.",
+    Why.NO_BETTER: "On held-out rows ({method}) the calibrated robot is no better than the "
+    "nominal one, frame and target fitted for both: {after} against {before}.",
+    Why.VALIDATION_NO_BETTER: "On the {rows} validation rows the error does not fall: {change}.",
+    Why.TARGET_FAR: "The estimated target{named} is {far_m:mm.0f} mm from the position given: "
+    "check the sign and the order of the numbers, and the tip.",
+    Why.BASE_MOVED: "The base, or the first joint's axis in it, is {moved_m:mm.1f} mm and "
+    "{turned_rad:deg.2f} deg away from where the given measurement frame puts it. This moves the "
+    "points by {effect_m:mm.1f} mm rms; all other corrections of the arm move them by "
+    "{arm_m:mm.1f} mm. Unless the measurement frame is aligned with the base better than that, "
+    "add --frame estimate.",
+    Why.MUCH_REMAINS: "Much of the error remains: {remains:%.0f} % on held-out rows, noise "
+    "subtracted ({change}).{better}",
+    Why.VALIDATION_SMALL_GAIN: "On the {rows} validation rows{rows_aside} the error hardly falls: "
+    "{change}.",
+    Why.JOINTS_LAG: f"{_NOT_NOISE}they follow the last move of the joints, which {_SHARE}: the "
+    "joints stop short by about {of_move:%.2f} % of that move, '{joint}' most. "
+    f"{_FALLS} Measure at standstill, and read the joint values then; if the gears have backlash, "
+    "approach poses from one side.",
+    Why.MAY_BE_CHANCE: "The improvement on held-out rows may be due to chance: it is {gain:.1f} "
+    "standard errors. Measure more poses.",
+    Why.FEW_NUMBERS: "{measured} with {numbers} measured numbers{of_images} are few for {parameters} "
+    "parameters: the result relies on the priors. Measure more poses.",
+    Why.FAR_OFF_BEFORE: "The nominal robot is {before_off} rms off on held-out rows, far "
+    "more than an uncalibrated arm. Is it the right URDF?",
+    Why.JOINTS_STILL: "Joints that hardly moved: {joints}. Their errors are known near these "
+    "values only; measure poses that move every joint.",
+    Why.SOLE_POSTURE: "{sole}; no other row can check this, nor is it cross-validated. Measure "
+    "{whose} again, and add poses with {those} at other values.",
+    Why.MODEL_LACKS: "The model '{model}' leaves residuals of {noise} per coordinate, "
+    "'{non_geometric}' would leave {less_noise}: the robot has errors that this model lacks. "
+    "Try --model auto.",
+    Why.CORNER: "Only part of the joints' ranges was measured: {ranges}. Outside, the result is "
+    "extrapolated. The measured tip positions spread {spread:%.0f} % as far as the joint limits "
+    "allow.",
+    Why.JOINT_PATTERN: _NOT_NOISE + "the {quantity} of '{joint}' " + _SHARE + ".",
+    Why.DRIFT: f"{_NOT_NOISE}they drift in the order of the rows, which {_SHARE}. {_FALLS} Did "
+    "something warm up, or move?",
+    Why.SETUP_UNPREDICTED: "The other stations do not predict station '{setup}': a fit without it "
+    "leaves errors there {ratio:.1f} times those expected. " + _CHANGED,
+    Why.SETUP_FLAGGED: "{flagged} of the {rows} rows of station '{setup}' are flagged as "
+    "outliers: it does not agree with the others. " + _CHANGED,
+    Why.REPEATS_AGREE: "Repeats of a pose scatter by {within} per coordinate, but the "
+    "residuals are {noise}: the robot has errors that the model lacks.",
+    Why.NO_LENGTH: "No length was measured, so the size of the arm stays nominal: to determine "
+    "it, add rows that measure a length, or with sockets give the distance between two of them in "
+    "the cell file ([[distances]]).",
+    Why.PARAMETER_FAR: "A parameter has changed by {largest:mm.0f} mm or mrad, more than any error "
+    "of an arm. Keep the priors on, or choose a smaller model.",
+    Why.VALIDATION_UNLIKE: "The error of the calibrated robot is {before} on the {rows} validation "
+    "rows, but {after} on held-out rows: did the target or the frame change in between?",
+    Why.MANY_OUTLIERS: "{flagged} of {rows} rows are flagged as outliers: do they share a station, "
+    "a time or a region? Including them, the error on held-out rows goes {change}.",
+    Why.WORSE_WITH_OUTLIERS: "On all held-out rows, including the {flagged} flagged ones, the "
+    "error rises {change}: these are not accidents, but show errors that the model lacks.",
+    Why.UNKNOWN_ELSEWHERE: "Over the joint limits the expected error is {expected_m:mm.1f} mm rms, "
+    "{remains:%.0f} % of that of the nominal robot: these poses do not determine the parameters. "
+    "Measure throughout the workspace, or choose a smaller model.",
+    Why.SMALL_GAIN: "The error falls little, or only near the measured poses: over the joint "
+    "limits {remains:%.0f} % of it is expected to remain.",
+    Why.NOISE_LARGE: "Residual noise is {noise_rough} per coordinate, more than any usual "
+    "instrument: are the joint values exact, taken at standstill and of the same pose as the "
+    "measurement? If this is the instrument's noise, state it as sigma.",
+    Why.NOISE_ABOVE_SIGMA: "Residual noise is {ratio:.0f} times the noise that the table or the "
+    "cell states: {after} per coordinate instead of {before}. Is the stated noise right, and are "
+    "the joint values exact?",
+    Why.JOINTS_COARSE: "The values of '{joint}' are multiples of {beyond}, and rounding explains "
+    "{share:%.0f} % of the residuals: give the joint values as precisely as the controller knows "
+    "them.",
+    Why.TARGET_STEP: f"{_NOT_NOISE}from row {{row}} on the target '{{target}}' is displaced by "
+    f"{{moved_m:mm.2f}} mm in the tip, which {_SHARE}. {_FALLS} Was it knocked or remounted? Give "
+    "those rows a new target name (column 'target').",
+    Why.LENGTHS_SCALED: "All lengths of the robot together are {scale:%+.2f} % off (standard error "
+    "{std:%.2f} %), more than those of any arm: check the instrument's scale (the size of a "
+    "printed board, a tracker's temperature, the unit).",
+    Why.COMPLIANCE_NEGATIVE: "'{joint}' would move against its load, which no {family} does. Are "
+    "the masses, the payload and the direction of gravity right?",
+    Why.GAIN: "On held-out rows ({method}{outliers_aside}) the error falls {change}.",
+    Why.LARGER_MODEL: "With the non-geometric model '{model}' it is {after} (verdict: {use}). No "
+    "URDF can represent it; calib compensate and predict() use it.",
+    Why.LARGER_NO_CLOSER: "The non-geometric model '{model}' does not improve positions: {after}.",
+    Why.SCALE_HIDDEN: "A scale error of the instrument of up to {scale:%.2f} % "
+    "({effect_m:mm.2f} mm at {reach_m:mm.0f} mm from the base) could be absorbed by the arm's "
+    "lengths. If its scale is certified, state it in the cell file: scale_certified = true.",
+    Why.ROWS_COPIED: "{rows} rows (the first is row {row}) are exact copies of others, and were "
+    "ignored.",
+    Why.VALIDATION_GAIN: "On the {rows} validation rows{rows_aside} it falls {change}.",
+    Why.OUTSIDE: "{rows_lie} outside the range of the fitted joint values, where "
+    "errors may be larger: '{joint}' in {place} by {beyond}.",
+    Why.CAMERA_ON_OTHER_LINK: _OFF
+    + "'{tip}' carries the camera and '{base}' the board: exchange --camera-on and --board-on.",
+    Why.SENSE_REVERSED: "The images fit far better if '{joint}' counts in the other direction ({error_m:mm.1f} mm "
+    "instead of {given_m:mm.1f} mm): check its positive direction in the table and in the URDF.",
+    Why.SENSE_UNKNOWN: "These poses do not show in which direction a joint counts: with the sign of "
+    "{joints} reversed the images fit as well. Check it by hand, and turn this joint by 60 deg or more with the other "
+    "joints at other values.",
+    Why.FOCAL_LENGTH_OFF: "The focal length seems to be {share:%+.2f} % off what was stated (standard "
+    "deviation {std:%.2f} %): {if_exact}are the intrinsics of this camera, resolution and focus?",
+    Why.BOARD_SCALE_OFF: "The board seems to be {share:%+.2f} % off its stated size (standard deviation "
+    "{std:%.2f} %), and all lengths of the arm with it: {if_exact}measure the printed squares, many of them at once, "
+    "correct square_mm, and run calib detect again.",
+    Why.COVARIANCES_IDLE: "The stated covariances say nothing about the errors of the poses (their scale is "
+    "{scale:.2g}): are they of these rows, in the order x, y, z, rotations about x, y, z, in m and rad, along the axes "
+    "of the measurement frame? Or does the robot miss its stops by far more?",
+    Why.BOARD_HEAD_ON: "The board was always seen head on, tilted by {tilt_rad:deg.0f} deg at most: such "
+    "images hardly distinguish focal length from distance. Add images with the board tilted by 30 to 45 deg, in all "
+    "directions.",
+    Why.FEW_CORNERS: "{images} of {all} images show fewer than {corners} corners: their poses are inaccurate, "
+    "however well they fit. Show the whole board, close enough to fill the image.",
+    Why.ONE_AXIS: "The hand rotated about one axis only, and by {across_rad:deg.1f} deg about others: the camera's "
+    "position along that axis is not determined. Rotate the hand about two axes, by 30 deg or more.",
+    Why.CAMERA_TOO_ROUGH: "This camera is not accurate enough to show an improvement: move it closer, take "
+    "more images, or use a laser tracker.",
+    Why.FRAME_MOVED: _REGISTERED_AGAIN
+    + "measurement frame is registered again: did the tracker or the robot move? Then add --frame "
+    "estimate.",
+    Why.TARGET_MOVED: _REGISTERED_AGAIN
+    + "target is registered again: was it remounted? Then give its position with --target.",
+}
+
+#: Second sentence of a reason that much remains, if the non-geometric model leaves far less.
+_BETTER = (
+    " The non-geometric model '{model}' leaves {less}. No URDF can represent it: " + _COMPENSATE
+)
+
+
+def reason_text(reason: Reason) -> str:
+    """Word a reason of a verdict in sentences.
+
+    Args:
+        reason: The reason; its values are in SI units.
+
+    Returns:
+        One or two sentences, with numbers in mm, deg and %.
+    """
+    values = reason.values
+    words = {**values, **_words(values)}
+    text = _Units().vformat(SENTENCES[reason.why], (), words)
+    sentences = [text]
+    # Other mistakes that explain the rows as well.
+    for other in values.get("others", ()):
+        sentence = SENTENCES[Why[str(other["code"]).upper()]].removeprefix(_OFF)
+        alternative = _Units().vformat(sentence, (), {"given_m": values["given_m"], **other})
+        sentences.append(f"Or else ({mm(other['error_m'], 1)} mm): {alternative}")
+    return " ".join(sentences)
+
+
+def _words(values: Mapping[str, Any]) -> dict[str, str]:
+    """Return by name the words that the sentences of `SENTENCES` take besides the values of a reason (SI units)."""
+    before = sizes_of(values, "before")
+    after = sizes_of(values, "after")
+    # The unit of a single size stands once: from 2.350 to 0.208 mm rms.
+    start = before[0].split()[0] if len(before) == 1 else listed(before)
+
+    measured = []
+    for count, noun in (("poses", "poses"), ("pairs", "pairs of poses")):
+        if values.get(count):
+            measured.append(f"{values[count]} {noun}")
+
+    if "image" in values:
+        images = values["images"]
+        rows_lie = f"{plural(images, 'validation image')} {'lies' if images == 1 else 'lie'}"
+    elif values.get("rows") == 1:
+        rows_lie = "1 validation row lies"
+    else:  # of other reasons the rows may be a list, and this is not used
+        rows_lie = f"{values.get('rows', 0)} validation rows lie"
+
+    p, falls = values.get("p", 1.0), values.get("falls", 0.0)
+    words = {
+        "before": f"{listed(before)} rms",
+        "after": f"{listed(after)} rms",
+        "change": f"from {start} to {listed(after)} rms",
+        "measured": " and ".join(measured),
+        "of_images": ", six of an image," if values.get("images") else "",
+        "beyond": "".join(sizes_of(values, "by", ".3g")),
+        "explained": _percent(values.get("share", 0.0)),
+        "chance_explains": _percent(values.get("chance", 0.0)),
+        "chance_p": "p < 1e-6" if p < _SMALLEST_P else f"p = {p:.1g}",
+        "falls_by": f"falls by {_percent(falls)} %" if falls > 0.0 else "does not fall",
+        "outliers_aside": "",
+        "if_exact": "do not state it as exact, and " if values.get("exact") else "",
+        "rows_aside": "",
+        "named": "",
+        "of_station": "",
+        "ranges": _ranges(values),
+        "rows_lie": rows_lie,
+        "place": f"'{values['image']}'" if "image" in values else f"row {values.get('row', 0)}",
+        "better": "",
+        "before_off": absurd_size(values, "before"),
+        "after_off": absurd_size(values, "after"),
+        "noise_off": absurd_size(values, "noise"),
+        "noise": "".join(sizes_of(values, "noise")[:1]),
+        "noise_rough": "".join(sizes_of(values, "noise", ".1f")[:1]),
+        "less_noise": "".join(sizes_of(values, "less")[:1]),
+        "within": "".join(sizes_of(values, "within")[:1]),
+    }
+    if values.get("outliers"):
+        words["outliers_aside"] = ", outliers excluded"
+    if values.get("aside"):
+        outliers = plural(values["aside"], "outlier")
+        whole = listed(sizes_of(values, "whole"))
+        words["rows_aside"] = f" ({outliers} excluded; {whole} with them)"
+    if values.get("target"):
+        words["named"] = f" '{values['target']}'"
+    if values.get("station"):
+        words["of_station"] = f" of station '{values['station']}'"
+    if "rows" in values and "joints" in values:
+        words |= _sole_postures(values["rows"], values["joints"])
+    if words["less_noise"] and "model" in values:
+        less = f"{words['less_noise']} rms"
+        words["less"] = less
+        if "remains" in values:
+            words["better"] = _BETTER.format(model=values["model"], less=less)
+    return words
+
+
+def _percent(share: float) -> str:
+    """Format a share as a number of percent: whole, or with one significant digit below 1 %, of 0.01 % at least."""
+    percent = 100.0 * share
+    if percent == 0.0 or abs(percent) >= 1.0:
+        return f"{percent:.0f}"
+    return f"{percent:.1g}" if percent >= _SMALLEST_PERCENT else f"less than {_SMALLEST_PERCENT:g}"
+
+
+def _sole_postures(rows: Sequence[int], joints: Sequence[str]) -> dict[str, str]:
+    """Word which rows alone determine the errors of which joint; rows and joints correspond."""
+    rows_of_joint: dict[str, list[str]] = {}
+    for row, joint in zip(rows, joints, strict=True):
+        rows_of_joint.setdefault(joint, []).append(str(row))
+    parts = []
+    for joint, numbers in rows_of_joint.items():
+        *before, last = numbers
+        subject = f"row {last} alone determines"
+        if before:
+            subject = f"rows {', '.join(before)} and {last} alone determine"
+        parts.append(f"{subject} the errors of joint '{joint}'")
+    text = "; ".join(parts)
+    return {
+        "sole": text[0].upper() + text[1:],
+        "whose": f"row {rows[0]}" if len(rows) == 1 else "them",
+        "those": "this joint" if len(rows_of_joint) == 1 else "these joints",
+    }
+
+
+def _ranges(values: Mapping[str, Any]) -> str:
+    """List the joints that moved in a part of their range, with that part; empty for other reasons."""
+    if isinstance(values.get("joints"), str) or "shares" not in values:
+        return ""
+    columns = [values[name] for name in ("joints", "shares", "lows", "highs", "slides")]
+    parts = []
+    for joint, share, low, high, slides in zip(*columns, strict=True):
+        factor, unit = joint_unit(prismatic=slides)
+        limits = f"{factor * low:.0f} to {factor * high:.0f} {unit}"
+        parts.append(f"'{joint}' from {limits} ({100.0 * share:.0f} %)")
+    return ", ".join(parts)
+
+
+def do_not_use_text(verdict: Verdict | None) -> str:
+    """Word the verdict ``do not use`` and its first reason in one line.
+
+    Args:
+        verdict: The verdict; None if nothing was judged.
+
+    Returns:
+        Such as ``do not use (no_better): On held-out rows ...``; empty for any other verdict, and without one.
+    """
+    if verdict is None or verdict.use != NO:
+        return ""
+    if not verdict.reasons:
+        return NO
+    first = verdict.reasons[0]
+    return f"{NO} ({first.code}): {reason_text(first)}"
+
+
+def refusal(name: str, verdict: str) -> str:
+    """Word the message of a `calib.errors.VerdictError`.
+
+    Args:
+        name: What the verdict is on: a file in quotes, or "this calibration".
+        verdict: The verdict in one line, as `do_not_use_text` words it.
+
+    Returns:
+        The verdict, that nothing was written because of it, and how to write it anyway, in one line.
+    """
+    return (
+        f"the verdict on {name} is: {verdict} No file for a robot or controller was written; to write it anyway, add "
+        "--accept (in Python accept=True)."
+    )
+
+
+class _Units(string.Formatter):
+    """Formats numbers in SI units in the unit that stands before their format: ``{noise_m:mm.3f}``."""
+
+    def format_field(self, value: Any, format_spec: str) -> Any:  # noqa: ANN401
+        """Format a value; without a unit as Python does."""
+        for unit, factor in (("mm", 1e3), ("deg", _DEG), ("%", 100.0)):
+            if format_spec.startswith(unit):
+                return format(factor * value, format_spec.removeprefix(unit))
+        return format(value, format_spec)

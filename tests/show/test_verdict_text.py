@@ -1,0 +1,119 @@
+"""Every code of the verdict has a sentence, with every number that it names."""
+
+from __future__ import annotations
+
+from string import Formatter
+
+import pytest
+
+from calib.diagnosis.reasons import CARE, NO, USE, Reason, Verdict, Why
+from calib.show.verdict_text import SENTENCES, do_not_use_text, reason_text, refusal
+
+
+@pytest.mark.parametrize("why", Why)
+def test_every_code_has_a_sentence(why):
+    made = {"before", "after", "change", "chance_p", "measured", "beyond", "outliers_aside"}
+    made |= {"named", "ranges", "better", "falls_by", "explained", "chance_explains"}
+    names = {one[1].split(":")[0] for one in Formatter().parse(SENTENCES[why]) if one[1]}
+    values = dict.fromkeys(names - made - {"rows_aside"}, 0.5)
+    more = {"before_m": 2e-3, "after_m": 1e-3, "p": 1e-9, "by_rad": 0.3, "poses": 3}
+    text = reason_text(Reason(why, more | values))
+    assert text.endswith((".", "?"))
+    assert "{" not in text.replace("{ ", "")  # as a cell file's table is written
+
+
+def test_orientations_are_told_beside_positions():
+    values = {"before_m": 2e-3, "after_m": 1e-3, "before_rad": 0.1, "after_rad": 0.01}
+    gain = Reason(Why.GAIN, values | {"method": "leave-one-out", "outliers": 2})
+    assert reason_text(gain) == (
+        "On held-out rows (leave-one-out, outliers excluded) the error falls from 2.000 mm and 5.730 deg to 1.000 "
+        "mm and 0.573 deg rms."
+    )
+
+
+def test_only_do_not_use_speaks_against_a_result():
+    reasons = (Reason.of(Why.PARAMETER_FAR, largest=0.2), Reason.of(Why.NO_LENGTH))
+    assert [do_not_use_text(Verdict(use, reasons)) for use in (USE, CARE)] == ["", ""]
+    assert do_not_use_text(None) == ""
+    assert do_not_use_text(Verdict(NO, ())) == "do not use"
+    said = do_not_use_text(Verdict(NO, reasons))
+    assert said == f"do not use (parameter_far): {reason_text(reasons[0])}"
+    assert said in refusal("'c.urdf'", said)
+
+
+def test_errors_in_three_units_are_listed():
+    before = {"before_m": 3e-3, "before_rad": 0.01, "before_px": 1.5}
+    after = {"after_m": 1e-4, "after_rad": 1e-3, "after_px": 0.25}
+    gain = Reason(Why.GAIN, before | after | {"method": "leave-one-out"})
+    assert reason_text(gain).endswith(
+        "falls from 3.000 mm, 0.573 deg and 1.500 px to 0.100 mm, 0.057 deg and 0.250 px rms."
+    )
+
+
+@pytest.mark.parametrize(
+    ("values", "size"), [({"after_px": 150.4}, "150 px"), ({"after_m": 0.264}, "264 mm")]
+)
+def test_what_is_far_off_is_said_in_its_unit(values, size):
+    far = Reason(Why.STILL_FAR_OFF, values | {"method": "leave-one-out"})
+    assert reason_text(far).endswith(f"still {size} rms off.")
+
+
+@pytest.mark.parametrize(
+    ("rows", "words"), [(1, "1 validation row lies"), (2, "2 validation rows lie")]
+)
+def test_one_row_is_no_rows(rows, words):
+    reason = Reason.of(Why.OUTSIDE, rows=rows, row=47, joint="elbow", by_rad=0.1)
+    assert reason_text(reason).startswith(words)
+
+
+@pytest.mark.parametrize(
+    ("share", "percent"),
+    [(0.0, "0"), (5e-5, "less than 0.01"), (4.4e-3, "0.4"), (0.126, "13"), (1.0, "100")],
+)
+def test_a_small_share_is_not_rounded_to_nothing(share, percent):
+    values = {"quantity": "angle", "joint": "elbow", "share": share, "chance": 2e-4, "p": 1e-9}
+    text = reason_text(Reason(Why.JOINT_PATTERN, values))
+    assert f"explains {percent} % of them (by chance 0.02 %; p < 1e-6)." in text
+
+
+def test_rows_outside_may_be_images():
+    values = {"rows": 80, "row": 3, "images": 2, "image": "b.png", "joint": "elbow", "by_rad": 0.1}
+    text = reason_text(Reason(Why.OUTSIDE, values))
+    assert text.startswith("2 validation images lie outside")
+    assert "'elbow' in 'b.png' by 5.73 deg" in text
+
+
+#: Values of reasons about images.
+VALUES = {
+    Why.CAMERA_ON_OTHER_LINK: {"given_m": 0.05, "error_m": 3e-3, "base": "arm", "tip": "hand"},
+    Why.SENSE_REVERSED: {"joint": "elbow", "error_m": 2e-3, "given_m": 9e-3},
+    Why.SENSE_UNKNOWN: {"joints": "elbow, wrist"},
+    Why.FOCAL_LENGTH_OFF: {"share": 0.015, "std": 0.002, "exact": True},
+    Why.BOARD_SCALE_OFF: {"share": -0.01, "std": 0.002, "exact": False},
+    Why.COVARIANCES_IDLE: {"scale": 0.0213},
+    Why.BOARD_HEAD_ON: {"tilt_rad": 0.1},
+    Why.FEW_CORNERS: {"images": 7, "all": 20, "corners": 15},
+    Why.ONE_AXIS: {"across_rad": 0.05},
+    Why.CAMERA_TOO_ROUGH: {},
+}
+
+#: Words of their sentences.
+SAID = {
+    Why.CAMERA_ON_OTHER_LINK: ("50 mm", "3.0 mm", "'hand' carries the camera and 'arm'"),
+    Why.SENSE_REVERSED: ("elbow", "2.0 mm", "9.0 mm"),
+    Why.SENSE_UNKNOWN: ("elbow, wrist",),
+    Why.FOCAL_LENGTH_OFF: ("+1.50 %", "0.20 %", "exact"),
+    Why.BOARD_SCALE_OFF: ("-1.00 %", "square_mm"),
+    Why.COVARIANCES_IDLE: ("0.021",),
+    Why.BOARD_HEAD_ON: ("6 deg",),
+    Why.FEW_CORNERS: ("7 of 20", "15"),
+    Why.ONE_AXIS: ("2.9 deg",),
+    Why.CAMERA_TOO_ROUGH: ("tracker",),
+}
+
+
+@pytest.mark.parametrize("why", VALUES)
+def test_sentences_about_images_have_the_values_of_their_reasons(why):
+    text = reason_text(Reason.of(why, **VALUES[why]))
+    for words in SAID[why]:
+        assert words in text
