@@ -18,6 +18,7 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
+import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
 from calib.basics.arrays import Array, Mask, read_only, rigid_inverse
@@ -91,8 +92,7 @@ class Matching(NamedTuple):
             T_wanted: Wanted poses in the same frame, shape (N, 4, 4), [m].
 
         Returns:
-            What `name` says is matched, shape (N, rows), with 6, 3 or 5 rows: the position, then angles times `length`
-            [m].
+            The position, then the angles that `name` matches times `length`, shape (N, 6), (N, 3) or (N, 5), [m].
         """
         T_now_wanted = rigid_inverse(T_now) @ T_wanted
         R = T_now_wanted[:, :3, :3]
@@ -101,6 +101,20 @@ class Matching(NamedTuple):
             return position
         angles = _tilt(R[:, :, 2]) if self.name == AXIS else _rotation_vectors(R)
         return np.concatenate([position, self.length * angles], axis=1)
+
+    def motions(self, error: Array) -> Array:
+        """Compute the motions exp(e) along the tool's own axes that remove errors: T_now exp(e) = T_wanted.
+
+        Args:
+            error: As `error` returns it, shape (N, rows), [m]; directions that are not matched do not move.
+
+        Returns:
+            shape (N, 4, 4), [m]; exact for small angles.
+        """
+        twists = np.zeros((len(error), 6))
+        twists[:, :3] = error[:, :3]
+        twists[:, 3 : self.rows] = error[:, 3:] / self.length
+        return np.array([pin.exp6(twist).homogeneous for twist in twists])
 
     def jacobian(self, twists: Array) -> Array:
         """Return the matched rows of the tool's twists, angles times `length`.

@@ -230,7 +230,20 @@ def pair_of(
         ModelError: No nominal robot, one that is not the calibration's, or a tool or frame that does not exist.
     """
     if isinstance(calibration, Robot):
-        return _pair_of_robots(calibration, nominal, tool, frame, non_geometric)
+        # Two robots and no result.
+        given = (tool, frame, non_geometric)
+        needs_result = any(isinstance(value, (str, Payload)) for value in given)
+        if nominal is None or needs_result:
+            raise ModelError(
+                "With a corrected robot in place of a result give the nominal robot too, tool and frame "
+                "as poses, and no payload: it knows no targets, stations or compliances."
+            )
+        corrected = calibration.rebuilt(base=nominal.base, tip=nominal.tip)
+        check_same_joints(corrected, nominal)
+        T_tip_tool = _pose(tool, "tool")
+        arms = Arm.of(nominal, T_tip_tool), Arm.of(corrected, T_tip_tool)
+        return Pair(*arms, _pose(frame, "frame"))
+
     result = calibration
     nominal = nominal or result.nominal
     controller = result.uncorrected(nominal) if is_corrected(result, nominal) else nominal
@@ -276,26 +289,6 @@ def pair_of(
         result=result,
         non_geometric=model is not None,
     )
-
-
-def _pair_of_robots(
-    actual: Robot,
-    nominal: Robot | None,
-    tool: ArrayLike | str | None,
-    frame: ArrayLike | str | None,
-    non_geometric: bool | Payload,
-) -> Pair:
-    """Make the pair of two robots, without a result; raises `ModelError`."""
-    needs_result = any(isinstance(value, (str, Payload)) for value in (tool, frame, non_geometric))
-    if nominal is None or needs_result:
-        raise ModelError(
-            "With a corrected robot in place of a result give the nominal robot too, tool and frame "
-            "as poses, and no payload: it knows no targets, stations or compliances."
-        )
-    actual = actual.rebuilt(base=nominal.base, tip=nominal.tip)
-    check_same_joints(actual, nominal)
-    T_tip_tool = _pose(tool, "tool")
-    return Pair(Arm.of(nominal, T_tip_tool), Arm.of(actual, T_tip_tool), _pose(frame, "frame"))
 
 
 def is_corrected(result: Calibration, robot: Robot) -> bool:

@@ -260,7 +260,12 @@ def write_commands(
     columns += _number_columns(names, ["mm", "deg"], commands.pose_corrections)
     if commands.expected is not None:
         columns += _number_columns([_EXPECTED], ["mm"], commands.expected_errors[:, :1])
-    columns.append((STATUS, *_status_cells(commands)))
+    status = []
+    for reason, warnings in zip(commands.reasons, commands.warnings, strict=True):
+        codes = "; ".join(dict.fromkeys(warning.code for warning in warnings))
+        text = f"warning: {codes}" if codes else "ok"
+        status.append(f"no command: {reason.code}" if reason else text)
+    columns.append((STATUS, *status))
     rows = zip(*columns, strict=True)
     return write_atomically(path, csv_bytes(rows), overwrite=overwrite)
 
@@ -277,13 +282,3 @@ def _number_columns(
             text = "" if math.isnan(value) else f"{round(value, digits) + 0.0:.{digits}f}"
             cells.append(text)
         yield (f"{name} [{symbol}]" if symbol else name), *cells
-
-
-def _status_cells(commands: Commands) -> Iterator[str]:
-    """Yield the status of each row: ``ok``, its warnings, or why it has no command."""
-    for reason, warnings in zip(commands.reasons, commands.warnings, strict=True):
-        codes = "; ".join(dict.fromkeys(warning.code for warning in warnings))
-        if reason:
-            yield f"no command: {reason.code}"
-        else:
-            yield f"warning: {codes}" if codes else "ok"

@@ -100,12 +100,25 @@ def text(commands: Commands, name: str, written: Path | None) -> str:
             "model would apply the correction twice. Then measure some rows, see docs/compensation.md."
         )
         usage = f"Written: {written}\n{fill(advice)}"
+    # To check before the commands go to the robot.
+    pair, robot = commands.pair, commands.nominal
+    notes = [_mismatch(commands)]
+    if pair.target is not None:
+        notes.append(
+            f"Set the controller's tool to {_place(pair.nominal.T_tip_tool)} in '{robot.tip}'; the poses to send refer "
+            "to that tool."
+        )
+    if pair.group is not None:
+        place = _place(rigid_inverse(pair.T_frame_base))
+        notes.append(
+            f"Set the controller's work object to {place} in '{robot.base}'; the poses to send refer to it."
+        )
     parts = [
         _verdict(commands, name),
         _expected_errors(commands),
         _program(commands),
         _corrections(commands),
-        *map(fill, _notes(commands)),
+        *[fill(note) for note in notes if note],
         _findings_paragraph(commands, "without a command", _reasons(commands)),
         _findings_paragraph(commands, "with a warning", commands.warnings),
         usage,
@@ -301,8 +314,8 @@ def _corrections(commands: Commands) -> str:
     rows = []
     for label, (lengths, angles) in _errors_and_corrections(commands).items():
         cells = [label]
-        for values, factor in ((lengths, _MM), (angles, _DEG)):
-            known = factor * values[np.isfinite(values)]
+        for column, factor in ((lengths, _MM), (angles, _DEG)):
+            known = factor * column[np.isfinite(column)]
             if known.size:
                 cells += [f"{known.max():.4f}", f"{known.mean():.4f}"]
             else:
@@ -315,7 +328,7 @@ def _corrections(commands: Commands) -> str:
 def _errors_and_corrections(commands: Commands) -> dict[str, tuple[Array, Array]]:
     """Return lengths [m] and angles [rad], all positive or zero, of the K rows that have a command, by their label.
 
-    Their shapes are (K,), of joints (K, prismatic joints) and (K, other joints); NaN is not known.
+    Their shapes are (K,), of joints (K, prismatic joints) and (K, other joints); what is not known is NaN.
     """
     rows, robot = commands.reached, commands.nominal
     values = {
@@ -330,22 +343,6 @@ def _errors_and_corrections(commands: Commands) -> dict[str, tuple[Array, Array]
     slides = np.array([robot.joint_types[name] == "prismatic" for name in robot.joint_names])
     pairs["correction of a joint"] = (joints[:, slides], joints[:, ~slides])
     return pairs
-
-
-def _notes(commands: Commands) -> Iterator[str]:
-    """Word what to check before the commands go to the robot, a note each."""
-    pair, robot = commands.pair, commands.nominal
-    mismatch = _mismatch(commands)
-    if mismatch:
-        yield mismatch
-    if pair.target is not None:
-        yield (
-            f"Set the controller's tool to {_place(pair.nominal.T_tip_tool)} in '{robot.tip}'; the poses to send refer "
-            "to that tool."
-        )
-    if pair.group is not None:
-        place = _place(rigid_inverse(pair.T_frame_base))
-        yield f"Set the controller's work object to {place} in '{robot.base}'; the poses to send refer to it."
 
 
 def _place(T: Array) -> str:

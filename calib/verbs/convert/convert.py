@@ -17,7 +17,6 @@ import calib.verbs.convert.camera_intrinsics as camera_intrinsics
 import calib.verbs.convert.camera_mount as camera_mount
 import calib.verbs.convert.dh as dh
 import calib.verbs.convert.origins as origins
-import calib.verbs.convert.pal as pal
 import calib.verbs.convert.robots as robots
 import calib.verbs.convert.static_transform as static_transform
 import calib.verbs.convert.universal_robots as universal_robots
@@ -65,14 +64,13 @@ FORMATS: dict[str, Format] = {
     **robots.FORMATS,
     **universal_robots.FORMATS,
     **origins.FORMATS,
-    **pal.FORMATS,
     **dh.FORMATS,
     **zeros.FORMATS,
     **camera_mount.FORMATS,
     **static_transform.FORMATS,
     **camera_intrinsics.FORMATS,
 }
-"""What can be written, by name, as in ``--to``."""
+"""Formats that can be written, by name, as in ``--to``."""
 
 KINDS: dict[str, SourceKind] = {
     **universal_robots.KINDS,
@@ -80,7 +78,7 @@ KINDS: dict[str, SourceKind] = {
     **origins.KINDS,
     **robots.KINDS,
 }
-"""What can be read, by name; of kinds with the same ending those with a key come first."""
+"""Kinds of sources that can be read, by name; of kinds with the same ending those with a key come first."""
 
 plugins.watch("formats", FORMATS)
 
