@@ -24,7 +24,6 @@ from calib.data.inputs import CellInput, RobotInput, TableInput, inputs_of
 from calib.data.measurements import Measurements
 from calib.errors import CalibError
 from calib.result.calibrate import calibrate
-from calib.result.calibration import Calibration
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
 from calib.verbs.calibrate.report import write_report
@@ -253,9 +252,20 @@ def calibrate_job(options: FleetOptions, job: FleetJob) -> tuple[FleetRow, dict[
             validate=options.validate,
         )
         row = FleetRow.of(job.name, calibration, accept=options.accept)
-        with tempfile.TemporaryDirectory() as folder:
-            _write_files(calibration, row, options, Path(folder))
-            files = {file.name: file.read_bytes() for file in Path(folder).iterdir()}
+        with tempfile.TemporaryDirectory() as temporary:
+            folder = Path(temporary)
+            if row.urdf != WITHHELD:
+                calibration.write_urdf(folder / URDF, target_link=options.target_link, accept=True)
+            calibration.write_json(folder / "result.json")
+            summary = f"{calibration.summary()}\n"
+            content = summary.encode("utf-8", "backslashreplace")
+            (folder / "summary.txt").write_bytes(content)
+            if options.reports:
+                command = ""
+                if options.command:
+                    command = f"{options.command}  # {row.name}"
+                write_report(calibration, folder / "report.html", command=command)
+            files = {file.name: file.read_bytes() for file in folder.iterdir()}
     except Exception as error:  # noqa: BLE001  a fault with one robot must not cost the others
         return failed_row(job.name, error), {}
     return row, files
@@ -276,23 +286,3 @@ def failed_row(name: str, error: Exception) -> FleetRow:
         kind = type(error).__name__
         message = f"internal error: {kind}: {error}. Please report it with this robot's files."
     return FleetRow(name, FAILED, message)
-
-
-def _write_files(
-    calibration: Calibration,
-    row: FleetRow,
-    options: FleetOptions,
-    folder: Path,
-) -> None:
-    """Write a robot's files into a folder: result, summary, and by row and options the URDF and the report."""
-    if row.urdf != WITHHELD:
-        calibration.write_urdf(folder / URDF, target_link=options.target_link, accept=True)
-    calibration.write_json(folder / "result.json")
-    summary = f"{calibration.summary()}\n"
-    content = summary.encode("utf-8", "backslashreplace")
-    (folder / "summary.txt").write_bytes(content)
-    if options.reports:
-        command = ""
-        if options.command:
-            command = f"{options.command}  # {row.name}"
-        write_report(calibration, folder / "report.html", command=command)

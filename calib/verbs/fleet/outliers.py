@@ -113,7 +113,17 @@ def fleet_outliers(
         kinds that have too few robots to compare them.
     """
     done = [row for row in rows if row.status == DONE]
-    outliers = list(_same_data(done))
+    # Robots whose measurements are those of another, of whatever kind.
+    outliers = []
+    with_data: dict[str, list[FleetRow]] = {}
+    for row in done:
+        with_data.setdefault(row.measured, []).append(row)
+    for same in with_data.values():
+        for row in same:
+            others = [other.name for other in same if other is not row]
+            if others:
+                outliers.append(FleetOutlier(row.name, "data", text=data_text(others, row.data)))
+
     notes = []
     kinds = list(dict.fromkeys(row.kind for row in done))
     for kind in kinds:
@@ -238,16 +248,3 @@ def _parameter_figures(rows: Sequence[FleetRow]) -> list[_Figure]:
         floor = _FLOORS.get(unit, 0.0)
         figures.append(_Figure(name, unit, changes, stds, floor, logarithmic=False))
     return figures
-
-
-def _same_data(rows: Sequence[FleetRow]) -> Iterator[FleetOutlier]:
-    """Yield the robots whose measurements are those of another, of whatever kind."""
-    groups: dict[str, list[FleetRow]] = {}
-    for row in rows:
-        groups.setdefault(row.measured, []).append(row)
-    for group in groups.values():
-        for row in group:
-            others = [other.name for other in group if other is not row]
-            if others:
-                text = data_text(others, row.data)
-                yield FleetOutlier(row.name, "data", text=text)

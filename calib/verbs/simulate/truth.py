@@ -75,7 +75,7 @@ class Truth(Value):
     T_tip_target: Array
     #: Shape (T, 4, 4), their stated poses in the tip [m]
     stated_T_tip_target: Array
-    #: What the tip carries
+    #: Mass and centre of mass that the tip carries; None: nothing
     payload: Payload | None
     #: Shape (3,), acceleration in the URDF's root [m/s^2]
     gravity: Array

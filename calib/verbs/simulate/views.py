@@ -175,7 +175,16 @@ def try_views(
     start = rng.uniform(low, high, size=(tries, len(limits)))
     values = _approach(scene, wanted, start, limits)
     miss = np.linalg.norm(wanted - _see(scene, values), axis=1)
-    q = robot.readings(_scatter(values, miss, limits, rng))
+
+    # An arm that misses its view is stretched there, and is scattered; a joint at a limit goes back from it.
+    low, high = limits.T
+    most = np.minimum(_SCATTER_SHARE * (high - low), _SCATTER)
+    step = most * rng.uniform(-1.0, 1.0, size=values.shape)
+    step = np.where(values <= low, np.abs(step), step)
+    step = np.where(values >= high, -np.abs(step), step)
+    is_stopped = (values <= low) | (values >= high)
+    is_scattered = is_stopped | (miss > _REACHED)[:, None]
+    q = robot.readings(np.where(is_scattered, np.clip(values + step, low, high), values))
     return np.asarray(q[is_framed(scene, scene.sightline.target_poses(q), framing)])
 
 
@@ -214,21 +223,6 @@ def _approach(scene: CameraScene, wanted: Array, start: Array, limits: Array) ->
         step *= np.minimum(1.0, _LONGEST_STEP / np.maximum(longest, _STILL))
         values = np.clip(values + step, low, high)
     return values
-
-
-def _scatter(values: Array, miss: Array, limits: Array, rng: np.random.Generator) -> Array:
-    """Scatter joint values (n, m) that missed their view by lengths (n,) [m], and joints at their limits (m, 2).
-
-    An arm that misses its view is stretched there; a joint at a limit goes back from it.
-    """
-    low, high = limits.T
-    most = np.minimum(_SCATTER_SHARE * (high - low), _SCATTER)
-    step = most * rng.uniform(-1.0, 1.0, size=values.shape)
-    step = np.where(values <= low, np.abs(step), step)
-    step = np.where(values >= high, -np.abs(step), step)
-    is_stopped = (values <= low) | (values >= high)
-    is_scattered = is_stopped | (miss > _REACHED)[:, None]
-    return np.where(is_scattered, np.clip(values + step, low, high), values)
 
 
 def _see(scene: CameraScene, values: Array) -> Array:

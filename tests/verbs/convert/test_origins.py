@@ -1,3 +1,5 @@
+"""Origins files read back, a xacro takes them; corrections for PAL's robots give the corrected robot."""
+
 from __future__ import annotations
 
 from pathlib import Path
