@@ -236,20 +236,10 @@ def histograms(c: Calibration) -> Figure:
     """Draw the distribution of the errors' sizes, and that of the residuals over their noise beside the normal one."""
     figure = new_figure(2.9)
     left, right = figure.subplots(1, 2)
-    _size_histogram(left, c)
-    _noise_histogram(right, c)
-    for ax in (left, right):
-        ax.yaxis.set_major_locator(few_ticks(6, integers=True))
-    legend_above(figure)
-    return figure
 
-
-def _size_histogram(ax: Axes, c: Calibration) -> None:
-    """Draw the sizes of all rows' errors before and after, on a logarithmic scale."""
+    # Sizes of all rows' errors, on a logarithmic scale.
     unit = c.rows.channels.present[0]
-    before, after = _sizes(c, unit)
-    before = before[np.isfinite(before)]
-    after = after[np.isfinite(after)]
+    before, after = (sizes[np.isfinite(sizes)] for sizes in _sizes(c, unit))
     # Bins are even in the logarithm; what is far below the median is put into the first one.
     high = max(float(np.concatenate([before, after]).max()), 1e-6)
     low = min(max(0.05 * float(np.median(after)), 1e-6 * high), 0.5 * high)
@@ -259,26 +249,28 @@ def _size_histogram(ax: Axes, c: Calibration) -> None:
         if not len(values):  # of a nominal robot that is not judged
             continue
         shown = np.maximum(values, low)
-        ax.hist(shown, edges, histtype="stepfilled", label=style.label, **style.area)
-    log_axis(ax, "x")
-    ax.set(xlabel=f"size of the error [{RESIDUAL_UNITS[unit].shown}]", ylabel="rows")
-    ax.set_title(f"All {len(after):,} rows")
+        left.hist(shown, edges, histtype="stepfilled", label=style.label, **style.area)
+    log_axis(left, "x")
+    left.set(xlabel=f"size of the error [{RESIDUAL_UNITS[unit].shown}]", ylabel="rows")
+    left.set_title(f"All {len(after):,} rows")
 
-
-def _noise_histogram(ax: Axes, c: Calibration) -> None:
-    """Draw the residuals of the estimation rows over their noise, beside the normal distribution."""
-    values = scaled_residuals(c)
-    bins = int(np.clip(np.sqrt(len(values)) * 1.5, 8, 50))
-    edges = np.linspace(-_REACH, _REACH, bins + 1)
-    ax.hist(values, list(edges), histtype="stepfilled", **AFTER.area)
+    # Residuals of the estimation rows over their noise.
+    scaled = scaled_residuals(c)
+    bins = int(np.clip(np.sqrt(len(scaled)) * 1.5, 8, 50))
+    ends = np.linspace(-_REACH, _REACH, bins + 1)
+    right.hist(scaled, list(ends), histtype="stepfilled", **AFTER.area)
     t = np.linspace(-_REACH, _REACH, 201)
-    normal = np.exp(-0.5 * t**2) / np.sqrt(2.0 * np.pi) * len(values) * (edges[1] - edges[0])
-    ax.plot(t, normal, color=INK, lw=1.2, ls="--", label="normal")
-    ax.set(xlabel="residual / its noise", ylabel="measured scalars")
-    ax.set_title(f"{len(values):,} scalars of estimation rows")
-    outside = int(np.sum(np.abs(values) > _REACH))
+    normal = np.exp(-0.5 * t**2) / np.sqrt(2.0 * np.pi) * len(scaled) * (ends[1] - ends[0])
+    right.plot(t, normal, color=INK, lw=1.2, ls="--", label="normal")
+    right.set(xlabel="residual / its noise", ylabel="measured scalars")
+    right.set_title(f"{len(scaled):,} scalars of estimation rows")
+    outside = int(np.sum(np.abs(scaled) > _REACH))
     if outside:
-        ax.plot([], [], ls="none", label=f"{outside:,} beyond ±{_REACH:g}")
+        right.plot([], [], ls="none", label=f"{outside:,} beyond ±{_REACH:g}")
+    for ax in (left, right):
+        ax.yaxis.set_major_locator(few_ticks(6, integers=True))
+    legend_above(figure)
+    return figure
 
 
 def scaled_residuals(c: Calibration) -> Array:

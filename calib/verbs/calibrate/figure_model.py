@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import calib.verbs.calibrate.text as texts
-from calib.basics.arrays import Array, Mask
+from calib.basics.arrays import Array
 from calib.basics.channels import RESIDUAL_UNITS
 from calib.camera.optics import CORNER
 from calib.model.families import unit_of
@@ -88,24 +88,19 @@ def convergence(c: Calibration) -> Figure:
     figure = new_figure(len(series) + 0.7)
     panels = figure.subplots(len(series), 1, sharex=True)
     for ax, (label, values, taken) in zip(panels, series, strict=True):
-        _iteration_panel(ax, values, taken)
+        least = max(float(values.max()) * _LEAST_OF_ITERATIONS, 1e-30)
+        shown = np.maximum(values, least)
+        iterations = np.arange(len(values))
+        ax.plot(iterations, shown, color=INK, lw=1.1)
+        ax.plot(iterations[taken], shown[taken], "o", ms=3.6, color=INK, label="accepted step")
+        if not np.all(taken):
+            ax.plot(iterations[~taken], shown[~taken], **_REJECTED)
+        log_axis(ax, "y")
+        ax.xaxis.set_major_locator(few_ticks(10, integers=True))
         ax.set_ylabel(label)
     panels[-1].set_xlabel("iteration")
     legend_above(figure)
     return figure
-
-
-def _iteration_panel(ax: Axes, values: Array, taken: Mask) -> None:
-    """Draw a figure of the solver over its iterations, logarithmically; ``taken`` (N,) are the accepted steps."""
-    least = max(float(values.max()) * _LEAST_OF_ITERATIONS, 1e-30)
-    shown = np.maximum(values, least)
-    iterations = np.arange(len(values))
-    ax.plot(iterations, shown, color=INK, lw=1.1)
-    ax.plot(iterations[taken], shown[taken], "o", ms=3.6, color=INK, label="accepted step")
-    if not np.all(taken):
-        ax.plot(iterations[~taken], shown[~taken], **_REJECTED)
-    log_axis(ax, "y")
-    ax.xaxis.set_major_locator(few_ticks(10, integers=True))
 
 
 def changed_parameters(c: Calibration) -> list[ParameterEstimate]:

@@ -1,4 +1,4 @@
-"""What is shown of a calibration: its summary in a terminal, its report to print and sign, its excerpt in notebooks.
+"""Summary of a calibration in a terminal, its report to print and sign, and its excerpt in notebooks.
 
 `report` is the one list of their sections; `calib.verbs.calibrate.tables` and `.text` make what stands in them.
 """
@@ -108,7 +108,7 @@ def write_report(
 def report(
     c: Calibration, *, command: str = "", columns: Sequence[ErrorColumn] = ERROR_COLUMNS
 ) -> Page:
-    """Say what is shown of a calibration, and where.
+    """List the sections that show a calibration, each with the places where it is shown.
 
     Args:
         c: The result. Sections for HTML need its measurements and its solved problem in memory.
