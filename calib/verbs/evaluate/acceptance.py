@@ -46,7 +46,7 @@ Outcome = Literal["pass", "undecided", "fail"]
 #: From the best to the worst: of several checks the worst outcome counts.
 OUTCOMES: tuple[Outcome, ...] = ("pass", "undecided", "fail")
 
-#: What is compared with the tolerance: the largest AP, their mean, or the largest error of a single repeat.
+#: Figures that can be compared with the tolerance: the largest AP, their mean, or the largest error of a single repeat.
 CRITERIA = ("max", "mean", "single")
 
 #: A column that every table of commands has.

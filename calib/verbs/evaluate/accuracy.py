@@ -103,7 +103,7 @@ class Accuracy:
     #: ``"all"``; ``"validation"``, the table's validation rows; or ``"fresh"``, others that nothing was fitted or
     #: registered to
     rows: JudgedRows
-    #: What the rows that are not judged were used for: ``"calibration"``, ``"target"``, ``"frame"``
+    #: Uses of the rows that are not judged: ``"calibration"``, ``"target"``, ``"frame"``
     others: tuple[str, ...]
     #: Number of rows that hold a measurement
     measured: int
@@ -451,7 +451,7 @@ def _recognise(c: Calibration, robot: Robot, measurements: Measurements, cell: C
 
 
 def _are_among(residuals: Array, stored: Array) -> Mask:
-    """Say which residuals (n, k) are, within `_SAME` in every component, one of the stored ones (s, k); shape (n,)."""
+    """Return which residuals (n, k) are within `_SAME` of a stored one, (s, k), in every component; shape (n,)."""
     tree = KDTree(stored)
     distance, _ = tree.query(residuals, p=np.inf, distance_upper_bound=_SAME)
     return np.asarray(distance <= _SAME)

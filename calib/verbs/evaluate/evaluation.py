@@ -32,7 +32,7 @@ from calib.result.fitted_model import NonGeometric
 from calib.result.image_errors import ImageFigures, length_of_pixels
 from calib.robot.robot import Robot
 
-#: What may be taken from an earlier result.
+#: Places that may be taken from an earlier result.
 PLACES = ("frame", "target")
 
 #: The reason that names a place which has moved, by the place; of two that explain the errors equally the last counts.

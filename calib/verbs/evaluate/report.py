@@ -1,4 +1,4 @@
-"""What is shown of an evaluation: text in a terminal, a report to print and sign, an excerpt in notebooks.
+"""An evaluation as text in a terminal, as a report to print and sign, and as an excerpt in notebooks.
 
 `report` is the one list of their sections; `calib.verbs.evaluate.tables` and `.text` make what stands in them.
 """
@@ -112,7 +112,7 @@ def write_report(
 def report(
     e: Assessment, origins: Origins = _NO_FILES, columns: Sequence[ErrorColumn] = ERROR_COLUMNS
 ) -> Page:
-    """Say what is shown of an evaluation, and where.
+    """List the sections that show an evaluation, each with the places where it is shown.
 
     Args:
         e: The evaluation.

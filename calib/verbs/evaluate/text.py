@@ -53,7 +53,7 @@ FIGURES = {
 #: The same figures as `calib.verbs.evaluate.accuracy.Accuracy.figures` calls them.
 FIGURE_KEYS = {"max": "ap_max", "mean": "ap_mean", "single": "single_max"}
 
-#: What the figure of a criterion is, after its name.
+#: Definition of the figure of each criterion, which follows its name.
 _MEANING = {
     "max": " AP is the pose accuracy of ISO 9283: the mean error of the repeats of a pose.",
     "mean": " AP is the pose accuracy of ISO 9283: the mean error of the repeats of a pose.",

@@ -143,7 +143,12 @@ def choose_poses(
     """
     if taken is None:
         taken = pool.q[:0]
-    q = _not_taken(pool.q, taken)
+    # The candidates that differ from all poses measured already in some joint.
+    repeated = np.zeros(len(pool.q), dtype=np.bool_)
+    for pose in taken:
+        gap = np.remainder(pool.q - pose + np.pi, 2.0 * np.pi) - np.pi  # of sliding joints too
+        repeated |= np.all(np.abs(gap) < _SAME, axis=1)
+    q = pool.q[~repeated]
     request.check(len(q))
 
     measured = sensitivity.measured(q)
@@ -206,15 +211,6 @@ def choose_poses(
         at_random=at_random[_RANDOM // 2],
         ladder=tuple(ladder),
     )
-
-
-def _not_taken(q: Array, taken: Array) -> Array:
-    """Return the candidates (n, m) that differ from all poses measured already (T, m) in some joint, [rad] or [m]."""
-    repeated = np.zeros(len(q), dtype=np.bool_)
-    for pose in taken:
-        gap = np.remainder(q - pose + np.pi, 2.0 * np.pi) - np.pi  # of sliding joints too
-        repeated |= np.all(np.abs(gap) < _SAME, axis=1)
-    return q[~repeated]
 
 
 def _weight(criterion: str, sensitivity: Sensitivity, workspace: Workspace) -> Array | None:

@@ -150,7 +150,7 @@ class CollisionModel:
     robot: Robot
     #: Names of the pairs that are checked (links, targets, boxes, the plane), those that touch most often first.
     pairs: Names
-    #: What is checked, and what is not although a person might expect it.
+    #: Notes on what is checked, and on what is not although a person might expect it.
     notes: tuple[Note, ...]
     #: The pairs that are checked, with their least distances.
     _scene: _Scene

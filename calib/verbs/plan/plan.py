@@ -53,7 +53,7 @@ class Plan(Value):
     robot: Robot
     #: The cell that was planned for.
     cell: Cell
-    #: What measures the targets.
+    #: The instrument that measures the targets.
     instrument: Instrument
     #: The request.
     request: PlanRequest

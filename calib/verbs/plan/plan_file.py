@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from calib.basics.arrays import Array, Mask, read_only
+from calib.basics.arrays import Array, read_only
 from calib.basics.channels import RESIDUAL_UNITS
 from calib.basics.files import csv_bytes, write_atomically
 from calib.basics.tables import Table
@@ -206,7 +206,13 @@ def read_poses(
     rows = Measurements(**read_values(table, layout))
     chosen = np.ones(len(rows), dtype=np.bool_)
     if taken:
-        measured = _measured_rows(table, robot)
+        # A row measures something by a cell, or by a kind that needs none.
+        named, _ = name_columns(table, robot.joint_names, {})
+        columns_of_values = [*POINT, "distance", "pair"]
+        indices = [named[name].index for name in columns_of_values if name in named]
+        kinds = table.column(named["kind"]) if "kind" in named else [""] * len(table.cells)
+        has_value = np.array([any(cells[i] for i in indices) for cells in table.cells], np.bool_)
+        measured = has_value | np.isin(kinds, _WITHOUT_CELLS)
         chosen = rows.estimation & (measured | (not measured.any()))
         if not chosen.any():
             raise MeasurementError(f"{table.source}: no row that is measured is 'estimate'.")
@@ -240,20 +246,6 @@ def next_number(_instrument: Instrument, poses: Poses) -> int:
 def _(_instrument: CameraInstrument, poses: Poses) -> int:
     """Return one more than the largest number in the names of the images."""
     return poses.last_image + 1
-
-
-def _measured_rows(table: Table, robot: Robot) -> Mask:
-    """Return which rows of a table measure something (N,): by a cell, or by a kind that needs none."""
-    named, _ = name_columns(table, robot.joint_names, {})
-    columns = [named[name].index for name in (*POINT, "distance", "pair") if name in named]
-    kinds = [""] * len(table.cells)
-    if "kind" in named:
-        kinds = table.column(named["kind"])
-    measured = []
-    for cells, kind in zip(table.cells, kinds, strict=True):
-        has_value = any(cells[i] for i in columns)
-        measured.append(has_value or kind in _WITHOUT_CELLS)
-    return np.array(measured)
 
 
 # The JSON file

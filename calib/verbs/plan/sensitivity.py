@@ -30,7 +30,7 @@ from calib.robot.gravity import gravity_loads
 from calib.robot.robot import Robot
 from calib.verbs.plan.notes import Note
 
-#: What `auto` is planned for: the largest geometry, so that every smaller one is covered.
+#: Parameter set for which `auto` is planned: the largest geometry, so that every smaller one is covered.
 PLANNED_FOR_AUTO = "placement"
 
 #: Standard deviation that holds a parameter without a prior, as in a fit, in directions that no pose determines [m and
@@ -62,7 +62,7 @@ class Sensitivity:
 
     #: The cell that the fit will use: noise, tracker, payload, priors.
     cell: Cell
-    #: What measures the targets.
+    #: The instrument that measures the targets.
     instrument: Instrument
     #: Frames and targets; a target that was not given is at a general place.
     setup: Setup
@@ -70,7 +70,7 @@ class Sensitivity:
     kinematics: Kinematics
     #: Shape (p,), 1 / tau^2 of each parameter's prior, its own or its family's, or of the leash.
     precision: Array
-    #: What was assumed.
+    #: Notes on what was assumed.
     notes: tuple[Note, ...]
 
     @classmethod
