@@ -165,7 +165,7 @@ def _own_steps(result: Calibration) -> Array:
 
 
 def _same_parameters(first: Calibration, second: Calibration) -> bool:
-    """Say if two results have the same model, ties and parameters of the robot; frames and targets do not count."""
+    """Return whether two results have the same model, ties and robot parameters; frames and targets do not count."""
     same_names = own_names(first) == own_names(second)
     same_ties = dict(first.method.ties) == dict(second.method.ties)
     return same_names and same_ties and first.model.name == second.model.name
@@ -188,7 +188,7 @@ def unknown_frame(result: Calibration) -> tuple[str, ...]:
 
 
 def _unknown_places(a: Calibration, b: Calibration, *, turns: bool) -> list[bool]:
-    """Say of each column of `_place_twists` if either result had to estimate that motion of base or target.
+    """Return for each of the 12 columns of `_place_twists` whether either result had to estimate that motion.
 
     A target's orientation is estimated only if orientations were measured for both (``turns``).
     """

@@ -44,7 +44,7 @@ _SAME = 1e-9
 #: the other.
 _NO_CALIBRATION = 0.1
 
-#: What a tool or a frame may be, in messages.
+#: Forms of a tool or a frame, in messages.
 _POSE = "a pose (4, 4) or a position (3,)"
 
 #: Number of poses at which the tools are compared.

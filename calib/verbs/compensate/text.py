@@ -57,7 +57,7 @@ _SOURCES: dict[Source, str] = {
     "base": "the base in the measurement frame",
 }
 
-#: What lowers the contribution of a source, unless the result allows more specific advice.
+#: Advice that lowers the contribution of a source, unless the result allows more specific advice.
 _REMEDIES: dict[Source, str] = {
     "model": "look for errors that no parameter of this model represents (docs/troubleshooting.md); more poses do not "
     "lower them.",

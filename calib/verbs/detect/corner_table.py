@@ -49,7 +49,7 @@ def corner_table(detection: Detection, joints: JointTable, matches: Matches) -> 
     """Return the table of all corners that are used, as CSV.
 
     Args:
-        detection: What was detected.
+        detection: The corners and the pictures that they are in.
         joints: The table of joint values.
         matches: The row of each picture.
 

@@ -1,4 +1,4 @@
-"""What `calib detect` prints: corners found, pictures that are not used and why, findings about boards and pictures."""
+"""Texts that `calib detect` prints: corners found, pictures not used and why, findings about boards and pictures."""
 
 from __future__ import annotations
 

@@ -88,9 +88,10 @@ class ImageCorners(NamedTuple):
 class CameraImages(NamedTuple):
     """The cameras and boards of a page, and the images of its steps."""
 
-    #: What the robot carries at its target
+    #: The camera or board that the robot carries at its target
     carried: Shape
-    #: What stands still, and its pose in the base of each robot, as fitted with it, shape (2, 4, 4) [m]
+    #: The cameras or boards that stand still, each with its pose in the base of each robot, as fitted with it, shape
+    #: (2, 4, 4) [m]
     standing: tuple[tuple[Shape, Array], ...]
     #: The corners of each step's image
     corners: tuple[ImageCorners, ...]

@@ -46,7 +46,7 @@ _POSES = 24
 #: Poses of each joint of a robot alone.
 _POSES_PER_JOINT = 9
 
-#: Where nothing is known of cameras.
+#: No cameras are known.
 NO_CAMERAS: Mapping[str, Camera] = ReadOnlyMapping()
 
 #: A station whose frame is nearer to the base than this [m, rad] is the base.
@@ -55,7 +55,7 @@ _SAME_FRAME = 1e-9
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Measured:
-    """What was measured at the N poses of a view."""
+    """Measurements at the N poses of a view."""
 
     #: Shape (N, 3), the measured targets in the base [m]; NaN where no position was measured
     points: Array
@@ -93,7 +93,7 @@ class View:
     nominal_target: Array = field(default_factory=lambda: np.eye(4))
     #: The same of the calibrated one
     calibrated_target: Array = field(default_factory=lambda: np.eye(4))
-    #: What was measured at the poses; None: nothing
+    #: Measurements at the poses; None: nothing was measured
     measured: Measured | None = None
     #: Index of the pose shown first, from 0
     start: int = 0
@@ -105,7 +105,7 @@ class View:
     note: str = ""
     #: Name and description of each robot
     names: Names = (("Nominal", "the URDF as given"), ("Calibrated", "the corrected URDF"))
-    #: What is shown in words for each pose, by its name: N texts, such as a joint's values with their unit
+    #: Facts shown in words for each pose, by their names: N texts, such as a joint's values with their unit
     numbers: Mapping[str, Sequence[str]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

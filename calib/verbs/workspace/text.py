@@ -25,7 +25,7 @@ def workspace_text(view: RegionView, origin: str, seed: int, *, every_row: bool)
 
     Args:
         view: The region, and the rows that were checked against it.
-        origin: What the joint ranges are taken from; empty: the joints' limits.
+        origin: Source of the joint ranges, in words; empty: the joints' limits.
         seed: Seed of the sampled joint values.
         every_row: Whether each checked row has a line.
 
@@ -85,7 +85,24 @@ def _row_lines(view: RegionView, checked: Checked, *, every_row: bool) -> Iterat
     inside = view.region.contains(points)
     yield f"Targets of {rows.source}, {sum(measured)} measured, {sum(~measured)} predicted:"
     if every_row:
-        yield from _row_table(view, checked)
+        # The target's position of each row, and the share of the densest voxels that reaches it.
+        columns = [
+            Column("row", 8),
+            Column("set", 10, left=True, gap=2),
+            Column("x", 9, gap=0),
+            Column("y", 8),
+            Column("z [mm]", 8),
+            Column("region", 9, left=True, gap=3),
+            Column("within densest", 14, gap=0),
+        ]
+        shares = view.density.share_of(points)
+        cells = []
+        for i, word in enumerate(rows.sets):
+            share = f"{100 * shares[i]:.1f} %" if np.isfinite(shares[i]) else "not reached"
+            place = [f"{1e3 * value:.1f}" for value in points[i]]
+            region = "inside" if inside[i] else "OUTSIDE"
+            cells.append([str(rows.rows[i]), word, *place, region, share])
+        yield from table_lines(columns, cells)
     for name, chosen in (("estimation", rows.estimation), ("validation", rows.validation)):
         if not chosen.any():
             continue
@@ -94,26 +111,3 @@ def _row_lines(view: RegionView, checked: Checked, *, every_row: bool) -> Iterat
         if outside:
             text += f"; outside: {outside}"
         yield fill(f"{text}.", "  ")
-
-
-def _row_table(view: RegionView, checked: Checked) -> list[str]:
-    """Write a line for each checked row: its target's position, and the share of densest voxels that reaches it."""
-    rows, points, _ = checked
-    columns = [
-        Column("row", 8),
-        Column("set", 10, left=True, gap=2),
-        Column("x", 9, gap=0),
-        Column("y", 8),
-        Column("z [mm]", 8),
-        Column("region", 9, left=True, gap=3),
-        Column("within densest", 14, gap=0),
-    ]
-    shares = view.density.share_of(points)
-    inside = view.region.contains(points)
-    cells = []
-    for i, word in enumerate(rows.sets):
-        share = f"{100 * shares[i]:.1f} %" if np.isfinite(shares[i]) else "not reached"
-        place = [f"{1e3 * value:.1f}" for value in points[i]]
-        region = "inside" if inside[i] else "OUTSIDE"
-        cells.append([str(rows.rows[i]), word, *place, region, share])
-    return table_lines(columns, cells)
