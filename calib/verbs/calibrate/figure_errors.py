@@ -144,7 +144,30 @@ def by_row(c: Calibration, unit: str = "m") -> Figure:
     top, below = figure.subplots(2, 1, sharex=True)
     _curve(top, rows, before, BEFORE)
     _curve(top, rows, after, AFTER)
-    reach = _draw_calibrated_errors(below, c, unit, after)
+
+    # After calibration: each row, held-out ones as dashes, up to the largest that is not flagged.
+    flagged = flagged_rows(c)
+    reach = float(np.nanmax(after[~flagged], initial=1e-3))
+    kinds = [kind for kind in row_kinds(c) if np.any(np.isfinite(after[kind.mask]))]
+    if len(rows) > _MOST_LINES:
+        _curve(below, rows, np.where(flagged, np.nan, after), AFTER)
+        kinds = [kind for kind in kinds if kind.name == "outlier"]
+    elif c.cross_validation is not None:
+        residual = _held_out(c, c.cross_validation)
+        held_out = RESIDUAL_UNITS[unit].to_shown * c.rows.channels.norms(residual, unit)
+        held_out[np.isnan(residual).any(axis=1) | flagged] = np.nan
+        reach = float(np.nanmax(held_out, initial=reach))
+        look: dict[str, Any] = {"ls": "none", "marker": "_", "ms": 7, "mew": 1.1, "color": SOFT}
+        below.plot(rows, held_out, label="held out", **look)
+    # Outliers far above the others stand at the edge: the panel above has them to scale.
+    shown = np.where(flagged, np.minimum(after, _OUTLIER_EDGE * reach), after)
+    for kind in kinds:
+        at = kind.mask & np.isfinite(shown)
+        if len(rows) <= _MOST_MARKERS:
+            below.vlines(rows[at], 0.0, shown[at], color=kind.colour, lw=0.9, alpha=0.6)
+        below.plot(rows[at], shown[at], **kind.style())
+    number_points(below, c.fit.measurements.rows, np.stack([rows, shown], axis=1), flagged)
+
     for ax, title in ((top, "Before and after"), (below, "After")):
         ax.set_title(title)
         ax.set_ylabel(f"size of the error [{RESIDUAL_UNITS[unit].shown}]")
@@ -154,44 +177,6 @@ def by_row(c: Calibration, unit: str = "m") -> Figure:
     below.set_ylim(0.0, 1.32 * reach)
     legend_above(figure, 3)
     return figure
-
-
-def _draw_calibrated_errors(
-    ax: Axes,
-    c: Calibration,
-    unit: str,
-    errors: Array,
-) -> float:
-    """Mark each row's error after calibration (N,), held-out ones as dashes; return the largest that is not flagged."""
-    rows = np.array(c.fit.measurements.rows)
-    flagged = flagged_rows(c)
-    reach = float(np.nanmax(errors[~flagged], initial=1e-3))
-    kinds = [kind for kind in row_kinds(c) if np.any(np.isfinite(errors[kind.mask]))]
-    if len(rows) > _MOST_LINES:
-        _curve(ax, rows, np.where(flagged, np.nan, errors), AFTER)
-        kinds = [kind for kind in kinds if kind.name == "outlier"]
-    elif c.cross_validation is not None:
-        residual = _held_out(c, c.cross_validation)
-        held_out = RESIDUAL_UNITS[unit].to_shown * c.rows.channels.norms(residual, unit)
-        held_out[np.isnan(residual).any(axis=1) | flagged] = np.nan
-        reach = float(np.nanmax(held_out, initial=reach))
-        look: dict[str, Any] = {
-            "ls": "none",
-            "marker": "_",
-            "ms": 7,
-            "mew": 1.1,
-            "color": SOFT,
-        }
-        ax.plot(rows, held_out, label="held out", **look)
-    # Outliers far above the others stand at the edge: the panel above has them to scale.
-    shown = np.where(flagged, np.minimum(errors, _OUTLIER_EDGE * reach), errors)
-    for kind in kinds:
-        at = kind.mask & np.isfinite(shown)
-        if len(rows) <= _MOST_MARKERS:
-            ax.vlines(rows[at], 0.0, shown[at], color=kind.colour, lw=0.9, alpha=0.6)
-        ax.plot(rows[at], shown[at], **kind.style())
-    number_points(ax, c.fit.measurements.rows, np.stack([rows, shown], axis=1), flagged)
-    return reach
 
 
 def by_axis(c: Calibration, unit: str = "m") -> Figure:

@@ -132,31 +132,26 @@ def changes(c: Calibration) -> Figure:
     grid = figure.add_gridspec(len(pairs), min(len(grouped), 2), height_ratios=heights)
     for k, parameters in enumerate(grouped):
         ax = figure.add_subplot(grid[k // 2, k % 2])
-        _change_panel(ax, parameters)
+        unit = parameters[0].unit
+        scale, unit_text = unit_of(unit).shown
+        if unit == "rad":
+            scale, unit_text = float(np.degrees(1.0)), "deg"
+        for y, p in enumerate(parameters):
+            half = 0.5 * scale * (p.high - p.low)
+            look = _IDENTIFIABLE if p.identifiable else _JOINTLY
+            if p.at_bound:
+                half, look = 0.0, _AT_BOUND
+            ax.errorbar(scale * p.delta, y, xerr=half, **_INTERVAL, **look)
+        names = short_names([p.name for p in parameters])
+        ax.axvline(0.0, color=NOMINAL, lw=1.2, ls="--")
+        font_size = 7.5 if len(names) <= _MANY_NAMES else 6.5
+        ax.set_yticks(range(len(names)), names, size=font_size)
+        ax.set_ylim(len(names) - 0.4, -0.6)
+        ax.xaxis.set_major_locator(few_ticks(5))
+        ax.set_xlabel(f"change from nominal [{unit_text.replace('urad', 'µrad')}]")
+        ax.set_title(_TITLES.get(unit, "Others"))
     legend_above(figure, 3)
     return figure
-
-
-def _change_panel(ax: Axes, parameters: Sequence[ParameterEstimate]) -> None:
-    """Draw the changes of parameters of one unit, with their 95 % intervals."""
-    unit = parameters[0].unit
-    scale, unit_text = unit_of(unit).shown
-    if unit == "rad":
-        scale, unit_text = float(np.degrees(1.0)), "deg"
-    for y, p in enumerate(parameters):
-        half = 0.5 * scale * (p.high - p.low)
-        look = _IDENTIFIABLE if p.identifiable else _JOINTLY
-        if p.at_bound:
-            half, look = 0.0, _AT_BOUND
-        ax.errorbar(scale * p.delta, y, xerr=half, **_INTERVAL, **look)
-    names = short_names([p.name for p in parameters])
-    ax.axvline(0.0, color=NOMINAL, lw=1.2, ls="--")
-    font_size = 7.5 if len(names) <= _MANY_NAMES else 6.5
-    ax.set_yticks(range(len(names)), names, size=font_size)
-    ax.set_ylim(len(names) - 0.4, -0.6)
-    ax.xaxis.set_major_locator(few_ticks(5))
-    ax.set_xlabel(f"change from nominal [{unit_text.replace('urad', 'µrad')}]")
-    ax.set_title(_TITLES.get(unit, "Others"))
 
 
 def correlation_indices(c: Calibration) -> list[int]:

@@ -295,7 +295,12 @@ class _Predictions:
         poses, effects, slopes = [], [], []
         for result in (a, b):
             x = result.geometry.x[_own_indices(result)]
-            kinematics = _own_kinematics(result, a.setup.T_tip_target[0])
+            # The robot with its own parameters alone, and the target of a at its place in the tip.
+            others = np.delete(np.array(result.model.names), _own_indices(result))
+            frames = np.tile(np.eye(4), (len(result.setup.groups), 1, 1))
+            targets = np.tile(a.setup.T_tip_target[0], (len(result.setup.targets), 1, 1))
+            own_model = result.model.without(others)
+            kinematics = Kinematics(result.nominal, own_model, frames, targets)
             # Effects at the nominal robot, from which both count: at the calibrated ones they would differ by terms of
             # second order, which would look like combinations that only one result has.
             nominal, effect = kinematics.twists(np.zeros(len(x)), q)
@@ -334,14 +339,6 @@ class _Predictions:
         slope_a, slope_b = self.slopes
         a, b = estimates
         return np.asarray(self.difference + slope_b @ b.shift - slope_a @ a.shift)
-
-
-def _own_kinematics(result: Calibration, T_tip_target: Array) -> Kinematics:
-    """Return the kinematics of a result's robot, its own parameters alone, with a target given in the tip."""
-    others = np.delete(np.array(result.model.names), _own_indices(result))
-    frames = np.tile(np.eye(4), (len(result.setup.groups), 1, 1))
-    targets = np.tile(T_tip_target, (len(result.setup.targets), 1, 1))
-    return Kinematics(result.nominal, result.model.without(others), frames, targets)
 
 
 def _place_twists(T_base_target: Array) -> Array:

@@ -74,48 +74,6 @@ class ModelChoice:
 
 
 @dataclass(frozen=True, slots=True)
-class GoalOptions:
-    """Poses to reach, and the error that they may keep."""
-
-    tool: Annotated[
-        str | None,
-        typer.Option(
-            metavar='"X Y Z UNIT [RX RY RZ UNIT]"|target[:NAME]',
-            help="Pose of the tool in the tip, such as '0 0 150 mm', or the calibrated target. Default: the tip.",
-        ),
-    ] = None
-    poses_in: Annotated[
-        str,
-        typer.Option(
-            metavar="base|measured|GROUP",
-            help="Frame of the poses: the robot's base, the measurement frame, or the measurement frame of a group.",
-        ),
-    ] = _BASE
-    match: Annotated[
-        Literal["pose", "position", "axis"] | None,
-        typer.Option(
-            help="What is to be reached: pose (the default), position, or axis, the position and the direction of the "
-            "tool's z axis."
-        ),
-    ] = None
-    start: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar='"JOINT=VALUE UNIT"',
-            help="Joint value near which the search for the first row starts, for poses without "
-            "joint values. Can be repeated.",
-        ),
-    ] = None
-    tolerance: Annotated[
-        str,
-        typer.Option(metavar='"LENGTH [ANGLE]"', help="Error that is allowed to remain in a row."),
-    ] = "1e-8 m 1e-8 rad"
-    skip: Annotated[
-        bool, typer.Option("--skip", help="Leave rows empty whose pose cannot be reached.")
-    ] = False
-
-
-@dataclass(frozen=True, slots=True)
 class ChainOptions(CellOptions):
     """Chain of the robot; it is the result's unless the options say otherwise."""
 
@@ -215,7 +173,42 @@ def compensate(
     ],
     *,
     model_options: ModelChoice,
-    goal_options: GoalOptions,
+    tool: Annotated[
+        str | None,
+        typer.Option(
+            metavar='"X Y Z UNIT [RX RY RZ UNIT]"|target[:NAME]',
+            help="Pose of the tool in the tip, such as '0 0 150 mm', or the calibrated target. Default: the tip.",
+        ),
+    ] = None,
+    poses_in: Annotated[
+        str,
+        typer.Option(
+            metavar="base|measured|GROUP",
+            help="Frame of the poses: the robot's base, the measurement frame, or the measurement frame of a group.",
+        ),
+    ] = _BASE,
+    match: Annotated[
+        Literal["pose", "position", "axis"] | None,
+        typer.Option(
+            help="What is to be reached: pose (the default), position, or axis, the position and the direction of the "
+            "tool's z axis."
+        ),
+    ] = None,
+    start: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar='"JOINT=VALUE UNIT"',
+            help="Joint value near which the search for the first row starts, for poses without "
+            "joint values. Can be repeated.",
+        ),
+    ] = None,
+    tolerance: Annotated[
+        str,
+        typer.Option(metavar='"LENGTH [ANGLE]"', help="Error that is allowed to remain in a row."),
+    ] = "1e-8 m 1e-8 rad",
+    skip: Annotated[
+        bool, typer.Option("--skip", help="Leave rows empty whose pose cannot be reached.")
+    ] = False,
     cell_options: ChainOptions,
     column_options: ProgramColumns,
     output: Annotated[
@@ -270,28 +263,27 @@ def compensate(
         program,
         nominal,
         columns=columns,
-        match=goal_options.match,
-        start=parse_joint_values(goal_options.start or [], "--start"),
+        match=match,
+        start=parse_joint_values(start or [], "--start"),
     )
-    length, angle = parse_pair(goal_options.tolerance, "--tolerance", "0.05 mm 0.01 deg")
+    length, angle = parse_pair(tolerance, "--tolerance", "0.05 mm 0.01 deg")
     non_geometric: bool | Payload = not model_options.geometry
     if model_options.payload:
         mass = parse_amount(model_options.payload, "--payload", MASS, "5 kg")
         # The centre of mass is that of the calibration, or else the tip.
         non_geometric = replace(calibrated_payload or Payload(mass), mass=mass)
-    frame = goal_options.poses_in
     commands = compute_commands(
         actual,
         rows,
         nominal=nominal,
-        tool=parse_tool(goal_options.tool) if goal_options.tool else None,
-        frame={_BASE: None, _MEASURED: ""}.get(frame, frame),
+        tool=parse_tool(tool) if tool else None,
+        frame={_BASE: None, _MEASURED: ""}.get(poses_in, poses_in),
         tolerance=(length or _TOLERANCE, angle or _TOLERANCE),
         non_geometric=non_geometric,
         accept=model_options.accept,
     )
     none_reached = not commands.reached.any()
-    if not commands.reached.all() and (none_reached or not goal_options.skip):
+    if not commands.reached.all() and (none_reached or not skip):
         raise CalibError(no_commands(commands))
 
     if output is not None:

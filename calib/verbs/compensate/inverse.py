@@ -99,7 +99,13 @@ class Matching(NamedTuple):
         position = T_now_wanted[:, :3, 3]
         if self.name == POSITION:
             return position
-        angles = _tilt(R[:, :, 2]) if self.name == AXIS else _rotation_vectors(R)
+        if self.name == AXIS:
+            angles = _tilt(R[:, :, 2])
+        else:
+            angles = np.full((len(R), 3), np.nan)
+            is_number = np.isfinite(R).all(axis=(1, 2))
+            if is_number.any():
+                angles[is_number] = Rotation.from_matrix(R[is_number]).as_rotvec()
         return np.concatenate([position, self.length * angles], axis=1)
 
     def motions(self, error: Array) -> Array:
@@ -306,15 +312,6 @@ def _step(J: Array, error: Array, damping: Array, pull: Array | None, held: Mask
         used = np.einsum("nji,ni->nj", Vt, free_pull) * nonzero
         step += free_pull - np.einsum("nji,nj->ni", Vt, used)
     return np.where(held, 0.0, step)
-
-
-def _rotation_vectors(rotations: Array) -> Array:
-    """Return rotation vectors of matrices (N, 3, 3), shape (N, 3), [rad]; NaN stays NaN."""
-    vectors = np.full((len(rotations), 3), np.nan)
-    is_number = np.isfinite(rotations).all(axis=(1, 2))
-    if is_number.any():
-        vectors[is_number] = Rotation.from_matrix(rotations[is_number]).as_rotvec()
-    return vectors
 
 
 def _tilt(z: Array) -> Array:

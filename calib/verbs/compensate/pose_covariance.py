@@ -100,7 +100,18 @@ def pose_covariance(part: FittedModel, view: View) -> PoseCovariance:
         lengths = J[:, :3].reshape(-1, p + 6)
         gram += lengths.T @ lengths / count
     shared = np.maximum(np.linalg.eigvalsh(gram), 0.0)
-    by_priors = float(np.sum(gram * (root.T @ _prior_precision(part, view) @ root)))
+
+    # Of the covariance C = (H + L)^-1, with the measurements' H and the precision L of the priors, the share C L C is
+    # the priors'.
+    precision = np.zeros((p + 6, p + 6))
+    prior_std = _typical(part)
+    if part.prior_std:
+        prior_std = np.array([parameter.prior_std for parameter in part.parameters], np.float64)
+    variances = np.square(prior_std)
+    precision[range(p), range(p)] = np.where(variances > 0.0, 1.0 / variances, 0.0)
+    if view.base is not None:
+        precision[p:, p:] = np.linalg.pinv(view.base, hermitian=True)
+    by_priors = float(np.sum(gram * (root.T @ precision @ root)))
     return PoseCovariance(np.concatenate(covariances), shared, by_priors)
 
 
@@ -196,23 +207,6 @@ def _derivative(part: FittedModel, view: View) -> Callable[[Samples], Array]:
         return np.concatenate([twists, of_base], axis=2)
 
     return derivative
-
-
-def _prior_precision(part: FittedModel, view: View) -> Array:
-    """Return the precision of the priors of the parameters and of a motion of the base, (p + 6, p + 6); 0 without one.
-
-    Of the covariance C = (H + L)^-1, with the measurements' H and the priors' L, the share C L C is the priors'.
-    """
-    p = len(part.x)
-    precision = np.zeros((p + 6, p + 6))
-    prior_std = _typical(part)
-    if part.prior_std:
-        prior_std = np.array([parameter.prior_std for parameter in part.parameters], np.float64)
-    variances = np.square(prior_std)
-    precision[range(p), range(p)] = np.where(variances > 0.0, 1.0 / variances, 0.0)
-    if view.base is not None:
-        precision[p:, p:] = np.linalg.pinv(view.base, hermitian=True)
-    return precision
 
 
 def _determined(part: FittedModel) -> Array:

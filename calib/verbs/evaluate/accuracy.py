@@ -292,12 +292,17 @@ def _figures(e: Array, unit: str, *, are_vectors: bool) -> PoseFigures:
     by_axis = 3.0 * e.std(axis=0, ddof=1) if enough else np.full(len(mean), np.nan)
     nothing = np.full(3, np.nan)
     return PoseFigures(
-        ap=float(np.linalg.norm(mean)),
+        ap=pose_accuracy(e),
         ap_axis=read_only(mean if are_vectors else nothing),
         rp=repeatability(e, unit) if enough else np.nan,
         rp_axis=read_only(by_axis if are_vectors else nothing),
         single=float(np.linalg.norm(e, axis=1).max()),
     )
+
+
+def pose_accuracy(e: Array) -> float:
+    """Return the pose accuracy AP of repeats of one pose: the norm of the mean of their residuals e, (n, d)."""
+    return float(np.linalg.norm(e.mean(axis=0)))
 
 
 def repeatability(e: Array, unit: str) -> float:

@@ -14,7 +14,7 @@ where S is the standard deviation over n - 1. Rows in the order of the table are
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import combinations
@@ -24,7 +24,13 @@ from numpy.typing import NDArray
 from scipy.spatial.distance import pdist
 
 from calib.basics.arrays import Array
-from calib.verbs.evaluate.accuracy import FEWEST_REPEATS, Accuracy, PoseAccuracy, repeatability
+from calib.verbs.evaluate.accuracy import (
+    FEWEST_REPEATS,
+    Accuracy,
+    PoseAccuracy,
+    pose_accuracy,
+    repeatability,
+)
 from calib.verbs.evaluate.evaluation import Evaluation
 
 #: Repeats of a pose that each AP and RP of a drift is computed from, as in ISO 9283.
@@ -91,7 +97,7 @@ def characteristics(evaluation: Evaluation, judged: Accuracy) -> tuple[Character
             errors = evaluation.residual[np.ix_(indices, columns)]
             first_rows[unit].append((pose.rows[0],))
             values["vAP", unit].append(_variation(errors, approaches[indices]))
-            values["dAP", unit].append(_largest_change(errors, _pose_accuracy))
+            values["dAP", unit].append(_largest_change(errors, pose_accuracy))
             values["dRP", unit].append(_largest_change(errors, partial(repeatability, unit=unit)))
     for (symbol, unit), of_poses in values.items():
         result.append(_summarise(symbol, unit, np.array(of_poses), first_rows[unit]))
@@ -138,8 +144,7 @@ def _of_distances(evaluation: Evaluation, repeats: Sequence[_Repeats]) -> list[C
         lengths = np.array(list(map(len, poses)))
         counted = np.minimum(lengths[first], lengths[second])
         predicted = measured - evaluation.residual[:, columns]
-        errors = _distance_errors(measured, predicted, poses)
-        mean, deviation = _mean_and_deviation(errors, counted)
+        mean, deviation = _distance_errors(measured, predicted, poses, counted)
         first_rows = numbers[[pose[0] for pose in poses]]
         pairs = np.stack([first_rows[first], first_rows[second]], axis=1)
         rows += [(one, other) for one, other in pairs.tolist()]
@@ -156,23 +161,19 @@ def _of_distances(evaluation: Evaluation, repeats: Sequence[_Repeats]) -> list[C
 
 
 def _distance_errors(
-    measured: Array, predicted: Array, poses: list[NDArray[np.intp]]
-) -> Iterator[Array]:
-    """Yield, repeat by repeat, the errors D_j - Dc_j [m] of the distances of all P pairs of poses, shape (P,).
+    measured: Array, predicted: Array, poses: Sequence[NDArray[np.intp]], counts: NDArray[np.int_]
+) -> tuple[Array, Array]:
+    """Return mean and standard deviation over n - 1, (P,) [m], of the errors D_j - Dc_j of all P pairs of poses.
 
-    Of positions (N, 3) [m] in one frame; errors of a repeat that one of a pair lacks have no meaning.
+    They are over the first ``counts`` repeats, (P,), of each pair, and computed repeat by repeat (Welford); positions
+    are (N, 3) [m] in one frame, poses the indices of their repeats.
     """
-    for j in range(max(map(len, poses))):
-        # The first repeat stands for one that a pose lacks.
-        row = np.array([pose[j] if j < len(pose) else pose[0] for pose in poses])
-        yield pdist(measured[row]) - pdist(predicted[row])
-
-
-def _mean_and_deviation(errors: Iterable[Array], counts: NDArray[np.int_]) -> tuple[Array, Array]:
-    """Return mean and standard deviation over n - 1 of P errors over their first ``counts`` repeats (Welford)."""
     mean = np.zeros(len(counts))
     square = np.zeros(len(counts))
-    for j, error in enumerate(errors):
+    for j in range(max(map(len, poses))):
+        # The first repeat stands for one that a pose lacks, which does not count.
+        row = np.array([pose[j] if j < len(pose) else pose[0] for pose in poses])
+        error = pdist(measured[row]) - pdist(predicted[row])
         change = np.where(j < counts, error - mean, 0.0)
         mean = mean + change / (j + 1)
         square = square + change * (error - mean)
@@ -194,11 +195,6 @@ def _variation(errors: Array, approaches: NDArray[np.str_]) -> float:
             means.append(of_approach.mean(axis=0))
     distances = [float(np.linalg.norm(a - b)) for a, b in combinations(means, 2)]
     return max(distances, default=np.nan)
-
-
-def _pose_accuracy(errors: Array) -> float:
-    """Return AP, the norm of the mean of errors (n, d)."""
-    return float(np.linalg.norm(errors.mean(axis=0)))
 
 
 def _largest_change(errors: Array, figure: Callable[[Array], float]) -> float:

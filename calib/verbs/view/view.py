@@ -287,7 +287,20 @@ def view_of_robots(
         targets.append(translation((0.0, 0.0, 0.0) if point is None else point))
     numbers: Mapping[str, Sequence[str]] = {}
     if calibrated is None:
-        q, labels = _one_joint_after_the_other(nominal)
+        # Each joint in turn goes through its range.
+        ranges = column_ranges(nominal)
+        middle = np.clip(0.0, *ranges.T)
+        values_of_poses = [middle]
+        texts = ["all joints at zero, or as near as they can be"]
+        for k, joint in enumerate(nominal.inputs):
+            scale, unit = _shown_unit(joint.type)
+            low, high = ranges[k]
+            for value in np.linspace(low, high, _POSES_PER_JOINT):
+                values = middle.copy()
+                values[k] = value
+                values_of_poses.append(values)
+                texts.append(f"{joint.name} at {scale * value:.4g} {unit}")
+        q, labels = nominal.readings(np.array(values_of_poses)), tuple(texts)
         numbers = joint_texts(nominal, q)
     else:
         q = spread_poses(nominal, _POSES)
@@ -303,23 +316,6 @@ def view_of_robots(
         title=title,
         numbers=numbers,
     )
-
-
-def _one_joint_after_the_other(robot: Robot) -> tuple[Array, tuple[str, ...]]:
-    """Return poses (N, m) [rad or m] in which each joint in turn goes through its range, and their labels."""
-    ranges = column_ranges(robot)
-    middle = np.clip(0.0, *ranges.T)
-    poses = [middle]
-    labels = ["all joints at zero, or as near as they can be"]
-    for k, joint in enumerate(robot.inputs):
-        scale, unit = _shown_unit(joint.type)
-        low, high = ranges[k]
-        for value in np.linspace(low, high, _POSES_PER_JOINT):
-            pose = middle.copy()
-            pose[k] = value
-            poses.append(pose)
-            labels.append(f"{joint.name} at {scale * value:.4g} {unit}")
-    return robot.readings(np.array(poses)), tuple(labels)
 
 
 def _shown_unit(joint_type: str) -> tuple[float, str]:

@@ -32,44 +32,38 @@ def workspace_text(view: RegionView, origin: str, seed: int, *, every_row: bool)
     Returns:
         Joint ranges, region, and checked rows, in lines of 100 columns.
     """
+    robot: Robot = view.robot
+    target = " ".join(f"{1e3 * value:.6g}" for value in view.target)
+    joints = [
+        f"Robot '{robot.name}', base '{robot.base}', tip '{robot.tip}', target at {target} mm in the tip."
+    ]
+    columns = [name_column("  joint", 33), Column("range", left=True)]
+    ranges = zip(robot.joint_names, view.ranges, strict=True)
+    cells = [(f"  {name}", range_text(robot, name, ends)) for name, ends in ranges]
+    joints += table_lines(columns, cells)
+    if origin:
+        joints.append(fill(f"Ranges of {origin}.", "  "))
+
+    density, region = view.density, view.region
+    voxels, reached = np.count_nonzero(region.cells), np.count_nonzero(density.counts)
+    volume = f"{1e3 * region.volume:,.4g} litres, {voxels:,} of {reached:,} reached voxels"
+    facts = {
+        "samples": f"{density.samples:,} (seed {seed})",
+        "workspace": _extent(density.extent),
+        "region": _extent(region.bounds),
+        "volume": volume,
+        "voxel": f"{1e3 * density.voxel:g} mm",
+    }
+    lines = [
+        f"The smallest region that holds {100 * region.held:.4g} % of the target's positions, in the frame of "
+        f"'{robot.base}':"
+    ]
+    lines += [labelled(label, text, _REGION_LABEL, "  ") for label, text in facts.items()]
+
     rows: Iterable[str] = ()
     if view.checked is not None:
         rows = _row_lines(view, view.checked, every_row=every_row)
-    return paragraphs(_joints(view, origin), _region(view, seed), rows)
-
-
-def _joints(view: RegionView, origin: str) -> Iterator[str]:
-    """Write the robot, its target and the ranges of its joints."""
-    robot: Robot = view.robot
-    target = " ".join(f"{1e3 * value:.6g}" for value in view.target)
-    yield (
-        f"Robot '{robot.name}', base '{robot.base}', tip '{robot.tip}', target at {target} mm in the tip."
-    )
-    columns = [name_column("  joint", 33), Column("range", left=True)]
-    ranges = zip(robot.joint_names, view.ranges, strict=True)
-    rows = [(f"  {name}", range_text(robot, name, ends)) for name, ends in ranges]
-    yield from table_lines(columns, rows)
-    if origin:
-        yield fill(f"Ranges of {origin}.", "  ")
-
-
-def _region(view: RegionView, seed: int) -> Iterator[str]:
-    """Write extent, volume and voxels of the region."""
-    density, region = view.density, view.region
-    voxels, reached = np.count_nonzero(region.cells), np.count_nonzero(density.counts)
-    yield (
-        f"The smallest region that holds {100 * region.held:.4g} % of the target's positions, in the frame of "
-        f"'{view.robot.base}':"
-    )
-    volume = f"{1e3 * region.volume:,.4g} litres, {voxels:,} of {reached:,} reached voxels"
-    for label, text in (
-        ("samples", f"{density.samples:,} (seed {seed})"),
-        ("workspace", _extent(density.extent)),
-        ("region", _extent(region.bounds)),
-        ("volume", volume),
-        ("voxel", f"{1e3 * density.voxel:g} mm"),
-    ):
-        yield labelled(label, text, _REGION_LABEL, "  ")
+    return paragraphs(joints, lines, rows)
 
 
 def _extent(ends: Array) -> str:
