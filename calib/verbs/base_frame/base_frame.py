@@ -42,7 +42,7 @@ from calib.verbs.base_frame.axes import (
     turn_to_zero,
 )
 from calib.verbs.base_frame.circles import Circle, Plane, fit_circle, fit_plane
-from calib.verbs.base_frame.findings import ORDER, SweepFinding, findings, with_positive_sense
+from calib.verbs.base_frame.sweep_findings import ORDER, SweepFinding, findings, with_positive_sense
 from calib.verbs.base_frame.sweeps import Sweeps
 
 #: Kind and version of the table for JSON.

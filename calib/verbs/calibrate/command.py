@@ -135,7 +135,7 @@ class Outputs:
 
             yield write_result(result, self.json, overwrite=self.force, extra=dict(tables))
         if self.view is not None:
-            from calib.verbs.view.page import write_page
+            from calib.verbs.view.robots_page import write_page
 
             yield write_page(result, self.view, overwrite=self.force, accepted=self.accept)
         if self.report is not None:

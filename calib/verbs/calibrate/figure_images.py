@@ -298,7 +298,7 @@ def corner_errors(cameras: Sequence[SeenCorners], board: str) -> tuple[Array, Ar
 
 
 def _longest_arrow(places: Array) -> float:
-    """Return what a typical arrow takes at most on a board with corners at places (n, 2) [m]: half a square [m]."""
+    """Return the longest that a typical arrow may be on a board with corners at (n, 2) [m]: half their spacing [m]."""
     least = np.array(
         [
             np.linalg.norm(np.delete(places, k, axis=0) - place, axis=1).min()
@@ -309,7 +309,7 @@ def _longest_arrow(places: Array) -> float:
 
 
 def _board_panel(ax: Axes, title: str, places: Array) -> None:
-    """Make a panel a board with corners at places (n, 2) [m], seen from its front: x to the right, y down."""
+    """Set up a panel to show a board with corners at places (n, 2) [m] from its front: x to the right, y down, in mm."""
     low = _MM * places.min(axis=0)
     high = _MM * places.max(axis=0)
     margin = 0.12 * float(np.max(high - low))
@@ -329,7 +329,7 @@ def _board_panel(ax: Axes, title: str, places: Array) -> None:
 
 
 def image_panel(ax: Axes, size: tuple[int, int], title: str) -> None:
-    """Make a panel an image: pixels, rows downwards, its edge drawn.
+    """Set up a panel to show an image: axes in pixels, rows downwards, its edge drawn.
 
     Args:
         ax: The panel.
@@ -379,7 +379,10 @@ def _arrows(
     location: str = "right",
     **look: Any,  # noqa: ANN401  matplotlib's properties
 ) -> None:
-    """Draw arrows (n, 2) times a factor, coloured by ``sizes`` (n,) with a scale beside the panel, or in one colour."""
+    """Draw arrows from starts (n, 2), vectors (n, 2) times a factor, in the units of the panel.
+
+    They are coloured by ``sizes`` (n,), in ``unit``, with a scale beside the panel; or without sizes in one colour.
+    """
     from matplotlib.colors import LinearSegmentedColormap
 
     common: dict[str, Any] = {

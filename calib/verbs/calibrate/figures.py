@@ -48,27 +48,27 @@ class FigureKind(NamedTuple):
 
     #: Draws it
     draw: Callable[[Calibration], Figure]
-    #: Says if a calibration has it
+    #: Returns whether a calibration has it
     applies: Callable[[Calibration], bool]
 
 
 def _measures(unit: str) -> Callable[[Calibration], bool]:
-    """Return the test whether any row measures something in a unit, by its symbol."""
+    """Return a test of calibrations: whether any row measures something in a unit, such as ``"m"``."""
     return lambda c: unit in c.rows.channels.present
 
 
 def _has_vectors(unit: str) -> Callable[[Calibration], bool]:
-    """Return the test whether any row measures a whole position or orientation, by the symbol of its unit."""
+    """Return a test of calibrations: whether any row measures a position (``"m"``) or an orientation (``"rad"``)."""
     return lambda c: bool(np.any(c.rows.channels.vector_columns(unit)[1]))
 
 
 def _has_images(c: Calibration) -> bool:
-    """Say if any row is the image of a corner."""
+    """Return whether any row of a calibration is the image of a corner."""
     return bool(np.any(image_rows(c)))
 
 
 def _always(_: Calibration) -> bool:
-    """Say that every calibration has a figure."""
+    """Return True: every calibration has the figure."""
     return True
 
 

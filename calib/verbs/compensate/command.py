@@ -295,7 +295,10 @@ def compensate(
 
 
 def _with_chain_of(result: Calibration, cell: Cell, path: str) -> Cell:
-    """Return a cell with the base, tip, held joints and coupled readings of a result, read from a path, where unset."""
+    """Return a cell with base, tip, held joints and coupled readings of a result, as far as the cell gives none.
+
+    The path of the result's file is for messages.
+    """
     chain = result.nominal
     return replace(
         cell,

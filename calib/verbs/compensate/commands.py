@@ -13,7 +13,7 @@ from calib.robot.robot import Robot
 from calib.verbs.compensate.expected import ExpectedErrors
 from calib.verbs.compensate.inverse import POSE, Matching
 from calib.verbs.compensate.nominal_actual import Pair
-from calib.verbs.compensate.program import Program
+from calib.verbs.compensate.robot_program import Program
 
 Code = Literal[
     "unreachable",

@@ -42,7 +42,7 @@ from calib.verbs.compensate.inverse import (
     start_values,
 )
 from calib.verbs.compensate.nominal_actual import Pair, pair_of
-from calib.verbs.compensate.program import Program
+from calib.verbs.compensate.robot_program import Program
 from calib.verbs.compensate.warnings import find_reasons, find_warnings, within
 
 #: A pose that the nominal robot misses by more than this is matched in part [m].

@@ -153,7 +153,7 @@ class Arm(Value):
         return poses, np.concatenate([linear, angular], axis=1)
 
     def _samples(self, q: Array) -> Samples:
-        """Return joint values with their loads."""
+        """Return N samples of readings (N, m) [rad] or [m], with the loads on the joints if an error depends on them."""
         return Samples.at(q, None if self.load is None else self.load(q))
 
 
@@ -323,7 +323,7 @@ def is_corrected(result: Calibration, robot: Robot) -> bool:
 
 
 def _other_origins(robot: Robot, reference: Robot) -> list[str]:
-    """Return the joints whose origins differ by more than rounding."""
+    """Return the names of the joints of a robot whose origins differ from those of a reference by more than rounding."""
     origins = reference.origins()
     return [name for name, T in robot.origins().items() if np.abs(T - origins[name]).max() > _SAME]
 
@@ -372,5 +372,5 @@ def check_same_joints(robot: Robot, nominal: Robot) -> None:
 
 
 def _joints(robot: Robot) -> list[str]:
-    """Return name, type and axis of each joint, as text."""
+    """Return a text for each joint of the chain, with its name, type and axis, for comparison and messages."""
     return [f"{joint.name} ({joint.type}, axis {joint.axis + 0.0})" for joint in robot.joints]

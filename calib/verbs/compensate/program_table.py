@@ -41,7 +41,7 @@ from calib.data.values import read_values
 from calib.errors import MeasurementError, choices
 from calib.robot.robot import Robot
 from calib.verbs.compensate.commands import Commands
-from calib.verbs.compensate.program import Program, poses_at
+from calib.verbs.compensate.robot_program import Program, poses_at
 
 #: Prefix of the columns with corrections, by which a table of commands is told from a program.
 _CORRECTION = "correction "
@@ -143,7 +143,10 @@ def read_program(
 
 
 def _name_columns(table: Table, robot: Robot, options: ColumnOptions) -> Named:
-    """Return the columns by calib's names; raises `MeasurementError` for commands, and for a brand's joints."""
+    """Return the table's columns by calib's names.
+
+    A table of commands raises `MeasurementError`, and so does one whose joints are named as a brand does.
+    """
     named, _ = name_columns(table, robot.joint_names, options)
     if any(name.startswith(_CORRECTION) for name in named):
         raise MeasurementError(
@@ -185,7 +188,10 @@ def _complete_columns(table: Table, named: Named, names: Sequence[str]) -> Colum
 def _find_conventions(
     table: Table, named: Named, robot: Robot, options: ColumnOptions
 ) -> list[Convention]:
-    """Return the conventions of orientations that have their columns; raises `MeasurementError` for a part of them."""
+    """Return the conventions of orientations whose columns are all filled in.
+
+    If only some columns of a convention are there, it raises `MeasurementError`.
+    """
     others = {name: column for name, column in named.items() if name not in robot.joint_names}
     complete = conventions_of(table, named, robot.joint_names, options)
     taken = {name for convention in complete for name in convention.columns}

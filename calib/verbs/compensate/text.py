@@ -355,7 +355,7 @@ def _place(T: Array) -> str:
 
 
 def _listed(values: Array) -> str:
-    """List numbers with four digits, none of them -0."""
+    """List numbers (n,) with four decimals and commas between, none of them -0."""
     return ", ".join(f"{value:.4f}" for value in values.round(4) + 0.0)
 
 

@@ -108,7 +108,7 @@ def camera_of_station(
 
 
 def _numbers_of(camera: Camera) -> Array:
-    """Return the numbers of a calibrated camera's lens, shape (m,), which are known."""
+    """Return the numbers of a calibrated camera's lens, such as fx, fy, cx, cy [px] and distortion, shape (m,)."""
     assert camera.values is not None, "a calibration knows its camera's numbers"
     return camera.values
 

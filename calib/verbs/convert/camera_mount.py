@@ -112,7 +112,7 @@ class Handover(Value):
 
 
 def _with_new_link(urdf: Urdf, estimated: EstimatedFrame, name: str) -> tuple[Urdf, PlacedFrame]:
-    """Return a URDF with a link at a frame, and what was placed."""
+    """Return a URDF with a new link of this name at an estimated frame, and the frame with its link and joint."""
     urdf = with_fixed_link(urdf, name, estimated.link, estimated.T_link_frame)
     joint = next(joint for joint in urdf.joints if joint.child == name)
     return urdf, PlacedFrame(estimated, name, joint, None)

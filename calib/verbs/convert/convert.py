@@ -19,7 +19,7 @@ import calib.verbs.convert.dh as dh
 import calib.verbs.convert.origins as origins
 import calib.verbs.convert.robots as robots
 import calib.verbs.convert.static_transform as static_transform
-import calib.verbs.convert.universal_robots as universal_robots
+import calib.verbs.convert.ur_formats as ur_formats
 import calib.verbs.convert.zeros as zeros
 from calib.basics.arguments import check_type
 from calib.basics.files import read_bytes
@@ -62,7 +62,7 @@ __all__ = [
 
 FORMATS: dict[str, Format] = {
     **robots.FORMATS,
-    **universal_robots.FORMATS,
+    **ur_formats.FORMATS,
     **origins.FORMATS,
     **dh.FORMATS,
     **zeros.FORMATS,
@@ -73,7 +73,7 @@ FORMATS: dict[str, Format] = {
 """Formats that can be written, by name, as in ``--to``."""
 
 KINDS: dict[str, SourceKind] = {
-    **universal_robots.KINDS,
+    **ur_formats.KINDS,
     **dh.KINDS,
     **origins.KINDS,
     **robots.KINDS,

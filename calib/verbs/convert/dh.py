@@ -193,7 +193,7 @@ def _check_poses(robot: Robot, table: DHTable, q: Array) -> None:
 
 
 def _sheet(robot: Robot, convention: str) -> DHTable | None:
-    """Return the rows that a robot was made from, if they have its chain and this convention; else None."""
+    """Return the DH rows that a robot was made from, if they are of its chain and in this convention; else None."""
     stated = robot.urdf.dh
     joints = tuple(joint.name for joint in robot.joints)
     if stated is None or (stated.base, stated.tip, stated.joint_names) != (

@@ -294,13 +294,13 @@ def with_pal_corrections(
 
 
 def _write(source: Source, path: Path, options: Options) -> Notes:
-    """Write the origins of the corrected chain's joints."""
+    """Write the origins of the corrected chain's joints as YAML; there are no notes."""
     write_origins(source.robot, path, overwrite=options.overwrite)
     return ()
 
 
 def _read(source: str, options: Options) -> Source:
-    """Read an origins file, on the given robot."""
+    """Read an origins file as a source: the robot that the options name, with these origins; others stay."""
     origins = read_origins(source)
     if options.robot is None:
         raise CalibError(

@@ -91,7 +91,7 @@ class StoredNumber:
         return replace(self, angle=TICK._replace(to_si=2.0 * np.pi / ticks))
 
     def unit(self, *, slides: bool) -> Unit:
-        """Return the unit of a joint's number."""
+        """Return the unit in which a joint's zero is stored, by whether the joint slides."""
         return self.length if slides and self.length is not None else self.angle
 
 
@@ -309,7 +309,7 @@ def zeros_text(stored: StoredNumber, conversion: Conversion) -> list[str]:
 
 
 def _table(rounded: RoundedZeros) -> list[str]:
-    """Return the lines of the table of zeros."""
+    """Return the lines of a table with the zero of each joint, its standard deviation, and the change to store."""
     key = rounded.stored.key
     columns = [
         name_column("Joint"),
@@ -334,7 +334,7 @@ def _table(rounded: RoundedZeros) -> list[str]:
 
 
 def _errors(rms_errors: RmsErrors) -> list[str]:
-    """Return the lines of the table of errors."""
+    """Return the lines of a table with the rms errors of the nominal robot, with zeros alone, and as calibrated."""
     units = list(rms_errors.zeros)
     heads = [f"[{RESIDUAL_UNITS[unit].shown}]" for unit in units]
     columns = [

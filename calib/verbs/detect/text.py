@@ -97,7 +97,7 @@ def detection_text(detection: Detection, joints: JointTable, matches: Matches) -
 
 
 def summary(detection: Detection) -> str:
-    """Write how many corners of how many pictures there are, in one sentence."""
+    """Write how many corners there are in how many pictures, in one sentence."""
     used = len(detection.used)
     count = plural(len(detection.pictures), "picture")
     return f"{plural(detection.corner_count, 'corner')} in {used} of {count}."
@@ -169,7 +169,7 @@ def _first_names(names: Sequence[str]) -> str:
 
 
 def _sentence(finding: Finding, board: Board | None) -> str:
-    """Write the sentence of a finding."""
+    """Write the sentence of a finding about a board, or about pictures if there is no board."""
     template = _FINDINGS[finding.code]
     if board is None:
         return template

@@ -286,7 +286,10 @@ def _poses(evaluation: Evaluation, rows: Rows, judged: Mask) -> tuple[PoseAccura
 
 
 def _figures(e: Array, unit: str, *, are_vectors: bool) -> PoseFigures:
-    """Return the figures of the residuals (n, d) of the repeats of one pose, vectors along the base's axes or not."""
+    """Return accuracy and repeatability at one pose from residuals (n, d) of its n repeats, in a unit of `RESIDUAL_UNITS`.
+
+    If the residuals are vectors along the base's axes, they are given along each axis too.
+    """
     mean = e.mean(axis=0)
     enough = len(e) >= FEWEST_REPEATS
     by_axis = 3.0 * e.std(axis=0, ddof=1) if enough else np.full(len(mean), np.nan)

@@ -147,7 +147,7 @@ def report(
 
 
 def _first_page(e: Assessment, result: str) -> Block:
-    """Make the first page of the report."""
+    """Make the first page of the report: outcome, record, robot, uncertainty, accuracy before and after, signatures."""
     urdf = e.evaluations["urdf"]
     # Without a tolerance it is filled in by hand.
     uncertainty = ""

@@ -195,7 +195,7 @@ def _sum_sentence(check: Check, total: float, unit: str) -> str:
 
 
 def _rows_reasons(a: Acceptance) -> Iterator[str]:
-    """Word which rows are evaluated, what was registered to them, and what they mean for other poses."""
+    """Yield sentences: which rows are evaluated, what was registered to them, and what they mean for other poses."""
     accuracy, count = a.accuracy, len(a.accuracy.poses)
     if accuracy.seen:
         yield (

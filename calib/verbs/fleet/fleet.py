@@ -28,6 +28,7 @@ from calib.numerics import solvers
 from calib.robot.robot import Robot
 from calib.robot.urdf import read_urdf
 from calib.show.plotting import require_matplotlib
+from calib.verbs.fleet.fleet_row import ACCEPTED, FAILED, ROW_LAYOUT, WITHHELD, FleetRow, fleet_csv
 from calib.verbs.fleet.job import (
     FleetJob,
     FleetOptions,
@@ -38,7 +39,6 @@ from calib.verbs.fleet.job import (
 )
 from calib.verbs.fleet.outliers import FleetOutlier, fleet_outliers
 from calib.verbs.fleet.robot_folder import RobotFolder
-from calib.verbs.fleet.rows import ACCEPTED, FAILED, ROW_LAYOUT, WITHHELD, FleetRow, fleet_csv
 
 #: The table of a fleet for a spreadsheet; see docs/fleet.md.
 CSV = "fleet.csv"
@@ -194,7 +194,7 @@ def fleet(
 def _robots_by_name(
     robots: RobotsInput, tables: Mapping[str, TableInput]
 ) -> Mapping[str, RobotInput]:
-    """Return the robot of each table by the table's name."""
+    """Return the robot of each table by the table's name, whichever way the robots were given."""
     if isinstance(robots, (Robot, str, Path)):
         return dict.fromkeys(tables, robots)
     if isinstance(robots, Mapping):

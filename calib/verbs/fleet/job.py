@@ -27,8 +27,8 @@ from calib.result.calibrate import calibrate
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
 from calib.verbs.calibrate.report import write_report
+from calib.verbs.fleet.fleet_row import FAILED, WITHHELD, FleetRow
 from calib.verbs.fleet.robot_folder import SCHEMA, URDF
-from calib.verbs.fleet.rows import FAILED, WITHHELD, FleetRow
 from calib.version import __version__
 
 #: Pattern of the names that a robot, and so its folder, may have.

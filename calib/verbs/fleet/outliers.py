@@ -27,7 +27,7 @@ from scipy.special import stdtrit
 
 from calib.basics.arrays import Array, Mask
 from calib.basics.channels import RESIDUAL_UNITS
-from calib.verbs.fleet.rows import DONE, FleetParameter, FleetRow
+from calib.verbs.fleet.fleet_row import DONE, FleetParameter, FleetRow
 from calib.verbs.fleet.text import data_text, few_text, figure_text
 
 #: Robots of a kind that it takes to compare them.
@@ -216,7 +216,7 @@ def _unusual_figures(rows: Sequence[FleetRow], counted: Mask) -> Iterator[FleetO
 
 
 def _error_figures(rows: Sequence[FleetRow]) -> list[_Figure]:
-    """Return the logarithms of errors and noise in each unit."""
+    """Return figures of errors and noise of n robots, by their logarithms, one for each kind of error and unit."""
     no_std = np.zeros(len(rows))
     figures = []
     for symbol, unit in RESIDUAL_UNITS.items():
@@ -230,7 +230,7 @@ def _error_figures(rows: Sequence[FleetRow]) -> list[_Figure]:
 
 
 def _parameter_figures(rows: Sequence[FleetRow]) -> list[_Figure]:
-    """Return the changes of the parameters that the measurements of any robot determine."""
+    """Return figures of the changes of parameters of n robots, one for each that any robot's measurements determine."""
     determined = []
     for row in rows:
         by_name = {p.name: p for p in row.parameters if not math.isnan(p.std)}

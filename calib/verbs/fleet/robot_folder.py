@@ -15,7 +15,7 @@ from typing import Any
 from calib.basics.files import make_folder, remove, write_atomically
 from calib.basics.json_files import json_bytes
 from calib.errors import CalibError
-from calib.verbs.fleet.rows import ROW_LAYOUT, FleetRow
+from calib.verbs.fleet.fleet_row import ROW_LAYOUT, FleetRow
 
 #: The corrected URDF in a robot's folder.
 URDF = "corrected.urdf"
@@ -99,7 +99,7 @@ class RobotFolder:
         return [n for n in names if isinstance(n, str) and Path(n).name == n and n != MADE]
 
     def _write_file(self, name: str, content: bytes) -> None:
-        """Write one file of the folder, over an earlier one."""
+        """Write one file of the folder by its name, over an earlier one."""
         write_atomically(self.path / name, content, overwrite=True)
 
 

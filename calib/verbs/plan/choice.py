@@ -23,9 +23,9 @@ from calib.basics.values import Value
 from calib.errors import ModelError
 from calib.instruments.camera import USUAL_LIMITS, SightLimits
 from calib.model.observability import steps
-from calib.verbs.plan.candidates import Pool
 from calib.verbs.plan.forecast import Forecast, Workspace, information
 from calib.verbs.plan.optimal import RESTARTS, Basis, Indices, choose, exchange, ranking, short_list
+from calib.verbs.plan.pose_candidates import Pool
 from calib.verbs.plan.sensitivity import Sensitivity
 
 #: Number of poses above which one random start is enough: many choices are equally good.

@@ -276,7 +276,7 @@ def plan(
     if json is not None:
         write_table(plan_table(planned), json, overwrite=force)
     if view is not None:
-        from calib.verbs.plan.view import plan_page  # with meshcat
+        from calib.verbs.plan.plan_page import plan_page  # with meshcat
 
         plan_page(planned, first_row=first_row).write(view, overwrite=force)
     if not quiet:

@@ -31,7 +31,7 @@ from calib.instruments.camera import is_image
 from calib.robot.kernel import over_blocks
 from calib.robot.ranges import spread_between
 from calib.robot.robot import Robot
-from calib.verbs.plan.candidates import planning_ranges
+from calib.verbs.plan.pose_candidates import planning_ranges
 from calib.verbs.plan.sensitivity import Sensitivity
 
 #: Number of poses over which accuracy is forecast without a plan.

@@ -23,11 +23,11 @@ from calib.errors import CalibError
 from calib.instruments.instrument import Condition, Instrument, Sightline
 from calib.robot.robot import Robot
 from calib.verbs.plan.bodies import collision_model, free_lines_of_sight
-from calib.verbs.plan.candidates import Pool, draw, draw_towards, drawing_of, planning_ranges
 from calib.verbs.plan.choice import PlanRequest, choose_poses
 from calib.verbs.plan.collision import CollisionCheck, CollisionModel
 from calib.verbs.plan.forecast import Forecast, Workspace
 from calib.verbs.plan.notes import Note
+from calib.verbs.plan.pose_candidates import Pool, draw, draw_towards, drawing_of, planning_ranges
 from calib.verbs.plan.route import Blocked, find_route
 from calib.verbs.plan.sensitivity import Sensitivity, instrument_of
 from calib.verbs.workspace.region import Region

@@ -37,7 +37,7 @@ from calib.verbs.simulate.disturbances import Encoder, MovedTarget, Outliers
 from calib.verbs.simulate.equipment import Equipment, draw_equipment
 from calib.verbs.simulate.mounting import draw_scene
 from calib.verbs.simulate.random_streams import stream
-from calib.verbs.simulate.readings import (
+from calib.verbs.simulate.simulated_rows import (
     CameraReader,
     Pictures,
     Reader,

@@ -15,8 +15,8 @@ from calib.model.families import FAMILIES, unit_of
 from calib.numerics.errors import rms
 from calib.show.lines import fill, plural, row_ranges
 from calib.show.tables import labelled
-from calib.verbs.simulate.readings import OUTLIER, Pictures
 from calib.verbs.simulate.scenario import Scenario, Simulated
+from calib.verbs.simulate.simulated_rows import OUTLIER, Pictures
 from calib.verbs.simulate.truth import Truth
 from calib.verbs.simulate.views import filled_shares
 

@@ -268,7 +268,10 @@ def _draw_errors(
 
 
 def _match(nominal: Robot, true: Robot) -> Robot:
-    """Return the nominal robot with the placements of a true one, whose URDF may differ in other ways too."""
+    """Return the nominal robot with the placements of a true one; `ModelError` if joints, types or axes differ.
+
+    The true robot's URDF may differ in other ways, and its base may stand elsewhere below the root.
+    """
     axes = [
         [(joint.name, joint.type, *np.round(joint.axis, 9)) for joint in robot.joints]
         for robot in (nominal, true)
@@ -298,7 +301,7 @@ def _placement_errors(nominal: Robot, true: Robot) -> dict[str, float]:
 
 
 def _draw_frames(cell: Cell, seed: int) -> tuple[tuple[str, ...], Array]:
-    """Return names of groups and the true pose of the base in each one's frame: given, drawn, or the base itself."""
+    """Return names of F stations and T_frame_base of each, (F, 4, 4) [m]: as given, drawn, or the identity."""
     groups = tuple(cell.frames) or ("",)
     has_own_frame = cell.kind is not None and registry.get(cell.kind).own_frame
     rng = stream(seed, "frames")
@@ -324,7 +327,7 @@ def _draw_frames(cell: Cell, seed: int) -> tuple[tuple[str, ...], Array]:
 def _draw_targets(
     cell: Cell, seed: int, position_std: float
 ) -> tuple[tuple[str, ...], Array, Array]:
-    """Return names of targets, their stated poses in the tip, and true ones drawn around these."""
+    """Return names of T targets, their stated poses in the tip, (T, 4, 4) [m], and true ones drawn around these."""
     names = tuple(cell.targets) or (DEFAULT_TARGET,)
     rng = stream(seed, "targets")
     stated = np.tile(np.eye(4), (len(names), 1, 1))

@@ -18,8 +18,8 @@ from calib.basics.json_files import json_bytes
 from calib.camera.lenses import LENSES
 from calib.robot.coupled_readings import coupling_table
 from calib.verbs.simulate.equipment import Equipment
-from calib.verbs.simulate.readings import Pictures
 from calib.verbs.simulate.scenario import Scenario, Simulated
+from calib.verbs.simulate.simulated_rows import Pictures
 from calib.verbs.simulate.truth import Truth
 
 SCHEMA = "truth 2"

@@ -25,7 +25,7 @@ from calib.camera.camera import Camera
 from calib.errors import CalibError
 from calib.instruments.camera import board_tilts
 from calib.instruments.instrument import Sightline
-from calib.verbs.plan.candidates import planning_ranges
+from calib.verbs.plan.pose_candidates import planning_ranges
 
 #: Number of views that are chosen at once.
 _BATCH = 128
@@ -167,7 +167,7 @@ def draw_views(
 def try_views(
     scene: CameraScene, tries: int, rng: np.random.Generator, framing: Framing = USUAL_FRAMING
 ) -> Array:
-    """Try a number of views; returns the readings (n, m) [rad] or [m] of those that show the whole board."""
+    """Draw a number of views and approach them; return the readings (n, m) [rad] or [m] that show the whole board."""
     robot = scene.sightline.robot
     low, high = planning_ranges(robot, {}, _LIMIT_MARGIN).T
     limits = planning_ranges(robot, {}, _LIMIT_MARGIN, turns=True)

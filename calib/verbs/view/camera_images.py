@@ -212,7 +212,10 @@ def _rays(camera: Camera, pixels: Array) -> Array:
 
 
 def _board_shapes(e: Evaluation, boards: Sequence[str]) -> dict[str, Shape]:
-    """Return each board in the images: its corners as designed, on a plate with a margin of one square."""
+    """Return the shape of each board in the images by its name: corners as designed, on a plate with a margin.
+
+    ``boards`` names the board of each row of the evaluation; the margin is one square.
+    """
     points = e.measurements.board_points
     assert points is not None
     names = np.array(boards)

@@ -69,7 +69,7 @@ def view(
 ) -> None:
     """Load the robots and the table, write the page, and open it if it is a temporary file."""
     from calib.result.calibration_file import read_result
-    from calib.verbs.view.page import view_page, write_or_open
+    from calib.verbs.view.robots_page import view_page, write_or_open
     from calib.verbs.view.view import view_of_result, view_of_robots
 
     if other is not None and calibration is not None:

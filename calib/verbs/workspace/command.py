@@ -87,9 +87,9 @@ def workspace(
     from calib.data.columns import column_names
     from calib.robot.ranges import joint_ranges, margins_by_joint
     from calib.show.plotting import require_matplotlib
-    from calib.verbs.workspace.figures import check_ending, write_picture
     from calib.verbs.workspace.region import Density
     from calib.verbs.workspace.region_file import write_region
+    from calib.verbs.workspace.region_picture import check_ending, write_picture
     from calib.verbs.workspace.region_rows import Checked, RegionView, read_rows, row_points
     from calib.verbs.workspace.text import workspace_text
     from calib.verbs.workspace.workspace import workspace_points
@@ -134,7 +134,7 @@ def workspace(
     if picture is not None:
         write_picture(found, picture, overwrite=force)
     if view is not None:
-        from calib.verbs.workspace.view import region_page  # with meshcat
+        from calib.verbs.workspace.region_page import region_page  # with meshcat
 
         region_page(found).write(view, overwrite=force)
     if quiet:

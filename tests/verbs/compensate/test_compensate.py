@@ -15,8 +15,8 @@ from calib.verbs.compensate.compensate import _find_poses_to_send, compensate
 from calib.verbs.compensate.expected import expected_errors
 from calib.verbs.compensate.inverse import Matching, solve
 from calib.verbs.compensate.nominal_actual import Arm, pair_of
-from calib.verbs.compensate.program import Program
 from calib.verbs.compensate.program_table import write_commands
+from calib.verbs.compensate.robot_program import Program
 from tests.hard_cases import made, table
 from tests.verbs.compensate.arms import off, turned
 

@@ -87,7 +87,7 @@ class Pool(NamedTuple):
 
 
 def drawing_of(instrument: Instrument) -> Drawing:
-    """Return how candidates of an instrument are drawn."""
+    """Return the numbers of poses to draw for an instrument: fewer if it has viewpoints."""
     return TOWARDS_VIEWPOINTS if instrument.VIEWPOINT_NUMBERS else EVEN
 
 
@@ -153,7 +153,7 @@ def draw_towards(
     robot = sightline.robot
 
     def are_within(q: Array) -> Mask:
-        """Test whether all joints are within their ranges."""
+        """Return at which readings (N, m) all joints are within their ranges, (N,)."""
         values = robot.input_values(q)
         return np.asarray(((values >= ranges[:, 0]) & (values <= ranges[:, 1])).all(axis=1))
 
@@ -233,7 +233,10 @@ def _even_batches(robot: Robot, ranges: Array, seed: int) -> Iterator[Array]:
 def _batches_near_viewpoints(
     instrument: Instrument, sightline: Sightline, ranges: Array, seed: int
 ) -> Iterator[Array]:
-    """Yield batches of readings (n, m) that bring the robot near viewpoints."""
+    """Yield batches of readings (n, m) [rad] or [m] that bring the robot near viewpoints of a Sobol sequence.
+
+    Ranges are (m, 2); the readings that inverse kinematics finds may be beyond them.
+    """
     # Imported late: SciPy's distributions take as long as the rest of calib.
     from scipy.stats import qmc
 

@@ -146,7 +146,7 @@ class Program(Value):
 
 
 def _labels(count: int) -> tuple[str, ...]:
-    """Return labels of rows, numbered from 1."""
+    """Return the labels of so many rows: ``"row 1"``, ``"row 2"`` and so on."""
     return tuple(f"row {i + 1}" for i in range(count))
 
 

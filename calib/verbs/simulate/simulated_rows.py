@@ -250,7 +250,10 @@ class TrackerReader(Reader):
         )
 
     def _instrument_std(self, tour: Tour, T: Array) -> Array:
-        """Return the standard deviation of the instrument alone at each view, shape (R,), [m]."""
+        """Return the standard deviation of lengths by the instrument alone at R views, (R,) [m].
+
+        It depends on the distances of the targets, whose true poses in their frames are T, (R, 4, 4) [m].
+        """
         noise, kind = self.noise, self.kind
         if noise is None:
             return np.zeros(len(T))

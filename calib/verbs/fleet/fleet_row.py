@@ -163,7 +163,7 @@ class FleetRow:
 
 
 def _rms_by_unit(errors: Errors) -> dict[str, float]:
-    """Return the rms errors in each unit that was measured."""
+    """Return the rms error in each unit that was measured, by its symbol: ``"m"`` [m] and so on."""
     return {unit: errors[unit].rms for unit in errors.units}
 
 
