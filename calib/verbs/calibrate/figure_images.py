@@ -309,7 +309,7 @@ def _longest_arrow(places: Array) -> float:
 
 
 def _board_panel(ax: Axes, title: str, places: Array) -> None:
-    """Set up a panel to show a board with corners at places (n, 2) [m] from its front: x to the right, y down, in mm."""
+    """Set up a panel in mm for a board with corners at places (n, 2) [m], from its front: x to the right, y down."""
     low = _MM * places.min(axis=0)
     high = _MM * places.max(axis=0)
     margin = 0.12 * float(np.max(high - low))

@@ -153,7 +153,7 @@ class Arm(Value):
         return poses, np.concatenate([linear, angular], axis=1)
 
     def _samples(self, q: Array) -> Samples:
-        """Return N samples of readings (N, m) [rad] or [m], with the loads on the joints if an error depends on them."""
+        """Return N samples of readings (N, m) [rad] or [m], with the joints' loads if an error depends on them."""
         return Samples.at(q, None if self.load is None else self.load(q))
 
 
@@ -323,7 +323,7 @@ def is_corrected(result: Calibration, robot: Robot) -> bool:
 
 
 def _other_origins(robot: Robot, reference: Robot) -> list[str]:
-    """Return the names of the joints of a robot whose origins differ from those of a reference by more than rounding."""
+    """Return the names of a robot's joints whose origins differ from those of a reference by more than rounding."""
     origins = reference.origins()
     return [name for name, T in robot.origins().items() if np.abs(T - origins[name]).max() > _SAME]
 

@@ -286,7 +286,7 @@ def _poses(evaluation: Evaluation, rows: Rows, judged: Mask) -> tuple[PoseAccura
 
 
 def _figures(e: Array, unit: str, *, are_vectors: bool) -> PoseFigures:
-    """Return accuracy and repeatability at one pose from residuals (n, d) of its n repeats, in a unit of `RESIDUAL_UNITS`.
+    """Return accuracy and repeatability at one pose from residuals (n, d) of its n repeats, in the unit of this symbol.
 
     If the residuals are vectors along the base's axes, they are given along each axis too.
     """

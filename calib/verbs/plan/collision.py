@@ -370,5 +370,5 @@ def _choose_margin(
 
 
 def _is_always(touched: Mask) -> bool:
-    """Return whether at `ALWAYS` of N poses or more some pair touches, not always the same one; ``touched`` is (N, P)."""
+    """Return whether at `ALWAYS` of N poses or more any of P pairs touches, by a mask (N, P)."""
     return bool(touched.any(axis=1).mean() >= ALWAYS)

@@ -134,7 +134,7 @@ def order_poses(q: Array, start: Array | None = None, free_path: FreePath | None
 
 
 def _shortest_path(costs: Array) -> Integers:
-    """Return the shortest of several paths through n poses by the costs (n + 2, n + 2) of their moves, both ends included.
+    """Return the shortest of several paths through n poses by the costs (n + 2, n + 2) of their moves, with both ends.
 
     Each path begins at another pose, goes to the nearest pose that is left, and is improved.
     """
