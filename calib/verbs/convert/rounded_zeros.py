@@ -301,15 +301,7 @@ def zeros_text(stored: StoredNumber, conversion: Conversion) -> list[str]:
         "each joint must go up by its zero (down if it is negative). After that taught points and the rest of this "
         "result are no longer valid: measure again."
     )
-    return [
-        fill(meaning),
-        "\n".join(_table(rounded)),
-        "\n".join(_errors(rms_errors)),
-    ]
 
-
-def _table(rounded: RoundedZeros) -> list[str]:
-    """Return the lines of a table with the zero of each joint, its standard deviation, and the change to store."""
     key = rounded.stored.key
     columns = [
         name_column("Joint"),
@@ -330,17 +322,11 @@ def _table(rounded: RoundedZeros) -> list[str]:
         std = number(factor * zeros.std[k], _DIGITS)
         change = number(rounded.numbers[k], unit.decimals, "+")
         rows.append([name, delta, std, symbol, change, unit.name])
-    return table_lines(columns, rows)
+    table_of_zeros = table_lines(columns, rows)
 
-
-def _errors(rms_errors: RmsErrors) -> list[str]:
-    """Return the lines of a table with the rms errors of the nominal robot, with zeros alone, and as calibrated."""
     units = list(rms_errors.zeros)
-    heads = [f"[{RESIDUAL_UNITS[unit].shown}]" for unit in units]
-    columns = [
-        name_column(f"Rms error of {_ROWS[rms_errors.rows]}"),
-        *(Column(h, 10) for h in heads),
-    ]
+    columns = [name_column(f"Rms error of {_ROWS[rms_errors.rows]}")]
+    columns += [Column(f"[{RESIDUAL_UNITS[symbol].shown}]", 10) for symbol in units]
     robots: list[tuple[str, Mapping[str, float] | None]] = [
         ("nominal robot", rms_errors.nominal),
         ("joint zeros alone", rms_errors.zeros),
@@ -351,5 +337,5 @@ def _errors(rms_errors: RmsErrors) -> list[str]:
     rows = []
     for name, errors in robots:
         if errors is not None:
-            rows.append([name, *(shown(errors[unit], unit) for unit in units)])
-    return table_lines(columns, rows)
+            rows.append([name, *(shown(errors[symbol], symbol) for symbol in units)])
+    return [fill(meaning), "\n".join(table_of_zeros), "\n".join(table_lines(columns, rows))]
