@@ -192,7 +192,7 @@ def bootstrap(
         count: Number of draws of the N rows, each of which is fitted, `FEWEST_SAMPLES` to `MOST_SAMPLES`.
         seed: Seed of the draws, 0 or more.
         progress: Called after each fit with the number of fits done and of all; None: nothing is called.
-        executor: Where the fits run; None: in this process.
+        executor: Runs the fits; None: in this process.
 
     Returns:
         The parameters fitted to each draw, shape (count, p), and the number of fits that did not converge.

@@ -81,8 +81,8 @@ def compensate(
         program: The poses to reach.
         nominal: The model that the controller has, or the path of its URDF or xacro, or its name; None: the nominal
             robot of the result.
-        tool: What is to arrive: a pose in the tip, shape (4, 4) [m], or a position, shape (3,); or the name of a target
-            of the calibration ("" for the only one), where the calibrated model has it; None: the tip itself.
+        tool: Tool that is to arrive: a pose in the tip, shape (4, 4) [m], or a position, shape (3,); or the name of a
+            target of the calibration ("" for the only one), where the calibrated model has it; None: the tip itself.
         frame: The base in the frame that poses are given and sent in, shape (4, 4) [m], or the name of a station of the
             calibration ("" for the only one); None: the base.
         tolerance: Error that a row may keep: position [m], angle [rad]; no less than 1e-9.

@@ -183,7 +183,7 @@ def solve(
         arm: The robot with its errors and its tool.
         T_wanted: Poses of the tool in the base, shape (N, 4, 4), [m].
         start: Readings of the joints to start at, shape (N, m), [rad] or [m].
-        matching: What of the poses is matched: pose, position, or position and axis.
+        matching: Part of the poses that is matched: pose, position, or position and axis.
         limits: Lowest and highest joint values, shape (m, 2), [rad] or [m]; None: there are none.
         steps: Maximum number of steps.
 
@@ -334,7 +334,7 @@ def follow(arm: Arm, T_wanted: Array, start: Array, matching: Matching) -> Solut
         arm: The robot with its errors and its tool.
         T_wanted: Poses of the tool in the base, shape (N, 4, 4), [m].
         start: Readings of the joints near which the first pose is solved, shape (m,), [rad] or [m].
-        matching: What of the poses is matched.
+        matching: Part of the poses that is matched.
 
     Returns:
         The readings at the N poses, and the tool there; of a pose that cannot be reached those that miss it least.

@@ -114,7 +114,7 @@ class Arm(Value):
             non_geometric: The model.
             nominal: The nominal robot, whose placements it corrects.
             T_tip_tool: Pose of the tool in the tip, shape (4, 4), [m].
-            payload: What the tip carries; None: what it carried at the calibration.
+            payload: Payload of the tip; None: that at the calibration.
         """
         model = non_geometric.model
         of_joints = list(model.joint_terms)

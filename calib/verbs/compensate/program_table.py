@@ -68,7 +68,7 @@ def read_program(
         robot: The nominal robot, whose joint names are looked for among the columns.
         columns: Names that calib uses by the table's names, or all that is said of the columns; its convention of
             orientations counts if the table has its columns. None: nothing is said.
-        match: What of the poses is to be reached, one of `calib.verbs.compensate.inverse.MATCHES`; None: see `Program`.
+        match: Part of the poses to be reached, one of `calib.verbs.compensate.inverse.MATCHES`; None: see `Program`.
         start: Joint values by name [rad] or [m] near which the first of poses alone is solved; None: mid range.
 
     Returns:
@@ -234,7 +234,7 @@ def write_commands(
     Args:
         commands: The commands.
         path: The file.
-        send: Which of the two forms are written.
+        send: The forms to write: joint values, poses to send, or both.
         orientation: Convention of the orientations, one of `calib.data.forms.orientations.CONVENTIONS`; None: that of
             the program, or of one without orientations rotation vectors.
         overwrite: Whether an existing file is replaced.

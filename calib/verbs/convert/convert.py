@@ -88,7 +88,7 @@ def register(name: str, row: Format) -> None:
 
     Args:
         name: Its name, as in ``--to``, which no other format has.
-        row: What it is, the endings of its files, and the function that writes it.
+        row: Its description, the endings of its files, and the function that writes it.
 
     Raises:
         CalibError: The name is taken.
@@ -118,7 +118,7 @@ def convert(
         path: The file to write.
         to: Name of the format, such as ``"dh"``, one of `FORMATS`; None: by the file's ending.
         robot: The nominal robot, or its URDF, xacro or name; None: that of the calibration.
-        options: What else goes with the conversion, such as ``hash_from``; None: nothing. The arguments of this
+        options: Further options of the conversion, such as ``hash_from``; None: nothing. The arguments of this
             function take precedence over it.
         overwrite: Whether an existing file is replaced.
         accept: Whether to write even if the verdict is ``do not use``, which a URDF then states in a comment, or if
@@ -193,7 +193,7 @@ def read_source(
     Args:
         source: A result; a robot; a file that `KINDS` has a row for; or the name of a robot.
         path: The file to write.
-        options: What goes with the conversion.
+        options: Options of the conversion.
 
     Returns:
         What was read, and the name of the format, one of `FORMATS`.

@@ -200,7 +200,7 @@ def parse_yaml(data: bytes, source: str, what: str) -> dict[Any, Any]:
     Args:
         data: The file's bytes.
         source: The file's name, for the message.
-        what: What the file should be, for the message: ``"origins file"``.
+        what: Expected kind of file, for the message: ``"origins file"``.
 
     Returns:
         The outermost table; empty if the file holds none.

@@ -114,7 +114,7 @@ class RoundedZeros(Value):
 
         Args:
             source: The result.
-            stored: How the controller stores them.
+            stored: Number, sign and unit in which the controller stores a zero.
 
         Returns:
             The change of the stored number of each joint.
@@ -288,7 +288,7 @@ def zeros_text(stored: StoredNumber, conversion: Conversion) -> list[str]:
     """Word the joint zeros that a conversion wrote.
 
     Args:
-        stored: How the controller stores zeros.
+        stored: Number, sign and unit in which the controller stores a zero.
         conversion: The conversion.
 
     Returns:

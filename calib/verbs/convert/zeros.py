@@ -216,7 +216,7 @@ def offsets_bytes(file: OffsetFile, rounded: RoundedZeros, update: str | Path | 
     """Return the bytes of a file with offsets.
 
     Args:
-        file: What kind of file it is.
+        file: The kind of file.
         rounded: The zeros.
         update: The robot's own file, a copy of which gets the new offsets; None: the file has the changes alone, under
             the key with the suffix ``_change``.

@@ -30,7 +30,7 @@ def write_contact_sheet(detection: Detection, path: str | Path, *, overwrite: bo
     """Write the contact sheet.
 
     Args:
-        detection: What was detected.
+        detection: The corners, and the pictures that they are in.
         path: The file, .html.
         overwrite: True to overwrite an existing file.
 

@@ -67,10 +67,10 @@ _FINDINGS = {
 
 
 def detection_text(detection: Detection, joints: JointTable, matches: Matches) -> list[str]:
-    """Write what was detected.
+    """Write corners found, pictures not used, rows without a picture, and findings.
 
     Args:
-        detection: What was detected.
+        detection: The corners, and the pictures that they are in.
         joints: The table of joints.
         matches: The row of each picture.
 

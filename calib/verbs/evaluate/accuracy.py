@@ -379,7 +379,7 @@ def fitted_rows(
             file.
         robot: The robot with which the table is evaluated, nominal or corrected.
         measurements: The table, N rows.
-        cell: What is known of frames, targets and loads of the table.
+        cell: Known frames, targets and loads of the table.
 
     Returns:
         True for these rows, shape (N,).

@@ -69,7 +69,7 @@ class FleetRobot:
             robot: URDF or xacro, or a name of example-robot-data such as ``"ur3"``.
             data: Table of measurements.
             cell: Its cell; None: the default `Cell`.
-            columns: What is said of the table's columns, see `Measurements.read`; None: nothing.
+            columns: Names and units of the table's columns, see `Measurements.read`; None: nothing.
             points: List of measured points; None: the table has the positions.
             points_unit: Unit of that list, ``"mm"``; None: the list names it.
         """

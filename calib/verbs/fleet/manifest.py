@@ -123,7 +123,7 @@ def options_of_row(cells: Mapping[str, str], folder: Path, line: FitOptions) -> 
 
     Args:
         cells: The cells of its row that are not empty, by column; several words of one are separated by semicolons.
-        folder: Where the path of a cell file begins.
+        folder: Folder from which the path of a cell file counts.
         line: The options of the command line, which hold for what the row does not give.
     """
     given = dict(line.given)

@@ -130,7 +130,7 @@ def choose_poses(
     Args:
         sensitivity: The nominal robot in its cell under the error model of the fit.
         pool: The candidates.
-        request: What is wanted.
+        request: Numbers of poses, criterion and seed.
         taken: Poses that are measured already, shape (T, m), [rad] or [m]: they count in the information, and are not
             planned again; None: none are.
         progress: Called with the number of forecasts of the ladder that are done, and of all; None: nothing is called.

@@ -176,7 +176,7 @@ class CollisionModel:
             boxes: Obstacles.
             targets: Positions of targets in the tip by name, shape (3,), [m]: a rod from the tip's origin to each
                 stands for the target and what holds it; None: none.
-            check: What is checked; None: the defaults of `CollisionCheck`.
+            check: Extent and clearance of the check; None: the defaults of `CollisionCheck`.
             attached: Further shapes, fixed to any link, of the kind ``"target"``; those of the kind ``"box"`` last.
 
         Raises:

@@ -89,7 +89,7 @@ def plan_rows(instrument: Instrument, plan: Plan, number: int) -> Iterator[dict[
     """Yield the cells of each row of a plan by the headers of their columns, in the order to drive.
 
     Args:
-        instrument: What measures, which has the columns.
+        instrument: The instrument, which determines the columns.
         plan: The plan.
         number: Number of the first row; a point is named after its row, ``"P1"``.
     """
@@ -190,7 +190,7 @@ def read_poses(
     Args:
         path: Path of the table.
         robot: The robot, whose m measured joints have a column each in the table.
-        columns: What is said of the columns, as by ``--columns``; None: nothing.
+        columns: Names and units of the columns, as by ``--columns``; None: as they are.
         taken: Whether only poses that a fit would estimate from are read, measured and of the set ``estimate``; of a
             table in which nothing is measured, such as a plan that is still to be driven, all poses of that set.
 

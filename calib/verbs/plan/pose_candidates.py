@@ -107,7 +107,7 @@ def draw(
         robot: The robot, with m measured joints.
         ranges: Lowest and highest value of each joint, shape (m, 2), [rad] or for sliding joints [m], see
             `planning_ranges`.
-        conditions: What a pose must pass, in this order; that with the reason ``"region"``, if any, first.
+        conditions: Conditions that a pose must pass, in this order; that with the reason ``"region"``, if any, first.
         count: Number of candidates that is enough, 1 or more.
         seed: Seed of the Sobol sequence: the same one draws the same poses.
         progress: Called after each batch with the number of candidates so far and ``count``; None: nothing is called.
@@ -139,7 +139,7 @@ def draw_towards(
         sightline: The instrument and its target.
         ranges: Lowest and highest value of each joint, shape (m, 2), [rad] or for sliding joints [m]. Readings beyond
             them are refused for ``"limits"``, before all other reasons.
-        conditions: What a pose must pass, in this order.
+        conditions: Conditions that a pose must pass, in this order.
         count: Number of candidates that is enough, 1 or more.
         seed: The same one draws the same poses.
         progress: Called after each batch with the number of candidates so far and ``count``; None: nothing is called.

@@ -83,7 +83,7 @@ def draw_scene(
         seed: Of the random numbers, or where they come from.
         T_camera_base: Pose of the camera's link in the camera, shape (4, 4) [m]; None: drawn.
         T_tip_board: Pose of the board in its link, shape (4, 4) [m]; None: drawn.
-        framing: How pictures are to show the board.
+        framing: Conditions under which a picture shows the board well.
 
     Raises:
         CalibError: Both links move and the camera's mount is not given, or the board is never seen.

@@ -105,7 +105,7 @@ def is_framed(scene: CameraScene, T_camera_board: Array, framing: Framing = USUA
     Args:
         scene: Has the camera and the board.
         T_camera_board: Poses of the board in the camera, shape (N, 4, 4) [m].
-        framing: How it is to be shown.
+        framing: Conditions under which it is shown well.
 
     Returns:
         shape (N,).
@@ -139,7 +139,7 @@ def draw_views(
         scene: The robot, the camera and the board.
         count: Number of views.
         seed: Of the random numbers, or where they come from.
-        framing: How the pictures are to show the board.
+        framing: Conditions under which a picture shows the board well.
         progress: Called after each batch with the number of views so far and ``count``; None: nothing is called.
 
     Returns:
