@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from calib.verbs.compare.comparison import Comparison as Comparison, compare as compare
     from calib.verbs.compensate.commands import Commands as Commands
     from calib.verbs.compensate.compensate import compensate as compensate
-    from calib.verbs.compensate.program import Program as Program
+    from calib.verbs.compensate.robot_program import Program as Program
     from calib.verbs.convert.convert import convert as convert
     from calib.verbs.evaluate.acceptance import Acceptance as Acceptance, acceptance as acceptance
     from calib.verbs.evaluate.evaluation import Evaluation as Evaluation, evaluate as evaluate
@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from calib.verbs.plan.choice import PlanRequest as PlanRequest
     from calib.verbs.plan.plan import Plan as Plan, plan as plan
     from calib.verbs.simulate.scenario import Scenario as Scenario, simulate as simulate
-    from calib.verbs.view.page import view as view
+    from calib.verbs.view.robots_page import view as view
     from calib.verbs.workspace.region import Region as Region
     from calib.verbs.workspace.workspace import workspace as workspace
 
@@ -67,7 +67,7 @@ _NAMES = {
     "calib.verbs.base_frame.base_frame": "base_frame",
     "calib.verbs.compensate.commands": "Commands",
     "calib.verbs.compensate.compensate": "compensate",
-    "calib.verbs.compensate.program": "Program",
+    "calib.verbs.compensate.robot_program": "Program",
     "calib.verbs.convert.convert": "convert",
     "calib.data.cell": "Cell",
     "calib.data.forms.column_options": "ColumnOptions",
@@ -85,7 +85,7 @@ _NAMES = {
     "calib.robot.dh_rows": "DHRow",
     "calib.robot.robot": "Robot",
     "calib.verbs.simulate.scenario": "Scenario simulate",
-    "calib.verbs.view.page": "view",
+    "calib.verbs.view.robots_page": "view",
     "calib.boards.detection.detect": "detect",
 }
 #: Modules by which a user extends calib: a registry each, by its name in `calib.plugins.WORDS`, and plugins.

@@ -34,7 +34,7 @@ from calib.robot.robot import Robot
 from calib.verbs.base_frame.axes import nominal_axes, nominal_axes_frame
 from calib.verbs.base_frame.base_frame import BaseFrame, base_frame, frame_of
 from calib.verbs.base_frame.circles import fit_circle, fit_plane
-from calib.verbs.base_frame.findings import with_positive_sense
+from calib.verbs.base_frame.sweep_findings import with_positive_sense
 from calib.verbs.base_frame.sweeps import Sweeps
 
 sys.path.insert(0, str(Path(__file__).parents[1]))

@@ -27,7 +27,7 @@ from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 from calib.verbs.compensate.compensate import compensate
 from calib.verbs.compensate.expected import mean_of_chi
-from calib.verbs.compensate.program import Program
+from calib.verbs.compensate.robot_program import Program
 from calib.verbs.simulate.truth import Truth, draw_truth
 
 ARMS = ("ur3", "ur5", "ur10", "panda")

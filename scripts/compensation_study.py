@@ -34,7 +34,7 @@ from calib.verbs.compensate.commands import Commands
 from calib.verbs.compensate.compensate import compensate
 from calib.verbs.compensate.inverse import Matching, solve
 from calib.verbs.compensate.nominal_actual import Arm
-from calib.verbs.compensate.program import Program
+from calib.verbs.compensate.robot_program import Program
 from calib.verbs.simulate.scenario import Scenario
 
 #: Whole poses are matched; the length that weighs angles is 0.01 m.

@@ -24,10 +24,10 @@ from calib.data.measurements import Measurements
 from calib.example import PAPER_TARGET, paper_measurements, paper_urdf
 from calib.numerics.geometry import pose_of
 from calib.robot.robot import Robot
-from calib.verbs.plan.candidates import draw, planning_ranges
 from calib.verbs.plan.choice import PlanRequest
 from calib.verbs.plan.forecast import Forecast, Workspace
 from calib.verbs.plan.plan import Plan, plan
+from calib.verbs.plan.pose_candidates import draw, planning_ranges
 from calib.verbs.plan.sensitivity import Sensitivity
 from calib.verbs.simulate.scenario import Scenario
 

@@ -34,8 +34,8 @@ from calib.fit.registration.table_rows import rows_and_setup
 from calib.numerics.correlated_noise import PoseNoise
 from calib.robot.robot import Robot
 from calib.verbs.simulate.disturbances import Encoder
-from calib.verbs.simulate.readings import Pictures
 from calib.verbs.simulate.scenario import Scenario, VirtualCell
+from calib.verbs.simulate.simulated_rows import Pictures
 
 #: Steps of the encoders [deg].
 STEPS = (0.0, 0.005, 0.02, 0.1)

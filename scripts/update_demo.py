@@ -24,7 +24,7 @@ from calib.result.calibration import Calibration
 from calib.robot.robot import Robot
 from calib.verbs.calibrate.report import write_report
 from calib.verbs.convert.origins import write_origins
-from calib.verbs.view.page import write_page
+from calib.verbs.view.robots_page import write_page
 
 DOCS = Path(__file__).parents[1] / "docs"
 

@@ -18,7 +18,7 @@ from calib.result.calibration_file import read_result
 from calib.robot.ranges import column_limits, random_joint_values
 from calib.robot.robot import Robot
 from calib.verbs.compensate.compensate import compensate
-from calib.verbs.compensate.program import Program
+from calib.verbs.compensate.robot_program import Program
 from calib.verbs.plan.choice import PlanRequest
 from calib.verbs.plan.plan import plan
 from calib.verbs.simulate.scenario import Scenario, Simulated, simulate

@@ -15,7 +15,7 @@ from calib.data.measurements import Measurements
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
 from calib.show.scene.posed_robot import translation
-from calib.verbs.view.page import view_page
+from calib.verbs.view.robots_page import view_page
 from calib.verbs.view.view import Measured, View
 from tests import hard_cases
 

@@ -30,7 +30,7 @@ from calib.result.calibration import Calibration
 from calib.robot.robot import Robot
 from calib.verbs.compare.comparison import compare
 from calib.verbs.compensate.compensate import compensate
-from calib.verbs.compensate.program import Program
+from calib.verbs.compensate.robot_program import Program
 from calib.verbs.evaluate.evaluation import evaluate
 from calib.verbs.plan.choice import PlanRequest
 from calib.verbs.plan.plan import plan

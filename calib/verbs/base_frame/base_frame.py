@@ -42,7 +42,7 @@ from calib.verbs.base_frame.axes import (
     turn_to_zero,
 )
 from calib.verbs.base_frame.circles import Circle, Plane, fit_circle, fit_plane
-from calib.verbs.base_frame.findings import ORDER, SweepFinding, findings, with_positive_sense
+from calib.verbs.base_frame.sweep_findings import ORDER, SweepFinding, findings, with_positive_sense
 from calib.verbs.base_frame.sweeps import Sweeps
 
 #: Kind and version of the table for JSON.
@@ -112,7 +112,7 @@ class BaseFrame(Value):
     joints: tuple[JointAxis, ...] = ()
     #: Of each joint and the next
     pairs: tuple[AxisPair, ...] = ()
-    #: What is wrong with the sweeps
+    #: Faults of the sweeps
     findings: tuple[SweepFinding, ...] = ()
 
     @property
@@ -182,7 +182,7 @@ def base_frame(
         robust: True to reject outliers, and to name them in the findings.
 
     Returns:
-        The base frame, the axes, and what is wrong with the sweeps.
+        The base frame, the axes, and the faults of the sweeps.
 
     Raises:
         MeasurementError: A sweep is missing, is not that of its joint, or no plane or circle fits it.
@@ -194,7 +194,14 @@ def base_frame(
     check_number("plane_offset", plane_offset)
     check_flags(robust=robust)
     arm = None if robot is None else robot_of(robot)
-    _check_sweeps(sweeps)
+    numbers = [sweep.joint for sweep in sweeps.sweeps]
+    if numbers != [None, *range(max(2, len(numbers) - 1))]:
+        names = choices(sweep.name for sweep in sweeps.sweeps)
+        raise MeasurementError(
+            f"{sweeps.source}: the sweeps are {names}. A base frame needs points on the mounting "
+            f"plane, 'plane', and sweeps of '{sweeps.label(0)}', of '{sweeps.label(1)}', and of "
+            "more joints, if wanted, in their order."
+        )
     touched, *swept = sweeps.sweeps
     with _at(touched.where):
         plane = fit_plane(touched.points, touched.sigma, robust=robust)
@@ -274,19 +281,6 @@ def frame_of(
     with np.errstate(divide="ignore"):
         dof = 1.0 / np.sum(share**2 / dof_of_figures[:, None], axis=0)
     return BaseFrame(read_only(T), read_only(covariance), read_only(dof), plane)
-
-
-def _check_sweeps(sweeps: Sweeps) -> None:
-    """Refuse sweeps that are not those of the plane and of the joints from the first on; raises `MeasurementError`."""
-    numbers = [sweep.joint for sweep in sweeps.sweeps]
-    joints = max(2, len(numbers) - 1)
-    if numbers != [None, *range(joints)]:
-        names = choices(sweep.name for sweep in sweeps.sweeps)
-        raise MeasurementError(
-            f"{sweeps.source}: the sweeps are {names}. A base frame needs points on the mounting "
-            f"plane, 'plane', and sweeps of '{sweeps.label(0)}', of '{sweeps.label(1)}', and of "
-            "more joints, if wanted, in their order."
-        )
 
 
 def _axes(

@@ -208,7 +208,15 @@ def _fit_robustly(
     fit = partial(figure, points, np.asarray(weights))
     used = np.ones(len(points), dtype=np.bool_)
     if robust:
-        used = _without_outliers(fit, weights)
+        # Outliers are left out one by one, see the module's text.
+        for _ in range(max(1, int(_SHARE * len(weights)))):
+            residuals, jacobian, *_ = fit(used)
+            root = np.sqrt(weights[used])
+            whitened = root[:, None] * residuals[used]
+            outlier = _find_outlier(whitened, root[:, None, None] * jacobian[used])
+            if outlier is None:
+                break
+            used[np.flatnonzero(used)[outlier]] = False
     fitted = fit(used)
 
     # The noise of one coordinate: the given one unless the residuals are larger than it makes them.
@@ -242,20 +250,6 @@ def _fit_robustly(
         dof=dof,
     )
     return plane, fitted.radius
-
-
-def _without_outliers(fit: Callable[[Mask], FittedFigure], weights: Array) -> Mask:
-    """Return the points of a figure, with weights (N,), that are not outliers, (N,); see the module's text."""
-    used = np.ones(len(weights), dtype=np.bool_)
-    for _ in range(max(1, int(_SHARE * len(weights)))):
-        residuals, jacobian, *_ = fit(used)
-        root = np.sqrt(weights[used])
-        whitened = root[:, None] * residuals[used]
-        outlier = _find_outlier(whitened, root[:, None, None] * jacobian[used])
-        if outlier is None:
-            break
-        used[np.flatnonzero(used)[outlier]] = False
-    return used
 
 
 def _find_outlier(residuals: Array, jacobian: Array) -> int | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar
+from typing import Annotated, ClassVar
 
 import typer
 
@@ -12,9 +12,6 @@ from calib.cli.options import CellOptions, ColumnChoice, Force, PointsUnit, Quie
 from calib.cli.output_files import check_outputs, written_lines
 from calib.cli.verb import verb
 from calib.errors import CalibError
-
-if TYPE_CHECKING:
-    from calib.verbs.base_frame.base_frame import BaseFrame
 
 _File = Path | None
 
@@ -25,41 +22,6 @@ class ChainOptions(CellOptions):
 
     names: ClassVar[tuple[str, ...]] = ("base", "tip")
     has_file: ClassVar[bool] = False
-
-
-@dataclass(frozen=True, slots=True)
-class SweepTables(ColumnChoice):
-    """Reading of the sweeps."""
-
-    points: Annotated[
-        _File,
-        typer.Option(
-            help="List of the measured points, named 'plane_1', 'joint1_01' and so on, or, with a table, as its column "
-            "'point' names them.",
-        ),
-    ] = None
-    points_unit: PointsUnit = None
-
-
-@dataclass(frozen=True, slots=True)
-class FrameOutputs:
-    """Files that are written."""
-
-    cell_out: Annotated[_File, typer.Option(help="Write the frame as a cell file (TOML).")] = None
-    json: Annotated[_File, typer.Option(help="Write frame, axes, sweeps and findings as JSON.")] = (
-        None
-    )
-    force: Force = False
-
-    def write(self, frame: BaseFrame, cell_text: str) -> None:
-        """Write the files that were asked for."""
-        from calib.basics.files import write_atomically
-        from calib.result.calibration_file import write_table
-
-        if self.cell_out is not None:
-            write_atomically(self.cell_out, cell_text.encode(), overwrite=self.force)
-        if self.json is not None:
-            write_table(frame.table(), self.json, overwrite=self.force)
 
 
 @verb("""Measure the robot's base frame from points on its mounting plane and sweeps of joints 1 and 2.
@@ -73,9 +35,22 @@ The table has a column 'sweep' with 'plane', 'joint 1', 'joint 2' and so on, and
 values the rows of a sweep are in the order of increasing joint angle. See docs/base-frame.md.
 """)
 def base_frame(
+    *,
     cell_options: ChainOptions,
-    table_options: SweepTables,
-    outputs: FrameOutputs,
+    column_options: ColumnChoice,
+    points: Annotated[
+        _File,
+        typer.Option(
+            help="List of the measured points, named 'plane_1', 'joint1_01' and so on, or, with a table, as its column "
+            "'point' names them.",
+        ),
+    ] = None,
+    points_unit: PointsUnit = None,
+    cell_out: Annotated[_File, typer.Option(help="Write the frame as a cell file (TOML).")] = None,
+    json: Annotated[
+        _File, typer.Option(help="Write frame, axes, sweeps and findings as JSON.")
+    ] = None,
+    force: Force = False,
     data: Annotated[
         _File,
         typer.Argument(
@@ -100,7 +75,9 @@ def base_frame(
     quiet: Quiet = False,
 ) -> None:
     """Survey the base frame, write the files and print frame, sweeps and findings."""
+    from calib.basics.files import write_atomically
     from calib.basics.units import LENGTH, parse_amount
+    from calib.result.calibration_file import write_table
     from calib.robot.robot import Robot
     from calib.verbs.base_frame.base_frame import base_frame as estimate_base_frame
     from calib.verbs.base_frame.sweeps import read_sweeps
@@ -108,21 +85,25 @@ def base_frame(
 
     if robot is None and cell_options.given:
         raise CalibError("--base and --tip are links of a robot; name it with --robot.")
-    files = (outputs.cell_out, outputs.json)
-    check_outputs(files, [data, table_options.points, robot], force=outputs.force)
+    files = (cell_out, json)
+    check_outputs(files, [data, points, robot], force=force)
     chain = cell_options.cell()
     arm = None if robot is None else Robot.load(robot, chain.base, chain.tip)
     sweeps = read_sweeps(
         data,
         None if arm is None else arm.joint_names,
-        table_options.parsed(),
-        table_options.points,
-        table_options.points_unit,
+        column_options.parsed(),
+        points,
+        points_unit,
     )
     offset = parse_amount(plane_offset, "--plane-offset", LENGTH, "19.05 mm", signed=True)
     frame = estimate_base_frame(sweeps, arm, plane_offset=offset, robust=robust)
     lines = base_frame_text(frame, sweeps.source, arm)
-    base = None if arm is None else arm.base
-    outputs.write(frame, cell_text(frame, sweeps.source, base=base, tip=chain.tip))
+    if cell_out is not None:
+        base = None if arm is None else arm.base
+        content = cell_text(frame, sweeps.source, base=base, tip=chain.tip)
+        write_atomically(cell_out, content.encode(), overwrite=force)
+    if json is not None:
+        write_table(frame.table(), json, overwrite=force)
     if not quiet:
         typer.echo("\n".join([*lines, *written_lines(*files)]))

@@ -8,16 +8,16 @@ write them, whose names do: ``plane_1``, ``joint1_03``. A sweep is called ``plan
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from calib.basics.arrays import Array, read_only
-from calib.basics.tables import Column, Table
+from calib.basics.tables import Table
 from calib.basics.values import Value
 from calib.data.columns import ORIENTATION, list_columns, name_columns, reserved
 from calib.data.forms.column_options import ColumnsInput
-from calib.data.forms.points import PARTS, Points
+from calib.data.forms.points import PARTS
 from calib.data.layout import Layout
 from calib.data.measurements import Measurements
 from calib.data.points_file import read_points
@@ -53,7 +53,7 @@ class Sweep(Value):
     rows: tuple[int, ...]
     #: The file's name, for messages
     source: str
-    #: What ``rows`` are: "row" or "line"
+    #: The noun for ``rows``: "row" or "line"
     counted: str = "row"
 
     @property
@@ -107,7 +107,14 @@ def read_sweeps(
     if path is None:
         if listed is None:
             raise MeasurementError("Give a table of sweeps, or a list of points (--points).")
-        return _sweeps_of_points(listed, tuple(joint_names or ()))
+        if not listed.names:
+            raise MeasurementError(
+                f"{listed.source}: the points have no names, which would say what sweep they are of. Name them "
+                "'plane_1', 'joint1_01' and so on, or give a table with a column 'sweep'."
+            )
+        names = tuple(joint_names or ())
+        words = [_sweep_word(name, names) for name in listed.names]
+        return _split(words, listed.points, listed.lines, listed.source, names, counted="line")
 
     table = Table.read(path)
     named, _ = name_columns(table, joint_names or (), columns)
@@ -118,7 +125,16 @@ def read_sweeps(
             f"the joint that turned. {list_columns(table)} Another name is mapped by --columns "
             '"name in the table=sweep".'
         )
-    names = _angle_columns(named) if joint_names is None else tuple(joint_names)
+    if joint_names is None:
+        # The columns in a unit of angle that are not orientations.
+        reserved_names = (*reserved(), *ORIENTATION)
+        angles = []
+        for name, column in named.items():
+            if name not in reserved_names and column.unit and column.unit.quantity == "angle":
+                angles.append(name)
+        names = tuple(angles)
+    else:
+        names = tuple(joint_names)
     has_joints = any(name in named for name in names)
     measured_joints = names if has_joints else ()
     layout = Layout.find(
@@ -209,17 +225,6 @@ def _split(
     return Sweeps(tuple(sweeps), joint_names, source)
 
 
-def _sweeps_of_points(points: Points, joint_names: tuple[str, ...]) -> Sweeps:
-    """Return the sweeps of a list of points by their names; raises `MeasurementError`."""
-    if not points.names:
-        raise MeasurementError(
-            f"{points.source}: the points have no names, which would say what sweep they are of. Name them "
-            "'plane_1', 'joint1_01' and so on, or give a table with a column 'sweep'."
-        )
-    words = [_sweep_word(name, joint_names) for name in points.names]
-    return _split(words, points.points, points.lines, points.source, joint_names, counted="line")
-
-
 def _sweep_word(name: str, joint_names: tuple[str, ...]) -> str:
     """Return the word of a point's name for its sweep: its last part without its number, else the part before it."""
     parts = [part.strip() for part in name.split(PARTS)]
@@ -231,13 +236,3 @@ def _sweep_word(name: str, joint_names: tuple[str, ...]) -> str:
         if _number(word, joint_names) is not None:
             return word
     return candidates[0]
-
-
-def _angle_columns(named: Mapping[str, Column]) -> tuple[str, ...]:
-    """Return the columns in a unit of angle that are not orientations, in their order."""
-    reserved_names = (*reserved(), *ORIENTATION)
-    names = []
-    for name, column in named.items():
-        if name not in reserved_names and column.unit and column.unit.quantity == "angle":
-            names.append(name)
-    return tuple(names)

@@ -46,9 +46,25 @@ def base_frame_text(frame: BaseFrame, source: str, robot: Robot | None) -> list[
         what = f"the link '{robot.base}' of {robot.name}"
     lines = [fill(f"Base frame from {source}: {what}.")]
     lines += _pose_text(frame)
-    lines += ["", *_sweeps_table(frame)]
+
+    heads = ["Sweep", "points", "radius [mm]", "arc [deg]"]
+    heads += ["radial rms", "max", "axial rms", "max [mm]"]
+    rows = [_sweep_row("plane", frame.plane)]
+    rows += [_sweep_row(joint.name, joint.circle) for joint in frame.joints]
+    lines += ["", *_table(heads, rows)]
     if frame.pairs:
-        lines += ["", *_pairs_table(frame)]
+        heads = ["To the next axis", "angle [deg]", "std", "nominal", "distance [mm]"]
+        heads += ["std", "nominal"]
+        rows = []
+        for pair in frame.pairs:
+            angles = (pair.angle, pair.angle_std, pair.angle_nominal)
+            distances = (pair.distance, pair.distance_std, pair.distance_nominal)
+            cells = [pair.joints[0]]
+            cells += [deg(angle, 4) for angle in angles]
+            cells += [mm(distance, 4) for distance in distances]
+            rows.append(cells)
+        lines += ["", *_table(heads, rows)]
+
     lines.append("")
     if not frame.findings:
         return [*lines, "No findings: the residuals look like noise."]
@@ -94,23 +110,6 @@ def _pose_text(frame: BaseFrame) -> Iterator[str]:
     yield from _table(("Along and about the axes of the base", "std", "95 % within"), rows)
 
 
-def _sweeps_table(frame: BaseFrame) -> list[str]:
-    """Write the table of the plane and the circles, with their residuals."""
-    heads = (
-        "Sweep",
-        "points",
-        "radius [mm]",
-        "arc [deg]",
-        "radial rms",
-        "max",
-        "axial rms",
-        "max [mm]",
-    )
-    rows = [_sweep_row("plane", frame.plane)]
-    rows += [_sweep_row(joint.name, joint.circle) for joint in frame.joints]
-    return _table(heads, rows)
-
-
 def _sweep_row(name: str, figure: Plane | Circle) -> list[str]:
     """Return the cells of a plane, whose residuals are all axial, or of a circle, whose are radial and axial."""
     residuals = figure.residuals[figure.used]
@@ -124,20 +123,6 @@ def _sweep_row(name: str, figure: Plane | Circle) -> list[str]:
         largest = np.abs(column).max()
         cells += [mm(rms, 4), mm(largest)]
     return cells
-
-
-def _pairs_table(frame: BaseFrame) -> list[str]:
-    """Write the table of angles and distances between neighbouring axes, beside the URDF's."""
-    heads = ("To the next axis", "angle [deg]", "std", "nominal", "distance [mm]", "std", "nominal")
-    rows = []
-    for pair in frame.pairs:
-        angles = (pair.angle, pair.angle_std, pair.angle_nominal)
-        distances = (pair.distance, pair.distance_std, pair.distance_nominal)
-        cells = [pair.joints[0]]
-        cells += [deg(angle, 4) for angle in angles]
-        cells += [mm(distance, 4) for distance in distances]
-        rows.append(cells)
-    return _table(heads, rows)
 
 
 def cell_text(frame: BaseFrame, source: str, **links: str | None) -> str:

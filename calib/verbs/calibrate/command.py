@@ -2,24 +2,248 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
 import typer
 
 from calib.cli.executor import executor_of
 from calib.cli.loading import load_with_data
 from calib.cli.notices import say_accepted, say_ignored, say_unused_camera
 from calib.cli.options import (
+    Accept,
+    Dask,
     DataFile,
     FitOptions,
+    Force,
     Quiet,
     RobotFile,
     SolverOptions,
     TableOptions,
+    TargetLink,
 )
-from calib.cli.terminal import progress_bar, say
+from calib.cli.output_files import check_outputs
+from calib.cli.terminal import command_line, progress_bar, say
 from calib.cli.verb import verb
-from calib.errors import VerdictError
-from calib.verbs.calibrate.interval_options import Intervals
-from calib.verbs.calibrate.outputs import Outputs
+from calib.errors import CalibError, VerdictError
+
+if TYPE_CHECKING:
+    from concurrent.futures import Executor
+
+    from calib.result.calibration import Calibration
+
+
+@dataclass(frozen=True, slots=True)
+class Outputs:
+    """Outputs of ``calib calibrate``."""
+
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="Write the corrected URDF.")
+    ] = None
+    json: Annotated[Path | None, typer.Option("--json", help="Write the whole result as JSON.")] = (
+        None
+    )
+    view: Annotated[
+        Path | None,
+        typer.Option("--view", help="Write a page that shows both robots, to open in a browser."),
+    ] = None
+    report: Annotated[
+        Path | None,
+        typer.Option(
+            "--report",
+            metavar="FILE",
+            help="Write a report with figures to print and sign: a page, .html.",
+        ),
+    ] = None
+    figures: Annotated[
+        Path | None,
+        typer.Option(
+            "--figures",
+            metavar="FOLDER",
+            help="Write every figure into this folder, and the captions as captions.md; the folder is made if missing.",
+        ),
+    ] = None
+    figure_format: Annotated[
+        Literal["png", "svg", "pdf"] | None,
+        typer.Option("--figure-format", help="File format of --figures. Default: png."),
+    ] = None
+    target_link: TargetLink = False
+    accept: Accept = False
+    force: Force = False
+
+    def check(self, inputs: Iterable[str | Path | None]) -> None:
+        """Refuse outputs that cannot be written before the work begins.
+
+        Args:
+            inputs: The files that are read; None: not given.
+
+        Raises:
+            CalibError: See `check_outputs`; or options that do not go together.
+        """
+        if self.figures is None and self.figure_format is not None:
+            raise CalibError("--figure-format takes --figures FOLDER.")
+        if self.figures is not None and self.figures.is_file():
+            raise CalibError(f"{self.figures} is a file; --figures names a folder.")
+        if self.report is not None or self.figures is not None:
+            from calib.show.plotting import require_matplotlib
+
+            require_matplotlib("A report" if self.report is not None else "A figure")
+        if self.report is not None:
+            from calib.show.as_html import check_ending
+
+            check_ending(self.report)
+        files = (self.output, self.json, self.view, self.report)
+        check_outputs(files, inputs, force=self.force)
+
+    def write(
+        self,
+        result: Calibration,
+        tables: Mapping[str, Any],
+        *,
+        quiet: bool,
+    ) -> Iterator[Path | str]:
+        """Write the outputs that were asked for, one after the other.
+
+        The corrected URDF is not written if the verdict is ``do not use`` and was not accepted.
+
+        Args:
+            result: The calibration.
+            tables: Further tables for the result file, by key.
+            quiet: Whether no progress is shown.
+
+        Yields:
+            The name of each output, after it was written.
+        """
+        from calib.show.verdict_text import do_not_use_text
+
+        if self.figures is not None and not self.force:
+            from calib.verbs.calibrate.figures import drawings, figure_files
+
+            # Figures that exist are refused before anything is written.
+            figure_files(drawings(result), self.figures, self.figure_format or "png")
+        if self.output is not None and (self.accept or not do_not_use_text(result.verdict)):
+            yield result.write_urdf(
+                self.output,
+                overwrite=self.force,
+                target_link=self.target_link,
+                accept=self.accept,
+            )
+        if self.json is not None:
+            from calib.result.calibration_file import write_result
+
+            yield write_result(result, self.json, overwrite=self.force, extra=dict(tables))
+        if self.view is not None:
+            from calib.verbs.view.robots_page import write_page
+
+            yield write_page(result, self.view, overwrite=self.force, accepted=self.accept)
+        if self.report is not None:
+            from calib.verbs.calibrate.report import write_report
+
+            command = command_line()
+            yield write_report(result, self.report, command=command, overwrite=self.force)
+        if self.figures is not None:
+            from calib.verbs.calibrate.figures import write_figures
+
+            with progress_bar("figures", quiet=quiet) as progress:
+                figures = write_figures(
+                    result,
+                    self.figures,
+                    kind=self.figure_format or "png",
+                    overwrite=self.force,
+                    progress=progress,
+                )
+            yield f"{self.figures} ({len(figures)} figures)"
+
+
+@dataclass(frozen=True, slots=True)
+class Intervals:
+    """Intervals that are computed beside those of the covariance."""
+
+    bootstrap: Annotated[
+        int | None,
+        typer.Option(
+            min=40,
+            metavar="N",
+            help="Fit to this number of random samples of the poses, and print the resulting intervals; 1000 is a good "
+            "number.",
+        ),
+    ] = None
+    workers: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            metavar="N",
+            help="Number of processes that share the samples of --bootstrap. Default: one.",
+        ),
+    ] = None
+    dask: Dask = None
+    seed: Annotated[
+        int | None,
+        typer.Option(
+            min=0,
+            metavar="S",
+            help="Seed of the samples of --bootstrap; the same seed gives the same samples.",
+        ),
+    ] = None
+    profile: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="PARAMETER",
+            help="Print the profile-likelihood interval of this parameter. Can be repeated.",
+        ),
+    ] = None
+
+    def check(self) -> None:
+        """Refuse options of the bootstrap without it; raises `CalibError`."""
+        if self.bootstrap is not None:
+            return
+        for option in ("seed", "workers", "dask"):
+            if getattr(self, option) is not None:
+                raise CalibError(
+                    f"--{option} is for the samples of --bootstrap; give their number, such as "
+                    "--bootstrap 1000."
+                )
+
+    def compute(
+        self,
+        result: Calibration,
+        executor: Executor | None,
+        *,
+        quiet: bool,
+    ) -> tuple[list[str], dict[str, Any]]:
+        """Compute the intervals that were asked for.
+
+        Args:
+            result: The calibration.
+            executor: Runs the samples of the bootstrap; None: this process.
+            quiet: Whether no progress is shown.
+
+        Returns:
+            Texts to print, and tables for the result file by key.
+        """
+        from calib.verbs.calibrate.report import bootstrap_text, profile_text
+        from calib.verbs.calibrate.uncertainty import LEVEL, bootstrap, profile_interval
+
+        texts: list[str] = []
+        tables: dict[str, Any] = {}
+        if self.bootstrap is not None:
+            with progress_bar("bootstrap", quiet=quiet) as progress:
+                samples = bootstrap(result, self.bootstrap, self.seed or 0, progress, executor)
+            texts.append(bootstrap_text(result, samples))
+            tables["bootstrap"] = samples.table()
+        if self.profile:
+            profiles = [
+                (result.parameter(name), profile_interval(result, name, LEVEL))
+                for name in self.profile
+            ]
+            texts.append(profile_text(profiles))
+            tables["profiles"] = [
+                {"name": parameter.name, "unit": parameter.unit, **asdict(interval)}
+                for parameter, interval in profiles
+            ]
+        return texts, tables
 
 
 @verb("""Calibrate a robot from measurements.

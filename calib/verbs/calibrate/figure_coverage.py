@@ -43,7 +43,18 @@ def image_coverage(c: Calibration) -> Figure:
         _draw_density(upper.subplots(), seen)
         tilt, facing, distance = seen.board_views()
         _draw_tilts(lower.add_subplot(1, 2, 1, projection="polar"), np.degrees(tilt), facing)
-        _draw_distances(lower.add_subplot(1, 2, 2), 1e3 * distance)
+
+        ax = lower.add_subplot(1, 2, 2)
+        bars = int(np.clip(np.sqrt(len(distance)) * 1.5, 4, _BARS))
+        ax.hist(1e3 * distance, bars, **AFTER.area)
+        ratio = float((1e3 * distance).max()) / float((1e3 * distance).min())
+        ax.set(
+            title=f"Distance: ratio {ratio:.2f}",
+            xlabel="board from the camera [mm]",
+            ylabel="images",
+        )
+        ax.yaxis.set_major_locator(few_ticks(5, integers=True))
+        ax.xaxis.set_major_locator(few_ticks(4))
     return figure
 
 
@@ -105,20 +116,6 @@ def _draw_tilts(ax: Any, tilt: Array, facing: Array) -> None:  # noqa: ANN401  m
     ax.set_xticks(np.radians([0, 90, 180, 270]), ["right", "down", "left", "up"])
     ax.tick_params(pad=0)
     ax.set_title(f"Tilt: {tilt.min():.0f} to {tilt.max():.0f}°", pad=17.0)
-
-
-def _draw_distances(ax: Axes, distance: Array) -> None:
-    """Draw the distribution of the boards' distances from the camera [mm]."""
-    low, high = float(distance.min()), float(distance.max())
-    bars = int(np.clip(np.sqrt(len(distance)) * 1.5, 4, _BARS))
-    ax.hist(distance, bars, **AFTER.area)
-    ax.set(
-        title=f"Distance: ratio {high / low:.2f}",
-        xlabel="board from the camera [mm]",
-        ylabel="images",
-    )
-    ax.yaxis.set_major_locator(few_ticks(5, integers=True))
-    ax.xaxis.set_major_locator(few_ticks(4))
 
 
 def joint_coverage(c: Calibration) -> Figure:

@@ -144,7 +144,30 @@ def by_row(c: Calibration, unit: str = "m") -> Figure:
     top, below = figure.subplots(2, 1, sharex=True)
     _curve(top, rows, before, BEFORE)
     _curve(top, rows, after, AFTER)
-    reach = _draw_calibrated_errors(below, c, unit, after)
+
+    # After calibration: each row, held-out ones as dashes, up to the largest that is not flagged.
+    flagged = flagged_rows(c)
+    reach = float(np.nanmax(after[~flagged], initial=1e-3))
+    kinds = [kind for kind in row_kinds(c) if np.any(np.isfinite(after[kind.mask]))]
+    if len(rows) > _MOST_LINES:
+        _curve(below, rows, np.where(flagged, np.nan, after), AFTER)
+        kinds = [kind for kind in kinds if kind.name == "outlier"]
+    elif c.cross_validation is not None:
+        residual = _held_out(c, c.cross_validation)
+        held_out = RESIDUAL_UNITS[unit].to_shown * c.rows.channels.norms(residual, unit)
+        held_out[np.isnan(residual).any(axis=1) | flagged] = np.nan
+        reach = float(np.nanmax(held_out, initial=reach))
+        look: dict[str, Any] = {"ls": "none", "marker": "_", "ms": 7, "mew": 1.1, "color": SOFT}
+        below.plot(rows, held_out, label="held out", **look)
+    # Outliers far above the others stand at the edge: the panel above has them to scale.
+    shown = np.where(flagged, np.minimum(after, _OUTLIER_EDGE * reach), after)
+    for kind in kinds:
+        at = kind.mask & np.isfinite(shown)
+        if len(rows) <= _MOST_MARKERS:
+            below.vlines(rows[at], 0.0, shown[at], color=kind.colour, lw=0.9, alpha=0.6)
+        below.plot(rows[at], shown[at], **kind.style())
+    number_points(below, c.fit.measurements.rows, np.stack([rows, shown], axis=1), flagged)
+
     for ax, title in ((top, "Before and after"), (below, "After")):
         ax.set_title(title)
         ax.set_ylabel(f"size of the error [{RESIDUAL_UNITS[unit].shown}]")
@@ -154,44 +177,6 @@ def by_row(c: Calibration, unit: str = "m") -> Figure:
     below.set_ylim(0.0, 1.32 * reach)
     legend_above(figure, 3)
     return figure
-
-
-def _draw_calibrated_errors(
-    ax: Axes,
-    c: Calibration,
-    unit: str,
-    errors: Array,
-) -> float:
-    """Mark each row's error after calibration (N,), held-out ones as dashes; return the largest that is not flagged."""
-    rows = np.array(c.fit.measurements.rows)
-    flagged = flagged_rows(c)
-    reach = float(np.nanmax(errors[~flagged], initial=1e-3))
-    kinds = [kind for kind in row_kinds(c) if np.any(np.isfinite(errors[kind.mask]))]
-    if len(rows) > _MOST_LINES:
-        _curve(ax, rows, np.where(flagged, np.nan, errors), AFTER)
-        kinds = [kind for kind in kinds if kind.name == "outlier"]
-    elif c.cross_validation is not None:
-        residual = _held_out(c, c.cross_validation)
-        held_out = RESIDUAL_UNITS[unit].to_shown * c.rows.channels.norms(residual, unit)
-        held_out[np.isnan(residual).any(axis=1) | flagged] = np.nan
-        reach = float(np.nanmax(held_out, initial=reach))
-        look: dict[str, Any] = {
-            "ls": "none",
-            "marker": "_",
-            "ms": 7,
-            "mew": 1.1,
-            "color": SOFT,
-        }
-        ax.plot(rows, held_out, label="held out", **look)
-    # Outliers far above the others stand at the edge: the panel above has them to scale.
-    shown = np.where(flagged, np.minimum(errors, _OUTLIER_EDGE * reach), errors)
-    for kind in kinds:
-        at = kind.mask & np.isfinite(shown)
-        if len(rows) <= _MOST_MARKERS:
-            ax.vlines(rows[at], 0.0, shown[at], color=kind.colour, lw=0.9, alpha=0.6)
-        ax.plot(rows[at], shown[at], **kind.style())
-    number_points(ax, c.fit.measurements.rows, np.stack([rows, shown], axis=1), flagged)
-    return reach
 
 
 def by_axis(c: Calibration, unit: str = "m") -> Figure:
@@ -236,20 +221,10 @@ def histograms(c: Calibration) -> Figure:
     """Draw the distribution of the errors' sizes, and that of the residuals over their noise beside the normal one."""
     figure = new_figure(2.9)
     left, right = figure.subplots(1, 2)
-    _size_histogram(left, c)
-    _noise_histogram(right, c)
-    for ax in (left, right):
-        ax.yaxis.set_major_locator(few_ticks(6, integers=True))
-    legend_above(figure)
-    return figure
 
-
-def _size_histogram(ax: Axes, c: Calibration) -> None:
-    """Draw the sizes of all rows' errors before and after, on a logarithmic scale."""
+    # Sizes of all rows' errors, on a logarithmic scale.
     unit = c.rows.channels.present[0]
-    before, after = _sizes(c, unit)
-    before = before[np.isfinite(before)]
-    after = after[np.isfinite(after)]
+    before, after = (sizes[np.isfinite(sizes)] for sizes in _sizes(c, unit))
     # Bins are even in the logarithm; what is far below the median is put into the first one.
     high = max(float(np.concatenate([before, after]).max()), 1e-6)
     low = min(max(0.05 * float(np.median(after)), 1e-6 * high), 0.5 * high)
@@ -259,26 +234,28 @@ def _size_histogram(ax: Axes, c: Calibration) -> None:
         if not len(values):  # of a nominal robot that is not judged
             continue
         shown = np.maximum(values, low)
-        ax.hist(shown, edges, histtype="stepfilled", label=style.label, **style.area)
-    log_axis(ax, "x")
-    ax.set(xlabel=f"size of the error [{RESIDUAL_UNITS[unit].shown}]", ylabel="rows")
-    ax.set_title(f"All {len(after):,} rows")
+        left.hist(shown, edges, histtype="stepfilled", label=style.label, **style.area)
+    log_axis(left, "x")
+    left.set(xlabel=f"size of the error [{RESIDUAL_UNITS[unit].shown}]", ylabel="rows")
+    left.set_title(f"All {len(after):,} rows")
 
-
-def _noise_histogram(ax: Axes, c: Calibration) -> None:
-    """Draw the residuals of the estimation rows over their noise, beside the normal distribution."""
-    values = scaled_residuals(c)
-    bins = int(np.clip(np.sqrt(len(values)) * 1.5, 8, 50))
-    edges = np.linspace(-_REACH, _REACH, bins + 1)
-    ax.hist(values, list(edges), histtype="stepfilled", **AFTER.area)
+    # Residuals of the estimation rows over their noise.
+    scaled = scaled_residuals(c)
+    bins = int(np.clip(np.sqrt(len(scaled)) * 1.5, 8, 50))
+    ends = np.linspace(-_REACH, _REACH, bins + 1)
+    right.hist(scaled, list(ends), histtype="stepfilled", **AFTER.area)
     t = np.linspace(-_REACH, _REACH, 201)
-    normal = np.exp(-0.5 * t**2) / np.sqrt(2.0 * np.pi) * len(values) * (edges[1] - edges[0])
-    ax.plot(t, normal, color=INK, lw=1.2, ls="--", label="normal")
-    ax.set(xlabel="residual / its noise", ylabel="measured scalars")
-    ax.set_title(f"{len(values):,} scalars of estimation rows")
-    outside = int(np.sum(np.abs(values) > _REACH))
+    normal = np.exp(-0.5 * t**2) / np.sqrt(2.0 * np.pi) * len(scaled) * (ends[1] - ends[0])
+    right.plot(t, normal, color=INK, lw=1.2, ls="--", label="normal")
+    right.set(xlabel="residual / its noise", ylabel="measured scalars")
+    right.set_title(f"{len(scaled):,} scalars of estimation rows")
+    outside = int(np.sum(np.abs(scaled) > _REACH))
     if outside:
-        ax.plot([], [], ls="none", label=f"{outside:,} beyond ±{_REACH:g}")
+        right.plot([], [], ls="none", label=f"{outside:,} beyond ±{_REACH:g}")
+    for ax in (left, right):
+        ax.yaxis.set_major_locator(few_ticks(6, integers=True))
+    legend_above(figure)
+    return figure
 
 
 def scaled_residuals(c: Calibration) -> Array:

@@ -77,43 +77,36 @@ def over_image(c: Calibration) -> Figure:
     figure = new_figure(2 * sum(heights), IMAGE_WIDTH)
     panels = figure.subplots(2 * len(cameras), 1, squeeze=False)[:, 0]
     for upper, lower, seen in zip(panels[::2], panels[1::2], cameras, strict=True):
-        _draw_corners(upper, seen)
-        _draw_means(lower, seen)
+        # The residual of each corner that is not flagged, and marks for those that are.
+        kept = ~seen.flagged
+        residual = seen.calibrated[kept]
+        sizes = np.linalg.norm(residual, axis=1)
+        factor = _round_factor(sizes, _TYPICAL * seen.size[0])
+        image_panel(upper, seen.size, f"{seen.label}: {len(seen):,} corners, {_times(factor)}")
+        _arrows(upper, seen.measured[kept], residual, factor, sizes=sizes)
+        if np.any(seen.flagged):
+            label = rows_text(seen.flagged, "outlier", "")
+            cross: dict[str, Any] = {"ls": "none", "marker": "x", "ms": 4.0, "mew": 1.1}
+            upper.plot(*seen.measured[seen.flagged].T, color=OUTLIER, label=label, **cross)
+            upper.legend(loc="lower right", frameon=True, framealpha=0.85)
+
+        # The mean residual of each cell of the image: dark if it is not by chance, otherwise pale.
+        centres, means, is_clear = cell_means(seen)
+        factor = _round_factor(np.linalg.norm(means, axis=1), _TYPICAL * seen.size[0])
+        title = f"{seen.label}: mean over cells of the image, {_times(factor)}"
+        image_panel(lower, seen.size, title)
+        for clear, colour, width, label in (
+            (False, "#8fa1b3", 0.0032, "within chance"),
+            (True, INK, 0.0045, f"beyond {_CLEAR:g} standard errors"),
+        ):
+            chosen = is_clear == clear
+            if np.any(chosen):
+                dot: dict[str, Any] = {"ls": "none", "marker": "o", "ms": 2.2, "label": label}
+                _arrows(lower, centres[chosen], means[chosen], factor, color=colour, width=width)
+                lower.plot(*centres[chosen].T, color=colour, **dot)
+        if len(means):
+            lower.legend(loc="lower right", frameon=True, framealpha=0.85, markerscale=2.0)
     return figure
-
-
-def _draw_corners(ax: Axes, seen: SeenCorners) -> None:
-    """Draw the residual of each corner that is not flagged, and mark those that are."""
-    kept = ~seen.flagged
-    residual = seen.calibrated[kept]
-    sizes = np.linalg.norm(residual, axis=1)
-    factor = _round_factor(sizes, _TYPICAL * seen.size[0])
-    image_panel(ax, seen.size, f"{seen.label}: {len(seen):,} corners, {_times(factor)}")
-    _arrows(ax, seen.measured[kept], residual, factor, sizes=sizes)
-    if np.any(seen.flagged):
-        label = rows_text(seen.flagged, "outlier", "")
-        look: dict[str, Any] = {"ls": "none", "marker": "x", "ms": 4.0, "mew": 1.1}
-        ax.plot(*seen.measured[seen.flagged].T, color=OUTLIER, label=label, **look)
-        ax.legend(loc="lower right", frameon=True, framealpha=0.85)
-
-
-def _draw_means(ax: Axes, seen: SeenCorners) -> None:
-    """Draw the mean residual of each cell of the image: dark if it is not by chance, otherwise pale."""
-    centres, means, is_clear = cell_means(seen)
-    lengths = np.linalg.norm(means, axis=1)
-    factor = _round_factor(lengths, _TYPICAL * seen.size[0])
-    image_panel(ax, seen.size, f"{seen.label}: mean over cells of the image, {_times(factor)}")
-    for clear, colour, width, label in (
-        (False, "#8fa1b3", 0.0032, "within chance"),
-        (True, INK, 0.0045, f"beyond {_CLEAR:g} standard errors"),
-    ):
-        chosen = is_clear == clear
-        if np.any(chosen):
-            look: dict[str, Any] = {"ls": "none", "marker": "o", "ms": 2.2, "label": label}
-            _arrows(ax, centres[chosen], means[chosen], factor, color=colour, width=width)
-            ax.plot(*centres[chosen].T, color=colour, **look)
-    if len(means):
-        ax.legend(loc="lower right", frameon=True, framealpha=0.85, markerscale=2.0)
 
 
 def cell_means(seen: SeenCorners) -> tuple[Array, Array, Mask]:
@@ -231,6 +224,9 @@ def image_rms(images: dict[str, Integers], residual: Array) -> Array:
 
 def board_corners(c: Calibration) -> Figure:
     """Draw each board's corners: errors of the print that the fit estimated, and mean residuals beyond them."""
+    from matplotlib.colors import LinearSegmentedColormap
+
+    colours = LinearSegmentedColormap.from_list("height", (NOMINAL, "#f2f2f2", "#b03a5b"))
     cameras = seen_corners(c)
     boards = list(dict.fromkeys(board for seen in cameras for board in seen.boards))
     figure = new_figure(min(3.1 * len(boards) + 0.4, _MOST_BOARDS_HEIGHT), IMAGE_WIDTH)
@@ -238,8 +234,38 @@ def board_corners(c: Calibration) -> Figure:
     for (left, right), board in zip(panels, boards, strict=True):
         places, printed, residual = corner_errors(cameras, board)
         title = short_names([board or "board"], _LONGEST_NAME)[0]
-        _draw_print(left, title, places, printed)
-        _draw_board_residual(right, title, places, residual)
+        longest = _longest_arrow(places)
+        corners = _MM * places
+
+        # The errors of the print: arrows along the board, colours for the height above its plane.
+        factor = _round_factor(np.linalg.norm(printed[:, :2], axis=1), longest)
+        _board_panel(left, f"{title}: print as fitted\n{_times(factor)}", places)
+        # z of a board points away from the camera: what bulges towards it is above the plane.
+        height = -_MM * printed[:, 2]
+        reach = max(float(np.abs(height).max()), 1e-3)
+        look: dict[str, Any] = {"vmin": -reach, "vmax": reach, "lw": 0.4, "ec": SOFT}
+        drawn = left.scatter(*corners.T, 22, height, cmap=colours, **look)
+        _arrows(left, corners, _MM * printed[:, :2], factor, color=INK, width=0.008)
+        bar = figure.colorbar(drawn, ax=left, location="bottom", shrink=0.8, pad=0.02, aspect=24)
+        bar.set_label("bulge towards the camera [mm]")
+        bar.locator = few_ticks(4)
+        bar.outline.set_visible(False)
+
+        # Beyond the print as fitted: the mean residual of each corner in the images.
+        known = np.isfinite(residual).all(axis=1)
+        sizes = np.linalg.norm(residual[known], axis=1)
+        factor = _round_factor(sizes, longest)
+        _board_panel(right, f"{title}: mean residual\n{_times(factor)}", places)
+        _arrows(
+            right,
+            corners[known],
+            _MM * residual[known],
+            factor,
+            sizes=_MM * sizes,
+            unit="mm",
+            location="bottom",
+            width=0.008,
+        )
     return figure
 
 
@@ -271,46 +297,8 @@ def corner_errors(cameras: Sequence[SeenCorners], board: str) -> tuple[Array, Ar
     return np.array([*places.values()]), of_print, np.array(of_corners)
 
 
-def _draw_print(ax: Axes, title: str, places: Array, printed: Array) -> None:
-    """Draw the errors of the print: arrows along the board, colours for the height above its plane."""
-    from matplotlib.colors import LinearSegmentedColormap
-
-    factor = _round_factor(np.linalg.norm(printed[:, :2], axis=1), _longest_arrow(places))
-    _board_panel(ax, f"{title}: print as fitted\n{_times(factor)}", places)
-    # z of a board points away from the camera: what bulges towards it is above the plane.
-    height = -_MM * printed[:, 2]
-    reach = max(float(np.abs(height).max()), 1e-3)
-    colours = LinearSegmentedColormap.from_list("height", (NOMINAL, "#f2f2f2", "#b03a5b"))
-    look: dict[str, Any] = {"vmin": -reach, "vmax": reach, "lw": 0.4, "ec": SOFT}
-    x, y = _MM * places.T
-    drawn = ax.scatter(x, y, 22, height, cmap=colours, **look)
-    _arrows(ax, _MM * places, _MM * printed[:, :2], factor, color=INK, width=0.008)
-    bar = ax.figure.colorbar(drawn, ax=ax, location="bottom", shrink=0.8, pad=0.02, aspect=24)
-    bar.set_label("bulge towards the camera [mm]")
-    bar.locator = few_ticks(4)
-    bar.outline.set_visible(False)
-
-
-def _draw_board_residual(ax: Axes, title: str, places: Array, residual: Array) -> None:
-    """Draw what the images have beyond the print as fitted: the mean residual of each corner."""
-    known = np.isfinite(residual).all(axis=1)
-    sizes = np.linalg.norm(residual[known], axis=1)
-    factor = _round_factor(sizes, _longest_arrow(places))
-    _board_panel(ax, f"{title}: mean residual\n{_times(factor)}", places)
-    _arrows(
-        ax,
-        _MM * places[known],
-        _MM * residual[known],
-        factor,
-        sizes=_MM * sizes,
-        unit="mm",
-        location="bottom",
-        width=0.008,
-    )
-
-
 def _longest_arrow(places: Array) -> float:
-    """Return what a typical arrow takes at most on a board with corners at places (n, 2) [m]: half a square [m]."""
+    """Return the longest that a typical arrow may be on a board with corners at (n, 2) [m]: half their spacing [m]."""
     least = np.array(
         [
             np.linalg.norm(np.delete(places, k, axis=0) - place, axis=1).min()
@@ -321,7 +309,7 @@ def _longest_arrow(places: Array) -> float:
 
 
 def _board_panel(ax: Axes, title: str, places: Array) -> None:
-    """Make a panel a board with corners at places (n, 2) [m], seen from its front: x to the right, y down."""
+    """Set up a panel in mm for a board with corners at places (n, 2) [m], from its front: x to the right, y down."""
     low = _MM * places.min(axis=0)
     high = _MM * places.max(axis=0)
     margin = 0.12 * float(np.max(high - low))
@@ -341,7 +329,7 @@ def _board_panel(ax: Axes, title: str, places: Array) -> None:
 
 
 def image_panel(ax: Axes, size: tuple[int, int], title: str) -> None:
-    """Make a panel an image: pixels, rows downwards, its edge drawn.
+    """Set up a panel to show an image: axes in pixels, rows downwards, its edge drawn.
 
     Args:
         ax: The panel.
@@ -391,7 +379,10 @@ def _arrows(
     location: str = "right",
     **look: Any,  # noqa: ANN401  matplotlib's properties
 ) -> None:
-    """Draw arrows (n, 2) times a factor, coloured by ``sizes`` (n,) with a scale beside the panel, or in one colour."""
+    """Draw arrows from starts (n, 2), vectors (n, 2) times a factor, in the units of the panel.
+
+    They are coloured by ``sizes`` (n,), in ``unit``, with a scale beside the panel; or without sizes in one colour.
+    """
     from matplotlib.colors import LinearSegmentedColormap
 
     common: dict[str, Any] = {

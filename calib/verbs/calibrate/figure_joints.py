@@ -61,33 +61,30 @@ def residuals_by_joint(c: Calibration) -> Figure:
     parts[~has_joint_parts(c)] = np.nan
     largest = float(np.nanmax(np.abs(parts[~flagged_rows(c)]), initial=0.0))
     reach = max(1.15 * largest, 1e-3)
+    readings = c.fit.measurements.joints_for(c.nominal.joint_names)
+    values_of_joints = c.nominal.input_values(readings)
+    as_pixels = len(readings) > MOST_SHAPES
+    fitted = c.fit.measurements.estimation & has_joint_parts(c) & ~flagged_rows(c)
     for j, ax in enumerate(panels.ravel()[:count]):
-        _joint_panel(ax, c, j, parts[:, j], reach)
+        scale, unit = joint_unit(prismatic=c.nominal.inputs[j].type == "prismatic")
+        values = scale * values_of_joints[:, j]
+        ax.axhline(0.0, color=INK, lw=0.7, zorder=1.5)
+        for kind in row_kinds(c):
+            if np.any(kind.mask & has_joint_parts(c)):
+                # Parts beyond the reach are drawn at the edge.
+                shown = np.clip(parts[kind.mask, j], -reach, reach)
+                ax.plot(values[kind.mask], shown, rasterized=as_pixels, zorder=2, **kind.style(0.8))
+        has_part = np.isfinite(parts[fitted, j])
+        if np.count_nonzero(has_part) >= _FEWEST_ROWS:
+            _running_mean(ax, values[fitted], parts[fitted, j])
+        ax.set_ylim(-1.08 * reach, 1.08 * reach)
+        ax.set_xlabel(f"joint value [{unit}]")
+        ax.xaxis.set_major_locator(few_ticks(4))
         ax.set_title(names[j], size=8.5)
     for ax in panels[:, 0]:
         ax.set_ylabel("residual [mm]")
     legend_above(figure)
     return figure
-
-
-def _joint_panel(ax: Axes, c: Calibration, j: int, parts: Array, reach: float) -> None:
-    """Draw the parts (N,) [mm] of the residuals along the motion of joint ``j``; those beyond ``reach`` at the edge."""
-    scale, unit = joint_unit(prismatic=c.nominal.inputs[j].type == "prismatic")
-    readings = c.fit.measurements.joints_for(c.nominal.joint_names)
-    values = scale * c.nominal.input_values(readings)[:, j]
-    as_pixels = len(values) > MOST_SHAPES
-    ax.axhline(0.0, color=INK, lw=0.7, zorder=1.5)
-    for kind in row_kinds(c):
-        if np.any(kind.mask & has_joint_parts(c)):
-            shown = np.clip(parts[kind.mask], -reach, reach)
-            ax.plot(values[kind.mask], shown, rasterized=as_pixels, zorder=2, **kind.style(0.8))
-    fitted = c.fit.measurements.estimation & has_joint_parts(c) & ~flagged_rows(c)
-    has_part = np.isfinite(parts[fitted])
-    if np.count_nonzero(has_part) >= _FEWEST_ROWS:
-        _running_mean(ax, values[fitted], parts[fitted])
-    ax.set_ylim(-1.08 * reach, 1.08 * reach)
-    ax.set_xlabel(f"joint value [{unit}]")
-    ax.xaxis.set_major_locator(few_ticks(4))
 
 
 def along_joints(c: Calibration) -> Array:

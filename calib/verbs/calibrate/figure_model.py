@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import calib.verbs.calibrate.text as texts
-from calib.basics.arrays import Array, Mask
+from calib.basics.arrays import Array
 from calib.basics.channels import RESIDUAL_UNITS
 from calib.camera.optics import CORNER
 from calib.model.families import unit_of
@@ -88,24 +88,19 @@ def convergence(c: Calibration) -> Figure:
     figure = new_figure(len(series) + 0.7)
     panels = figure.subplots(len(series), 1, sharex=True)
     for ax, (label, values, taken) in zip(panels, series, strict=True):
-        _iteration_panel(ax, values, taken)
+        least = max(float(values.max()) * _LEAST_OF_ITERATIONS, 1e-30)
+        shown = np.maximum(values, least)
+        iterations = np.arange(len(values))
+        ax.plot(iterations, shown, color=INK, lw=1.1)
+        ax.plot(iterations[taken], shown[taken], "o", ms=3.6, color=INK, label="accepted step")
+        if not np.all(taken):
+            ax.plot(iterations[~taken], shown[~taken], **_REJECTED)
+        log_axis(ax, "y")
+        ax.xaxis.set_major_locator(few_ticks(10, integers=True))
         ax.set_ylabel(label)
     panels[-1].set_xlabel("iteration")
     legend_above(figure)
     return figure
-
-
-def _iteration_panel(ax: Axes, values: Array, taken: Mask) -> None:
-    """Draw a figure of the solver over its iterations, logarithmically; ``taken`` (N,) are the accepted steps."""
-    least = max(float(values.max()) * _LEAST_OF_ITERATIONS, 1e-30)
-    shown = np.maximum(values, least)
-    iterations = np.arange(len(values))
-    ax.plot(iterations, shown, color=INK, lw=1.1)
-    ax.plot(iterations[taken], shown[taken], "o", ms=3.6, color=INK, label="accepted step")
-    if not np.all(taken):
-        ax.plot(iterations[~taken], shown[~taken], **_REJECTED)
-    log_axis(ax, "y")
-    ax.xaxis.set_major_locator(few_ticks(10, integers=True))
 
 
 def changed_parameters(c: Calibration) -> list[ParameterEstimate]:
@@ -137,31 +132,26 @@ def changes(c: Calibration) -> Figure:
     grid = figure.add_gridspec(len(pairs), min(len(grouped), 2), height_ratios=heights)
     for k, parameters in enumerate(grouped):
         ax = figure.add_subplot(grid[k // 2, k % 2])
-        _change_panel(ax, parameters)
+        unit = parameters[0].unit
+        scale, unit_text = unit_of(unit).shown
+        if unit == "rad":
+            scale, unit_text = float(np.degrees(1.0)), "deg"
+        for y, p in enumerate(parameters):
+            half = 0.5 * scale * (p.high - p.low)
+            look = _IDENTIFIABLE if p.identifiable else _JOINTLY
+            if p.at_bound:
+                half, look = 0.0, _AT_BOUND
+            ax.errorbar(scale * p.delta, y, xerr=half, **_INTERVAL, **look)
+        names = short_names([p.name for p in parameters])
+        ax.axvline(0.0, color=NOMINAL, lw=1.2, ls="--")
+        font_size = 7.5 if len(names) <= _MANY_NAMES else 6.5
+        ax.set_yticks(range(len(names)), names, size=font_size)
+        ax.set_ylim(len(names) - 0.4, -0.6)
+        ax.xaxis.set_major_locator(few_ticks(5))
+        ax.set_xlabel(f"change from nominal [{unit_text.replace('urad', 'µrad')}]")
+        ax.set_title(_TITLES.get(unit, "Others"))
     legend_above(figure, 3)
     return figure
-
-
-def _change_panel(ax: Axes, parameters: Sequence[ParameterEstimate]) -> None:
-    """Draw the changes of parameters of one unit, with their 95 % intervals."""
-    unit = parameters[0].unit
-    scale, unit_text = unit_of(unit).shown
-    if unit == "rad":
-        scale, unit_text = float(np.degrees(1.0)), "deg"
-    for y, p in enumerate(parameters):
-        half = 0.5 * scale * (p.high - p.low)
-        look = _IDENTIFIABLE if p.identifiable else _JOINTLY
-        if p.at_bound:
-            half, look = 0.0, _AT_BOUND
-        ax.errorbar(scale * p.delta, y, xerr=half, **_INTERVAL, **look)
-    names = short_names([p.name for p in parameters])
-    ax.axvline(0.0, color=NOMINAL, lw=1.2, ls="--")
-    font_size = 7.5 if len(names) <= _MANY_NAMES else 6.5
-    ax.set_yticks(range(len(names)), names, size=font_size)
-    ax.set_ylim(len(names) - 0.4, -0.6)
-    ax.xaxis.set_major_locator(few_ticks(5))
-    ax.set_xlabel(f"change from nominal [{unit_text.replace('urad', 'µrad')}]")
-    ax.set_title(_TITLES.get(unit, "Others"))
 
 
 def correlation_indices(c: Calibration) -> list[int]:

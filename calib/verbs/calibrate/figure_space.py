@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,7 +9,7 @@ import numpy as np
 from calib.basics.arrays import Array
 from calib.result.calibration import Calibration
 from calib.robot.ranges import spread_poses
-from calib.show.look import INK, SOFT, RowKind, row_kinds
+from calib.show.look import INK, SOFT, row_kinds
 from calib.show.measured_rows import flagged_rows, measured_in_base, setup_of_rows
 from calib.show.plotting import (
     MOST_SHAPES,
@@ -60,25 +59,7 @@ def points(c: Calibration) -> Figure:
     """Draw the measured points in the base frame: in space, and from three sides; as the paper's figure 7."""
     places = 1e3 * measured_places(c)
     limits = view_limits(places)
-    figure, panels = _panels_of_space(limits)
-    numbered = c.fit.measurements.validation | flagged_rows(c)
-    pixels = len(places) > MOST_SHAPES
-    kinds = row_kinds(c)
-    for i, j, name in VIEWS:
-        ax = panels[name]
-        ax.set_title(f"Seen {name}")
-        for order, kind in enumerate(kinds, start=2):
-            at = places[kind.mask][:, [i, j]].T
-            ax.plot(*at, rasterized=pixels, zorder=order, **kind.style(0.85))
-        set_view(ax, limits, (i, j))
-        number_points(ax, c.fit.measurements.rows, places[:, [i, j]], numbered)
-    _draw_space(panels["space"], places, kinds, limits)
-    legend_above(figure)
-    return figure
-
-
-def _panels_of_space(limits: Array) -> tuple[Figure, dict[str, Any]]:
-    """Make a figure with panels of one scale within limits (2, 3) [mm], by the names of `VIEWS` and ``"space"``."""
+    # Panels of one scale, and one in perspective.
     x, y, z = limits[1] - limits[0]
     right = max(y, 0.7 * x)
     scale = min(0.85 * WIDTH / (x + right), _MOST_HEIGHT / (y + z))
@@ -90,17 +71,20 @@ def _panels_of_space(limits: Array) -> tuple[Figure, dict[str, Any]]:
         height_ratios=[upper, scale * z],
         per_subplot_kw={"space": {"projection": "3d"}},
     )
-    return figure, panels
 
-
-def _draw_space(
-    ax: Any,  # noqa: ANN401  matplotlib's Axes3D, which has no types
-    places: Array,
-    kinds: Sequence[RowKind],
-    limits: Array,
-) -> None:
-    """Draw points (N, 3) [mm] in perspective, within limits (2, 3) [mm]."""
+    numbered = c.fit.measurements.validation | flagged_rows(c)
     pixels = len(places) > MOST_SHAPES
+    kinds = row_kinds(c)
+    for i, j, name in VIEWS:
+        ax = panels[name]
+        ax.set_title(f"Seen {name}")
+        for order, kind in enumerate(kinds, start=2):
+            at = places[kind.mask][:, [i, j]].T
+            ax.plot(*at, rasterized=pixels, zorder=order, **kind.style(0.85))
+        set_view(ax, limits, (i, j))
+        number_points(ax, c.fit.measurements.rows, places[:, [i, j]], numbered)
+
+    ax = panels["space"]
     for kind in kinds:
         ax.plot(*places[kind.mask].T, rasterized=pixels, **kind.style())
     ax.set_box_aspect(limits[1] - limits[0], zoom=0.85)
@@ -112,6 +96,8 @@ def _draw_space(
         axis.set_major_locator(few_ticks(4))
     ax.tick_params(labelsize=7.5, pad=1)
     ax.view_init(elev=20, azim=-62)
+    legend_above(figure)
+    return figure
 
 
 def uncertainty(c: Calibration) -> Figure:
@@ -142,7 +128,26 @@ def uncertainty(c: Calibration) -> Figure:
     bar = figure.colorbar(cells[1], ax=views[1], shrink=0.95, pad=0.02, extend="max")
     bar.set_label("standard deviation [mm]")
 
-    _draw_distribution(last, std, c)
+    # The share of poses below each standard deviation, with the expected errors of the report.
+    last.ecdf(std, color=INK, lw=1.4)
+    near_measured = 1e3 * c.geometry.expected_measured
+    # That of the report, not of the poses drawn, which are more: one number for one thing.
+    everywhere = 1e3 * c.geometry.expected_everywhere
+    lines = (
+        (near_measured, ":", "rms, measured poses"),
+        (everywhere, "--", "rms, joint limits"),
+        (float(np.quantile(std, 0.95)), "-.", "95 % of the joint limits"),
+    )
+    for value, style, meaning in lines:
+        label = f"{value:.3f} mm: {meaning}"
+        last.vlines(value, 0, 1, colors=SOFT, ls=style, lw=1.1, label=label)
+    nearly_largest = float(np.quantile(std, 0.99))
+    last.set_xlim(0.0, 1.08 * max(nearly_largest, near_measured, 1e-9))
+    last.set_ylim(0.0, 1.45)  # room for the legend above the curve
+    last.set_yticks(np.linspace(0.0, 1.0, 6), [f"{share}" for share in range(0, 101, 20)])
+    last.set(xlabel="standard deviation [mm]", ylabel="poses below [%]")
+    last.set_title("Distribution over the joint limits")
+    last.legend(loc="upper left", fontsize=7.5)
     legend_above(figure)
     return figure
 
@@ -171,26 +176,3 @@ def _draw_cells(ax: Axes, places: Array, std: Array, limits: Array) -> Any:  # n
         edgecolors="face",
         zorder=2,
     )
-
-
-def _draw_distribution(ax: Axes, std: Array, c: Calibration) -> None:
-    """Draw the share of poses below each standard deviation (N,) [mm], with the expected errors of the report."""
-    ax.ecdf(std, color=INK, lw=1.4)
-    measured = 1e3 * c.geometry.expected_measured
-    # That of the report, not of the poses drawn, which are more: one number for one thing.
-    everywhere = 1e3 * c.geometry.expected_everywhere
-    lines = (
-        (measured, ":", "rms, measured poses"),
-        (everywhere, "--", "rms, joint limits"),
-        (float(np.quantile(std, 0.95)), "-.", "95 % of the joint limits"),
-    )
-    for value, style, meaning in lines:
-        label = f"{value:.3f} mm: {meaning}"
-        ax.vlines(value, 0, 1, colors=SOFT, ls=style, lw=1.1, label=label)
-    nearly_largest = float(np.quantile(std, 0.99))
-    ax.set_xlim(0.0, 1.08 * max(nearly_largest, measured, 1e-9))
-    ax.set_ylim(0.0, 1.45)  # room for the legend above the curve
-    ax.set_yticks(np.linspace(0.0, 1.0, 6), [f"{share}" for share in range(0, 101, 20)])
-    ax.set(xlabel="standard deviation [mm]", ylabel="poses below [%]")
-    ax.set_title("Distribution over the joint limits")
-    ax.legend(loc="upper left", fontsize=7.5)

@@ -48,27 +48,27 @@ class FigureKind(NamedTuple):
 
     #: Draws it
     draw: Callable[[Calibration], Figure]
-    #: Says if a calibration has it
+    #: Returns whether a calibration has it
     applies: Callable[[Calibration], bool]
 
 
 def _measures(unit: str) -> Callable[[Calibration], bool]:
-    """Return the test whether any row measures something in a unit, by its symbol."""
+    """Return a test of calibrations: whether any row measures something in a unit, such as ``"m"``."""
     return lambda c: unit in c.rows.channels.present
 
 
 def _has_vectors(unit: str) -> Callable[[Calibration], bool]:
-    """Return the test whether any row measures a whole position or orientation, by the symbol of its unit."""
+    """Return a test of calibrations: whether any row measures a position (``"m"``) or an orientation (``"rad"``)."""
     return lambda c: bool(np.any(c.rows.channels.vector_columns(unit)[1]))
 
 
 def _has_images(c: Calibration) -> bool:
-    """Say if any row is the image of a corner."""
+    """Return whether any row of a calibration is the image of a corner."""
     return bool(np.any(image_rows(c)))
 
 
 def _always(_: Calibration) -> bool:
-    """Say that every calibration has a figure."""
+    """Return True: every calibration has the figure."""
     return True
 
 
@@ -106,7 +106,27 @@ FIGURES: dict[str, FigureKind] = {
 def drawings(calibration: Calibration) -> tuple[Drawing, ...]:
     """Return the figures that apply to a calibration, in a report's order; none is drawn yet."""
     captions = yaml.safe_load((Path(__file__).parent / "captions.yaml").read_text("utf-8"))
-    words = {"c": calibration, **_caption_words(calibration)}
+    # The texts that captions name in braces.
+    m = calibration.fit.measurements
+    estimation = rows_text(m.estimation, "estimation")
+    rows = estimation
+    if np.any(m.validation):
+        rows = f"{estimation} and {rows_text(m.validation, 'validation')}"
+    curves = errors.curve_rows(calibration)
+    rows_kind, relation = _CURVE_ROWS[curves.name]
+    words: dict[str, object] = {
+        "c": calibration,
+        "rows": rows,
+        "estimation": estimation,
+        "poses": f"{space.POSES:,}",
+        "spread": str(SPREAD),
+        "curve_rows": f"the {rows_text(curves.mask, rows_kind)}, {relation}",
+    }
+    tried = calibration.method.candidates
+    if tried:
+        held_out = tried[0].cross_validation.errors_without_outliers
+        words["compared"] = f"{held_out.leading.n:,}"
+
     made = []
     for name, kind in FIGURES.items():
         if kind.applies(calibration):
@@ -115,28 +135,6 @@ def drawings(calibration: Calibration) -> tuple[Drawing, ...]:
             draw = partial(kind.draw, calibration)
             made.append(Drawing(name, entry["section"], entry["title"], caption, draw))
     return tuple(made)
-
-
-def _caption_words(c: Calibration) -> dict[str, str]:
-    """Return the texts that captions name in braces."""
-    m = c.fit.measurements
-    estimation = rows_text(m.estimation, "estimation")
-    rows = estimation
-    if np.any(m.validation):
-        rows = f"{estimation} and {rows_text(m.validation, 'validation')}"
-    curves = errors.curve_rows(c)
-    kind, relation = _CURVE_ROWS[curves.name]
-    words = {
-        "rows": rows,
-        "estimation": estimation,
-        "poses": f"{space.POSES:,}",
-        "spread": str(SPREAD),
-        "curve_rows": f"the {rows_text(curves.mask, kind)}, {relation}",
-    }
-    if c.method.candidates:
-        held_out = c.method.candidates[0].cross_validation.errors_without_outliers
-        words["compared"] = f"{held_out.leading.n:,}"
-    return words
 
 
 def write_figures(

@@ -190,7 +190,7 @@ def _board(estimated: Sequence[_Estimated]) -> str:
 
 
 def _half(p: ParameterEstimate, digits: int, factor: float = 1.0) -> str:
-    """Write half the 95 % interval of a parameter."""
+    """Write half the width of a parameter's 95 % interval, times a factor, with so many decimals."""
     return number(0.5 * factor * (p.high - p.low), digits)
 
 

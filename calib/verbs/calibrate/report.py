@@ -1,4 +1,4 @@
-"""What is shown of a calibration: its summary in a terminal, its report to print and sign, its excerpt in notebooks.
+"""Summary of a calibration in a terminal, its report to print and sign, and its excerpt in notebooks.
 
 `report` is the one list of their sections; `calib.verbs.calibrate.tables` and `.text` make what stands in them.
 """
@@ -108,7 +108,7 @@ def write_report(
 def report(
     c: Calibration, *, command: str = "", columns: Sequence[ErrorColumn] = ERROR_COLUMNS
 ) -> Page:
-    """Say what is shown of a calibration, and where.
+    """List the sections that show a calibration, each with the places where it is shown.
 
     Args:
         c: The result. Sections for HTML need its measurements and its solved problem in memory.
@@ -147,7 +147,7 @@ def report(
 
 
 def _first_page(c: Calibration, columns: Sequence[ErrorColumn]) -> Block:
-    """Make the first page of the report."""
+    """Make the first page of the report: verdict, record, robot, noise, errors before and after, signatures."""
     images = c.rows.images_of(c.rows.estimation)
     if images:
         corners = plural(int(np.sum(c.rows.estimation)), "corner")
@@ -252,7 +252,7 @@ def _accuracy(c: Calibration, columns: Sequence[ErrorColumn]) -> Iterator[Block]
 
 
 def _validation(c: Calibration) -> Iterator[Block]:
-    """Tabulate the validation rows one by one, or say what stands for them."""
+    """Tabulate the validation rows one by one, or word which errors show the accuracy without any."""
     if c.rows.validation.any():
         yield tables.validation_rows(c)
     elif c.cross_validation is not None:
@@ -267,7 +267,7 @@ def _validation(c: Calibration) -> Iterator[Block]:
 
 
 def _figures(c: Calibration, section: str) -> list[Drawing]:
-    """Return the figures of a section of the report."""
+    """Return the figures that stand in a section of the report, such as ``"errors"``; none is drawn yet."""
     return [drawing for drawing in drawings(c) if drawing.section == section]
 
 

@@ -1,4 +1,4 @@
-"""The corners that the cameras of a calibration saw: measured, predicted, and where their boards were.
+"""The corners that the cameras of a calibration saw: measured, predicted, and the poses of their boards.
 
 A residual is measured minus predicted, in pixels.
 """
@@ -163,6 +163,12 @@ def seen_corners(c: Calibration) -> tuple[SeenCorners, ...]:
         for image, pose in zip(m.images, rows.blocks.tolist(), strict=True)
     ]
 
+    # A board without a name may have been moved to several places, each a target.
+    boards = m.targets
+    if "" in cell.boards:
+        nameless = cell.boards[""].name
+        boards = tuple(name if name in cell.boards else nameless for name in m.targets)
+
     seen = []
     numbers = optics_of_rows.values[:, optics.CAMERA]
     for number in np.unique(numbers[is_image]):
@@ -184,7 +190,7 @@ def seen_corners(c: Calibration) -> tuple[SeenCorners, ...]:
                 camera=name or camera.name,
                 size=(camera.width, camera.height),
                 images=tuple(images[i] for i in at),
-                boards=tuple(_board_name(c, m.targets[i]) for i in at),
+                boards=tuple(boards[i] for i in at),
                 corners=tuple(names[corner[i]] for i in at),
                 rows=at,
                 measured=measured[at],
@@ -200,9 +206,3 @@ def seen_corners(c: Calibration) -> tuple[SeenCorners, ...]:
             )
         )
     return tuple(seen)
-
-
-def _board_name(c: Calibration, target: str) -> str:
-    """Return the name of the board that a target is; one without a name may have been moved to several places."""
-    boards = c.fit.cell.boards
-    return boards[""].name if target not in boards and "" in boards else target

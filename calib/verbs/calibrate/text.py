@@ -88,7 +88,18 @@ def facts(c: Calibration) -> dict[str, str]:
             per = _per_scalar(c.rows.channels, unit)
             result[SCATTER] = f"{with_unit(scatter, unit)} {per} ({freedom:.0f} d.o.f.)."
 
-    result[EXPECTED] = _expected_error(c)
+    if c.cross_validation is None and c.verdict is not None:
+        # A usual mistake explains the rows, or a frame was not found: what was fitted does not exist.
+        result[EXPECTED] = "not known: see the verdict."
+    elif c.cross_validation is None and c.noise.freedom < _ENOUGH_FREEDOM:
+        # Prior standard deviations estimated from nothing shrink to nothing, and the expected error with them.
+        result[EXPECTED] = "not known: too few rows."
+    else:
+        near, everywhere = c.new_point
+        result[EXPECTED] = (
+            f"{mm(near)} mm rms near the measured poses, {mm(everywhere)} mm over the joint limits."
+        )
+
     if c.geometry.prior_std:
         sizes = []
         for family, std in c.geometry.prior_std.items():
@@ -132,18 +143,6 @@ def _per_scalar(channels: Channels, unit: str) -> str:
     if unit == "m":
         return f"per {measured_lengths(channels)}"
     return RESIDUAL_UNITS[unit].per
-
-
-def _expected_error(c: Calibration) -> str:
-    """Word the expected error at a new point."""
-    if c.cross_validation is None and c.verdict is not None:
-        # A usual mistake explains the rows, or a frame was not found: what was fitted does not exist.
-        return "not known: see the verdict."
-    if c.cross_validation is None and c.noise.freedom < _ENOUGH_FREEDOM:
-        # Prior standard deviations estimated from nothing shrink to nothing, and the expected error with them.
-        return "not known: too few rows."
-    near, everywhere = c.new_point
-    return f"{mm(near)} mm rms near the measured poses, {mm(everywhere)} mm over the joint limits."
 
 
 def held_out_text(c: Calibration) -> str:

@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -191,7 +192,7 @@ def bootstrap(
         count: Number of draws of the N rows, each of which is fitted, `FEWEST_SAMPLES` to `MOST_SAMPLES`.
         seed: Seed of the draws, 0 or more.
         progress: Called after each fit with the number of fits done and of all; None: nothing is called.
-        executor: Where the fits run; None: in this process.
+        executor: Runs the fits; None: in this process.
 
     Returns:
         The parameters fitted to each draw, shape (count, p), and the number of fits that did not converge.
@@ -338,12 +339,7 @@ def profile_interval(calibration: Calibration, name: str, level: float = 0.95) -
             "in the cell file's table [bounds]."
         )
     x = float(estimate.x[k])
-
-    def cost_at(offset: float) -> float:
-        """Return the least cost with the parameter held at an offset from the registered start."""
-        return _least_cost(fitted, k, offset)
-
-    low, high = profile(cost_at, x, parameter.std, level, estimate.freedom)
+    low, high = profile(partial(_least_cost, fitted, k), x, parameter.std, level, estimate.freedom)
     # Offsets from the registered start become values.
     return Profile(low + parameter.value - x, high + parameter.value - x, level)
 

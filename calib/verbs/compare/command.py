@@ -56,7 +56,7 @@ def compare(
     check_outputs([json, view], [a, b, robot], force=force)
     comparison = compare_results(a, b, robot)
     if view is not None:
-        from calib.verbs.view.page import view_page
+        from calib.verbs.view.robots_page import view_page
 
         view_page(_view(comparison)).write(view, overwrite=force)
     if json is not None:

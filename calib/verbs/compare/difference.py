@@ -165,7 +165,7 @@ def _own_steps(result: Calibration) -> Array:
 
 
 def _same_parameters(first: Calibration, second: Calibration) -> bool:
-    """Say if two results have the same model, ties and parameters of the robot; frames and targets do not count."""
+    """Return whether two results have the same model, ties and robot parameters; frames and targets do not count."""
     same_names = own_names(first) == own_names(second)
     same_ties = dict(first.method.ties) == dict(second.method.ties)
     return same_names and same_ties and first.model.name == second.model.name
@@ -188,7 +188,7 @@ def unknown_frame(result: Calibration) -> tuple[str, ...]:
 
 
 def _unknown_places(a: Calibration, b: Calibration, *, turns: bool) -> list[bool]:
-    """Say of each column of `_place_twists` if either result had to estimate that motion of base or target.
+    """Return for each of the 12 columns of `_place_twists` whether either result had to estimate that motion.
 
     A target's orientation is estimated only if orientations were measured for both (``turns``).
     """
@@ -295,7 +295,12 @@ class _Predictions:
         poses, effects, slopes = [], [], []
         for result in (a, b):
             x = result.geometry.x[_own_indices(result)]
-            kinematics = _own_kinematics(result, a.setup.T_tip_target[0])
+            # The robot with its own parameters alone, and the target of a at its place in the tip.
+            others = np.delete(np.array(result.model.names), _own_indices(result))
+            frames = np.tile(np.eye(4), (len(result.setup.groups), 1, 1))
+            targets = np.tile(a.setup.T_tip_target[0], (len(result.setup.targets), 1, 1))
+            own_model = result.model.without(others)
+            kinematics = Kinematics(result.nominal, own_model, frames, targets)
             # Effects at the nominal robot, from which both count: at the calibrated ones they would differ by terms of
             # second order, which would look like combinations that only one result has.
             nominal, effect = kinematics.twists(np.zeros(len(x)), q)
@@ -334,14 +339,6 @@ class _Predictions:
         slope_a, slope_b = self.slopes
         a, b = estimates
         return np.asarray(self.difference + slope_b @ b.shift - slope_a @ a.shift)
-
-
-def _own_kinematics(result: Calibration, T_tip_target: Array) -> Kinematics:
-    """Return the kinematics of a result's robot, its own parameters alone, with a target given in the tip."""
-    others = np.delete(np.array(result.model.names), _own_indices(result))
-    frames = np.tile(np.eye(4), (len(result.setup.groups), 1, 1))
-    targets = np.tile(T_tip_target, (len(result.setup.targets), 1, 1))
-    return Kinematics(result.nominal, result.model.without(others), frames, targets)
 
 
 def _place_twists(T_base_target: Array) -> Array:

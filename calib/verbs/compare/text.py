@@ -39,7 +39,7 @@ def comparison_html(c: Comparison) -> str:
 
 
 def _page(c: Comparison) -> Page:
-    """Say what is shown of a comparison, and where."""
+    """List the sections that show a comparison, each with the places where it is shown."""
     sections = (
         Section(partial(_excerpt, c), on=NOTEBOOK),
         Section(partial(_results, c), on=TERMINAL),

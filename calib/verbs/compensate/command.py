@@ -19,14 +19,11 @@ from calib.errors import CalibError, VerdictError
 if TYPE_CHECKING:
     from calib.basics.arrays import Array
     from calib.data.cell import Cell
-    from calib.data.forms.column_options import ColumnOptions
     from calib.result.calibration import Calibration
     from calib.robot.gravity import Payload
     from calib.robot.robot import Robot
-    from calib.verbs.compensate.commands import Commands
-    from calib.verbs.compensate.program import Program
 
-#: What `--poses-in` calls the robot's base, and the (only) frame that was measured in.
+#: The words by which `--poses-in` means the robot's base, and the only measurement frame.
 _BASE = "base"
 _MEASURED = "measured"
 
@@ -77,48 +74,6 @@ class ModelChoice:
 
 
 @dataclass(frozen=True, slots=True)
-class GoalOptions:
-    """Poses to reach, and the error that they may keep."""
-
-    tool: Annotated[
-        str | None,
-        typer.Option(
-            metavar='"X Y Z UNIT [RX RY RZ UNIT]"|target[:NAME]',
-            help="Pose of the tool in the tip, such as '0 0 150 mm', or the calibrated target. Default: the tip.",
-        ),
-    ] = None
-    poses_in: Annotated[
-        str,
-        typer.Option(
-            metavar="base|measured|GROUP",
-            help="Frame of the poses: the robot's base, the measurement frame, or the measurement frame of a group.",
-        ),
-    ] = _BASE
-    match: Annotated[
-        Literal["pose", "position", "axis"] | None,
-        typer.Option(
-            help="What is to be reached: pose (the default), position, or axis, the position and the direction of the "
-            "tool's z axis."
-        ),
-    ] = None
-    start: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar='"JOINT=VALUE UNIT"',
-            help="Joint value near which the search for the first row starts, for poses without "
-            "joint values. Can be repeated.",
-        ),
-    ] = None
-    tolerance: Annotated[
-        str,
-        typer.Option(metavar='"LENGTH [ANGLE]"', help="Error that is allowed to remain in a row."),
-    ] = "1e-8 m 1e-8 rad"
-    skip: Annotated[
-        bool, typer.Option("--skip", help="Leave rows empty whose pose cannot be reached.")
-    ] = False
-
-
-@dataclass(frozen=True, slots=True)
 class ChainOptions(CellOptions):
     """Chain of the robot; it is the result's unless the options say otherwise."""
 
@@ -143,38 +98,6 @@ class ProgramColumns(ColumnChoice):
             "the brand, else rotation-vector.",
         ),
     ] = None
-
-
-@dataclass(frozen=True, slots=True)
-class CommandOutputs:
-    """The table of commands."""
-
-    output: Annotated[
-        Path | None, typer.Option("-o", "--output", help="Write the commands as CSV.")
-    ] = None
-    send: Annotated[
-        Literal["both", "joints", "poses"],
-        typer.Option(
-            help="What is written: the joint values to command, the poses to send, or both."
-        ),
-    ] = "both"
-    force: Force = False
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Models:
-    """Both models of the robot, and the verdict on the real one's."""
-
-    #: As the controller has it
-    nominal: Robot
-    #: As it really is: a result, or the robot of a corrected URDF
-    actual: Calibration | Robot
-    #: What the tip carried when it was calibrated; None: nothing is known
-    payload: Payload | None
-    #: The verdict, as `calib.show.verdict_text.do_not_use_text` gives it; empty: nothing against it
-    stated: str
-    #: What to do about it besides
-    remedy: str = ""
 
 
 def parse_tool(text: str) -> Array | str:
@@ -248,133 +171,139 @@ def compensate(
         Path,
         typer.Argument(metavar="PROGRAM", help="Table (CSV, .xlsx): joint values, poses, or both."),
     ],
+    *,
     model_options: ModelChoice,
-    goal_options: GoalOptions,
+    tool: Annotated[
+        str | None,
+        typer.Option(
+            metavar='"X Y Z UNIT [RX RY RZ UNIT]"|target[:NAME]',
+            help="Pose of the tool in the tip, such as '0 0 150 mm', or the calibrated target. Default: the tip.",
+        ),
+    ] = None,
+    poses_in: Annotated[
+        str,
+        typer.Option(
+            metavar="base|measured|GROUP",
+            help="Frame of the poses: the robot's base, the measurement frame, or the measurement frame of a group.",
+        ),
+    ] = _BASE,
+    match: Annotated[
+        Literal["pose", "position", "axis"] | None,
+        typer.Option(
+            help="What is to be reached: pose (the default), position, or axis, the position and the direction of the "
+            "tool's z axis."
+        ),
+    ] = None,
+    start: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar='"JOINT=VALUE UNIT"',
+            help="Joint value near which the search for the first row starts, for poses without "
+            "joint values. Can be repeated.",
+        ),
+    ] = None,
+    tolerance: Annotated[
+        str,
+        typer.Option(metavar='"LENGTH [ANGLE]"', help="Error that is allowed to remain in a row."),
+    ] = "1e-8 m 1e-8 rad",
+    skip: Annotated[
+        bool, typer.Option("--skip", help="Leave rows empty whose pose cannot be reached.")
+    ] = False,
     cell_options: ChainOptions,
     column_options: ProgramColumns,
-    outputs: CommandOutputs,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="Write the commands as CSV.")
+    ] = None,
+    send: Annotated[
+        Literal["both", "joints", "poses"],
+        typer.Option(
+            help="What is written: the joint values to command, the poses to send, or both."
+        ),
+    ] = "both",
+    force: Force = False,
     quiet: Quiet = False,
 ) -> None:
     """Load both models, compute the commands and write them; a verdict 'do not use' must have been accepted."""
-    from calib.show.verdict_text import refusal
+    from calib.basics.tables import Table
+    from calib.basics.units import MASS, parse_amount, parse_joint_values
+    from calib.data.columns import column_names
+    from calib.data.inputs import chain_of
+    from calib.result.calibration_file import read_result
+    from calib.robot.gravity import Payload
+    from calib.show.verdict_text import do_not_use_text, refusal
+    from calib.verbs.compensate.compensate import compensate as compute_commands
+    from calib.verbs.compensate.program_table import read_program, write_commands
     from calib.verbs.compensate.text import no_commands, text
 
     source = model_options.source
-    inputs: list[str | Path | None] = [robot, program, source, cell_options.file]
-    check_outputs([outputs.output], inputs, force=outputs.force)
+    check_outputs([output], [robot, program, source, cell_options.file], force=force)
     cell = cell_options.cell()
     columns = column_options.parsed()
-    models = _load_models(robot, program, model_options, cell, columns)
-    if models.stated and not model_options.accept:
-        raise VerdictError(refusal(f"'{source}'", models.stated) + models.remedy)
-    commands = _compute(
-        models,
-        _read_program(program, models.nominal, goal_options, columns),
-        model_options,
-        goal_options,
-    )
-    none_reached = not commands.reached.any()
-    if not commands.reached.all() and (none_reached or not goal_options.skip):
-        raise CalibError(no_commands(commands))
-    convention = column_options.orientation or commands.program.form or columns.brand
-    _write(commands, outputs, convention)
-    if not quiet:
-        typer.echo(text(commands, Path(source).name, outputs.output))
-    say_accepted(f"'{source}'", models.stated)
 
-
-def _load_models(
-    robot: str, program: Path, model_options: ModelChoice, cell: Cell, columns: ColumnOptions
-) -> _Models:
-    """Load the nominal robot and the model of the real one."""
-    if model_options.calibration is not None:
-        return _models_of_result(robot, model_options.calibration, model_options, cell)
-    from calib.basics.tables import Table
-    from calib.data.columns import column_names
-    from calib.data.inputs import chain_of
-
-    joints = column_names(Table.read(program), columns)
-    nominal = load(robot, cell, joints)
-    actual = load(str(model_options.corrected), chain_of(nominal))
-    return _Models(nominal, actual, payload=None, stated=actual.urdf.verdict)
-
-
-def _models_of_result(robot: str, path: Path, model_options: ModelChoice, given: Cell) -> _Models:
-    """Load a result, and the nominal robot with its chain unless the options name another."""
-    from calib.result.calibration_file import read_result
-    from calib.show.verdict_text import do_not_use_text
-
-    result = read_result(path)
-    calibrated_chain = result.nominal
-    cell = replace(
-        given,
-        base=given.base or calibrated_chain.base,
-        tip=given.tip or calibrated_chain.tip,
-        held={**calibrated_chain.held, **given.held},
-        coupling=coupling_of_result(given, result, str(path)),
-    )
-    nominal = load(robot, cell)
-    payload = result.non_geometric.payload if result.non_geometric else None
-    stated = do_not_use_text(result.verdict_on(non_geometric=not model_options.geometry))
+    # The model of the real robot, the nominal one with the same chain, and the verdict on the model if it is negative.
+    actual: Calibration | Robot
+    calibrated_payload: Payload | None = None
     remedy = ""
-    if stated and not do_not_use_text(result.verdict):
-        remedy = " --geometry leaves out the non-geometric model, which this verdict is on."
-    return _Models(nominal, result, payload, stated, remedy)
+    if model_options.calibration is not None:
+        actual = result = read_result(model_options.calibration)
+        nominal = load(robot, _with_chain_of(result, cell, str(source)))
+        if result.non_geometric:
+            calibrated_payload = result.non_geometric.payload
+        stated = do_not_use_text(result.verdict_on(non_geometric=not model_options.geometry))
+        if stated and not do_not_use_text(result.verdict):
+            remedy = " --geometry leaves out the non-geometric model, which this verdict is on."
+    else:
+        nominal = load(robot, cell, column_names(Table.read(program), columns))
+        actual = load(str(model_options.corrected), chain_of(nominal))
+        stated = actual.urdf.verdict
+    if stated and not model_options.accept:
+        raise VerdictError(refusal(f"'{source}'", stated) + remedy)
 
-
-def _read_program(
-    path: Path, nominal: Robot, goal_options: GoalOptions, columns: ColumnOptions
-) -> Program:
-    """Read the program for the nominal robot."""
-    from calib.basics.units import parse_joint_values
-    from calib.verbs.compensate.program_table import read_program
-
-    return read_program(
-        path,
+    rows = read_program(
+        program,
         nominal,
         columns=columns,
-        match=goal_options.match,
-        start=parse_joint_values(goal_options.start or [], "--start"),
+        match=match,
+        start=parse_joint_values(start or [], "--start"),
     )
-
-
-def _compute(
-    models: _Models, program: Program, model_options: ModelChoice, goal_options: GoalOptions
-) -> Commands:
-    """Compute the commands."""
-    from calib.basics.units import MASS, parse_amount
-    from calib.robot.gravity import Payload
-    from calib.verbs.compensate.compensate import compensate as compute_commands
-
-    length, angle = parse_pair(goal_options.tolerance, "--tolerance", "0.05 mm 0.01 deg")
+    length, angle = parse_pair(tolerance, "--tolerance", "0.05 mm 0.01 deg")
     non_geometric: bool | Payload = not model_options.geometry
     if model_options.payload:
         mass = parse_amount(model_options.payload, "--payload", MASS, "5 kg")
         # The centre of mass is that of the calibration, or else the tip.
-        known = models.payload
-        non_geometric = Payload(mass) if known is None else replace(known, mass=mass)
-    return compute_commands(
-        models.actual,
-        program,
-        nominal=models.nominal,
-        tool=parse_tool(goal_options.tool) if goal_options.tool else None,
-        frame={_BASE: None, _MEASURED: ""}.get(goal_options.poses_in, goal_options.poses_in),
+        non_geometric = replace(calibrated_payload or Payload(mass), mass=mass)
+    commands = compute_commands(
+        actual,
+        rows,
+        nominal=nominal,
+        tool=parse_tool(tool) if tool else None,
+        frame={_BASE: None, _MEASURED: ""}.get(poses_in, poses_in),
         tolerance=(length or _TOLERANCE, angle or _TOLERANCE),
         non_geometric=non_geometric,
         accept=model_options.accept,
     )
+    none_reached = not commands.reached.any()
+    if not commands.reached.all() and (none_reached or not skip):
+        raise CalibError(no_commands(commands))
+
+    if output is not None:
+        orientation = column_options.orientation or rows.form or columns.brand
+        write_commands(commands, output, send=send, orientation=orientation, overwrite=force)
+    if not quiet:
+        typer.echo(text(commands, Path(source).name, output))
+    say_accepted(f"'{source}'", stated)
 
 
-def _write(commands: Commands, outputs: CommandOutputs, orientation: str | None) -> None:
-    """Write the table of commands, if it was asked for."""
-    from calib.verbs.compensate.program_table import write_commands
+def _with_chain_of(result: Calibration, cell: Cell, path: str) -> Cell:
+    """Return a cell with base, tip, held joints and coupled readings of a result, as far as the cell gives none.
 
-    if outputs.output is None:
-        return
-    write_commands(
-        commands,
-        outputs.output,
-        send=outputs.send,
-        orientation=orientation,
-        overwrite=outputs.force,
+    The path of the result's file is for messages.
+    """
+    chain = result.nominal
+    return replace(
+        cell,
+        base=cell.base or chain.base,
+        tip=cell.tip or chain.tip,
+        held={**chain.held, **cell.held},
+        coupling=coupling_of_result(cell, result, path),
     )

@@ -13,7 +13,7 @@ from calib.robot.robot import Robot
 from calib.verbs.compensate.expected import ExpectedErrors
 from calib.verbs.compensate.inverse import POSE, Matching
 from calib.verbs.compensate.nominal_actual import Pair
-from calib.verbs.compensate.program import Program
+from calib.verbs.compensate.robot_program import Program
 
 Code = Literal[
     "unreachable",
@@ -51,7 +51,7 @@ class Commands(Value):
     pair: Pair
     #: The program.
     program: Program
-    #: What of the poses is reached, one of `calib.verbs.compensate.inverse.MATCHES`.
+    #: Part of the poses that is reached, one of `calib.verbs.compensate.inverse.MATCHES`.
     match: str
     #: shape (N, 4, 4), wanted pose of the tool, in the frame of the poses [m]; if only its position was given, oriented
     #: as the nominal robot's is.

@@ -17,7 +17,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from calib.basics.arguments import check_type, finite_numbers
@@ -43,7 +42,7 @@ from calib.verbs.compensate.inverse import (
     start_values,
 )
 from calib.verbs.compensate.nominal_actual import Pair, pair_of
-from calib.verbs.compensate.program import Program
+from calib.verbs.compensate.robot_program import Program
 from calib.verbs.compensate.warnings import find_reasons, find_warnings, within
 
 #: A pose that the nominal robot misses by more than this is matched in part [m].
@@ -82,8 +81,8 @@ def compensate(
         program: The poses to reach.
         nominal: The model that the controller has, or the path of its URDF or xacro, or its name; None: the nominal
             robot of the result.
-        tool: What is to arrive: a pose in the tip, shape (4, 4) [m], or a position, shape (3,); or the name of a target
-            of the calibration ("" for the only one), where the calibrated model has it; None: the tip itself.
+        tool: Tool that is to arrive: a pose in the tip, shape (4, 4) [m], or a position, shape (3,); or the name of a
+            target of the calibration ("" for the only one), where the calibrated model has it; None: the tip itself.
         frame: The base in the frame that poses are given and sent in, shape (4, 4) [m], or the name of a station of the
             calibration ("" for the only one); None: the base.
         tolerance: Error that a row may keep: position [m], angle [rad]; no less than 1e-9.
@@ -105,11 +104,29 @@ def compensate(
     check_type("non_geometric", non_geometric, (bool, Payload), "True, False, or a Payload")
     models = _load_models(calibration, nominal)
     pair = pair_of(*models, tool=tool, frame=frame, non_geometric=non_geometric)
-    if not accept:
-        _check_verdict(pair)
-    tolerance = (max(tolerance[0], _EXACT), max(tolerance[1], _EXACT))
+    if pair.result is None:
+        source = pair.actual.robot.urdf.source
+        stated = pair.actual.robot.urdf.verdict
+    else:
+        verdict = pair.result.verdict_on(non_geometric=pair.non_geometric)
+        source = pair.result.source.name or "these measurements"
+        is_against = verdict is not None and verdict.use == NO
+        stated = f"{NO} (the summary() of the result says why)" if is_against else ""
+    if stated and not accept:
+        raise VerdictError(
+            f"The verdict on {source} is: {stated}. No commands are made by it; accept=True (on the "
+            "command line --accept) makes them nonetheless."
+        )
 
-    matching = Matching(_match(program, pair), pair.reach)
+    # As the program says, otherwise as much as the number of joints allows.
+    match = program.match
+    if match is None:
+        joint_count = len(pair.nominal.robot.joint_names)
+        match = POSE if joint_count >= 6 else AXIS
+        if not program.oriented or joint_count < 5:
+            match = POSITION
+    matching = Matching(match, pair.reach)
+    tolerance = (max(tolerance[0], _EXACT), max(tolerance[1], _EXACT))
     T_wanted, nominal_solution = _solve_nominal(pair, program, matching)
     q_nominal = nominal_solution.q
     uncorrected = Solution(q_nominal, *pair.actual.motion(q_nominal))
@@ -147,7 +164,7 @@ def compensate(
 def _load_models(
     calibration: Calibration | RobotInput, nominal: RobotInput | None
 ) -> tuple[Calibration | Robot, Robot | None]:
-    """Return the models of the true robot and of the controller; one that is read gets the chain of the other one."""
+    """Return the models of the true robot and of the controller; one read from a file gets the chain of the other."""
     allowed = f"{RESULT}; or {ROBOT}"
     check_type("calibration", calibration, (Calibration, Robot, str, Path), allowed)
     check_type("nominal", nominal, (Robot, str, Path, type(None)), f"{ROBOT}, or None")
@@ -163,33 +180,6 @@ def _load_models(
         return true, nominal
     known = true if isinstance(true, Robot) else true.nominal
     return true, robot_of(nominal, chain_of(known), argument="nominal")
-
-
-def _check_verdict(pair: Pair) -> None:
-    """Raise `VerdictError` if the verdict on a result is ``do not use``, or if the true robot's URDF states one."""
-    if pair.result is None:
-        source = pair.actual.robot.urdf.source
-        stated = pair.actual.robot.urdf.verdict
-    else:
-        verdict = pair.result.verdict_on(non_geometric=pair.non_geometric)
-        source = pair.result.source.name or "these measurements"
-        is_against = verdict is not None and verdict.use == NO
-        stated = f"{NO} (the summary() of the result says why)" if is_against else ""
-    if stated:
-        raise VerdictError(
-            f"The verdict on {source} is: {stated}. No commands are made by it; accept=True (on the "
-            "command line --accept) makes them nonetheless."
-        )
-
-
-def _match(program: Program, pair: Pair) -> str:
-    """Return what of the poses is matched: as the program says, else as much as the number of joints allows."""
-    if program.match:
-        return program.match
-    joint_count = len(pair.nominal.robot.joint_names)
-    if not program.oriented or joint_count < 5:
-        return POSITION
-    return POSE if joint_count >= 6 else AXIS
 
 
 def _solve_nominal(pair: Pair, program: Program, matching: Matching) -> tuple[Array, Solution]:
@@ -255,20 +245,12 @@ def _find_poses_to_send(
         if not correctable.any():
             break
         rows = rows[correctable]
-        T_send[rows] = T_send[rows] @ _motions_by(matching, error[correctable])
+        T_send[rows] = T_send[rows] @ matching.motions(error[correctable])
     return T_send, matching.misses(T_arrived, T_wanted)
 
 
-def _motions_by(matching: Matching, error: Array) -> Array:
-    """Return exp(e), (n, 4, 4) [m]: the motions along the tool's own axes that remove errors e of `Matching.error`."""
-    twists = np.zeros((len(error), 6))
-    twists[:, :3] = error[:, :3]
-    twists[:, 3 : matching.rows] = error[:, 3:] / matching.length
-    return np.array([pin.exp6(twist).homogeneous for twist in twists])
-
-
 def _where(rows: Mask, values: Array) -> Array:
-    """Return values (N, ...) with NaN in place of those outside of a mask (N,); read-only."""
+    """Return values (N, ...), read-only, with NaN in the rows where a mask (N,) is False."""
     further_axes = [1] * (values.ndim - 1)
     mask = rows.reshape(-1, *further_axes)
     return read_only(np.where(mask, values, np.nan))

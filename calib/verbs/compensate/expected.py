@@ -160,7 +160,7 @@ def arrival_covariance(pair: Pair, q: Array) -> Array:
 
 
 def _result(pair: Pair) -> Calibration:
-    """Return the result of a pair; two robots have none, and their errors are not known."""
+    """Return the calibration of a pair of robots; raises `ValueError` if there is none, so that errors are unknown."""
     if pair.result is None:
         raise ValueError("the errors of a robot without a result are not known")
     return pair.result
@@ -328,7 +328,10 @@ def _lacking_in_images(result: Calibration, part: FittedModel) -> float:
 def _instrument_noise(
     result: Calibration,
 ) -> tuple[NoiseSource, dict[str, float], dict[str, float]]:
-    """Return the source of the noise of lengths; and by unit a scalar's noise, NaN if unknown, and its freedom."""
+    """Return the source of the noise of lengths, and by unit, [m] and [rad], its standard deviation and its freedom.
+
+    A standard deviation is of one scalar, NaN if it is not known.
+    """
     sigma = dict.fromkeys(_POSE_UNITS, np.nan)
     freedom = dict.fromkeys(_POSE_UNITS, 0.0)
     if result.noise.repeats is not None:

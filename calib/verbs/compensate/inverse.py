@@ -18,6 +18,7 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
+import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
 from calib.basics.arrays import Array, Mask, read_only, rigid_inverse
@@ -91,16 +92,35 @@ class Matching(NamedTuple):
             T_wanted: Wanted poses in the same frame, shape (N, 4, 4), [m].
 
         Returns:
-            What `name` says is matched, shape (N, rows), with 6, 3 or 5 rows: the position, then angles times `length`
-            [m].
+            The position, then the angles that `name` matches times `length`, shape (N, 6), (N, 3) or (N, 5), [m].
         """
         T_now_wanted = rigid_inverse(T_now) @ T_wanted
         R = T_now_wanted[:, :3, :3]
         position = T_now_wanted[:, :3, 3]
         if self.name == POSITION:
             return position
-        angles = _tilt(R[:, :, 2]) if self.name == AXIS else _rotation_vectors(R)
+        if self.name == AXIS:
+            angles = _tilt(R[:, :, 2])
+        else:
+            angles = np.full((len(R), 3), np.nan)
+            is_number = np.isfinite(R).all(axis=(1, 2))
+            if is_number.any():
+                angles[is_number] = Rotation.from_matrix(R[is_number]).as_rotvec()
         return np.concatenate([position, self.length * angles], axis=1)
+
+    def motions(self, error: Array) -> Array:
+        """Compute the motions exp(e) along the tool's own axes that remove errors: T_now exp(e) = T_wanted.
+
+        Args:
+            error: As `error` returns it, shape (N, rows), [m]; directions that are not matched do not move.
+
+        Returns:
+            shape (N, 4, 4), [m]; exact for small angles.
+        """
+        twists = np.zeros((len(error), 6))
+        twists[:, :3] = error[:, :3]
+        twists[:, 3 : self.rows] = error[:, 3:] / self.length
+        return np.array([pin.exp6(twist).homogeneous for twist in twists])
 
     def jacobian(self, twists: Array) -> Array:
         """Return the matched rows of the tool's twists, angles times `length`.
@@ -163,7 +183,7 @@ def solve(
         arm: The robot with its errors and its tool.
         T_wanted: Poses of the tool in the base, shape (N, 4, 4), [m].
         start: Readings of the joints to start at, shape (N, m), [rad] or [m].
-        matching: What of the poses is matched: pose, position, or position and axis.
+        matching: Part of the poses that is matched: pose, position, or position and axis.
         limits: Lowest and highest joint values, shape (m, 2), [rad] or [m]; None: there are none.
         steps: Maximum number of steps.
 
@@ -294,15 +314,6 @@ def _step(J: Array, error: Array, damping: Array, pull: Array | None, held: Mask
     return np.where(held, 0.0, step)
 
 
-def _rotation_vectors(rotations: Array) -> Array:
-    """Return rotation vectors of matrices (N, 3, 3), shape (N, 3), [rad]; NaN stays NaN."""
-    vectors = np.full((len(rotations), 3), np.nan)
-    is_number = np.isfinite(rotations).all(axis=(1, 2))
-    if is_number.any():
-        vectors[is_number] = Rotation.from_matrix(rotations[is_number]).as_rotvec()
-    return vectors
-
-
 def _tilt(z: Array) -> Array:
     """Return the smallest rotations, about x and y, (N, 2) [rad], that bring the tool's z axis to directions (N, 3)."""
     sine = np.hypot(z[:, 0], z[:, 1])
@@ -323,7 +334,7 @@ def follow(arm: Arm, T_wanted: Array, start: Array, matching: Matching) -> Solut
         arm: The robot with its errors and its tool.
         T_wanted: Poses of the tool in the base, shape (N, 4, 4), [m].
         start: Readings of the joints near which the first pose is solved, shape (m,), [rad] or [m].
-        matching: What of the poses is matched.
+        matching: Part of the poses that is matched.
 
     Returns:
         The readings at the N poses, and the tool there; of a pose that cannot be reached those that miss it least.

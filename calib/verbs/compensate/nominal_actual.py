@@ -44,7 +44,7 @@ _SAME = 1e-9
 #: the other.
 _NO_CALIBRATION = 0.1
 
-#: What a tool or a frame may be, in messages.
+#: Forms of a tool or a frame, in messages.
 _POSE = "a pose (4, 4) or a position (3,)"
 
 #: Number of poses at which the tools are compared.
@@ -114,7 +114,7 @@ class Arm(Value):
             non_geometric: The model.
             nominal: The nominal robot, whose placements it corrects.
             T_tip_tool: Pose of the tool in the tip, shape (4, 4), [m].
-            payload: What the tip carries; None: what it carried at the calibration.
+            payload: Payload of the tip; None: that at the calibration.
         """
         model = non_geometric.model
         of_joints = list(model.joint_terms)
@@ -153,7 +153,7 @@ class Arm(Value):
         return poses, np.concatenate([linear, angular], axis=1)
 
     def _samples(self, q: Array) -> Samples:
-        """Return joint values with their loads."""
+        """Return N samples of readings (N, m) [rad] or [m], with the joints' loads if an error depends on them."""
         return Samples.at(q, None if self.load is None else self.load(q))
 
 
@@ -230,7 +230,20 @@ def pair_of(
         ModelError: No nominal robot, one that is not the calibration's, or a tool or frame that does not exist.
     """
     if isinstance(calibration, Robot):
-        return _pair_of_robots(calibration, nominal, tool, frame, non_geometric)
+        # Two robots and no result.
+        given = (tool, frame, non_geometric)
+        needs_result = any(isinstance(value, (str, Payload)) for value in given)
+        if nominal is None or needs_result:
+            raise ModelError(
+                "With a corrected robot in place of a result give the nominal robot too, tool and frame "
+                "as poses, and no payload: it knows no targets, stations or compliances."
+            )
+        corrected = calibration.rebuilt(base=nominal.base, tip=nominal.tip)
+        check_same_joints(corrected, nominal)
+        T_tip_tool = _pose(tool, "tool")
+        arms = Arm.of(nominal, T_tip_tool), Arm.of(corrected, T_tip_tool)
+        return Pair(*arms, _pose(frame, "frame"))
+
     result = calibration
     nominal = nominal or result.nominal
     controller = result.uncorrected(nominal) if is_corrected(result, nominal) else nominal
@@ -278,26 +291,6 @@ def pair_of(
     )
 
 
-def _pair_of_robots(
-    actual: Robot,
-    nominal: Robot | None,
-    tool: ArrayLike | str | None,
-    frame: ArrayLike | str | None,
-    non_geometric: bool | Payload,
-) -> Pair:
-    """Make the pair of two robots, without a result; raises `ModelError`."""
-    needs_result = any(isinstance(value, (str, Payload)) for value in (tool, frame, non_geometric))
-    if nominal is None or needs_result:
-        raise ModelError(
-            "With a corrected robot in place of a result give the nominal robot too, tool and frame "
-            "as poses, and no payload: it knows no targets, stations or compliances."
-        )
-    actual = actual.rebuilt(base=nominal.base, tip=nominal.tip)
-    check_same_joints(actual, nominal)
-    T_tip_tool = _pose(tool, "tool")
-    return Pair(Arm.of(nominal, T_tip_tool), Arm.of(actual, T_tip_tool), _pose(frame, "frame"))
-
-
 def is_corrected(result: Calibration, robot: Robot) -> bool:
     """Return whether a robot has the joint origins that a result corrected, or those that the calibration began with.
 
@@ -330,7 +323,7 @@ def is_corrected(result: Calibration, robot: Robot) -> bool:
 
 
 def _other_origins(robot: Robot, reference: Robot) -> list[str]:
-    """Return the joints whose origins differ by more than rounding."""
+    """Return the names of a robot's joints whose origins differ from those of a reference by more than rounding."""
     origins = reference.origins()
     return [name for name, T in robot.origins().items() if np.abs(T - origins[name]).max() > _SAME]
 
@@ -379,5 +372,5 @@ def check_same_joints(robot: Robot, nominal: Robot) -> None:
 
 
 def _joints(robot: Robot) -> list[str]:
-    """Return name, type and axis of each joint, as text."""
+    """Return a text for each joint of the chain, with its name, type and axis, for comparison and messages."""
     return [f"{joint.name} ({joint.type}, axis {joint.axis + 0.0})" for joint in robot.joints]

@@ -100,7 +100,18 @@ def pose_covariance(part: FittedModel, view: View) -> PoseCovariance:
         lengths = J[:, :3].reshape(-1, p + 6)
         gram += lengths.T @ lengths / count
     shared = np.maximum(np.linalg.eigvalsh(gram), 0.0)
-    by_priors = float(np.sum(gram * (root.T @ _prior_precision(part, view) @ root)))
+
+    # Of the covariance C = (H + L)^-1, with the measurements' H and the precision L of the priors, the share C L C is
+    # the priors'.
+    precision = np.zeros((p + 6, p + 6))
+    prior_std = _typical(part)
+    if part.prior_std:
+        prior_std = np.array([parameter.prior_std for parameter in part.parameters], np.float64)
+    variances = np.square(prior_std)
+    precision[range(p), range(p)] = np.where(variances > 0.0, 1.0 / variances, 0.0)
+    if view.base is not None:
+        precision[p:, p:] = np.linalg.pinv(view.base, hermitian=True)
+    by_priors = float(np.sum(gram * (root.T @ precision @ root)))
     return PoseCovariance(np.concatenate(covariances), shared, by_priors)
 
 
@@ -138,11 +149,19 @@ def unmodelled_base(result: Calibration, part: FittedModel) -> Array:
     T_base_joint = rigid_inverse(robot.T_root_base) @ robot.placements[0]
     into_base = pin.SE3(T_base_joint).toActionMatrix() @ _left_out(result, part)
     unknown = np.isin(DIRECTIONS, unknown_base_directions(result))
+
+    # The standard deviation of each family: the model's, else that of the largest candidate with it, else the typical.
+    prior_std = {name: family.typical for name, family in FAMILIES.items()}
+    largest_first = sorted(result.method.candidates, key=lambda candidate: -candidate.parameters)
+    for candidate in reversed(largest_first):
+        prior_std.update(candidate.prior_std)
+    prior_std.update(part.prior_std)
+
     covariance = np.zeros((6, 6))
     for error in error_model(robot, "placement", target=False).parameters:
         if error.place == joint:
             motion = unknown * (into_base @ error.direction)
-            covariance += np.outer(motion, motion) * _prior_std(result, part, error.family) ** 2
+            covariance += np.outer(motion, motion) * float(prior_std[error.family]) ** 2
     return covariance
 
 
@@ -163,15 +182,6 @@ def _left_out(result: Calibration, part: FittedModel) -> Array:
     directions = [term.direction for term in modelled if term.place == joint]
     spanned = np.array(directions).reshape(-1, 6)
     return np.asarray(np.eye(6) - np.linalg.pinv(spanned) @ spanned)
-
-
-def _prior_std(result: Calibration, part: FittedModel, family: str) -> float:
-    """Return the standard deviation of a family's errors: the model's, else the largest candidate's, else typical."""
-    largest_first = sorted(result.method.candidates, key=lambda candidate: -candidate.parameters)
-    for prior_std in (part.prior_std, *(candidate.prior_std for candidate in largest_first)):
-        if family in prior_std:
-            return float(prior_std[family])
-    return FAMILIES[family].typical
 
 
 def _derivative(part: FittedModel, view: View) -> Callable[[Samples], Array]:
@@ -197,23 +207,6 @@ def _derivative(part: FittedModel, view: View) -> Callable[[Samples], Array]:
         return np.concatenate([twists, of_base], axis=2)
 
     return derivative
-
-
-def _prior_precision(part: FittedModel, view: View) -> Array:
-    """Return the precision of the priors of the parameters and of a motion of the base, (p + 6, p + 6); 0 without one.
-
-    Of the covariance C = (H + L)^-1, with the measurements' H and the priors' L, the share C L C is the priors'.
-    """
-    p = len(part.x)
-    precision = np.zeros((p + 6, p + 6))
-    prior_std = _typical(part)
-    if part.prior_std:
-        prior_std = np.array([parameter.prior_std for parameter in part.parameters], np.float64)
-    variances = np.square(prior_std)
-    precision[range(p), range(p)] = np.where(variances > 0.0, 1.0 / variances, 0.0)
-    if view.base is not None:
-        precision[p:, p:] = np.linalg.pinv(view.base, hermitian=True)
-    return precision
 
 
 def _determined(part: FittedModel) -> Array:

@@ -45,7 +45,7 @@ from calib.data.values import read_values
 from calib.errors import MeasurementError, choices
 from calib.robot.robot import Robot
 from calib.verbs.compensate.commands import Commands
-from calib.verbs.compensate.program import Program, poses_at
+from calib.verbs.compensate.robot_program import Program, poses_at
 
 #: Prefix of the columns with corrections, by which a table of commands is told from a program.
 _CORRECTION = "correction "
@@ -72,7 +72,7 @@ def read_program(
         robot: The nominal robot, whose joint names are looked for among the columns.
         columns: Names that calib uses by the table's names, or all that is said of the columns; its convention of
             orientations counts if the table has its columns. None: nothing is said.
-        match: What of the poses is to be reached, one of `calib.verbs.compensate.inverse.MATCHES`; None: see `Program`.
+        match: Part of the poses to be reached, one of `calib.verbs.compensate.inverse.MATCHES`; None: see `Program`.
         start: Joint values by name [rad] or [m] near which the first of poses alone is solved; None: mid range.
 
     Returns:
@@ -147,7 +147,10 @@ def read_program(
 
 
 def _name_columns(table: Table, robot: Robot, options: ColumnOptions) -> Named:
-    """Return the columns by calib's names; raises `MeasurementError` for commands, and for a brand's joints."""
+    """Return the table's columns by calib's names.
+
+    A table of commands raises `MeasurementError`, and so does one whose joints are named as a brand does.
+    """
     named, _ = name_columns(table, robot.joint_names, options)
     if any(name.startswith(_CORRECTION) for name in named):
         raise MeasurementError(
@@ -189,7 +192,10 @@ def _complete_columns(table: Table, named: Named, names: Sequence[str]) -> Colum
 def _find_conventions(
     table: Table, named: Named, robot: Robot, options: ColumnOptions
 ) -> list[Convention]:
-    """Return the conventions of orientations that have their columns; raises `MeasurementError` for a part of them."""
+    """Return the conventions of orientations whose columns are all filled in.
+
+    If only some columns of a convention are there, it raises `MeasurementError`.
+    """
     others = {name: column for name, column in named.items() if name not in robot.joint_names}
     complete = conventions_of(table, named, robot.joint_names, options)
     taken = {name for convention in complete for name in convention.columns}
@@ -232,7 +238,7 @@ def write_commands(
     Args:
         commands: The commands.
         path: The file.
-        send: Which of the two forms are written.
+        send: The forms to write: joint values, poses to send, or both.
         orientation: Convention of the orientations, one of `calib.data.forms.orientations.CONVENTIONS`; None: that of
             the program, or of one without orientations rotation vectors.
         overwrite: Whether an existing file is replaced.
@@ -264,7 +270,12 @@ def write_commands(
     columns += _number_columns(names, ["mm", "deg"], commands.pose_corrections)
     if commands.expected is not None:
         columns += _number_columns([_EXPECTED], ["mm"], commands.expected_errors[:, :1])
-    columns.append((STATUS, *_status_cells(commands)))
+    status = []
+    for reason, warnings in zip(commands.reasons, commands.warnings, strict=True):
+        codes = "; ".join(dict.fromkeys(warning.code for warning in warnings))
+        text = f"warning: {codes}" if codes else "ok"
+        status.append(f"no command: {reason.code}" if reason else text)
+    columns.append((STATUS, *status))
     rows = zip(*columns, strict=True)
     return write_atomically(path, csv_bytes(rows), overwrite=overwrite)
 
@@ -281,13 +292,3 @@ def _number_columns(
             text = "" if math.isnan(value) else f"{round(value, digits) + 0.0:.{digits}f}"
             cells.append(text)
         yield (f"{name} [{symbol}]" if symbol else name), *cells
-
-
-def _status_cells(commands: Commands) -> Iterator[str]:
-    """Yield the status of each row: ``ok``, its warnings, or why it has no command."""
-    for reason, warnings in zip(commands.reasons, commands.warnings, strict=True):
-        codes = "; ".join(dict.fromkeys(warning.code for warning in warnings))
-        if reason:
-            yield f"no command: {reason.code}"
-        else:
-            yield f"warning: {codes}" if codes else "ok"

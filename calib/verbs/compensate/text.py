@@ -57,7 +57,7 @@ _SOURCES: dict[Source, str] = {
     "base": "the base in the measurement frame",
 }
 
-#: What lowers the contribution of a source, unless the result allows more specific advice.
+#: Advice that lowers the contribution of a source, unless the result allows more specific advice.
 _REMEDIES: dict[Source, str] = {
     "model": "look for errors that no parameter of this model represents (docs/troubleshooting.md); more poses do not "
     "lower them.",
@@ -100,12 +100,25 @@ def text(commands: Commands, name: str, written: Path | None) -> str:
             "model would apply the correction twice. Then measure some rows, see docs/compensation.md."
         )
         usage = f"Written: {written}\n{fill(advice)}"
+    # To check before the commands go to the robot.
+    pair, robot = commands.pair, commands.nominal
+    notes = [_mismatch(commands)]
+    if pair.target is not None:
+        notes.append(
+            f"Set the controller's tool to {_place(pair.nominal.T_tip_tool)} in '{robot.tip}'; the poses to send refer "
+            "to that tool."
+        )
+    if pair.group is not None:
+        place = _place(rigid_inverse(pair.T_frame_base))
+        notes.append(
+            f"Set the controller's work object to {place} in '{robot.base}'; the poses to send refer to it."
+        )
     parts = [
         _verdict(commands, name),
         _expected_errors(commands),
         _program(commands),
         _corrections(commands),
-        *map(fill, _notes(commands)),
+        *[fill(note) for note in notes if note],
         _findings_paragraph(commands, "without a command", _reasons(commands)),
         _findings_paragraph(commands, "with a warning", commands.warnings),
         usage,
@@ -301,8 +314,8 @@ def _corrections(commands: Commands) -> str:
     rows = []
     for label, (lengths, angles) in _errors_and_corrections(commands).items():
         cells = [label]
-        for values, factor in ((lengths, _MM), (angles, _DEG)):
-            known = factor * values[np.isfinite(values)]
+        for column, factor in ((lengths, _MM), (angles, _DEG)):
+            known = factor * column[np.isfinite(column)]
             if known.size:
                 cells += [f"{known.max():.4f}", f"{known.mean():.4f}"]
             else:
@@ -315,7 +328,7 @@ def _corrections(commands: Commands) -> str:
 def _errors_and_corrections(commands: Commands) -> dict[str, tuple[Array, Array]]:
     """Return lengths [m] and angles [rad], all positive or zero, of the K rows that have a command, by their label.
 
-    Their shapes are (K,), of joints (K, prismatic joints) and (K, other joints); NaN is not known.
+    Their shapes are (K,), of joints (K, prismatic joints) and (K, other joints); what is not known is NaN.
     """
     rows, robot = commands.reached, commands.nominal
     values = {
@@ -332,22 +345,6 @@ def _errors_and_corrections(commands: Commands) -> dict[str, tuple[Array, Array]
     return pairs
 
 
-def _notes(commands: Commands) -> Iterator[str]:
-    """Word what to check before the commands go to the robot, a note each."""
-    pair, robot = commands.pair, commands.nominal
-    mismatch = _mismatch(commands)
-    if mismatch:
-        yield mismatch
-    if pair.target is not None:
-        yield (
-            f"Set the controller's tool to {_place(pair.nominal.T_tip_tool)} in '{robot.tip}'; the poses to send refer "
-            "to that tool."
-        )
-    if pair.group is not None:
-        place = _place(rigid_inverse(pair.T_frame_base))
-        yield f"Set the controller's work object to {place} in '{robot.base}'; the poses to send refer to it."
-
-
 def _place(T: Array) -> str:
     """Format a pose as its position [mm] and, if it is rotated, its rotation vector [deg]."""
     turn = _DEG * Rotation.from_matrix(T[:3, :3]).as_rotvec()
@@ -358,7 +355,7 @@ def _place(T: Array) -> str:
 
 
 def _listed(values: Array) -> str:
-    """List numbers with four digits, none of them -0."""
+    """List numbers (n,) with four decimals and commas between, none of them -0."""
     return ", ".join(f"{value:.4f}" for value in values.round(4) + 0.0)
 
 

@@ -65,11 +65,11 @@ def find_reasons(
 
     Args:
         pair: The nominal and the actual robot.
-        matching: What of the poses is matched.
+        matching: Part of the poses that is matched.
         uncorrected: The actual robot at the nominal joint values, N rows.
         corrected: The actual robot at the joint values to command.
-        misses: What it misses there of the wanted poses, shape (N, 2): position [m], angle [rad].
-        tolerance: What it may miss: position [m], angle [rad].
+        misses: Its distances there from the wanted poses, shape (N, 2): position [m], angle [rad].
+        tolerance: The largest distances allowed: position [m], angle [rad].
 
     Returns:
         The last of these reasons that applies to each row; None for a row that has a command.
@@ -105,7 +105,7 @@ def find_warnings(
 
     Args:
         commands: The commands, whose own warnings do not count.
-        tolerance: What the actual robot may miss: position [m], angle [rad].
+        tolerance: The largest distances allowed from the wanted poses: position [m], angle [rad].
 
     Returns:
         The warnings of each of all rows; none of a row without a command.

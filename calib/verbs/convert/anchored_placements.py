@@ -38,36 +38,24 @@ def anchored_placements(placements: Array, nominal: Array, axes: Sequence[Array]
     result = np.array(placements, dtype=np.float64)
     for i, axis in enumerate(axes):
         P = result[i]
-        G = _to_nominal_pose(P, nominal[i], axis)
+        # The motion along and about the axis that makes P G nearest to the nominal pose.
+        G = _turn(axis, _least_turn(nominal[i, :3, :3].T @ P[:3, :3], axis))
+        shift = P[:3, :3].T @ (nominal[i, :3, 3] - P[:3, 3])
+        G[:3, 3] = axis * (axis @ shift)
+
+        # The motion that then brings the next axis, or the tip, nearest to its nominal place in link i.
         next_placement = rigid_inverse(G) @ result[i + 1]
-        if i + 1 == len(axes):
-            G = G @ _to_tip(next_placement, nominal[i + 1], axis)
+        next_nominal = nominal[i + 1]
+        if i + 1 < len(axes):
+            G = G @ _to_next_axis(next_placement, next_nominal, axis, axes[i + 1])
         else:
-            G = G @ _to_next_axis(next_placement, nominal[i + 1], axis, axes[i + 1])
+            turn = -_least_turn(next_placement[:3, :3] @ next_nominal[:3, :3].T, axis)
+            to_tip = _turn(axis, turn)
+            to_tip[:3, 3] = axis * (axis @ (next_placement[:3, 3] - next_nominal[:3, 3]))
+            G = G @ to_tip
         result[i] = P @ G
         result[i + 1] = rigid_inverse(G) @ result[i + 1]
     return read_only(result)
-
-
-def _to_nominal_pose(P: Array, nominal: Array, axis: Array) -> Array:
-    """Return the motion G along and about an axis that makes P G nearest to the nominal pose.
-
-    All poses are shape (4, 4) [m]; the axis is in the frame of P.
-    """
-    G = _turn(axis, _least_turn(nominal[:3, :3].T @ P[:3, :3], axis))
-    shift = P[:3, :3].T @ (nominal[:3, 3] - P[:3, 3])
-    G[:3, 3] = axis * (axis @ shift)
-    return G
-
-
-def _to_tip(T: Array, nominal: Array, axis: Array) -> Array:
-    """Return the motion of the last frame that brings the tip nearest to its nominal pose.
-
-    ``T`` and ``nominal`` are the tip's poses in that frame, shape (4, 4) [m].
-    """
-    G = _turn(axis, -_least_turn(T[:3, :3] @ nominal[:3, :3].T, axis))
-    G[:3, 3] = axis * (axis @ (T[:3, 3] - nominal[:3, 3]))
-    return G
 
 
 def _to_next_axis(T: Array, nominal: Array, axis: Array, next_axis: Array) -> Array:
@@ -95,7 +83,7 @@ def _to_next_axis(T: Array, nominal: Array, axis: Array, next_axis: Array) -> Ar
 
 
 def _least_turn(M: Array, axis: Array) -> float:
-    """Return the angle [rad] whose rotation R about the axis makes M R nearest to the identity."""
+    """Return the angle [rad] whose rotation R about a unit axis (3,) makes M R nearest to the identity, M (3, 3)."""
     x, y, z = axis
     sine = x * (M[1, 2] - M[2, 1]) + y * (M[2, 0] - M[0, 2]) + z * (M[0, 1] - M[1, 0])
     cosine = np.trace(M) - axis @ M @ axis
@@ -103,18 +91,21 @@ def _least_turn(M: Array, axis: Array) -> float:
 
 
 def _angle_about(axis: Array, start: Array, end: Array) -> float:
-    """Return the angle [rad] about an axis from one vector to another."""
+    """Return the angle [rad] about a unit axis, (3,), from one vector (3,) to another, along the axis left out."""
     across = start - axis * (axis @ start)
     return float(np.arctan2(np.cross(axis, across) @ end, across @ end))
 
 
 def _distance(axis: Array, point: Array) -> float:
-    """Return the distance [m] of a point from the axis through the origin."""
+    """Return the distance [m] of a point (3,) from the line through the origin along a unit axis (3,)."""
     return float(np.linalg.norm(point - axis * (axis @ point)))
 
 
 def _foot(axis: Array, point: Array, direction: Array) -> float:
-    """Return the position [m], along the axis through the origin, of the common normal with a line."""
+    """Return the position [m], along the axis through the origin, of its common normal with a line.
+
+    The line runs through a point (3,) [m] along a unit direction (3,) that is not parallel to the unit axis (3,).
+    """
     cosine = axis @ direction
     return float((axis @ point - cosine * (direction @ point)) / (1.0 - cosine**2))
 

@@ -79,7 +79,7 @@ def index_of(what: str, option: str, name: str | None, names: tuple[str, ...]) -
     """Return the index of a name.
 
     Args:
-        what: What is named, for messages: ``"camera"``.
+        what: Kind of thing that is named, for messages: ``"camera"``.
         option: The option that names it, for messages.
         name: The name; None: the only one.
         names: All names.

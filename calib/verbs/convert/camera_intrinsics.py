@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -33,24 +32,13 @@ from calib.verbs.convert.format import (
 _DECIMALS = {"px": 2, "1": 5}
 
 
-class CameraFile(NamedTuple):
-    """A kind of file of a camera's intrinsics."""
-
-    #: Returns the text of a camera
-    text: Callable[[Camera], str]
-    #: A sentence on what reads the file, with ``{}`` for its path
-    reader: str
-
-
-ROS = CameraFile(camera_info_yaml, "In ROS name it to the driver, as camera_info_url: file://{}.")
-OPENCV = CameraFile(opencv_yaml, "cv2.FileStorage reads it, from Python and C++.")
-
-
-def write_intrinsics(file: CameraFile, source: Source, path: Path, options: Options) -> Notes:
+def write_intrinsics(
+    text_of: Callable[[Camera], str], source: Source, path: Path, options: Options
+) -> Notes:
     """Write the intrinsics of a camera of a calibration; the file is read back before it appears.
 
     Args:
-        file: The kind of file.
+        text_of: Returns the text of a file with the intrinsics of a camera.
         source: The calibration.
         path: The file.
         options: ``camera``, which camera it is, and ``overwrite``.
@@ -69,7 +57,7 @@ def write_intrinsics(file: CameraFile, source: Source, path: Path, options: Opti
             f"{path}: a file of intrinsics has no links; of the camera's options it takes --camera alone."
         )
     camera = calibrated_camera(calibration_of(source), chosen.camera)
-    text = file.text(camera)
+    text = text_of(camera)
     read = camera_of_yaml(text, str(path))
     is_same = (read.width, read.height, read.lens) == (camera.width, camera.height, camera.lens)
     if not is_same or read.values is None or not np.array_equal(read.values, _numbers_of(camera)):
@@ -120,16 +108,16 @@ def camera_of_station(
 
 
 def _numbers_of(camera: Camera) -> Array:
-    """Return the numbers of a calibrated camera's lens, shape (m,), which are known."""
+    """Return the numbers of a calibrated camera's lens, such as fx, fy, cx, cy [px] and distortion, shape (m,)."""
     assert camera.values is not None, "a calibration knows its camera's numbers"
     return camera.values
 
 
-def intrinsics_text(file: CameraFile, conversion: Conversion) -> list[str]:
+def intrinsics_text(reader: str, conversion: Conversion) -> list[str]:
     """Word the numbers of a camera with their standard deviations, and what reads the file.
 
     Args:
-        file: The kind of file.
+        reader: A sentence on what reads the file, with ``{}`` for its path.
         conversion: The conversion.
 
     Returns:
@@ -148,22 +136,30 @@ def intrinsics_text(file: CameraFile, conversion: Conversion) -> list[str]:
         f"Camera '{camera.name}', {camera.width} x {camera.height} px, {camera.lens}, with standard deviations: "
         f"{', '.join(parts)}; fx, fy, cx, cy in px."
     )
-    return [fill(sentence), fill(file.reader.format(conversion.path.resolve()))]
+    return [fill(sentence), fill(reader.format(conversion.path.resolve()))]
 
 
-def _format(what: str, file: CameraFile) -> Format:
-    """Return the row of a kind of file."""
+def _format(what: str, text_of: Callable[[Camera], str], reader: str) -> Format:
+    """Return the registry row of a kind of file: what it is, the text of a camera, and the sentence on its reader."""
     return Format(
         what,
         YAML,
-        partial(write_intrinsics, file),
+        partial(write_intrinsics, text_of),
         of_camera=True,
         has_chain=False,
-        describe=partial(intrinsics_text, file),
+        describe=partial(intrinsics_text, reader),
     )
 
 
 FORMATS = {
-    "camera-info": _format("the camera's intrinsics for ROS (camera_info)", ROS),
-    "opencv": _format("the camera's intrinsics for OpenCV (FileStorage)", OPENCV),
+    "camera-info": _format(
+        "the camera's intrinsics for ROS (camera_info)",
+        camera_info_yaml,
+        "In ROS name it to the driver, as camera_info_url: file://{}.",
+    ),
+    "opencv": _format(
+        "the camera's intrinsics for OpenCV (FileStorage)",
+        opencv_yaml,
+        "cv2.FileStorage reads it, from Python and C++.",
+    ),
 }

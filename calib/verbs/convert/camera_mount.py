@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
@@ -30,7 +29,7 @@ from calib.verbs.convert.fixed_frames import (
     with_fixed_link,
     with_moved_mount,
 )
-from calib.verbs.convert.format import CameraOptions, Conversion, Format, Notes, Options, Source
+from calib.verbs.convert.format import CameraOptions, Conversion, Format, Options, Source
 from calib.verbs.convert.robots import write_urdf
 
 #: A mount that is turned by more than this was probably named by another frame [rad].
@@ -113,7 +112,7 @@ class Handover(Value):
 
 
 def _with_new_link(urdf: Urdf, estimated: EstimatedFrame, name: str) -> tuple[Urdf, PlacedFrame]:
-    """Return a URDF with a link at a frame, and what was placed."""
+    """Return a URDF with a new link of this name at an estimated frame, and the frame with its link and joint."""
     urdf = with_fixed_link(urdf, name, estimated.link, estimated.T_link_frame)
     joint = next(joint for joint in urdf.joints if joint.child == name)
     return urdf, PlacedFrame(estimated, name, joint, None)
@@ -135,11 +134,6 @@ def mounted(source: Source, options: Options) -> Source:
         estimated = frame.estimated
         check_fixed_frame(handover.urdf, estimated.link, frame.link, estimated.T_link_frame)
     return replace(source, robot=replace(source.robot, urdf=handover.urdf))
-
-
-def _write(source: Source, path: Path, options: Options) -> Notes:
-    """Write the URDF with the camera and the board at their estimated poses."""
-    return write_urdf(mounted(source, options), path, options)
 
 
 # In words
@@ -202,7 +196,7 @@ FORMATS = {
     "camera-mount": Format(
         "the URDF with the calibrated mount of the camera",
         (),
-        _write,
+        lambda source, path, options: write_urdf(mounted(source, options), path, options),
         of_camera=True,
         describe=mount_text,
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar
+from typing import Annotated, ClassVar
 
 import typer
 
@@ -13,27 +13,6 @@ from calib.cli.notices import say_accepted
 from calib.cli.options import Accept, CellOptions, Force, Quiet
 from calib.cli.output_files import check_outputs
 from calib.cli.verb import verb
-
-if TYPE_CHECKING:
-    from calib.verbs.convert.format import CameraOptions
-
-
-@dataclass(frozen=True, slots=True)
-class ArmOptions:
-    """Nominal robot."""
-
-    robot: Annotated[
-        str | None,
-        typer.Option(
-            metavar="ROBOT",
-            help="Nominal URDF or xacro, or the name of a robot. Default: the one in a result, or a bare arm for "
-            "--ur-model.",
-        ),
-    ] = None
-    ur_model: Annotated[
-        str | None,
-        typer.Option(metavar="NAME", help="Model of an arm of Universal Robots, such as 'UR5e'."),
-    ] = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,91 +24,6 @@ class ChainOptions(CellOptions):
     helps: ClassVar[Mapping[str, str]] = {
         "tip": "Link that the chain ends at. Default: that of SOURCE."
     }
-
-
-@dataclass(frozen=True, slots=True)
-class ControllerFiles:
-    """Files of the robot's own controller from which a new one is made."""
-
-    urcontrol: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="The robot's urcontrol.conf, with the nominal DH rows."),
-    ] = None
-    hash_from: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="The robot's own kinematics.yaml or calibration.conf, whose hash a new "
-            "kinematics.yaml keeps.",
-        ),
-    ] = None
-    update: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="calibration.conf whose other lines are kept; or the robot's own file of offsets: "
-            "the output is a copy with the joint zeros added.",
-        ),
-    ] = None
-    ticks: Annotated[
-        int,
-        typer.Option(
-            metavar="N", help="Number of ticks in a turn of the servos, for --to lerobot."
-        ),
-    ] = 4096
-
-
-@dataclass(frozen=True, slots=True)
-class CameraNames:
-    """Links and joints that stand for a camera and a board in the URDF."""
-
-    camera: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME", help="Name of the camera (column group), if the table has several."
-        ),
-    ] = None
-    camera_frame: Annotated[
-        str | None,
-        typer.Option(metavar="LINK", help="Link of the URDF that is the camera's optical frame."),
-    ] = None
-    move: Annotated[
-        str | None,
-        typer.Option(
-            metavar="JOINT",
-            help="Fixed joint whose origin is changed, so that the optical frame gets its estimated pose. "
-            "Default: the only one between the link that carries the camera and --camera-frame.",
-        ),
-    ] = None
-    new_camera_frame: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME",
-            help="Name of a link to add at the optical frame, if the URDF has no camera.",
-        ),
-    ] = None
-    board: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME", help="Name of the board (column target), if the table has several."
-        ),
-    ] = None
-    new_board_frame: Annotated[
-        str | None, typer.Option(metavar="NAME", help="Name of a link to add at the board.")
-    ] = None
-
-    def options(self) -> CameraOptions:
-        """Return them as a conversion takes them."""
-        from calib.verbs.convert.format import CameraOptions
-
-        return CameraOptions(
-            camera=self.camera,
-            camera_frame=self.camera_frame,
-            move=self.move,
-            new_camera_frame=self.new_camera_frame,
-            board=self.board,
-            new_board_frame=self.new_board_frame,
-        )
 
 
 def _formats() -> tuple[str, ...]:
@@ -170,10 +64,80 @@ def convert(
         ),
     ],
     output: Annotated[Path, typer.Option("-o", "--output", metavar="FILE", help="File to write.")],
-    arm_options: ArmOptions,
+    *,
+    robot: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ROBOT",
+            help="Nominal URDF or xacro, or the name of a robot. Default: the one in a result, or a bare arm for "
+            "--ur-model.",
+        ),
+    ] = None,
+    ur_model: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="Model of an arm of Universal Robots, such as 'UR5e'."),
+    ] = None,
     cell_options: ChainOptions,
-    file_options: ControllerFiles,
-    camera_options: CameraNames,
+    urcontrol: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="The robot's urcontrol.conf, with the nominal DH rows."),
+    ] = None,
+    hash_from: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="The robot's own kinematics.yaml or calibration.conf, whose hash a new "
+            "kinematics.yaml keeps.",
+        ),
+    ] = None,
+    update: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="calibration.conf whose other lines are kept; or the robot's own file of offsets: "
+            "the output is a copy with the joint zeros added.",
+        ),
+    ] = None,
+    ticks: Annotated[
+        int,
+        typer.Option(
+            metavar="N", help="Number of ticks in a turn of the servos, for --to lerobot."
+        ),
+    ] = 4096,
+    camera: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME", help="Name of the camera (column group), if the table has several."
+        ),
+    ] = None,
+    camera_frame: Annotated[
+        str | None,
+        typer.Option(metavar="LINK", help="Link of the URDF that is the camera's optical frame."),
+    ] = None,
+    move: Annotated[
+        str | None,
+        typer.Option(
+            metavar="JOINT",
+            help="Fixed joint whose origin is changed, so that the optical frame gets its estimated pose. "
+            "Default: the only one between the link that carries the camera and --camera-frame.",
+        ),
+    ] = None,
+    new_camera_frame: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="Name of a link to add at the optical frame, if the URDF has no camera.",
+        ),
+    ] = None,
+    board: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME", help="Name of the board (column target), if the table has several."
+        ),
+    ] = None,
+    new_board_frame: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Name of a link to add at the board.")
+    ] = None,
     to: Annotated[
         str | None,
         typer.Option(
@@ -187,30 +151,31 @@ def convert(
 ) -> None:
     """Convert SOURCE into the file and print what the format does not hold."""
     from calib.verbs.convert.convert import convert as convert_robot
-    from calib.verbs.convert.format import Options
+    from calib.verbs.convert.format import CameraOptions, Options
     from calib.verbs.convert.text import text
 
-    inputs = [
-        source,
-        arm_options.robot,
-        file_options.urcontrol,
-        file_options.hash_from,
-        file_options.update,
-    ]
-    check_outputs([output], inputs, force=force)
+    check_outputs([output], [source, robot, urcontrol, hash_from, update], force=force)
     chain = cell_options.cell()
+    camera_options = CameraOptions(
+        camera=camera,
+        camera_frame=camera_frame,
+        move=move,
+        new_camera_frame=new_camera_frame,
+        board=board,
+        new_board_frame=new_board_frame,
+    )
     options = Options(
         to=to,
-        robot=arm_options.robot,
-        ur_model=arm_options.ur_model,
-        urcontrol=file_options.urcontrol,
-        hash_from=file_options.hash_from,
-        update=file_options.update,
-        ticks=file_options.ticks,
+        robot=robot,
+        ur_model=ur_model,
+        urcontrol=urcontrol,
+        hash_from=hash_from,
+        update=update,
+        ticks=ticks,
         base=chain.base,
         tip=chain.tip,
         held=dict(chain.held),
-        camera=camera_options.options(),
+        camera=camera_options,
         overwrite=force,
     )
     conversion = convert_robot(source, output, options=options, accept=accept)

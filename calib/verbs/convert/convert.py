@@ -17,10 +17,9 @@ import calib.verbs.convert.camera_intrinsics as camera_intrinsics
 import calib.verbs.convert.camera_mount as camera_mount
 import calib.verbs.convert.dh as dh
 import calib.verbs.convert.origins as origins
-import calib.verbs.convert.pal as pal
 import calib.verbs.convert.robots as robots
 import calib.verbs.convert.static_transform as static_transform
-import calib.verbs.convert.universal_robots as universal_robots
+import calib.verbs.convert.ur_formats as ur_formats
 import calib.verbs.convert.zeros as zeros
 from calib.basics.arguments import check_type
 from calib.basics.files import read_bytes
@@ -63,24 +62,23 @@ __all__ = [
 
 FORMATS: dict[str, Format] = {
     **robots.FORMATS,
-    **universal_robots.FORMATS,
+    **ur_formats.FORMATS,
     **origins.FORMATS,
-    **pal.FORMATS,
     **dh.FORMATS,
     **zeros.FORMATS,
     **camera_mount.FORMATS,
     **static_transform.FORMATS,
     **camera_intrinsics.FORMATS,
 }
-"""What can be written, by name, as in ``--to``."""
+"""Formats that can be written, by name, as in ``--to``."""
 
 KINDS: dict[str, SourceKind] = {
-    **universal_robots.KINDS,
+    **ur_formats.KINDS,
     **dh.KINDS,
     **origins.KINDS,
     **robots.KINDS,
 }
-"""What can be read, by name; of kinds with the same ending those with a key come first."""
+"""Kinds of sources that can be read, by name; of kinds with the same ending those with a key come first."""
 
 plugins.watch("formats", FORMATS)
 
@@ -90,7 +88,7 @@ def register(name: str, row: Format) -> None:
 
     Args:
         name: Its name, as in ``--to``, which no other format has.
-        row: What it is, the endings of its files, and the function that writes it.
+        row: Its description, the endings of its files, and the function that writes it.
 
     Raises:
         CalibError: The name is taken.
@@ -120,7 +118,7 @@ def convert(
         path: The file to write.
         to: Name of the format, such as ``"dh"``, one of `FORMATS`; None: by the file's ending.
         robot: The nominal robot, or its URDF, xacro or name; None: that of the calibration.
-        options: What else goes with the conversion, such as ``hash_from``; None: nothing. The arguments of this
+        options: Further options of the conversion, such as ``hash_from``; None: nothing. The arguments of this
             function take precedence over it.
         overwrite: Whether an existing file is replaced.
         accept: Whether to write even if the verdict is ``do not use``, which a URDF then states in a comment, or if
@@ -195,7 +193,7 @@ def read_source(
     Args:
         source: A result; a robot; a file that `KINDS` has a row for; or the name of a robot.
         path: The file to write.
-        options: What goes with the conversion.
+        options: Options of the conversion.
 
     Returns:
         What was read, and the name of the format, one of `FORMATS`.

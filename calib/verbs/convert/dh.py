@@ -37,7 +37,7 @@ from calib.verbs.convert.format import Format, Note, Notes, Options, Source, Sou
 from calib.verbs.convert.robots import robot_source
 
 ENDINGS = (".csv", ".json")
-"""What the name of a DH table may end in."""
+"""Endings of files with DH tables."""
 
 #: Of each unit of a heading: its size in SI units, and the decimals written, which hold poses to 1e-9 m and rad even if
 #: d is kilometres.
@@ -198,7 +198,7 @@ def _check_poses(robot: Robot, table: DHTable, q: Array) -> None:
 
 
 def _sheet(robot: Robot, convention: str) -> DHTable | None:
-    """Return the rows that a robot was made from, if they have its chain and this convention; else None."""
+    """Return the DH rows that a robot was made from, if they are of its chain and in this convention; else None."""
     stated = robot.urdf.dh
     joints = tuple(joint.name for joint in robot.joints)
     if stated is None or (stated.base, stated.tip, stated.joint_names) != (
@@ -213,9 +213,16 @@ def _sheet(robot: Robot, convention: str) -> DHTable | None:
     return stated.table if stated.table.convention == convention else None
 
 
+def _with_unit(row: DHRow, value: float | None) -> str:
+    """Return a value of a row's joint, [m] if it slides or [rad], as text in mm or deg; empty for None."""
+    if value is None:
+        return ""
+    return f"{1e3 * value:.12g} mm" if row.prismatic else f"{np.degrees(value):.12g} deg"
+
+
 def _formula(factors: Mapping[str, float], offset: float, row: DHRow) -> str:
-    """Return the formula of `Added`: a sum of joints' values and an offset [rad or m]."""
-    constant = f"{1e3 * offset:.12g} mm" if row.prismatic else f"{np.degrees(offset):.12g} deg"
+    """Return `Added.formula`: the sum of joints' values times factors, by name, and an offset [rad or m]."""
+    constant = _with_unit(row, offset)
     if not factors:
         return f"held at {constant}"
     terms = []
@@ -247,7 +254,16 @@ def write_dh(tables: DHTables, path: str | os.PathLike[str], *, overwrite: bool 
         raise FileError(
             f"{path}: a DH table is written as {choices(ENDINGS)}; end the name in one of these."
         )
-    data = _csv(tables) if ending == ".csv" else _json(tables)
+    if ending == ".csv":
+        data = _csv(tables)
+    else:
+        robot = tables.robot
+        joints = []
+        for row, added in zip(tables.after.rows, tables.added(), strict=True):
+            joints.append(joint_json(row, added.driver, added.factor, added.offset, added.others))
+        states = tables.states() if tables.before is not None else {"after": tables.after}
+        names = {"name": robot.name, "base": robot.base, "tip": robot.tip}
+        data = json_bytes(file_content(names, joints, states))
     return write_atomically(path, data, overwrite=overwrite)
 
 
@@ -255,7 +271,7 @@ def write_dh(tables: DHTables, path: str | os.PathLike[str], *, overwrite: bool 
 
 
 def _csv(tables: DHTables) -> bytes:
-    """Return comments that say how the numbers are meant, then the lines of each table."""
+    """Return the tables as CSV in mm and deg: comments that say how the numbers are meant, then the lines."""
     robot, convention = tables.robot, tables.after.convention
     heads = _HEADS[convention]
     comments = [
@@ -282,7 +298,9 @@ def _csv(tables: DHTables) -> bytes:
         for i, (row, formula) in enumerate(zip(table.rows, formulas, strict=True), start=1):
             added_to = "d" if row.prismatic else "theta"
             numbers = [_number(getattr(row, field), head) for head, field in heads.items()]
-            limits = ["", ""] if name == "change" else [_limit(row, end) for end in _LIMITS]
+            limits = [
+                "" if name == "change" else _with_unit(row, getattr(row, end)) for end in _LIMITS
+            ]
             writer.writerow([name, i, row.joint, added_to, formula, *numbers, *limits, *no_pose])
         writer.writerow([name, "tool", *no_row, *_pose_cells(table.T_n_tip)])
     return text.getvalue().encode()
@@ -299,29 +317,6 @@ def _number(value: float, head: str) -> str:
     to_si, decimals = _UNITS[head.split()[-1]]
     rounded = round(value / to_si, decimals) + 0.0
     return f"{rounded:.{decimals}f}".rstrip("0").rstrip(".")
-
-
-def _limit(row: DHRow, end: str) -> str:
-    """Return the ``lower`` or ``upper`` limit of a row's joint with its unit; empty if there is none."""
-    value = getattr(row, end)
-    if value is None:
-        return ""
-    return f"{1e3 * value:.12g} mm" if row.prismatic else f"{np.degrees(value):.12g} deg"
-
-
-# JSON
-
-
-def _json(tables: DHTables) -> bytes:
-    """Return the tables in m and rad, with every digit."""
-    robot = tables.robot
-    joints = []
-    for row, added in zip(tables.after.rows, tables.added(), strict=True):
-        joints.append(joint_json(row, added.driver, added.factor, added.offset, added.others))
-    states = tables.states()
-    tables_of_file = states if tables.before is not None else {"after": tables.after}
-    names = {"name": robot.name, "base": robot.base, "tip": robot.tip}
-    return json_bytes(file_content(names, joints, tables_of_file))
 
 
 # As formats and a source of a conversion

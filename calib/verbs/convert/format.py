@@ -1,4 +1,4 @@
-"""What a format is: a row of the registry, and what its functions take and return.
+"""The row of a format in the registry, and the values that its functions take and return.
 
 A format is written from a `Source` by a function of source, path and `Options`, which returns a list of `Note`. Each
 module of a format has its rows in ``FORMATS``, and of files that it reads in ``KINDS``; `calib.verbs.convert.convert`
@@ -30,11 +30,11 @@ YAML = (".yaml", ".yml")
 class Note(NamedTuple):
     """A note of a conversion: something that is not as it seems, or that a file has no place for."""
 
-    #: What it is about: ``"nominal hash"``.
+    #: Its subject: ``"nominal hash"``.
     code: str
     #: Its sentence, with ``{0}``, ``{1}``, ... for the values.
     sentence: str
-    #: What the sentence names: words, and numbers in SI units [m], [rad].
+    #: The values that the sentence names: words, and numbers in SI units [m], [rad].
     values: tuple[str | float, ...] = ()
 
     @property
@@ -136,7 +136,7 @@ class Source(Value):
     hash: str | None = None
     #: The file's own content, for the writer of the same format; None: none is kept.
     content: object = None
-    #: What the reader has to say.
+    #: Notes of the reader.
     notes: Notes = ()
     #: The verdict of a result; None: another file, or a result that was not validated.
     verdict: Verdict | None = None
@@ -158,7 +158,7 @@ class SourceKind(NamedTuple):
 class Format(NamedTuple):
     """A format that can be written."""
 
-    #: What it is, for texts.
+    #: Description of the file, for texts.
     what: str
     #: Endings of its files; none if only its name selects it.
     endings: tuple[str, ...]
@@ -178,19 +178,19 @@ class Format(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Conversion(Value):
-    """A finished conversion: what was read, and what was written."""
+    """A finished conversion: the robot that was read, and the file that was written."""
 
-    #: What was read.
+    #: The robot that was read.
     source: Source
     #: Name of the format that was written, one of `calib.verbs.convert.convert.FORMATS`.
     format: str
     #: The file that was written.
     path: Path
-    #: What the writer has to say.
+    #: Notes of the writer.
     notes: Notes
     #: The verdict ``do not use`` and its reason, if one was accepted.
     against: str = ""
-    #: What went with it.
+    #: The options that went with it.
     options: Options = field(default_factory=Options)
 
 
@@ -200,7 +200,7 @@ def parse_yaml(data: bytes, source: str, what: str) -> dict[Any, Any]:
     Args:
         data: The file's bytes.
         source: The file's name, for the message.
-        what: What the file should be, for the message: ``"origins file"``.
+        what: Expected kind of file, for the message: ``"origins file"``.
 
     Returns:
         The outermost table; empty if the file holds none.

@@ -1,7 +1,18 @@
-"""Origins file: the ``<origin>`` of each joint of a chain as YAML, for a xacro to take its numbers from.
+"""The ``<origin>`` of each joint of a chain as YAML: all of them for a xacro, or their corrections for PAL's robots.
+
+A xacro takes its numbers from an origins file:
 
 <xacro:property name="origins" value="${xacro.load_yaml('robot_origins.yaml')['origins']}"/>
 <joint name="elbow" type="revolute"> <origin xyz="${origins['elbow']['xyz']}" rpy="${origins['elbow']['rpy']}"/>
+
+Robots of PAL Robotics add the corrections in ``master_calibration.yaml`` to the origins of their URDF:
+
+    robot_state_publisher:
+      geometric_calibration:
+        arm_right_2_dx: 0.0004        # of the joint arm_right_2_joint
+
+Each number is added to the ``<origin>`` as it is written: dx, dy, dz to xyz [m], droll, dpitch, dyaw to rpy [rad]. PAL
+publishes no description; this is the form in use on TIAGo Pro, as FIGAROH writes it.
 """
 
 from __future__ import annotations
@@ -15,8 +26,8 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 import yaml
-from numpy.typing import NDArray
 
+from calib.basics.arrays import Array
 from calib.basics.files import read_bytes, write_atomically
 from calib.basics.units import NUMBER
 from calib.errors import CalibError, FileError, choices
@@ -35,6 +46,18 @@ from calib.verbs.convert.robots import arm_of
 
 #: A number beyond this [m or rad] is a mistake.
 _FARTHEST = 1e6
+
+#: Endings of the keys of a joint's corrections in a file for PAL's robots, in the order of xyz and rpy.
+_PAL_ENDINGS = ("dx", "dy", "dz", "droll", "dpitch", "dyaw")
+
+#: Ending of the joints' names that the keys leave out.
+_PAL_JOINT = "_joint"
+
+#: A change of an origin below this is not written [m or rad].
+_PAL_LEAST = 1e-12
+
+#: Origins with their corrections agree with those of the corrected robot to this [m; rotation matrices: 1].
+_PAL_TOLERANCE = 1e-9
 
 _WHAT = "origins file"
 
@@ -58,13 +81,13 @@ class JointOrigin(NamedTuple):
     rpy: tuple[float, ...]
 
     @classmethod
-    def of(cls, T_parent_joint: NDArray[np.float64]) -> JointOrigin:
+    def of(cls, T_parent_joint: Array) -> JointOrigin:
         """Return the origin of a pose, shape (4, 4), [m]."""
         rpy = pin.rpy.matrixToRpy(T_parent_joint[:3, :3])
         return cls(tuple(T_parent_joint[:3, 3].tolist()), tuple(rpy.tolist()))
 
     @property
-    def T_parent_joint(self) -> NDArray[np.float64]:
+    def T_parent_joint(self) -> Array:
         """Pose of the joint's frame in the parent link, shape (4, 4), [m]."""
         T = np.eye(4)
         T[:3, :3] = pin.rpy.rpyToMatrix(*self.rpy)
@@ -191,17 +214,93 @@ def _three_numbers(value: object) -> tuple[float, ...] | None:
     return tuple(numbers)
 
 
-# As a format and a source of a conversion
+# Corrections for PAL's robots
+
+
+def _write_pal(source: Source, path: Path, options: Options) -> Notes:
+    """Write the corrections of a robot's joint origins as PAL Robotics' robots read them, in m and rad."""
+    if source.nominal is None:
+        raise CalibError(
+            f"{path}: corrections are added to the URDF that the robot runs; give it as --robot."
+        )
+    nominal, corrected = origins_of(source.nominal), origins_of(source.robot)
+    numbers: dict[str, float] = {}
+    for name, origin in nominal.items():
+        changes = origin_change(origin, corrected[name].T_parent_joint)
+        for ending, change in zip(_PAL_ENDINGS, changes.tolist(), strict=True):
+            if abs(change) > _PAL_LEAST:
+                numbers[f"{name.removesuffix(_PAL_JOINT)}_{ending}"] = change
+    table = {"robot_state_publisher": {"geometric_calibration": numbers}}
+    text = yaml.safe_dump(table, sort_keys=False, allow_unicode=True, width=math.inf)
+    data = f"# Added to the <origin> of each joint [m, rad], by calib.\n{text}".encode()
+    for name, origin in with_pal_corrections(nominal, data, path).items():
+        if np.abs(origin.T_parent_joint - corrected[name].T_parent_joint).max() > _PAL_TOLERANCE:
+            raise FileError(
+                f"{path}: the correction of '{name}' does not read back; rename the joint in the URDF."
+            )
+    write_atomically(path, data, overwrite=options.overwrite)
+    return ()
+
+
+def origin_change(origin: JointOrigin, T_parent_joint: Array) -> Array:
+    """Return the numbers to add to an ``<origin>`` as it is written, so that it becomes a pose.
+
+        Rz(yaw + dyaw) Ry(pitch + dpitch) Rx(roll + droll) = R
+
+    Args:
+        origin: The origin.
+        T_parent_joint: Shape (4, 4), [m], the pose that it becomes.
+
+    Returns:
+        dx, dy, dz [m], droll, dpitch, dyaw [rad], shape (6,), with the nearer of the two triples of angles that give
+        the rotation. If pitch is a right angle, roll and yaw may change by much, in opposite directions.
+    """
+    corrected = JointOrigin.of(T_parent_joint)
+    roll, pitch, yaw = corrected.rpy
+    triples = np.array([corrected.rpy, (roll + math.pi, math.pi - pitch, yaw + math.pi)])
+    turns = triples - origin.rpy
+    turns -= 2.0 * math.pi * np.round(turns / (2.0 * math.pi))
+    nearer = turns[np.argmin(np.abs(turns).sum(axis=1))]
+    return np.concatenate([np.subtract(corrected.xyz, origin.xyz), nearer])
+
+
+def with_pal_corrections(
+    origins: Mapping[str, JointOrigin], data: bytes, path: str | Path
+) -> dict[str, JointOrigin]:
+    """Return origins with the corrections of a file.
+
+    Args:
+        origins: The origins as the URDF has them, by the joints' names.
+        data: The file.
+        path: Its name, for messages.
+
+    Raises:
+        FileError: It has no such corrections.
+    """
+    section = parse_yaml(data, str(path), "master_calibration.yaml").get("robot_state_publisher")
+    numbers = section.get("geometric_calibration") if isinstance(section, dict) else None
+    if not isinstance(numbers, dict):
+        raise FileError(f"{path}: it has no robot_state_publisher: geometric_calibration.")
+    result = {}
+    for name, origin in origins.items():
+        keys = [f"{name.removesuffix(_PAL_JOINT)}_{ending}" for ending in _PAL_ENDINGS]
+        changes = [float(numbers.get(key, 0.0)) for key in keys]
+        xyz_rpy = np.add([*origin.xyz, *origin.rpy], changes).tolist()
+        result[name] = JointOrigin(tuple(xyz_rpy[:3]), tuple(xyz_rpy[3:]))
+    return result
+
+
+# As formats and a source of a conversion
 
 
 def _write(source: Source, path: Path, options: Options) -> Notes:
-    """Write the origins of the corrected chain's joints."""
+    """Write the origins of the corrected chain's joints as YAML; there are no notes."""
     write_origins(source.robot, path, overwrite=options.overwrite)
     return ()
 
 
 def _read(source: str, options: Options) -> Source:
-    """Read an origins file, on the given robot."""
+    """Read an origins file as a source: the robot that the options name, with these origins; others stay."""
     origins = read_origins(source)
     if options.robot is None:
         raise CalibError(
@@ -218,6 +317,9 @@ def _read(source: str, options: Options) -> Source:
     return Source("origins", robot, nominal, model=arm_of(nominal, options), notes=notes)
 
 
-FORMATS = {"origins": Format("the joints' origins, for a xacro to load", YAML, _write)}
+FORMATS = {
+    "origins": Format("the joints' origins, for a xacro to load", YAML, _write),
+    "pal": Format("geometric_calibration of PAL's robots", YAML, _write_pal),
+}
 
 KINDS = {"origins": SourceKind(YAML, "origins", _read)}

@@ -24,8 +24,8 @@ def result_source(result: Calibration, options: Options, name: str) -> Source:
 
     Args:
         result: The result.
-        options: What goes with the conversion.
-        name: What messages call the result.
+        options: Options of the conversion.
+        name: Name of the result in messages.
 
     Raises:
         CalibError: The options name another chain.

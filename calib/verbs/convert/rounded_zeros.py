@@ -1,4 +1,4 @@
-"""Joint zeros as a controller stores them, and the errors with them.
+"""Joint zeros as a controller stores them, the errors with them, and both in words.
 
 A joint is at reading + delta. The controller stores a number for each joint, with a sign, a unit and a number of
 decimals, and makes the reading of a raw value and of that number,
@@ -24,7 +24,21 @@ from calib.errors import CalibError, ModelError, VerdictError, choices
 from calib.numerics.errors import Errors
 from calib.result.calibration import Calibration
 from calib.result.joint_zeros import HELD_OUT, JointZeros
-from calib.verbs.convert.format import Source
+from calib.show.lines import fill, number
+from calib.show.sizes import shown
+from calib.show.tables import Column, name_column, table_lines
+from calib.show.words import joint_unit
+from calib.verbs.convert.format import Conversion, Source
+
+#: Decimals of zeros and their standard deviations [deg, mm].
+_DIGITS = 4
+
+#: Words for the rows of the errors, by `RmsErrors.rows`.
+_ROWS = {
+    "held-out": "held-out rows, outliers aside",
+    "validation": "validation rows",
+    "estimation": "fitted rows, which prove nothing",
+}
 
 
 class Unit(NamedTuple):
@@ -77,7 +91,7 @@ class StoredNumber:
         return replace(self, angle=TICK._replace(to_si=2.0 * np.pi / ticks))
 
     def unit(self, *, slides: bool) -> Unit:
-        """Return the unit of a joint's number."""
+        """Return the unit in which a joint's zero is stored, by whether the joint slides."""
         return self.length if slides and self.length is not None else self.angle
 
 
@@ -85,7 +99,7 @@ class StoredNumber:
 class RoundedZeros(Value):
     """The zeros of m joints as a controller stores them."""
 
-    #: How it stores them
+    #: Number, sign and unit in which it stores each
     stored: StoredNumber
     #: As they were fitted
     zeros: JointZeros
@@ -100,7 +114,7 @@ class RoundedZeros(Value):
 
         Args:
             source: The result.
-            stored: How the controller stores them.
+            stored: Number, sign and unit in which the controller stores a zero.
 
         Returns:
             The change of the stored number of each joint.
@@ -178,7 +192,7 @@ def calibration_of(source: Source) -> Calibration:
 class RmsErrors(Value):
     """Rms errors of the same rows by several robots, by the symbol of each unit that was measured."""
 
-    #: Which rows: `calib.result.joint_zeros.HELD_OUT` (without outliers), ``VALIDATION`` or ``ESTIMATION``
+    #: The rows: `calib.result.joint_zeros.HELD_OUT` (without outliers), ``VALIDATION`` or ``ESTIMATION``
     rows: str
     #: By the nominal robot
     nominal: Mapping[str, float]
@@ -265,3 +279,63 @@ def check_improvement(rms_errors: RmsErrors, path: Path, *, accept: bool) -> Non
         "written; use the whole calibration (calib convert --to dh, calib compensate). To write them all the same, add "
         "--accept (in Python accept=True)."
     )
+
+
+# In words
+
+
+def zeros_text(stored: StoredNumber, conversion: Conversion) -> list[str]:
+    """Word the joint zeros that a conversion wrote.
+
+    Args:
+        stored: Number, sign and unit in which the controller stores a zero.
+        conversion: The conversion.
+
+    Returns:
+        Paragraphs: how the zeros are meant, a table of them, and one of the errors with them.
+    """
+    rounded = RoundedZeros.of(conversion.source, stored.with_ticks(conversion.options.ticks))
+    rms_errors = RmsErrors.of(calibration_of(conversion.source), rounded)
+    meaning = (
+        "The best joint zeros if nothing else of the robot is corrected. While the robot stands still, the reading of "
+        "each joint must go up by its zero (down if it is negative). After that taught points and the rest of this "
+        "result are no longer valid: measure again."
+    )
+
+    key = rounded.stored.key
+    columns = [
+        name_column("Joint"),
+        Column("zero", 12, gap=2),
+        Column("std", 10),
+        Column("", 3, left=True),
+        Column("to add" if key == "change" else f"change of {key}", 12, gap=2),
+        Column("", 5, left=True),
+    ]
+    zeros = rounded.zeros
+    rows = []
+    for k, (name, unit) in enumerate(zip(zeros.joints, rounded.units, strict=True)):
+        factor, symbol = joint_unit(prismatic=bool(rounded.prismatic[k]))
+        if not zeros.determined[k]:
+            rows.append([name, "not determined", "", "", "leave as it is", ""])
+            continue
+        delta = number(factor * zeros.delta[k], _DIGITS, "+")
+        std = number(factor * zeros.std[k], _DIGITS)
+        change = number(rounded.numbers[k], unit.decimals, "+")
+        rows.append([name, delta, std, symbol, change, unit.name])
+    table_of_zeros = table_lines(columns, rows)
+
+    units = list(rms_errors.zeros)
+    columns = [name_column(f"Rms error of {_ROWS[rms_errors.rows]}")]
+    columns += [Column(f"[{RESIDUAL_UNITS[symbol].shown}]", 10) for symbol in units]
+    robots: list[tuple[str, Mapping[str, float] | None]] = [
+        ("nominal robot", rms_errors.nominal),
+        ("joint zeros alone", rms_errors.zeros),
+        ("joint zeros alone, rounded as written", rms_errors.rounded),
+        ("whole calibration", rms_errors.calibrated),
+        ("with the non-geometric model", rms_errors.non_geometric),
+    ]
+    rows = []
+    for name, errors in robots:
+        if errors is not None:
+            rows.append([name, *(shown(errors[symbol], symbol) for symbol in units)])
+    return [fill(meaning), "\n".join(table_of_zeros), "\n".join(table_lines(columns, rows))]

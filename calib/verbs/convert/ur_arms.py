@@ -196,12 +196,19 @@ def the_mount(robot: Robot, model: UrModel | None = None) -> Mount:
         if distances[nearest] < _CALIBRATED:
             arm = models[nearest]
             is_nominal = distances[nearest] <= _SAME
-            T_arm_joint = _joint_frames(robot, arm, T_base_arm, is_nominal=is_nominal)
+            # Each joint's frame in the arm's frame of that joint. For a calibrated robot small slides along the axis
+            # count as zero, and small turns as right angles.
+            near = 0.0 if is_nominal else _CALIBRATED
+            T_base_joint = T_base_arm
+            frames = []
+            for T, P, joint in zip(zero_poses(robot)[0], arm.chain, robot.joints, strict=False):
+                T_base_joint = T_base_joint @ P
+                frames.append(_on_axis(rigid_inverse(T_base_joint) @ T, joint.axis, near))
             return Mount(
                 arm,
                 read_only(T_base_arm),
                 read_only(T_flange_tip),
-                read_only(T_arm_joint),
+                read_only(frames),
                 nominal=is_nominal,
             )
     name = f"a {model.name}" if model else "an arm of Universal Robots that calib knows"
@@ -222,18 +229,6 @@ def distance_from(chain: Array, arm: UrModel) -> float:
     nominal = chain_poses(arm.chain, SPREAD)
     moved = chain_poses(chain, SPREAD)[:, :3, 3] - nominal[:, :3, 3]
     return float(np.linalg.norm(moved, axis=1).max())
-
-
-def _joint_frames(robot: Robot, arm: UrModel, T_base_arm: Array, *, is_nominal: bool) -> Array:
-    """Return the pose of each joint's frame in the arm's frame of that joint, (6, 4, 4) [m]."""
-    # For a calibrated robot small slides along the axis count as zero, and small turns as right angles.
-    near = 0.0 if is_nominal else _CALIBRATED
-    T_base_joint = T_base_arm
-    result = []
-    for T, P, joint in zip(zero_poses(robot)[0], arm.chain, robot.joints, strict=False):
-        T_base_joint = T_base_joint @ P
-        result.append(_on_axis(rigid_inverse(T_base_joint) @ T, joint.axis, near))
-    return np.array(result)
 
 
 def _on_axis(T: Array, axis: Array, near: float) -> Array:

@@ -50,7 +50,7 @@ _QUOTED = 40
 #: A number, or a difference from the number that it replaces, below this is rounding [m and rad].
 _ROUNDING = 1e-12
 
-#: What a hash consists of.
+#: Pattern of a hash.
 _HASH = re.compile(r"[\w.+-]+")
 
 _YAML = "kinematics.yaml"

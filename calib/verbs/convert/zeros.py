@@ -36,8 +36,8 @@ from calib.verbs.convert.rounded_zeros import (
     StoredNumber,
     calibration_of,
     check_improvement,
+    zeros_text,
 )
-from calib.verbs.convert.zeros_text import zeros_text
 
 TABLE_ENDINGS = (".csv", ".json")
 """Endings of tables of zeros."""
@@ -104,7 +104,7 @@ def read_table(data: bytes, ending: str) -> dict[str, float]:
 
 
 def _csv(robot: Robot, rounded: RoundedZeros, rms_errors: RmsErrors) -> bytes:
-    """Return comments that say how the numbers are meant, then a line for each joint."""
+    """Return the zeros as CSV in deg and mm: comments on how the numbers are meant, then a line for each joint."""
     comments = [
         f"Joint zeros of {robot.name}, {robot.base} to {robot.tip}, by calib: the best ones where nothing else of the "
         "robot is corrected",
@@ -134,7 +134,7 @@ def _csv(robot: Robot, rounded: RoundedZeros, rms_errors: RmsErrors) -> bytes:
 
 
 def _json(robot: Robot, rounded: RoundedZeros, rms_errors: RmsErrors) -> bytes:
-    """Return the same as JSON, and what was rounded, in rad and m."""
+    """Return the zeros as JSON, as stored and unrounded in rad and m, with the rms errors of each robot."""
     zeros = rounded.zeros
     joints = []
     for k, (name, unit) in enumerate(zip(zeros.joints, rounded.units, strict=True)):
@@ -171,18 +171,18 @@ def _json(robot: Robot, rounded: RoundedZeros, rms_errors: RmsErrors) -> bytes:
 class OffsetFile(NamedTuple):
     """A kind of file with offsets."""
 
-    #: What it is, for messages
+    #: Its name, for messages
     what: str
     #: Endings of its files, which are YAML or JSON
     endings: tuple[str, ...]
-    #: How it stores zeros
+    #: Number, sign and unit in which it stores the zero of a joint
     stored: StoredNumber
     #: Key of the gear ratio in an entry, by which an offset of the motor is larger than one of the joint; empty: the
     #: offset is one of the joint
     ratio_key: str = ""
     #: Key of the direction in an entry, 0 for a servo that turns with its joint; empty: there is none
     inverted_key: str = ""
-    #: How a reading is made of the offset, as a comment; empty: such files have no comments
+    #: Equation of a reading by the offset, written as a comment; empty: such files have no comments
     comment: str = ""
     #: Key that shows that an entry belongs to another kind of file; empty: none is known
     foreign_key: str = ""
@@ -216,7 +216,7 @@ def offsets_bytes(file: OffsetFile, rounded: RoundedZeros, update: str | Path | 
     """Return the bytes of a file with offsets.
 
     Args:
-        file: What kind of file it is.
+        file: The kind of file.
         rounded: The zeros.
         update: The robot's own file, a copy of which gets the new offsets; None: the file has the changes alone, under
             the key with the suffix ``_change``.
@@ -326,7 +326,7 @@ def _number(entry: Mapping[str, Any], key: str, where: str) -> float:
 
 
 def _plain(number: float) -> float | int:
-    """Return a number without the rounding errors of a sum, whole ones as int."""
+    """Return a number [rad, m or ticks] without the rounding errors of a sum, whole ones as int."""
     rounded = round(number, _KEPT) + 0.0
     return int(rounded) if rounded == int(rounded) else rounded
 
@@ -385,11 +385,13 @@ def _write(file: OffsetFile | None, source: Source, path: Path, options: Options
     else:
         data = offsets_bytes(file, rounded, options.update)
     write_atomically(path, data, overwrite=options.overwrite)
-    return (*_notes_on_zeros(rounded, rms_errors), *_notes_on_file(file, options))
+    return tuple(_notes(file, rounded, rms_errors, options))
 
 
-def _notes_on_zeros(rounded: RoundedZeros, rms_errors: RmsErrors) -> Iterator[Note]:
-    """Yield notes on the zeros: which are not determined, and what the errors show."""
+def _notes(
+    file: OffsetFile | None, rounded: RoundedZeros, rms_errors: RmsErrors, options: Options
+) -> Iterator[Note]:
+    """Yield notes on zeros that are not determined or not proven, and on what a file with offsets has and has not."""
     if rounded.undetermined:
         yield Note(
             "zeros not determined",
@@ -409,12 +411,9 @@ def _notes_on_zeros(rounded: RoundedZeros, rms_errors: RmsErrors) -> Iterator[No
             "These errors are of the fitted rows, and prove nothing: calibrate without --no-validate, or with "
             "validation rows.",
         )
-
-
-def _notes_on_file(file: OffsetFile | None, options: Options) -> Iterator[Note]:
-    """Yield notes on a file with offsets: what it has and has not, and what moves with the offsets."""
     if file is None:
         return
+
     if options.update is None:
         yield Note(
             "changes alone",

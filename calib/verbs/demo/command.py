@@ -129,7 +129,7 @@ def _calibrate_by_camera(*, quiet: bool) -> Calibration:
 def _write(result: Calibration, paths: list[Path], *, force: bool) -> None:
     """Write URDF, result, report and page."""
     from calib.verbs.calibrate.report import write_report
-    from calib.verbs.view.page import write_page
+    from calib.verbs.view.robots_page import write_page
 
     urdf, json, report, view = paths
     result.write_urdf(urdf, overwrite=force)

@@ -30,7 +30,7 @@ def write_contact_sheet(detection: Detection, path: str | Path, *, overwrite: bo
     """Write the contact sheet.
 
     Args:
-        detection: What was detected.
+        detection: The corners, and the pictures that they are in.
         path: The file, .html.
         overwrite: True to overwrite an existing file.
 
@@ -45,7 +45,7 @@ def write_contact_sheet(detection: Detection, path: str | Path, *, overwrite: bo
 
 
 def contact_sheet(detection: Detection) -> Page:
-    """Say what the contact sheet of a detection contains."""
+    """Lay out the contact sheet of a detection: findings, then every picture with its corners."""
     names = [board.name for board in detection.boards]
     date = report_date()
     made = f"By calib detect, {date}; {'board' if len(names) == 1 else 'boards'} {', '.join(names)}"

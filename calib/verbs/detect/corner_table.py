@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 from calib.basics.files import csv_bytes
-from calib.boards.board import Board
 from calib.boards.detection.board_search import BoardView
 from calib.boards.detection.detect import Detection
 from calib.boards.detection.picture import NO_ROW, ImageFile
@@ -48,7 +47,7 @@ def corner_table(detection: Detection, joints: JointTable, matches: Matches) -> 
     """Return the table of all corners that are used, as CSV.
 
     Args:
-        detection: What was detected.
+        detection: The corners and the pictures that they are in.
         joints: The table of joint values.
         matches: The row of each picture.
 
@@ -89,7 +88,11 @@ def corner_table(detection: Detection, joints: JointTable, matches: Matches) -> 
             cells.append(picture.file.name)
             cells += [picture.file.camera] if has_camera else []
             cells += [_target(joints, row, view, several=len(boards) > 1)] if has_target else []
-            rows += [[*cells, *corner] for corner in _corners(boards[view.board], view)]
+            positions = boards[view.board].corners
+            for corner, pixel, sigma in zip(view.ids, view.pixels, view.sigma, strict=True):
+                place = [round(float(length), 9) for length in positions[corner]]
+                found = [round(float(value), 4) for value in (*pixel, sigma)]
+                rows.append([*cells, int(corner), *place, *found, KIND])
     return csv_bytes(rows)
 
 
@@ -99,12 +102,3 @@ def _target(joints: JointTable, row: int, view: BoardView, *, several: bool) -> 
     if not place:
         return view.board
     return f"{view.board}/{place}" if several else place
-
-
-def _corners(board: Board, view: BoardView) -> Iterator[list[object]]:
-    """Yield the cells of each corner that a picture shows of a board."""
-    positions = board.corners
-    for corner, pixel, sigma in zip(view.ids, view.pixels, view.sigma, strict=True):
-        place = [round(float(length), 9) for length in positions[corner]]
-        measured = [round(float(value), 4) for value in pixel]
-        yield [int(corner), *place, *measured, round(float(sigma), 4), KIND]

@@ -1,4 +1,4 @@
-"""What `calib detect` prints: corners found, pictures that are not used and why, findings about boards and pictures."""
+"""Texts that `calib detect` prints: corners found, pictures not used and why, findings about boards and pictures."""
 
 from __future__ import annotations
 
@@ -67,10 +67,10 @@ _FINDINGS = {
 
 
 def detection_text(detection: Detection, joints: JointTable, matches: Matches) -> list[str]:
-    """Write what was detected.
+    """Write corners found, pictures not used, rows without a picture, and findings.
 
     Args:
-        detection: What was detected.
+        detection: The corners, and the pictures that they are in.
         joints: The table of joints.
         matches: The row of each picture.
 
@@ -97,7 +97,7 @@ def detection_text(detection: Detection, joints: JointTable, matches: Matches) -
 
 
 def summary(detection: Detection) -> str:
-    """Write how many corners of how many pictures there are, in one sentence."""
+    """Write how many corners there are in how many pictures, in one sentence."""
     used = len(detection.used)
     count = plural(len(detection.pictures), "picture")
     return f"{plural(detection.corner_count, 'corner')} in {used} of {count}."
@@ -169,7 +169,7 @@ def _first_names(names: Sequence[str]) -> str:
 
 
 def _sentence(finding: Finding, board: Board | None) -> str:
-    """Write the sentence of a finding."""
+    """Write the sentence of a finding about a board, or about pictures if there is no board."""
     template = _FINDINGS[finding.code]
     if board is None:
         return template

@@ -46,7 +46,7 @@ Outcome = Literal["pass", "undecided", "fail"]
 #: From the best to the worst: of several checks the worst outcome counts.
 OUTCOMES: tuple[Outcome, ...] = ("pass", "undecided", "fail")
 
-#: What is compared with the tolerance: the largest AP, their mean, or the largest error of a single repeat.
+#: Figures that can be compared with the tolerance: the largest AP, their mean, or the largest error of a single repeat.
 CRITERIA = ("max", "mean", "single")
 
 #: A column that every table of commands has.
@@ -184,8 +184,8 @@ def acceptance(
             is not judged.
         uncertainty: Expanded uncertainty (k = 2) of what is measured, by the same symbols; None, and a unit that is
             missing, count as 0.
-        criterion: What must be within: ``"max"``, the pose accuracy AP of every pose, the norm of its mean error over
-            repeats; ``"mean"``, the mean of AP over the poses; ``"single"``, the error of every single repeat.
+        criterion: Figure that must be within: ``"max"``, the pose accuracy AP of every pose, the norm of its mean error
+            over repeats; ``"mean"``, the mean of AP over the poses; ``"single"``, the error of every single repeat.
         seen: True for the rows that a calibration of this robot was fitted to, shape (N,); or one bool: whether it was
             fitted to the estimation rows.
 
@@ -294,9 +294,9 @@ def assess(
     Args:
         robot: The robot as its URDF is, nominal or corrected.
         table: The N measurement rows that the robots are compared with.
-        cell: What is known of frames, targets and loads.
+        cell: Known frames, targets and loads.
         calibration: A result of this robot; None: only the URDF is evaluated.
-        which: What is taken from the result and not registered to these rows: ``"frame"``, ``"target"``, both or none.
+        which: Places taken from the result and not registered to these rows: ``"frame"``, ``"target"``, both or none.
         judge: Name of the robot that is judged, a key of `Assessment.evaluations`; None: the calibrated one, or the
             URDF's without a result.
         limits: Arguments of `acceptance` by name, such as ``{"tolerance": {"m": 5e-4}}``; None or empty: no acceptance

@@ -103,7 +103,7 @@ class Accuracy:
     #: ``"all"``; ``"validation"``, the table's validation rows; or ``"fresh"``, others that nothing was fitted or
     #: registered to
     rows: JudgedRows
-    #: What the rows that are not judged were used for: ``"calibration"``, ``"target"``, ``"frame"``
+    #: Uses of the rows that are not judged: ``"calibration"``, ``"target"``, ``"frame"``
     others: tuple[str, ...]
     #: Number of rows that hold a measurement
     measured: int
@@ -286,18 +286,26 @@ def _poses(evaluation: Evaluation, rows: Rows, judged: Mask) -> tuple[PoseAccura
 
 
 def _figures(e: Array, unit: str, *, are_vectors: bool) -> PoseFigures:
-    """Return the figures of the residuals (n, d) of the repeats of one pose, vectors along the base's axes or not."""
+    """Return accuracy and repeatability at one pose from residuals (n, d) of its n repeats, in the unit of this symbol.
+
+    If the residuals are vectors along the base's axes, they are given along each axis too.
+    """
     mean = e.mean(axis=0)
     enough = len(e) >= FEWEST_REPEATS
     by_axis = 3.0 * e.std(axis=0, ddof=1) if enough else np.full(len(mean), np.nan)
     nothing = np.full(3, np.nan)
     return PoseFigures(
-        ap=float(np.linalg.norm(mean)),
+        ap=pose_accuracy(e),
         ap_axis=read_only(mean if are_vectors else nothing),
         rp=repeatability(e, unit) if enough else np.nan,
         rp_axis=read_only(by_axis if are_vectors else nothing),
         single=float(np.linalg.norm(e, axis=1).max()),
     )
+
+
+def pose_accuracy(e: Array) -> float:
+    """Return the pose accuracy AP of repeats of one pose: the norm of the mean of their residuals e, (n, d)."""
+    return float(np.linalg.norm(e.mean(axis=0)))
 
 
 def repeatability(e: Array, unit: str) -> float:
@@ -371,7 +379,7 @@ def fitted_rows(
             file.
         robot: The robot with which the table is evaluated, nominal or corrected.
         measurements: The table, N rows.
-        cell: What is known of frames, targets and loads of the table.
+        cell: Known frames, targets and loads of the table.
 
     Returns:
         True for these rows, shape (N,).
@@ -451,7 +459,7 @@ def _recognise(c: Calibration, robot: Robot, measurements: Measurements, cell: C
 
 
 def _are_among(residuals: Array, stored: Array) -> Mask:
-    """Say which residuals (n, k) are, within `_SAME` in every component, one of the stored ones (s, k); shape (n,)."""
+    """Return which residuals (n, k) are within `_SAME` of a stored one, (s, k), in every component; shape (n,)."""
     tree = KDTree(stored)
     distance, _ = tree.query(residuals, p=np.inf, distance_upper_bound=_SAME)
     return np.asarray(distance <= _SAME)

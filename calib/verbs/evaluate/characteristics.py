@@ -14,17 +14,23 @@ where S is the standard deviation over n - 1. Rows in the order of the table are
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import combinations
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.distance import pdist
 
 from calib.basics.arrays import Array
-from calib.verbs.evaluate.accuracy import FEWEST_REPEATS, Accuracy, PoseAccuracy, repeatability
+from calib.verbs.evaluate.accuracy import (
+    FEWEST_REPEATS,
+    Accuracy,
+    PoseAccuracy,
+    pose_accuracy,
+    repeatability,
+)
 from calib.verbs.evaluate.evaluation import Evaluation
 
 #: Repeats of a pose that each AP and RP of a drift is computed from, as in ISO 9283.
@@ -58,17 +64,6 @@ class Characteristic:
     rows: tuple[int, ...]
 
 
-class _Pose(NamedTuple):
-    """Errors of the repeats of one pose in one unit, in the order of the table."""
-
-    #: Number of its first row in the table
-    row: int
-    #: Shape (n, d), measured minus predicted
-    errors: Array
-    #: Direction that each was approached from; empty if it is not given
-    approaches: tuple[str, ...]
-
-
 def characteristics(evaluation: Evaluation, judged: Accuracy) -> tuple[Characteristic, ...]:
     """Return the characteristics of an evaluated robot, in the units that were measured.
 
@@ -87,20 +82,25 @@ def characteristics(evaluation: Evaluation, judged: Accuracy) -> tuple[Character
     result = []
     if _LENGTH in judged.units:
         result += _of_distances(evaluation, repeats)
-    approaches = evaluation.measurements.approaches
-    poses: dict[str, list[_Pose]] = {unit: [] for unit in judged.units}
-    for unit, of_unit in poses.items():
+    approaches = np.array(evaluation.measurements.approaches)
+    symbols = ("vAP", "dAP", "dRP")
+    values: dict[tuple[str, str], list[float]] = {
+        (symbol, unit): [] for symbol in symbols for unit in judged.units
+    }
+    first_rows: dict[str, list[tuple[int, ...]]] = {unit: [] for unit in judged.units}
+    for unit in judged.units:
         for pose, indices in repeats:
-            if unit in pose.by_unit:
-                # Along the axes of their measurement frames, on which no norm depends.
-                columns = evaluation.channels.select(indices).columns(unit)
-                errors = evaluation.residual[np.ix_(indices, columns)]
-                of_unit.append(_Pose(pose.rows[0], errors, tuple(approaches[i] for i in indices)))
-    for symbol, figure in _OF_POSES.items():
-        for unit, of_unit in poses.items():
-            values = [figure(pose, unit) for pose in of_unit]
-            rows = [(pose.row,) for pose in of_unit]
-            result.append(_summarise(symbol, unit, np.array(values), rows))
+            if unit not in pose.by_unit:
+                continue
+            # Along the axes of their measurement frames, on which no norm depends.
+            columns = evaluation.channels.select(indices).columns(unit)
+            errors = evaluation.residual[np.ix_(indices, columns)]
+            first_rows[unit].append((pose.rows[0],))
+            values["vAP", unit].append(_variation(errors, approaches[indices]))
+            values["dAP", unit].append(_largest_change(errors, pose_accuracy))
+            values["dRP", unit].append(_largest_change(errors, partial(repeatability, unit=unit)))
+    for (symbol, unit), of_poses in values.items():
+        result.append(_summarise(symbol, unit, np.array(of_poses), first_rows[unit]))
     return tuple(result)
 
 
@@ -144,8 +144,7 @@ def _of_distances(evaluation: Evaluation, repeats: Sequence[_Repeats]) -> list[C
         lengths = np.array(list(map(len, poses)))
         counted = np.minimum(lengths[first], lengths[second])
         predicted = measured - evaluation.residual[:, columns]
-        errors = _distance_errors(measured, predicted, poses)
-        mean, deviation = _mean_and_deviation(errors, counted)
+        mean, deviation = _distance_errors(measured, predicted, poses, counted)
         first_rows = numbers[[pose[0] for pose in poses]]
         pairs = np.stack([first_rows[first], first_rows[second]], axis=1)
         rows += [(one, other) for one, other in pairs.tolist()]
@@ -162,23 +161,19 @@ def _of_distances(evaluation: Evaluation, repeats: Sequence[_Repeats]) -> list[C
 
 
 def _distance_errors(
-    measured: Array, predicted: Array, poses: list[NDArray[np.intp]]
-) -> Iterator[Array]:
-    """Yield, repeat by repeat, the errors D_j - Dc_j [m] of the distances of all P pairs of poses, shape (P,).
+    measured: Array, predicted: Array, poses: Sequence[NDArray[np.intp]], counts: NDArray[np.int_]
+) -> tuple[Array, Array]:
+    """Return mean and standard deviation over n - 1, (P,) [m], of the errors D_j - Dc_j of all P pairs of poses.
 
-    Of positions (N, 3) [m] in one frame; errors of a repeat that one of a pair lacks have no meaning.
+    They are over the first ``counts`` repeats, (P,), of each pair, and computed repeat by repeat (Welford); positions
+    are (N, 3) [m] in one frame, poses the indices of their repeats.
     """
-    for j in range(max(map(len, poses))):
-        # The first repeat stands for one that a pose lacks.
-        row = np.array([pose[j] if j < len(pose) else pose[0] for pose in poses])
-        yield pdist(measured[row]) - pdist(predicted[row])
-
-
-def _mean_and_deviation(errors: Iterable[Array], counts: NDArray[np.int_]) -> tuple[Array, Array]:
-    """Return mean and standard deviation over n - 1 of P errors over their first ``counts`` repeats (Welford)."""
     mean = np.zeros(len(counts))
     square = np.zeros(len(counts))
-    for j, error in enumerate(errors):
+    for j in range(max(map(len, poses))):
+        # The first repeat stands for one that a pose lacks, which does not count.
+        row = np.array([pose[j] if j < len(pose) else pose[0] for pose in poses])
+        error = pdist(measured[row]) - pdist(predicted[row])
         change = np.where(j < counts, error - mean, 0.0)
         mean = mean + change / (j + 1)
         square = square + change * (error - mean)
@@ -188,38 +183,25 @@ def _mean_and_deviation(errors: Iterable[Array], counts: NDArray[np.int_]) -> tu
 # Approaches and drift of one pose
 
 
-def _variation(pose: _Pose, unit: str) -> float:  # noqa: ARG001
-    """Return vAP, between the approaches that have `FEWEST_REPEATS` repeats; NaN with fewer than two of these."""
-    words = np.array(pose.approaches)
+def _variation(errors: Array, approaches: NDArray[np.str_]) -> float:
+    """Return vAP of one pose, between the approaches that have `FEWEST_REPEATS` repeats; NaN with fewer than two.
+
+    The errors are (n, d), and their approaches, (n,), empty if not given.
+    """
     means = []
-    for approach in dict.fromkeys(pose.approaches):
-        of_approach = pose.errors[words == approach]
+    for approach in dict.fromkeys(approaches.tolist()):
+        of_approach = errors[approaches == approach]
         if approach and len(of_approach) >= FEWEST_REPEATS:
             means.append(of_approach.mean(axis=0))
     distances = [float(np.linalg.norm(a - b)) for a, b in combinations(means, 2)]
     return max(distances, default=np.nan)
 
 
-def _accuracy_drift(pose: _Pose, unit: str) -> float:  # noqa: ARG001
-    """Return dAP; NaN with fewer than two tens of repeats."""
-    return _largest_change(pose, lambda ten: float(np.linalg.norm(ten.mean(axis=0))))
+def _largest_change(errors: Array, figure: Callable[[Array], float]) -> float:
+    """Return the largest change of a figure of errors (n, d) from the first ten repeats to any later ten; NaN for none.
 
-
-def _repeatability_drift(pose: _Pose, unit: str) -> float:
-    """Return dRP; NaN with fewer than two tens of repeats."""
-    return _largest_change(pose, lambda ten: repeatability(ten, unit))
-
-
-def _largest_change(pose: _Pose, figure: Callable[[Array], float]) -> float:
-    """Return the largest change of a figure from the first ten repeats, in the order of time, to any later ten."""
-    starts = range(0, len(pose.errors) - DRIFT_REPEATS + 1, DRIFT_REPEATS)
-    figures = [figure(pose.errors[start : start + DRIFT_REPEATS]) for start in starts]
+    The repeats of the pose are in the order of time.
+    """
+    starts = range(0, len(errors) - DRIFT_REPEATS + 1, DRIFT_REPEATS)
+    figures = [figure(errors[start : start + DRIFT_REPEATS]) for start in starts]
     return max((abs(later - figures[0]) for later in figures[1:]), default=np.nan)
-
-
-#: Characteristics of one pose by their symbols: from its errors and the unit to the value, NaN where it has none.
-_OF_POSES: dict[str, Callable[[_Pose, str], float]] = {
-    "vAP": _variation,
-    "dAP": _accuracy_drift,
-    "dRP": _repeatability_drift,
-}

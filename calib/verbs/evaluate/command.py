@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import typer
 
@@ -28,10 +28,6 @@ from calib.cli.terminal import command_line, say
 from calib.cli.verb import verb
 from calib.errors import CalibError
 from calib.verbs.detect.picture_folder import table_of
-
-if TYPE_CHECKING:
-    from calib.verbs.evaluate.acceptance import Assessment
-    from calib.verbs.evaluate.report import Origins
 
 #: A tolerance as it could be typed.
 _EXAMPLE = "0.5 mm 0.1 deg"
@@ -110,45 +106,6 @@ class AcceptanceOptions:
         }
 
 
-@dataclass(frozen=True, slots=True)
-class EvaluationOutputs:
-    """Files of ``calib evaluate``."""
-
-    json: Annotated[Path | None, typer.Option("--json", help="Write the errors as JSON.")] = None
-    report: Annotated[
-        Path | None,
-        typer.Option(
-            "--report", metavar="FILE", help="Write a report to print and sign: a page, .html."
-        ),
-    ] = None
-    force: Force = False
-
-    def check(self, inputs: Iterable[str | Path | None]) -> None:
-        """Refuse files that cannot be written before the work begins; see `check_outputs`."""
-        if self.report is not None:
-            from calib.show.as_html import check_ending
-
-            check_ending(self.report)
-        check_outputs([self.json, self.report], inputs, force=self.force)
-
-    def write(self, e: Assessment, origins: Origins) -> None:
-        """Write the files that were asked for.
-
-        Args:
-            e: The evaluation.
-            origins: Its sources.
-        """
-        if self.json is not None:
-            from calib.result.calibration_file import write_table
-            from calib.verbs.evaluate.evaluation_file import assessment_table
-
-            write_table(assessment_table(e), self.json, overwrite=self.force)
-        if self.report is not None:
-            from calib.verbs.evaluate.report import write_report
-
-            write_report(e, self.report, origins, overwrite=self.force)
-
-
 @verb("""Compare a robot with measurements, and test its accuracy against a tolerance.
 
 \b
@@ -167,10 +124,18 @@ be within the tolerance, and 3 otherwise.
 def evaluate(
     robot: RobotFile,
     data: DataFile,
+    *,
     cell_options: EvaluateOptions,
     table_options: TableOptions,
     acceptance_options: AcceptanceOptions,
-    outputs: EvaluationOutputs,
+    json: Annotated[Path | None, typer.Option("--json", help="Write the errors as JSON.")] = None,
+    report: Annotated[
+        Path | None,
+        typer.Option(
+            "--report", metavar="FILE", help="Write a report to print and sign: a page, .html."
+        ),
+    ] = None,
+    force: Force = False,
     calibration: Annotated[
         Path | None,
         typer.Option(
@@ -180,11 +145,22 @@ def evaluate(
     quiet: Quiet = False,
 ) -> None:
     """Evaluate, write the files and print the errors; exit status 3 if a tolerance is not shown to be kept."""
-    from calib.result.calibration_file import read_result
+    from calib.result.calibration_file import read_result, write_table
+    from calib.show.as_html import check_ending
     from calib.verbs.evaluate.acceptance import assess
-    from calib.verbs.evaluate.report import Origins, summary
+    from calib.verbs.evaluate.evaluation_file import assessment_table
+    from calib.verbs.evaluate.report import Origins, summary, write_report
 
-    outputs.check([robot, data, cell_options.file, calibration, table_options.points])
+    if report is not None:
+        check_ending(report)
+    inputs: list[str | Path | None] = [
+        robot,
+        data,
+        cell_options.file,
+        calibration,
+        table_options.points,
+    ]
+    check_outputs([json, report], inputs, force=force)
     limits = acceptance_options.limits()
     cell = cell_options.cell()
     result, name, sha256 = None, "", ""
@@ -217,12 +193,15 @@ def evaluate(
     )
 
     origins = Origins(name, sha256, target_source, command_line())
-    outputs.write(assessment, origins)
+    if json is not None:
+        write_table(assessment_table(assessment), json, overwrite=force)
+    if report is not None:
+        write_report(assessment, report, origins, overwrite=force)
     if not quiet:
         say_ignored(measurements, arm)
         say_coupled(arm)
         say(summary(assessment, origins))
-        written = written_lines(outputs.json, outputs.report)
+        written = written_lines(json, report)
         if written:
             typer.echo("\n".join(["", *written]))
     if assessment.accepted is not None and assessment.accepted.outcome != "pass":

@@ -32,7 +32,7 @@ from calib.result.fitted_model import NonGeometric
 from calib.result.image_errors import ImageFigures, length_of_pixels
 from calib.robot.robot import Robot
 
-#: What may be taken from an earlier result.
+#: Places that may be taken from an earlier result.
 PLACES = ("frame", "target")
 
 #: The reason that names a place which has moved, by the place; of two that explain the errors equally the last counts.
@@ -92,7 +92,7 @@ class Evaluation(Value):
 
         Args:
             path: The HTML file.
-            accepted: What `calib.acceptance` found of this evaluation; None: no tolerance is tested.
+            accepted: Result of `calib.acceptance` for this evaluation; None: no tolerance is tested.
             overwrite: Whether a file that exists is replaced.
 
         Returns:
@@ -148,7 +148,7 @@ def evaluate(
             measurements are in the base frame.
         known: Frames and targets of an earlier result, which win over the cell's: `Calibration.setup`, or its
             ``nominal_setup`` for the nominal robot; None: there are none.
-        which: What of ``known`` is taken: its ``"frame"``, its ``"target"`` or both.
+        which: Places taken from ``known``: its ``"frame"``, its ``"target"`` or both.
         non_geometric: The non-geometric model of a result, to predict with on the nominal robot; None: the robot
             predicts by its joint origins. Its frames and targets are the known ones, of which ``which`` are taken; its
             gravity counts, and a payload of the cell wins over its own.
@@ -304,9 +304,9 @@ def moved_place(
     Args:
         robot: The calibrated robot.
         measurements: Rows that were measured later.
-        cell: What is known of frames, targets and loads of these rows.
+        cell: Known frames, targets and loads of these rows.
         known: Frames and targets of the result, as it estimated them or was given them.
-        which: What is taken from them: some of `PLACES`, ``"frame"`` and ``"target"``.
+        which: Places taken from them: some of `PLACES`, ``"frame"`` and ``"target"``.
 
     Returns:
         The reason, ``FRAME_MOVED`` or ``TARGET_MOVED``, with the rms errors in length before, ``given_m``, and after,

@@ -1,4 +1,4 @@
-"""What is shown of an evaluation: text in a terminal, a report to print and sign, an excerpt in notebooks.
+"""An evaluation as text in a terminal, as a report to print and sign, and as an excerpt in notebooks.
 
 `report` is the one list of their sections; `calib.verbs.evaluate.tables` and `.text` make what stands in them.
 """
@@ -112,7 +112,7 @@ def write_report(
 def report(
     e: Assessment, origins: Origins = _NO_FILES, columns: Sequence[ErrorColumn] = ERROR_COLUMNS
 ) -> Page:
-    """Say what is shown of an evaluation, and where.
+    """List the sections that show an evaluation, each with the places where it is shown.
 
     Args:
         e: The evaluation.
@@ -122,12 +122,13 @@ def report(
     date = report_date()
     robot = e.evaluations["urdf"].robot
     errors = partial(tables.errors, e, origins.result, columns)
+    rule = Bullets(list(rule_sentences(e)), on=HTML)
     places = Bullets(place_sentences(e, origins.target))
     hint = reason_text(e.hint) if e.hint is not None and e.accepted is None else ""
     sections = (
         Section(lambda: [_first_page(e, origins.result)], on=HTML),
         Section(lambda: [Paragraph(f"Evaluation of {chain_name(robot)}")], on=NOTEBOOK),
-        Section(partial(_outcome, e, origins.result), "Outcome"),
+        Section(lambda: [_verdict(e, origins.result), tables.checks(e), rule], "Outcome"),
         Section(lambda: [places], on=TERMINAL),
         Section(errors, on=TERMINAL | NOTEBOOK),
         Section(partial(_images, e, origins.result), on=TERMINAL),
@@ -146,7 +147,7 @@ def report(
 
 
 def _first_page(e: Assessment, result: str) -> Block:
-    """Make the first page of the report."""
+    """Make the first page of the report: outcome, record, robot, uncertainty, accuracy before and after, signatures."""
     urdf = e.evaluations["urdf"]
     # Without a tolerance it is filled in by hand.
     uncertainty = ""
@@ -178,13 +179,6 @@ def _verdict(e: Assessment, result: str) -> Verdict:
     if e.hint is not None:
         reasons.append(reason_text(e.hint))
     return Verdict("none", reasons, on=HTML)
-
-
-def _outcome(e: Assessment, result: str) -> Iterator[Block]:
-    """Show the outcome, the comparison with the tolerance, and its rule."""
-    yield _verdict(e, result)
-    yield tables.checks(e)
-    yield Bullets(list(rule_sentences(e)), on=HTML)
 
 
 def _images(e: Assessment, result: str) -> Iterator[Block]:

@@ -53,7 +53,7 @@ FIGURES = {
 #: The same figures as `calib.verbs.evaluate.accuracy.Accuracy.figures` calls them.
 FIGURE_KEYS = {"max": "ap_max", "mean": "ap_mean", "single": "single_max"}
 
-#: What the figure of a criterion is, after its name.
+#: Definition of the figure of each criterion, which follows its name.
 _MEANING = {
     "max": " AP is the pose accuracy of ISO 9283: the mean error of the repeats of a pose.",
     "mean": " AP is the pose accuracy of ISO 9283: the mean error of the repeats of a pose.",
@@ -121,10 +121,7 @@ def outcome_reasons(e: Assessment, result: str) -> Iterator[str]:
     if a is None:
         return
     for unit, check in a.checks.items():
-        yield _figure_sentence(a, unit, named_robot(e.judged, result))
-        total = decisive_sum(check)
-        if np.isfinite(check.held) and total != check.figure:
-            yield _sum_sentence(check, total, unit)
+        yield from _figure_sentences(a, unit, named_robot(e.judged, result))
         if "nominal" in e.accuracies:
             nominal = e.accuracies["nominal"].figures(unit)[FIGURE_KEYS[a.criterion]]
             if nominal < check.figure:
@@ -153,8 +150,12 @@ def decisive_sum(check: Check) -> float:
     return check.figure - check.uncertainty if check.outcome == "fail" else check.held
 
 
-def _figure_sentence(a: Acceptance, unit: str, robot: str) -> str:
-    """Word a figure of the robot against its tolerance, both in one unit."""
+def _figure_sentences(a: Acceptance, unit: str, robot: str) -> Iterator[str]:
+    """Word the figure of a robot in one unit against its tolerance, then the sum that decides, unless both are equal.
+
+    A figure that fails is above the tolerance without its guard band, one that passes is within it with its guard band:
+    ISO 14253-1.
+    """
     check, poses = a.checks[unit], a.accuracy.poses
     name = FIGURES[a.criterion]
     if unit != "m":
@@ -169,18 +170,14 @@ def _figure_sentence(a: Acceptance, unit: str, robot: str) -> str:
     figure = with_unit(check.figure, unit)
     tolerance = with_unit(check.tolerance, unit)
     relation = "above" if check.figure > check.tolerance else "within"
-    return (
+    yield (
         f"Evaluated: {robot}. The {name} of {plural(count, 'pose')} is {figure}{where}, {relation} the "
         f"tolerance of {tolerance}."
     )
 
-
-def _sum_sentence(check: Check, total: float, unit: str) -> str:
-    """Write the sum that decides as an equation, against the tolerance.
-
-    A figure that fails is above the tolerance without its guard band, one that passes is within it with its guard band:
-    ISO 14253-1.
-    """
+    total = decisive_sum(check)
+    if not np.isfinite(check.held) or total == check.figure:
+        return
     fails = check.outcome == "fail"
     terms = shown(check.figure, unit)
     if not fails and check.factor != 1.0:
@@ -189,13 +186,12 @@ def _sum_sentence(check: Check, total: float, unit: str) -> str:
         sign = "-" if fails else "+"
         guard_band = shown(check.uncertainty, unit)
         terms += f" {sign} guard band {guard_band} (k = 2, ISO 14253-1)"
-    relation = ">" if total > check.tolerance else "<="
-    tolerance = with_unit(check.tolerance, unit)
-    return f"{terms} = {with_unit(total, unit)} {relation} {tolerance}."
+    sign = ">" if total > check.tolerance else "<="
+    yield f"{terms} = {with_unit(total, unit)} {sign} {tolerance}."
 
 
 def _rows_reasons(a: Acceptance) -> Iterator[str]:
-    """Word which rows are evaluated, what was registered to them, and what they mean for other poses."""
+    """Yield sentences: which rows are evaluated, what was registered to them, and what they mean for other poses."""
     accuracy, count = a.accuracy, len(a.accuracy.poses)
     if accuracy.seen:
         yield (

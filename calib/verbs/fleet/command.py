@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -23,34 +22,6 @@ from calib.cli.options import (
 from calib.cli.terminal import command_line, progress_bar, say_table
 from calib.cli.verb import verb
 from calib.errors import FileError, choices
-
-if TYPE_CHECKING:
-    from calib.verbs.fleet.fleet import Fleet
-    from calib.verbs.fleet.job import FleetOptions, FleetRobot
-
-
-@dataclass(frozen=True, slots=True)
-class FleetTables(ColumnChoice):
-    """Reading of the tables of all robots; a row of the manifest wins."""
-
-    points_unit: PointsUnit = None
-
-
-@dataclass(frozen=True, slots=True)
-class FleetOutputs:
-    """Files that are written for each robot."""
-
-    target_link: TargetLink = False
-    reports: Annotated[
-        bool,
-        typer.Option(
-            help="Write a report for each robot, which takes longer than its calibration."
-        ),
-    ] = True
-    accept: Accept = False
-    force: Annotated[
-        bool, typer.Option("--force", help="Calibrate all robots again, including finished ones.")
-    ] = False
 
 
 @verb("""Calibrate a batch of robots and flag outliers.
@@ -79,82 +50,66 @@ def fleet(
             "--out", metavar="FOLDER", help="Folder for the results; it is made if missing."
         ),
     ],
+    *,
     cell_options: FitOptions,
     solver_options: SolverOptions,
-    table_options: FleetTables,
-    outputs: FleetOutputs,
+    column_options: ColumnChoice,
+    points_unit: PointsUnit = None,
+    target_link: TargetLink = False,
+    reports: Annotated[
+        bool,
+        typer.Option(
+            help="Write a report for each robot, which takes longer than its calibration."
+        ),
+    ] = True,
+    accept: Accept = False,
+    force: Annotated[
+        bool, typer.Option("--force", help="Calibrate all robots again, including finished ones.")
+    ] = False,
     job_options: JobOptions,
     quiet: Quiet = False,
 ) -> None:
     """Calibrate the robots of the manifest into the folder and print their table."""
-    from calib.verbs.fleet.fleet import CSV
+    from calib.verbs.fleet.fleet import CSV, JSON, run_fleet
     from calib.verbs.fleet.job import FleetOptions
     from calib.verbs.fleet.manifest import read_manifest
+    from calib.verbs.fleet.text import fleet_cells, fleet_text
 
     if manifest.resolve() == (out / CSV).resolve():
         raise FileError(f"{manifest} would be the table of results too; choose another --out.")
-    robots = read_manifest(manifest, cell_options, table_options, table_options.points_unit)
+    robots = read_manifest(manifest, cell_options, column_options, points_unit)
     solver_options.check()
     options = FleetOptions(
         solver=solver_options.solver,
         robust=solver_options.robust,
         validate=solver_options.validate,
-        reports=outputs.reports,
-        target_link=outputs.target_link,
-        accept=outputs.accept,
+        reports=reports,
+        target_link=target_link,
+        accept=accept,
         command=command_line(),
     )
-    calibrated = _calibrate(robots, out, options, job_options, force=outputs.force, quiet=quiet)
-    if not quiet:
-        _say_results(calibrated, out)
-    _say_failed_and_withheld(calibrated)
-    if calibrated.failed:
-        raise typer.Exit(ExitStatus.REFUSED)
-    if calibrated.withheld:
-        raise typer.Exit(ExitStatus.NOT_ACCEPTED)
-
-
-def _calibrate(
-    robots: tuple[FleetRobot, ...],
-    folder: Path,
-    options: FleetOptions,
-    job_options: JobOptions,
-    *,
-    force: bool,
-    quiet: bool,
-) -> Fleet:
-    """Calibrate the robots into a folder; an interruption says how to go on."""
-    from calib.verbs.fleet.fleet import run_fleet
-
     try:
         with (
             executor_of(job_options.workers, job_options.dask, len(robots)) as executor,
             progress_bar("robots", quiet=quiet) as progress,
         ):
-            return run_fleet(
-                robots, folder, options, executor=executor, progress=progress, force=force
+            calibrated = run_fleet(
+                robots, out, options, executor=executor, progress=progress, force=force
             )
     except KeyboardInterrupt as error:
-        text = f"Finished robots are kept in {folder}: the same command goes on with the others."
+        text = f"Finished robots are kept in {out}: the same command goes on with the others."
         raise KeyboardInterrupt(text) from error
 
+    if not quiet:
+        table = calibrated.table()
+        heads, rows = fleet_cells(table)
+        say_table("Errors and noise, rms [mm]", heads, rows)
+        for paragraph in fleet_text(table, calibrated.kept):
+            typer.echo(paragraph)
+        for name in (CSV, JSON):
+            typer.echo(f"Written: {out / name}")
 
-def _say_results(calibrated: Fleet, folder: Path) -> None:
-    """Print the table of robots, the outliers, and the files."""
-    from calib.verbs.fleet.fleet import CSV, JSON
-    from calib.verbs.fleet.text import fleet_cells, fleet_text
-
-    table = calibrated.table()
-    heads, rows = fleet_cells(table)
-    say_table("Errors and noise, rms [mm]", heads, rows)
-    for paragraph in fleet_text(table, calibrated.kept):
-        typer.echo(paragraph)
-    for name in (CSV, JSON):
-        typer.echo(f"Written: {folder / name}")
-
-
-def _say_failed_and_withheld(calibrated: Fleet) -> None:
-    """Say on stderr how many robots failed, and which verdicts were obeyed or overridden."""
+    # On stderr: how many robots failed, and which verdicts were obeyed or overridden.
     if calibrated.failed:
         failed, every = len(calibrated.failed), len(calibrated.rows)
         typer.echo(f"calib: {failed} of {every} robots failed.", err=True)
@@ -162,7 +117,11 @@ def _say_failed_and_withheld(calibrated: Fleet) -> None:
         (calibrated.withheld, "No URDF was written; to write it anyway, add --accept."),
         (calibrated.accepted, "Because of --accept the URDF was written anyway."),
     )
-    for rows, consequence in consequences:
-        if rows:
-            names = choices(row.name for row in rows)
+    for concerned, consequence in consequences:
+        if concerned:
+            names = choices(row.name for row in concerned)
             typer.echo(f"calib: the verdict on {names} is 'do not use'. {consequence}", err=True)
+    if calibrated.failed:
+        raise typer.Exit(ExitStatus.REFUSED)
+    if calibrated.withheld:
+        raise typer.Exit(ExitStatus.NOT_ACCEPTED)

@@ -28,6 +28,7 @@ from calib.numerics import solvers
 from calib.robot.robot import Robot
 from calib.robot.urdf import read_urdf
 from calib.show.plotting import require_matplotlib
+from calib.verbs.fleet.fleet_row import ACCEPTED, FAILED, ROW_LAYOUT, WITHHELD, FleetRow, fleet_csv
 from calib.verbs.fleet.job import (
     FleetJob,
     FleetOptions,
@@ -38,7 +39,6 @@ from calib.verbs.fleet.job import (
 )
 from calib.verbs.fleet.outliers import FleetOutlier, fleet_outliers
 from calib.verbs.fleet.robot_folder import RobotFolder
-from calib.verbs.fleet.rows import ACCEPTED, FAILED, ROW_LAYOUT, WITHHELD, FleetRow, fleet_csv
 
 #: The table of a fleet for a spreadsheet; see docs/fleet.md.
 CSV = "fleet.csv"
@@ -172,13 +172,21 @@ def fleet(
     check_type("folder", folder, (str, Path), "the path of a folder")
     check_executor(executor)
     check_callable("progress", progress)
-    by_name = _robots_by_name(robots, tables)
-    cells = _cells_by_name(cell, tables)
+    robots_by_name = _robots_by_name(robots, tables)
+    if isinstance(cell, Mapping):
+        _check_all_given("cell", cell, tables)
+        cells = cell
+        for name, one in cells.items():
+            check_type(f"cell[{name!r}]", one, (Cell, str, Path, type(None)), CELL)
+    else:
+        check_type("cell", cell, (Cell, str, Path, type(None)), f"{CELL}; or a mapping of these")
+        cells = dict.fromkeys(tables, cell)
+
     members = []
     for name, table in tables.items():
         check_type("tables", name, str, "a mapping from names of robots, which are texts")
         check_type(f"tables[{name!r}]", table, (Measurements, str, Path), TABLE)
-        members.append(FleetRobot.of_values(name, by_name[name], table, cells[name]))
+        members.append(FleetRobot.of_values(name, robots_by_name[name], table, cells[name]))
     chosen = FleetOptions(**options)
     return run_fleet(members, folder, chosen, executor=executor, progress=progress, force=force)
 
@@ -186,7 +194,7 @@ def fleet(
 def _robots_by_name(
     robots: RobotsInput, tables: Mapping[str, TableInput]
 ) -> Mapping[str, RobotInput]:
-    """Return the robot of each table by the table's name."""
+    """Return the robot of each table by the table's name, whichever way the robots were given."""
     if isinstance(robots, (Robot, str, Path)):
         return dict.fromkeys(tables, robots)
     if isinstance(robots, Mapping):
@@ -204,17 +212,6 @@ def _robots_by_name(
     for name, robot in by_name.items():
         check_type(f"robots[{name!r}]", robot, (Robot, str, Path), ROBOT)
     return by_name
-
-
-def _cells_by_name(cell: CellsInput, tables: Mapping[str, TableInput]) -> Mapping[str, CellInput]:
-    """Return the cell of each robot by its name."""
-    if not isinstance(cell, Mapping):
-        check_type("cell", cell, (Cell, str, Path, type(None)), f"{CELL}; or a mapping of these")
-        return dict.fromkeys(tables, cell)
-    _check_all_given("cell", cell, tables)
-    for name, one in cell.items():
-        check_type(f"cell[{name!r}]", one, (Cell, str, Path, type(None)), CELL)
-    return cell
 
 
 def _check_all_given(
@@ -265,9 +262,8 @@ def run_fleet(
         require_matplotlib("A report")
     path = make_folder(folder)
     rows: dict[str, FleetRow] = {}  # of the robots that are done, in any order
-    sent: list[
-        tuple[RobotFolder, str]
-    ] = []  # folder and fingerprint of each job, in the order of the jobs
+    # Folder and fingerprint of each job, in the order of the jobs.
+    sent: list[tuple[RobotFolder, str]] = []
     kept = 0
 
     def finish(row: FleetRow) -> None:
@@ -310,16 +306,9 @@ def run_fleet(
     in_order = tuple(rows[robot.name] for robot in robots)
     outliers, notes = fleet_outliers(in_order)
     calibrated = Fleet(in_order, outliers, notes, kept)
-    _write_tables(calibrated, path)
-    return calibrated
-
-
-def _write_tables(calibrated: Fleet, folder: Path) -> None:
-    """Write ``fleet.json`` and ``fleet.csv``."""
-    content = json_bytes(calibrated.table())
-    write_atomically(folder / JSON, content, overwrite=True)
+    write_atomically(path / JSON, json_bytes(calibrated.table()), overwrite=True)
     reasons: dict[str, list[str]] = {}
-    for outlier in calibrated.outliers:
+    for outlier in outliers:
         reasons.setdefault(outlier.name, []).append(outlier.text)
-    content = fleet_csv(calibrated.rows, reasons)
-    write_atomically(folder / CSV, content, overwrite=True)
+    write_atomically(path / CSV, fleet_csv(in_order, reasons), overwrite=True)
+    return calibrated

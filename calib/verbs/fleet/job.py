@@ -24,12 +24,11 @@ from calib.data.inputs import CellInput, RobotInput, TableInput, inputs_of
 from calib.data.measurements import Measurements
 from calib.errors import CalibError
 from calib.result.calibrate import calibrate
-from calib.result.calibration import Calibration
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
 from calib.verbs.calibrate.report import write_report
+from calib.verbs.fleet.fleet_row import FAILED, WITHHELD, FleetRow
 from calib.verbs.fleet.robot_folder import SCHEMA, URDF
-from calib.verbs.fleet.rows import FAILED, WITHHELD, FleetRow
 from calib.version import __version__
 
 #: Pattern of the names that a robot, and so its folder, may have.
@@ -70,7 +69,7 @@ class FleetRobot:
             robot: URDF or xacro, or a name of example-robot-data such as ``"ur3"``.
             data: Table of measurements.
             cell: Its cell; None: the default `Cell`.
-            columns: What is said of the table's columns, see `Measurements.read`; None: nothing.
+            columns: Names and units of the table's columns, see `Measurements.read`; None: nothing.
             points: List of measured points; None: the table has the positions.
             points_unit: Unit of that list, ``"mm"``; None: the list names it.
         """
@@ -253,9 +252,20 @@ def calibrate_job(options: FleetOptions, job: FleetJob) -> tuple[FleetRow, dict[
             validate=options.validate,
         )
         row = FleetRow.of(job.name, calibration, accept=options.accept)
-        with tempfile.TemporaryDirectory() as folder:
-            _write_files(calibration, row, options, Path(folder))
-            files = {file.name: file.read_bytes() for file in Path(folder).iterdir()}
+        with tempfile.TemporaryDirectory() as temporary:
+            folder = Path(temporary)
+            if row.urdf != WITHHELD:
+                calibration.write_urdf(folder / URDF, target_link=options.target_link, accept=True)
+            calibration.write_json(folder / "result.json")
+            summary = f"{calibration.summary()}\n"
+            content = summary.encode("utf-8", "backslashreplace")
+            (folder / "summary.txt").write_bytes(content)
+            if options.reports:
+                command = ""
+                if options.command:
+                    command = f"{options.command}  # {row.name}"
+                write_report(calibration, folder / "report.html", command=command)
+            files = {file.name: file.read_bytes() for file in folder.iterdir()}
     except Exception as error:  # noqa: BLE001  a fault with one robot must not cost the others
         return failed_row(job.name, error), {}
     return row, files
@@ -276,23 +286,3 @@ def failed_row(name: str, error: Exception) -> FleetRow:
         kind = type(error).__name__
         message = f"internal error: {kind}: {error}. Please report it with this robot's files."
     return FleetRow(name, FAILED, message)
-
-
-def _write_files(
-    calibration: Calibration,
-    row: FleetRow,
-    options: FleetOptions,
-    folder: Path,
-) -> None:
-    """Write a robot's files into a folder: result, summary, and by row and options the URDF and the report."""
-    if row.urdf != WITHHELD:
-        calibration.write_urdf(folder / URDF, target_link=options.target_link, accept=True)
-    calibration.write_json(folder / "result.json")
-    summary = f"{calibration.summary()}\n"
-    content = summary.encode("utf-8", "backslashreplace")
-    (folder / "summary.txt").write_bytes(content)
-    if options.reports:
-        command = ""
-        if options.command:
-            command = f"{options.command}  # {row.name}"
-        write_report(calibration, folder / "report.html", command=command)

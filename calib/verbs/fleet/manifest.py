@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
@@ -52,7 +52,18 @@ def read_manifest(
     column_options.parsed()
     cell_options.cell()
     table = Table.read(path)
-    header = _checked_header(path, table.header)
+    header = [label.strip().lower() for label in table.header]
+    missing = [name for name in NEEDED if name not in header]
+    optional = optional_columns()
+    wrong = {name for name in header if name not in {*NEEDED, *optional, ""}}
+    wrong |= {name for name in header if name and header.count(name) > 1}
+    if missing or wrong:
+        problem = "is missing" if missing else "is not known, or there twice"
+        raise CalibError(
+            f"{path.name}: of its columns {choices(missing or wrong)} {problem}. A manifest has "
+            f"{choices(NEEDED)}, and may have {choices(optional, len(optional))}."
+        )
+
     robots, places = [], []
     for line, row in zip(table.lines, table.cells, strict=True):
         where = f"{path.name}, line {line}"
@@ -68,23 +79,6 @@ def read_manifest(
     return tuple(robots)
 
 
-def _checked_header(path: Path, labels: Sequence[str]) -> list[str]:
-    """Return the names of the columns in lower case, ``""`` for an empty one; raises `CalibError`."""
-    header = [label.strip().lower() for label in labels]
-    missing = [name for name in NEEDED if name not in header]
-    optional = optional_columns()
-    allowed = {*NEEDED, *optional, ""}
-    wrong = {name for name in header if name not in allowed}
-    wrong |= {name for name in header if name and header.count(name) > 1}
-    if missing or wrong:
-        problem = "is missing" if missing else "is not known, or there twice"
-        raise CalibError(
-            f"{path.name}: of its columns {choices(missing or wrong)} {problem}. A manifest has "
-            f"{choices(NEEDED)}, and may have {choices(optional, len(optional))}."
-        )
-    return header
-
-
 def _load(
     where: str,
     cells: Mapping[str, str],
@@ -95,6 +89,7 @@ def _load(
     read_urdf: UrdfReader,
 ) -> FleetInputs:
     """Read the inputs of the robot of a row, by its cells that are not empty; the options hold for what they omit."""
+    from calib.robot.xacro_file import is_xacro
     from calib.verbs.fleet.job import FleetRobot
 
     changes: dict[str, Any] = {n: cells[n] for n in ("orientation", "joint_unit") if n in cells}
@@ -102,10 +97,16 @@ def _load(
         changes["columns"] = _split(cells["columns"])
     columns = replace(column_options, **changes)
     has_points = "points" in cells
+    # The robot's file, relative to the manifest's folder unless absolute, or its name in example-robot-data. The path
+    # is joined as text: arguments that follow a xacro are not part of it.
+    source = cells["robot"]
+    is_file = is_xacro(source) or Path(source).suffix or (folder / source).is_file()
+    if is_file and not source.startswith("~"):
+        source = os.path.join(folder, source)  # noqa: PTH118
     try:
         robot = FleetRobot.of_files(
             cells["name"],
-            _source(cells["robot"], folder),
+            source,
             folder / cells["data"],
             options_of_row(cells, folder, cell_options).cell(),
             columns=columns.parsed(),
@@ -122,7 +123,7 @@ def options_of_row(cells: Mapping[str, str], folder: Path, line: FitOptions) -> 
 
     Args:
         cells: The cells of its row that are not empty, by column; several words of one are separated by semicolons.
-        folder: Where the path of a cell file begins.
+        folder: Folder from which the path of a cell file counts.
         line: The options of the command line, which hold for what the row does not give.
     """
     given = dict(line.given)
@@ -137,14 +138,3 @@ def _split(cell: str) -> list[str]:
     """Return the values of a cell that holds several, separated by semicolons."""
     parts = [part.strip() for part in cell.split(";")]
     return [part for part in parts if part]
-
-
-def _source(robot: str, folder: Path) -> str:
-    """Return a robot's file, relative to the manifest's folder unless absolute, or its name in example-robot-data."""
-    from calib.robot.xacro_file import is_xacro
-
-    is_file = is_xacro(robot) or Path(robot).suffix or (folder / robot).is_file()
-    if not is_file or robot.startswith("~"):
-        return robot
-    # As text: arguments that follow a xacro are not part of the path.
-    return os.path.join(folder, robot)  # noqa: PTH118

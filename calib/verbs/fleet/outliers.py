@@ -27,7 +27,7 @@ from scipy.special import stdtrit
 
 from calib.basics.arrays import Array, Mask
 from calib.basics.channels import RESIDUAL_UNITS
-from calib.verbs.fleet.rows import DONE, FleetParameter, FleetRow
+from calib.verbs.fleet.fleet_row import DONE, FleetParameter, FleetRow
 from calib.verbs.fleet.text import data_text, few_text, figure_text
 
 #: Robots of a kind that it takes to compare them.
@@ -113,7 +113,17 @@ def fleet_outliers(
         kinds that have too few robots to compare them.
     """
     done = [row for row in rows if row.status == DONE]
-    outliers = list(_same_data(done))
+    # Robots whose measurements are those of another, of whatever kind.
+    outliers = []
+    with_data: dict[str, list[FleetRow]] = {}
+    for row in done:
+        with_data.setdefault(row.measured, []).append(row)
+    for same in with_data.values():
+        for row in same:
+            others = [other.name for other in same if other is not row]
+            if others:
+                outliers.append(FleetOutlier(row.name, "data", text=data_text(others, row.data)))
+
     notes = []
     kinds = list(dict.fromkeys(row.kind for row in done))
     for kind in kinds:
@@ -206,7 +216,7 @@ def _unusual_figures(rows: Sequence[FleetRow], counted: Mask) -> Iterator[FleetO
 
 
 def _error_figures(rows: Sequence[FleetRow]) -> list[_Figure]:
-    """Return the logarithms of errors and noise in each unit."""
+    """Return figures of errors and noise of n robots, by their logarithms, one for each kind of error and unit."""
     no_std = np.zeros(len(rows))
     figures = []
     for symbol, unit in RESIDUAL_UNITS.items():
@@ -220,7 +230,7 @@ def _error_figures(rows: Sequence[FleetRow]) -> list[_Figure]:
 
 
 def _parameter_figures(rows: Sequence[FleetRow]) -> list[_Figure]:
-    """Return the changes of the parameters that the measurements of any robot determine."""
+    """Return figures of the changes of parameters of n robots, one for each that any robot's measurements determine."""
     determined = []
     for row in rows:
         by_name = {p.name: p for p in row.parameters if not math.isnan(p.std)}
@@ -238,16 +248,3 @@ def _parameter_figures(rows: Sequence[FleetRow]) -> list[_Figure]:
         floor = _FLOORS.get(unit, 0.0)
         figures.append(_Figure(name, unit, changes, stds, floor, logarithmic=False))
     return figures
-
-
-def _same_data(rows: Sequence[FleetRow]) -> Iterator[FleetOutlier]:
-    """Yield the robots whose measurements are those of another, of whatever kind."""
-    groups: dict[str, list[FleetRow]] = {}
-    for row in rows:
-        groups.setdefault(row.measured, []).append(row)
-    for group in groups.values():
-        for row in group:
-            others = [other.name for other in group if other is not row]
-            if others:
-                text = data_text(others, row.data)
-                yield FleetOutlier(row.name, "data", text=text)

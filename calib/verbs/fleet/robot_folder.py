@@ -15,7 +15,7 @@ from typing import Any
 from calib.basics.files import make_folder, remove, write_atomically
 from calib.basics.json_files import json_bytes
 from calib.errors import CalibError
-from calib.verbs.fleet.rows import ROW_LAYOUT, FleetRow
+from calib.verbs.fleet.fleet_row import ROW_LAYOUT, FleetRow
 
 #: The corrected URDF in a robot's folder.
 URDF = "corrected.urdf"
@@ -31,7 +31,7 @@ SCHEMA = "fleet robot 6"
 class RobotFolder:
     """The folder of one robot."""
 
-    #: Where it is, or will be
+    #: Path of the folder, which need not exist yet
     path: Path
 
     def finished_row(self, fingerprint: str) -> FleetRow | None:
@@ -71,7 +71,14 @@ class RobotFolder:
             FileError: The folder cannot be written.
         """
         make_folder(self.path)
-        self._check_owner(files)
+        if not (self.path / MADE).exists():
+            # If no URDF is written because of its verdict, another's must not stand beside this result either.
+            for name in (*files, URDF):
+                file = self.path / name
+                if file.exists():
+                    raise CalibError(
+                        f"{file} exists already, and no fleet has written it. Move it away."
+                    )
         earlier = [name for name in self._listed_files() if name not in files]
         begun = _made_table("", row, [*files, *earlier])
         self._write_file(MADE, json_bytes(begun))
@@ -81,18 +88,6 @@ class RobotFolder:
             self._write_file(name, content)
         finished = _made_table(fingerprint, row, [*files])
         self._write_file(MADE, json_bytes(finished))
-
-    def _check_owner(self, files: Mapping[str, bytes]) -> None:
-        """Raise `CalibError` for a file that no fleet has written, if it would be replaced or is a corrected URDF."""
-        if (self.path / MADE).exists():
-            return
-        # If no URDF is written because of its verdict, another's must not stand beside this result either.
-        for name in (*files, URDF):
-            file = self.path / name
-            if file.exists():
-                raise CalibError(
-                    f"{file} exists already, and no fleet has written it. Move it away."
-                )
 
     def _listed_files(self) -> list[str]:
         """Return the names of the files that an earlier fleet has written into the folder, finished or not."""
@@ -104,7 +99,7 @@ class RobotFolder:
         return [n for n in names if isinstance(n, str) and Path(n).name == n and n != MADE]
 
     def _write_file(self, name: str, content: bytes) -> None:
-        """Write one file of the folder, over an earlier one."""
+        """Write one file of the folder by its name, over an earlier one."""
         write_atomically(self.path / name, content, overwrite=True)
 
 

@@ -71,9 +71,9 @@ def few_text(robots: int, counted: int, needed: int, kind: str) -> str:
     """Word that a fleet is too small for outliers to be detected.
 
     Args:
-        robots: How many robots there are.
-        counted: How many of them have data of their own.
-        needed: How many are needed.
+        robots: Number of robots.
+        counted: Number of those with data of their own.
+        needed: Number that is needed.
         kind: The kind of robot; empty if there is only one kind.
 
     Returns:
@@ -136,7 +136,7 @@ def fleet_text(fleet: Mapping[str, Any], kept: int) -> Iterator[str]:
 
     Args:
         fleet: The content of ``fleet.json``.
-        kept: How many of its robots an earlier run had calibrated.
+        kept: Number of its robots that an earlier run had calibrated.
 
     Yields:
         The paragraphs.

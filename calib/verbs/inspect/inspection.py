@@ -47,7 +47,7 @@ class Inspection:
     poses: int
     #: File of the table they are from; None: spread over the joint limits
     source: str | None
-    #: What was put at a generic place: ``"target"`` or ``"anchor"``
+    #: Parts of the cell that were put at a generic place: ``"target"``, ``"anchor"``
     assumed: tuple[str, ...] = ()
 
 
@@ -102,7 +102,7 @@ def inspect(
 
 
 def _rows_over_joint_limits(robot: Robot, cell: Cell) -> tuple[Rows, Setup, tuple[str, ...]]:
-    """Make rows of perfect measurements at poses over the joint limits, and say what was put at a generic place.
+    """Make rows of perfect measurements at poses over the joint limits, and name what was put at a generic place.
 
     The rows are of the cell's kind, points by default.
     """

@@ -38,7 +38,26 @@ def inspection_text(robot: Robot, inspection: Inspection, forecast: Forecast | N
     Returns:
         The chain, its DH rows, the parameters, and the forecast, in lines of 100 columns.
     """
-    expected = "" if forecast is None else _forecast(forecast)
+    expected = ""
+    if forecast is not None:
+        f = forecast
+        noise = [
+            f"{with_unit(std, unit)} {RESIDUAL_UNITS[unit].per}" for unit, std in f.sigma.items()
+        ]
+        expected = (
+            f"Forecast for a fit of these {f.poses} poses with a noise of {listed(noise)}: position error {mm(f.rms)} "
+            f"mm rms over the joint limits (90 % of calibrations: {mm(f.rms_low)} to {mm(f.rms_high)}), {mm(f.max)} mm "
+            "at the worst place."
+        )
+        if "m" in f.sigma:
+            # The variance over the noise's is about rank / N for an optimal design of N poses.
+            best_rms = f.sigma["m"] * (f.workspace_rank / f.poses) ** 0.5
+            expected += (
+                f" The best {f.poses} poses would give about {mm(best_rms)} mm rms; calib plan finds such "
+                "poses."
+            )
+        else:
+            expected += " calib plan finds better poses."
     blocks = (*_chain(robot), *_dh(robot), *_parameters(inspection), Paragraph(expected))
     return blocks_text(blocks)
 
@@ -159,17 +178,3 @@ def _parameters(inspection: Inspection) -> Iterator[Block]:
     yield Paragraph(f"Observability indices: {indices} (in steps of 1 mm, 1 mrad)", tight=True)
     lead = "Unidentifiable combinations, without effect on the measurements:"
     yield Bullets([combination_text(one) for one in o.unidentifiable], lead, "  ", tight=True)
-
-
-def _forecast(f: Forecast) -> str:
-    """Word a forecast, beside the error that the best poses would leave."""
-    noise = [f"{with_unit(std, unit)} {RESIDUAL_UNITS[unit].per}" for unit, std in f.sigma.items()]
-    text = (
-        f"Forecast for a fit of these {f.poses} poses with a noise of {listed(noise)}: position error {mm(f.rms)} mm "
-        f"rms over the joint limits (90 % of calibrations: {mm(f.rms_low)} to {mm(f.rms_high)}), {mm(f.max)} mm at the "
-        "worst place."
-    )
-    if "m" not in f.sigma:
-        return f"{text} calib plan finds better poses."
-    best_rms = f.sigma["m"] * (f.workspace_rank / f.poses) ** 0.5
-    return f"{text} The best {f.poses} poses would give about {mm(best_rms)} mm rms; calib plan finds such poses."

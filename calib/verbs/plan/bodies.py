@@ -34,7 +34,7 @@ def collision_model(
     """Return the robot with its targets and the cell's boxes, which tests poses and moves for collisions.
 
     Args:
-        _instrument: What measures the targets.
+        _instrument: The instrument that measures the targets.
         sensitivity: The nominal robot in its cell, with the places of the targets.
         check: Clearance, radius of what holds the targets, and folders of meshes.
 

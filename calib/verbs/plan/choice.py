@@ -23,9 +23,9 @@ from calib.basics.values import Value
 from calib.errors import ModelError
 from calib.instruments.camera import USUAL_LIMITS, SightLimits
 from calib.model.observability import steps
-from calib.verbs.plan.candidates import Pool
 from calib.verbs.plan.forecast import Forecast, Workspace, information
 from calib.verbs.plan.optimal import RESTARTS, Basis, Indices, choose, exchange, ranking, short_list
+from calib.verbs.plan.pose_candidates import Pool
 from calib.verbs.plan.sensitivity import Sensitivity
 
 #: Number of poses above which one random start is enough: many choices are equally good.
@@ -130,7 +130,7 @@ def choose_poses(
     Args:
         sensitivity: The nominal robot in its cell under the error model of the fit.
         pool: The candidates.
-        request: What is wanted.
+        request: Numbers of poses, criterion and seed.
         taken: Poses that are measured already, shape (T, m), [rad] or [m]: they count in the information, and are not
             planned again; None: none are.
         progress: Called with the number of forecasts of the ladder that are done, and of all; None: nothing is called.
@@ -143,7 +143,12 @@ def choose_poses(
     """
     if taken is None:
         taken = pool.q[:0]
-    q = _not_taken(pool.q, taken)
+    # The candidates that differ from all poses measured already in some joint.
+    repeated = np.zeros(len(pool.q), dtype=np.bool_)
+    for pose in taken:
+        gap = np.remainder(pool.q - pose + np.pi, 2.0 * np.pi) - np.pi  # of sliding joints too
+        repeated |= np.all(np.abs(gap) < _SAME, axis=1)
+    q = pool.q[~repeated]
     request.check(len(q))
 
     measured = sensitivity.measured(q)
@@ -206,15 +211,6 @@ def choose_poses(
         at_random=at_random[_RANDOM // 2],
         ladder=tuple(ladder),
     )
-
-
-def _not_taken(q: Array, taken: Array) -> Array:
-    """Return the candidates (n, m) that differ from all poses measured already (T, m) in some joint, [rad] or [m]."""
-    repeated = np.zeros(len(q), dtype=np.bool_)
-    for pose in taken:
-        gap = np.remainder(q - pose + np.pi, 2.0 * np.pi) - np.pi  # of sliding joints too
-        repeated |= np.all(np.abs(gap) < _SAME, axis=1)
-    return q[~repeated]
 
 
 def _weight(criterion: str, sensitivity: Sensitivity, workspace: Workspace) -> Array | None:

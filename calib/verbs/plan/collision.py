@@ -150,7 +150,7 @@ class CollisionModel:
     robot: Robot
     #: Names of the pairs that are checked (links, targets, boxes, the plane), those that touch most often first.
     pairs: Names
-    #: What is checked, and what is not although a person might expect it.
+    #: Notes on what is checked, and on what is not although a person might expect it.
     notes: tuple[Note, ...]
     #: The pairs that are checked, with their least distances.
     _scene: _Scene
@@ -176,7 +176,7 @@ class CollisionModel:
             boxes: Obstacles.
             targets: Positions of targets in the tip by name, shape (3,), [m]: a rod from the tip's origin to each
                 stands for the target and what holds it; None: none.
-            check: What is checked; None: the defaults of `CollisionCheck`.
+            check: Extent and clearance of the check; None: the defaults of `CollisionCheck`.
             attached: Further shapes, fixed to any link, of the kind ``"target"``; those of the kind ``"box"`` last.
 
         Raises:
@@ -370,5 +370,5 @@ def _choose_margin(
 
 
 def _is_always(touched: Mask) -> bool:
-    """Return whether at almost all poses some pair touches, not always the same one; shape (N, pairs)."""
+    """Return whether at `ALWAYS` of N poses or more any of P pairs touches, by a mask (N, P)."""
     return bool(touched.any(axis=1).mean() >= ALWAYS)

@@ -201,20 +201,6 @@ class SceneOptions:
         return check if self.collisions else None
 
 
-@dataclass(frozen=True, slots=True)
-class PlanOutputs:
-    """Files that are written."""
-
-    output: Annotated[
-        _File, typer.Option("-o", "--output", help="Write the plan as a table of poses.")
-    ] = None
-    json: Annotated[_File, typer.Option(help="Write the plan and the forecast as JSON.")] = None
-    view: Annotated[
-        _File, typer.Option(help="Write a page that shows the plan in 3D, to open in a browser.")
-    ] = None
-    force: Force = False
-
-
 @verb("""Plan the poses of a calibration: which to measure, in which order, and how accurate the robot will be.
 
 \b
@@ -232,11 +218,19 @@ With --camera, images of a printed board are planned: save each under the name i
 """)
 def plan(
     robot: RobotFile,
+    *,
     cell_options: PlanCellOptions,
     poses: PoseOptions,
     images: ImageOptions,
     scene: SceneOptions,
-    outputs: PlanOutputs,
+    output: Annotated[
+        _File, typer.Option("-o", "--output", help="Write the plan as a table of poses.")
+    ] = None,
+    json: Annotated[_File, typer.Option(help="Write the plan and the forecast as JSON.")] = None,
+    view: Annotated[
+        _File, typer.Option(help="Write a page that shows the plan in 3D, to open in a browser.")
+    ] = None,
+    force: Force = False,
     quiet: Quiet = False,
 ) -> None:
     """Load robot and cell, plan the poses, write table, JSON and page, and print the plan."""
@@ -249,8 +243,8 @@ def plan(
     from calib.verbs.plan.text import plan_text
     from calib.verbs.workspace.region_file import read_region
 
-    files = (outputs.output, outputs.json, outputs.view)
-    check_outputs(files, [robot, cell_options.file, scene.region, poses.taken], force=outputs.force)
+    files = (output, json, view)
+    check_outputs(files, [robot, cell_options.file, scene.region, poses.taken], force=force)
     cell = images.in_cell(cell_options.cell())
     # Without a tip the chain is that of the joints in the table of poses already measured.
     joints = None if poses.taken is None else column_names(Table.read(poses.taken))
@@ -277,14 +271,14 @@ def plan(
             collisions=scene.check(),
             progress=progress,
         )
-    if outputs.output is not None:
-        write_plan(planned, outputs.output, overwrite=outputs.force, first_row=first_row)
-    if outputs.json is not None:
-        write_table(plan_table(planned), outputs.json, overwrite=outputs.force)
-    if outputs.view is not None:
-        from calib.verbs.plan.view import plan_page  # with meshcat
+    if output is not None:
+        write_plan(planned, output, overwrite=force, first_row=first_row)
+    if json is not None:
+        write_table(plan_table(planned), json, overwrite=force)
+    if view is not None:
+        from calib.verbs.plan.plan_page import plan_page  # with meshcat
 
-        plan_page(planned, first_row=first_row).write(outputs.view, overwrite=outputs.force)
+        plan_page(planned, first_row=first_row).write(view, overwrite=force)
     if not quiet:
         typer.echo("\n".join([plan_text(planned), "", *written_lines(*files)]))
 

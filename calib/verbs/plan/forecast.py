@@ -31,7 +31,7 @@ from calib.instruments.camera import is_image
 from calib.robot.kernel import over_blocks
 from calib.robot.ranges import spread_between
 from calib.robot.robot import Robot
-from calib.verbs.plan.candidates import planning_ranges
+from calib.verbs.plan.pose_candidates import planning_ranges
 from calib.verbs.plan.sensitivity import Sensitivity
 
 #: Number of poses over which accuracy is forecast without a plan.
@@ -173,8 +173,8 @@ def forecast(robot: Robot, cell: Cell, joints: ArrayLike) -> Forecast:
 
     Args:
         robot: The nominal robot.
-        cell: What the fit will use; the model ``"auto"`` is taken as ``"placement"``. Its ``ranges`` narrow the joint
-            ranges.
+        cell: Cell that the fit will use; the model ``"auto"`` is taken as ``"placement"``. Its ``ranges`` narrow the
+            joint ranges.
         joints: Joint values of the N poses to measure, shape (N, m), [rad] or for sliding joints [m], columns as
             ``robot.joint_names``.
 
@@ -217,7 +217,7 @@ def forecast_of_table(robot: Robot, cell: Cell, measurements: Measurements) -> F
 
     Args:
         robot: The nominal robot.
-        cell: What the fit will use.
+        cell: Cell that the fit will use.
         measurements: The table; rows of the set ``validate`` do not count.
 
     Returns:

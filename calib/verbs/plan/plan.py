@@ -23,11 +23,11 @@ from calib.errors import CalibError
 from calib.instruments.instrument import Condition, Instrument, Sightline
 from calib.robot.robot import Robot
 from calib.verbs.plan.bodies import collision_model, free_lines_of_sight
-from calib.verbs.plan.candidates import Pool, draw, draw_towards, drawing_of, planning_ranges
 from calib.verbs.plan.choice import PlanRequest, choose_poses
 from calib.verbs.plan.collision import CollisionCheck, CollisionModel
 from calib.verbs.plan.forecast import Forecast, Workspace
 from calib.verbs.plan.notes import Note
+from calib.verbs.plan.pose_candidates import Pool, draw, draw_towards, drawing_of, planning_ranges
 from calib.verbs.plan.route import Blocked, find_route
 from calib.verbs.plan.sensitivity import Sensitivity, instrument_of
 from calib.verbs.workspace.region import Region
@@ -53,7 +53,7 @@ class Plan(Value):
     robot: Robot
     #: The cell that was planned for.
     cell: Cell
-    #: What measures the targets.
+    #: The instrument that measures the targets.
     instrument: Instrument
     #: The request.
     request: PlanRequest
@@ -156,11 +156,11 @@ def plan(
         robot: The nominal robot, from the link of the instrument (of a tracker, any link that does not move) to the
             link of the targets; or the path of a URDF or xacro, or a name such as ``"ur3"``, with the cell's base and
             tip, or the URDF's root and its farthest link.
-        cell: What the fit will use, model and priors included, and the surroundings: boxes, joint ranges, tracker and
-            reflector. With a camera and a board, ``T_frame_base`` is the pose of the camera's link in the camera, and
-            ``target`` and ``target_rotation`` are the pose of the board in its link, to a few centimetres and degrees.
-            Or the path of a cell file; None: the default cell. The model ``"auto"`` is planned for as ``"placement"``,
-            the largest geometry.
+        cell: Cell that the fit will use, model and priors included, and the surroundings: boxes, joint ranges, tracker
+            and reflector. With a camera and a board, ``T_frame_base`` is the pose of the camera's link in the camera,
+            and ``target`` and ``target_rotation`` are the pose of the board in its link, to a few centimetres and
+            degrees. Or the path of a cell file; None: the default cell. The model ``"auto"`` is planned for as
+            ``"placement"``, the largest geometry.
         request: Numbers of poses, criterion, margin to joint limits, start, seed, and where a board may be in a camera.
         region: Voxels of the robot's base frame in which the first target is to lie; None: anywhere.
         taken: Joint values of poses that are measured already, shape (T, m) or (m,), [rad] or for sliding joints [m],

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from calib.basics.arrays import Array, Mask, read_only
+from calib.basics.arrays import Array, read_only
 from calib.basics.channels import RESIDUAL_UNITS
 from calib.basics.files import csv_bytes, write_atomically
 from calib.basics.tables import Table
@@ -89,7 +89,7 @@ def plan_rows(instrument: Instrument, plan: Plan, number: int) -> Iterator[dict[
     """Yield the cells of each row of a plan by the headers of their columns, in the order to drive.
 
     Args:
-        instrument: What measures, which has the columns.
+        instrument: The instrument, which determines the columns.
         plan: The plan.
         number: Number of the first row; a point is named after its row, ``"P1"``.
     """
@@ -190,7 +190,7 @@ def read_poses(
     Args:
         path: Path of the table.
         robot: The robot, whose m measured joints have a column each in the table.
-        columns: What is said of the columns, as by ``--columns``; None: nothing.
+        columns: Names and units of the columns, as by ``--columns``; None: as they are.
         taken: Whether only poses that a fit would estimate from are read, measured and of the set ``estimate``; of a
             table in which nothing is measured, such as a plan that is still to be driven, all poses of that set.
 
@@ -206,7 +206,13 @@ def read_poses(
     rows = Measurements(**read_values(table, layout))
     chosen = np.ones(len(rows), dtype=np.bool_)
     if taken:
-        measured = _measured_rows(table, robot)
+        # A row measures something by a cell, or by a kind that needs none.
+        named, _ = name_columns(table, robot.joint_names, {})
+        columns_of_values = [*POINT, "distance", "pair"]
+        indices = [named[name].index for name in columns_of_values if name in named]
+        kinds = table.column(named["kind"]) if "kind" in named else [""] * len(table.cells)
+        has_value = np.array([any(cells[i] for i in indices) for cells in table.cells], np.bool_)
+        measured = has_value | np.isin(kinds, _WITHOUT_CELLS)
         chosen = rows.estimation & (measured | (not measured.any()))
         if not chosen.any():
             raise MeasurementError(f"{table.source}: no row that is measured is 'estimate'.")
@@ -240,20 +246,6 @@ def next_number(_instrument: Instrument, poses: Poses) -> int:
 def _(_instrument: CameraInstrument, poses: Poses) -> int:
     """Return one more than the largest number in the names of the images."""
     return poses.last_image + 1
-
-
-def _measured_rows(table: Table, robot: Robot) -> Mask:
-    """Return which rows of a table measure something (N,): by a cell, or by a kind that needs none."""
-    named, _ = name_columns(table, robot.joint_names, {})
-    columns = [named[name].index for name in (*POINT, "distance", "pair") if name in named]
-    kinds = [""] * len(table.cells)
-    if "kind" in named:
-        kinds = table.column(named["kind"])
-    measured = []
-    for cells, kind in zip(table.cells, kinds, strict=True):
-        has_value = any(cells[i] for i in columns)
-        measured.append(has_value or kind in _WITHOUT_CELLS)
-    return np.array(measured)
 
 
 # The JSON file

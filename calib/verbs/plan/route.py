@@ -17,7 +17,7 @@ import numpy as np
 
 from calib.basics.arrays import Array, Integers, Mask, read_only
 from calib.robot.robot import Robot
-from calib.verbs.plan.candidates import rounded
+from calib.verbs.plan.pose_candidates import rounded
 
 #: Returns whether the straight move in joint space between two poses (m,) is free, the same there and back.
 FreePath = Callable[[Array, Array], bool]
@@ -134,7 +134,10 @@ def order_poses(q: Array, start: Array | None = None, free_path: FreePath | None
 
 
 def _shortest_path(costs: Array) -> Integers:
-    """Return the shortest of the improved paths that go to the nearest pose that is left, both ends included."""
+    """Return the shortest of several paths through n poses by the costs (n + 2, n + 2) of their moves, with both ends.
+
+    Each path begins at another pose, goes to the nearest pose that is left, and is improved.
+    """
     count = len(costs) - 2
     firsts = np.unique(np.linspace(0, count - 1, _BEGINNINGS).astype(int)).tolist() if count else []
     if count == 0 or costs[count].any():  # the path begins at the robot's start

@@ -30,7 +30,7 @@ from calib.robot.gravity import gravity_loads
 from calib.robot.robot import Robot
 from calib.verbs.plan.notes import Note
 
-#: What `auto` is planned for: the largest geometry, so that every smaller one is covered.
+#: Parameter set for which `auto` is planned: the largest geometry, so that every smaller one is covered.
 PLANNED_FOR_AUTO = "placement"
 
 #: Standard deviation that holds a parameter without a prior, as in a fit, in directions that no pose determines [m and
@@ -46,7 +46,7 @@ def instrument_of(cell: Cell, limits: SightLimits = USUAL_LIMITS) -> Instrument:
 
     Args:
         cell: Camera and board, or tracker and reflector; kind of measurement, noise.
-        limits: Where a board may be in the camera.
+        limits: Distances and tilts at which a board may be seen.
 
     Raises:
         CalibError: No instrument that poses can be planned for.
@@ -62,7 +62,7 @@ class Sensitivity:
 
     #: The cell that the fit will use: noise, tracker, payload, priors.
     cell: Cell
-    #: What measures the targets.
+    #: The instrument that measures the targets.
     instrument: Instrument
     #: Frames and targets; a target that was not given is at a general place.
     setup: Setup
@@ -70,7 +70,7 @@ class Sensitivity:
     kinematics: Kinematics
     #: Shape (p,), 1 / tau^2 of each parameter's prior, its own or its family's, or of the leash.
     precision: Array
-    #: What was assumed.
+    #: Notes on what was assumed.
     notes: tuple[Note, ...]
 
     @classmethod
@@ -79,10 +79,10 @@ class Sensitivity:
 
         Args:
             robot: The nominal robot, from the instrument's link to the target's.
-            cell: What the fit will use; the error model ``"auto"`` is taken as ``"placement"``, and known distances
-                between stations do not count. A target that it does not give is put at (50, 70, 30) mm in the tip, and
-                the notes say so.
-            instrument: What measures; None: the cell's.
+            cell: Cell that the fit will use; the error model ``"auto"`` is taken as ``"placement"``, and known
+                distances between stations do not count. A target that it does not give is put at (50, 70, 30) mm in the
+                tip, and the notes say so.
+            instrument: The instrument; None: the cell's.
 
         Raises:
             ModelError: A kind of measurement, or a parameter, that cannot be planned for.
@@ -241,7 +241,7 @@ class Sensitivity:
 
         Args:
             q: Joint values of n poses, shape (n, m), [rad] or for sliding joints [m], columns as ``robot.joint_names``.
-            measured: What the method `measured` returns for these poses, shape (n, d, p).
+            measured: Result of the method `measured` for these poses, shape (n, d, p).
 
         Returns:
             Rank, parameters that are determined by themselves, unobservable combinations, and observability indices.

@@ -72,8 +72,27 @@ _PLAN_LABEL = 15
 
 
 def plan_text(plan: Plan) -> str:
-    """Write a plan: its head, the forecasts, notes."""
-    notes = [*map(note_text, plan.notes), *_describe_blocked_moves(plan)]
+    """Write a plan: its head, the forecasts, notes, and the moves that are blocked."""
+    notes = [note_text(note) for note in plan.notes]
+    # Moves by their rows, each with a pose to move through if one was found.
+    targets = len(plan.targets)  # each pose has a row for each of them
+    moves = []
+    for blocked in plan.blocked:
+        start = f"row {targets * (blocked.start - 1) + 1}" if blocked.start else "the start"
+        move = f"{start} to row {targets * (blocked.end - 1) + 1}"
+        if blocked.by is not None:
+            values = []
+            for joint, value in zip(plan.robot.inputs, blocked.by, strict=True):
+                slides = joint.type == "prismatic"
+                values.append(
+                    f"{1e3 * value:.1f} mm" if slides else f"{math.degrees(value):.1f} deg"
+                )
+            move += f" (via {', '.join(values)})"
+        moves.append(move)
+    if moves:
+        notes.append(f"The straight path in joint space collides from {', '.join(moves)}.")
+    if any(blocked.by is None for blocked in plan.blocked):
+        notes.append("Insert an intermediate pose between the rows for which no detour is given.")
     return paragraphs(_head(plan), _forecasts(plan), [f"Note: {note}" for note in notes])
 
 
@@ -215,28 +234,6 @@ def noise_text(sigma: Mapping[str, float]) -> str:
             f"of one measured coordinate: {size}" if symbol == "m" else f"{unit.per}: {size}"
         )
     return f"Noise {', '.join(parts)}"
-
-
-def _describe_blocked_moves(plan: Plan) -> Iterator[str]:
-    """Word the moves whose straight way collides, by their rows, each with a pose to move through if one was found."""
-    targets = len(plan.targets)  # each pose has a row for each of them
-    moves = []
-    for blocked in plan.blocked:
-        start = f"row {targets * (blocked.start - 1) + 1}" if blocked.start else "the start"
-        move = f"{start} to row {targets * (blocked.end - 1) + 1}"
-        if blocked.by is not None:
-            values = []
-            for joint, value in zip(plan.robot.inputs, blocked.by, strict=True):
-                slides = joint.type == "prismatic"
-                values.append(
-                    f"{1e3 * value:.1f} mm" if slides else f"{math.degrees(value):.1f} deg"
-                )
-            move += f" (via {', '.join(values)})"
-        moves.append(move)
-    if moves:
-        yield f"The straight path in joint space collides from {', '.join(moves)}."
-    if any(blocked.by is None for blocked in plan.blocked):
-        yield "Insert an intermediate pose between the rows for which no detour is given."
 
 
 def plan_html(p: Plan) -> str:

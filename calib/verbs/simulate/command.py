@@ -42,47 +42,6 @@ class PoseOptions(ColumnChoice):
     ] = 0
 
 
-@dataclass(frozen=True, slots=True)
-class SimulateOutputs:
-    """Files that are written."""
-
-    output: Annotated[_File, typer.Option("-o", "--output", help="Write the table.")] = None
-    truth: Annotated[
-        _File,
-        typer.Option(
-            help="Write the truth to this file. Default: TABLE_truth.json, next to the table."
-        ),
-    ] = None
-    truth_urdf: Annotated[
-        _File, typer.Option(help="Write the URDF of the true robot to this file.")
-    ] = None
-    images: Annotated[
-        _File,
-        typer.Option(
-            metavar="FOLDER",
-            help="With --kind pixel: draw the pictures into this folder, with joints.csv, board.toml and camera.yaml.",
-        ),
-    ] = None
-    force: Force = False
-
-    @property
-    def truth_path(self) -> Path | None:
-        """The file of the truth: as given, or else next to the table, or among the pictures; None without both."""
-        if self.truth is not None:
-            return self.truth
-        if self.output is None:
-            return None if self.images is None else self.images / "truth.json"
-        return self.output.with_name(f"{self.output.stem}_truth.json")
-
-    @property
-    def files(self) -> list[Path | None]:
-        """The files besides the pictures, without those in a folder that does not exist yet."""
-        files = [self.output, self.truth_path, self.truth_urdf]
-        if self.images is None or self.images.is_dir():
-            return files
-        return [path for path in files if path is None or path.parent != self.images]
-
-
 @verb("""Simulate measurements of a robot whose errors are known.
 
 \b
@@ -106,7 +65,24 @@ def simulate(
     cell_options: ModelOptions,
     errors: ScenarioWords,
     poses: PoseOptions,
-    outputs: SimulateOutputs,
+    output: Annotated[_File, typer.Option("-o", "--output", help="Write the table.")] = None,
+    truth: Annotated[
+        _File,
+        typer.Option(
+            help="Write the truth to this file. Default: TABLE_truth.json, next to the table."
+        ),
+    ] = None,
+    truth_urdf: Annotated[
+        _File, typer.Option(help="Write the URDF of the true robot to this file.")
+    ] = None,
+    images: Annotated[
+        _File,
+        typer.Option(
+            metavar="FOLDER",
+            help="With --kind pixel: draw the pictures into this folder, with joints.csv, board.toml and camera.yaml.",
+        ),
+    ] = None,
+    force: Force = False,
     quiet: Quiet = False,
 ) -> None:
     """Read robot and scenario, simulate, write pictures, table, truth and URDF, and print what was simulated."""
@@ -118,14 +94,23 @@ def simulate(
     from calib.verbs.simulate.text import simulated_text
     from calib.verbs.simulate.truth_file import write_truth
 
-    if outputs.truth_path is None or (outputs.output is None and outputs.images is None):
+    # The truth goes next to the table, or among the pictures, unless its file is named.
+    if output is None and images is None:
         raise CalibError("Name the table to write: -o table.csv.")
+    if truth is None and output is not None:
+        truth = output.with_name(f"{output.stem}_truth.json")
+    elif truth is None and images is not None:
+        truth = images / "truth.json"
+    assert truth is not None
+    files = [output, truth, truth_urdf]
+    if images is not None and not images.is_dir():  # its files cannot exist yet
+        files = [path for path in files if path is None or path.parent != images]
     inputs = [robot, poses.poses, cell_options.file, errors.truth_robot]
-    check_outputs(outputs.files, inputs, force=outputs.force)
+    check_outputs(files, inputs, force=force)
     cell = cell_options.cell()
     arm = load(robot, cell)
     scenario = read_scenario(arm, cell, cell_options.file, errors)
-    if outputs.images is not None and not is_image(scenario.kind):
+    if images is not None and not is_image(scenario.kind):
         raise CalibError(
             "--images draws what a camera sees of a printed board: add --kind pixel, with --camera-on and --board-on."
         )
@@ -140,20 +125,16 @@ def simulate(
     simulated = simulate_rows(scenario, poses.count, validation, poses.seed, joints, sets)
 
     written = []
-    if outputs.images is not None:
+    if images is not None:
         with progress_bar("pictures", quiet=quiet) as progress:
-            drawn = write_pictures(
-                simulated, outputs.images, overwrite=outputs.force, progress=progress
-            )
+            drawn = write_pictures(simulated, images, overwrite=force, progress=progress)
         written += [path for path in drawn if path.suffix != ".png"]
-    if outputs.output is not None:
-        simulated.measurements.write(outputs.output, overwrite=outputs.force)
-        written.append(outputs.output)
-    truth = write_truth(scenario, simulated, outputs.truth_path, overwrite=outputs.force)
-    written.append(truth)
-    if outputs.truth_urdf is not None:
-        urdf = simulated.truth.write_urdf(outputs.truth_urdf, overwrite=outputs.force)
-        written.append(urdf)
+    if output is not None:
+        simulated.measurements.write(output, overwrite=force)
+        written.append(output)
+    written.append(write_truth(scenario, simulated, truth, overwrite=force))
+    if truth_urdf is not None:
+        written.append(simulated.truth.write_urdf(truth_urdf, overwrite=force))
     if not quiet:
         text = simulated_text(scenario, simulated)
         typer.echo("\n".join([f"{text}\n", *written_lines(*written)]))

@@ -113,7 +113,7 @@ class Encoder:
 
         Args:
             q: shape (N, m), [rad] or [m].
-            sliding: Which joints slide, (m,).
+            sliding: True for joints that slide, (m,).
             seed: Of the random numbers.
 
         Returns:

@@ -1,4 +1,4 @@
-"""Where a camera and a board are mounted: on the flange, on the table or a wall, beside the robot.
+"""Drawn places of a camera and a board: on the flange, on the table or a wall, beside the robot.
 
 Several places are drawn, and the one with the most and the most varied views is taken. Up is z of the link that does
 not move. The z axis of a camera is the line of sight, that of a board points into the page.
@@ -83,7 +83,7 @@ def draw_scene(
         seed: Of the random numbers, or where they come from.
         T_camera_base: Pose of the camera's link in the camera, shape (4, 4) [m]; None: drawn.
         T_tip_board: Pose of the board in its link, shape (4, 4) [m]; None: drawn.
-        framing: How pictures are to show the board.
+        framing: Conditions under which a picture shows the board well.
 
     Raises:
         CalibError: Both links move and the camera's mount is not given, or the board is never seen.
@@ -92,11 +92,20 @@ def draw_scene(
     best = None
     most = 0.0
     centre = printed.board.centre
+    moves_camera, moves_board = moving_sides(robot)
+    if moves_camera and moves_board and T_camera_base is None:
+        raise CalibError(
+            f"Both '{robot.base}', which carries the camera, and '{robot.tip}', which carries the board, move; state "
+            "in the cell file where the link is in the camera: frame_xyz_mm and frame_rpy_deg."
+        )
     for _ in range(_PLACES):
         T_camera, T_board = T_camera_base, T_tip_board
-        if T_camera is None:
-            T_camera = rigid_inverse(_draw_camera_mount(robot, camera, printed, rng))
-        if T_board is None and moving_sides(robot)[1]:
+        if T_camera is None and moves_camera:
+            T_camera = rigid_inverse(camera_on_flange(_reversed(robot), rng))
+        elif T_camera is None:
+            farthest = filling_distance(camera, printed.board) / _STILL_FILLS
+            T_camera = rigid_inverse(camera_beside(robot, farthest, rng))
+        if T_board is None and moves_board:
             T_board = board_on_flange(robot, centre, rng)
         elif T_board is None:
             T_board = board_in_workspace(_reversed(robot), centre, rng)
@@ -115,21 +124,6 @@ def draw_scene(
             "frame_xyz_mm and frame_rpy_deg, target_mm and target_rpy_deg."
         )
     return best
-
-
-def _draw_camera_mount(
-    robot: Robot, camera: Camera, printed: Print, rng: np.random.Generator
-) -> Array:
-    """Draw a camera on the flange, or beside the robot; returns T_base_camera, shape (4, 4) [m]."""
-    moves_camera, moves_board = moving_sides(robot)
-    if moves_camera and moves_board:
-        raise CalibError(
-            f"Both '{robot.base}', which carries the camera, and '{robot.tip}', which carries the board, move; state "
-            "in the cell file where the link is in the camera: frame_xyz_mm and frame_rpy_deg."
-        )
-    if moves_camera:
-        return camera_on_flange(_reversed(robot), rng)
-    return camera_beside(robot, filling_distance(camera, printed.board) / _STILL_FILLS, rng)
 
 
 def _reversed(robot: Robot) -> Robot:

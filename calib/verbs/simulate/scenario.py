@@ -37,7 +37,7 @@ from calib.verbs.simulate.disturbances import Encoder, MovedTarget, Outliers
 from calib.verbs.simulate.equipment import Equipment, draw_equipment
 from calib.verbs.simulate.mounting import draw_scene
 from calib.verbs.simulate.random_streams import stream
-from calib.verbs.simulate.readings import (
+from calib.verbs.simulate.simulated_rows import (
     CameraReader,
     Pictures,
     Reader,
@@ -106,26 +106,9 @@ class Scenario(Value):
     visits: int = 1
 
     def __post_init__(self) -> None:
-        """Read robot and cell if paths were given, check the values, and keep read-only copies."""
+        """Read robot and cell if paths were given, check types and ranges of the values, and keep read-only copies."""
         object.__setattr__(self, "cell", cell_of(self.cell))
         object.__setattr__(self, "robot", robot_of(self.robot, self.cell))
-        self._check_values()
-        if self.kind.measure is None:
-            allowed = [name for name in registry.names() if registry.get(name).measure is not None]
-            raise CalibError(
-                f"Measurements of the kind '{self.kind.name}' cannot be simulated; choose one of "
-                f"{choices(allowed)}."
-            )
-        object.__setattr__(self, "drift", vector(self.drift, "drift"))
-        if self.noise is USUAL_NOISE:
-            object.__setattr__(self, "noise", noise_of_lengths(self.cell))
-        if self.noise is not None:
-            of_cell = {unit: std for unit, std in self.cell.sigma.items() if unit != "m"}
-            object.__setattr__(self, "sigma", {**of_cell, **self.sigma})
-        keep_read_only(self, "sizes", "sigma")
-
-    def _check_values(self) -> None:
-        """Refuse values of another type, and numbers that are not finite or out of range."""
         for name, types, allowed in _TYPES:
             check_type(name, getattr(self, name), types, allowed)
         check_number("target_error", self.target_error, 0.0)
@@ -143,6 +126,20 @@ class Scenario(Value):
             for family, size in self.sizes.items():
                 family_of(family)
                 check_number(f"sizes[{family!r}]", size, 0.0)
+
+        if self.kind.measure is None:
+            able = [name for name in registry.names() if registry.get(name).measure is not None]
+            raise CalibError(
+                f"Measurements of the kind '{self.kind.name}' cannot be simulated; choose one of "
+                f"{choices(able)}."
+            )
+        object.__setattr__(self, "drift", vector(self.drift, "drift"))
+        if self.noise is USUAL_NOISE:
+            object.__setattr__(self, "noise", noise_of_lengths(self.cell))
+        if self.noise is not None:
+            of_cell = {unit: std for unit, std in self.cell.sigma.items() if unit != "m"}
+            object.__setattr__(self, "sigma", {**of_cell, **self.sigma})
+        keep_read_only(self, "sizes", "sigma")
 
     def __repr__(self) -> str:
         """Return one line: robot, errors, and kind of measurement."""
@@ -279,7 +276,7 @@ class Simulated(Value):
 class VirtualCell(Value):
     """A robot with known errors, and an instrument that measures it."""
 
-    #: What is measured, and what disturbs it
+    #: The specification that it was drawn from
     scenario: Scenario
     #: The robot, the targets and the frames; with a camera its one frame is the camera, its one target the board
     truth: Truth
@@ -401,9 +398,9 @@ def simulate(
     """Simulate measurements of a robot whose errors are drawn by the seed.
 
     Args:
-        scenario: What is measured, and what disturbs it. A robot, the path of a URDF or xacro, or a name such as
-            ``"ur3"`` stands for the usual scenario of that robot. For the kind ``"pixel"`` the chain leads from the
-            camera's link to the board's.
+        scenario: The robot, the kind of measurement and its disturbances. A robot alone, the path of a URDF or xacro,
+            or a name such as ``"ur3"`` stands for the usual scenario of that robot. For the kind ``"pixel"`` the chain
+            leads from the camera's link to the board's.
         count: Number of random poses to estimate from; for pictures, of poses from which the camera sees the board.
         validation: Number of random poses to validate with.
         seed: The same seed gives the same measurements.

@@ -15,8 +15,8 @@ from calib.model.families import FAMILIES, unit_of
 from calib.numerics.errors import rms
 from calib.show.lines import fill, plural, row_ranges
 from calib.show.tables import labelled
-from calib.verbs.simulate.readings import OUTLIER, Pictures
 from calib.verbs.simulate.scenario import Scenario, Simulated
+from calib.verbs.simulate.simulated_rows import OUTLIER, Pictures
 from calib.verbs.simulate.truth import Truth
 from calib.verbs.simulate.views import filled_shares
 
@@ -38,26 +38,12 @@ def simulated_text(scenario: Scenario, simulated: Simulated) -> str:
         sets = simulated.measurements.sets
         counts = f"{len(sets)} rows{_count_sets(sets)}"
         title = f"Simulated: robot '{robot.name}', {robot.base} to {robot.tip}, {counts}."
-        facts = [
-            ("Each row measures", f"the {scenario.kind.words}"),
-            ("Targets at each pose", ", ".join(simulated.truth.targets)),
-            ("Stations in turn", ", ".join(simulated.truth.groups)),
-            ("Visits of each pose", str(scenario.visits)),
-            *error_lines(simulated.truth, simulated.q),
-            *_places(scenario, simulated),
-            *_disturbances(scenario, simulated),
-        ]
+        facts = _tracker_facts(scenario, simulated)
     else:
         sets = pictures.sets
         counts = f"{plural(len(pictures.picture), 'corner')} in {plural(len(sets), 'picture')}{_count_sets(sets)}"
         title = f"Simulated: robot '{robot.name}', camera on {robot.base}, board on {robot.tip}, {counts}."
-        facts = [
-            *_what_is_seen(pictures),
-            *error_lines(simulated.truth, pictures.q),
-            *_camera(pictures, simulated.truth),
-            *_board(pictures, simulated.truth),
-            *_picture_disturbances(scenario, simulated, pictures),
-        ]
+        facts = _picture_facts(scenario, simulated, pictures)
     lines = [fill(title), ""]
     for label, text in facts:
         if text:
@@ -108,26 +94,27 @@ def _errors_by_family(truth: Truth) -> dict[tuple[str, str], dict[str, float]]:
     return {key: families[key] for key in keys}
 
 
-def _places(scenario: Scenario, simulated: Simulated) -> Iterator[tuple[str, str]]:
-    """Yield label and text of the true places of targets and frames."""
-    truth = simulated.truth
+def _tracker_facts(scenario: Scenario, simulated: Simulated) -> Iterator[tuple[str, str]]:
+    """Yield label and text of each fact about rows of a tracker; the text of a disturbance that is absent is empty."""
+    truth, kind = simulated.truth, scenario.kind
+    yield "Each row measures", f"the {kind.words}"
+    yield "Targets at each pose", ", ".join(truth.targets)
+    yield "Stations in turn", ", ".join(truth.groups)
+    yield "Visits of each pose", str(scenario.visits)
+    yield from error_lines(truth, simulated.q)
+
+    # True places of targets and frames.
     targets = zip(truth.targets, truth.T_tip_target, truth.stated_T_tip_target, strict=True)
     for name, T, given in targets:
         place = f"{point_mm(T[:3, 3])} mm in the tip, given as {point_mm(given[:3, 3])} mm"
         yield f"Target '{name}'", place
-    if not scenario.kind.directions:
-        return  # no row depends on a frame
-    for name, T in zip(truth.groups, truth.T_frame_base, strict=True):
-        place = f"the base is at {point_mm(T[:3, 3])} mm in it"
-        if np.abs(T - np.eye(4)).max() < _ROUNDING:
-            place = "the base frame"
-        label = f"Frame of '{name}'" if name else "Measurement frame"
-        yield label, place
+    if kind.directions:  # else no row depends on a frame
+        for name, T in zip(truth.groups, truth.T_frame_base, strict=True):
+            place = f"the base is at {point_mm(T[:3, 3])} mm in it"
+            if np.abs(T - np.eye(4)).max() < _ROUNDING:
+                place = "the base frame"
+            yield f"Frame of '{name}'" if name else "Measurement frame", place
 
-
-def _disturbances(scenario: Scenario, simulated: Simulated) -> Iterator[tuple[str, str]]:
-    """Yield label and text of noise, encoder steps, outliers, a moved target and drift; an empty text for none."""
-    kind = scenario.kind
     if "m" in kind.units:
         noisy = "coordinate" if "m" in kind.vector_units else "length"
         yield f"Noise of a {noisy}", _noise(scenario, simulated)
@@ -136,17 +123,71 @@ def _disturbances(scenario: Scenario, simulated: Simulated) -> Iterator[tuple[st
         yield "Noise of an orientation", f"{angle:g} deg about each axis"
     if "px" in kind.units:
         yield "Noise of an image coordinate", f"{scenario.sigma.get('px', 0.0):g} px"
+
     yield "Encoder steps", encoder_steps(scenario)
     if simulated.outlier_rows and scenario.outliers is not None:
         size = _mm(scenario.outliers.size)
         yield f"Outliers of {size} mm", f"rows {row_ranges(simulated.outlier_rows)}"
     moved = scenario.moved
     if moved is not None:
-        targets = "all targets" if moved.target is None else f"'{moved.target}'"
+        who = "all targets" if moved.target is None else f"'{moved.target}'"
         by = f"{point_mm(moved.by)} mm in the tip before row {moved.row}"
-        yield "Moved target", f"{targets} by {by}: {int(simulated.moved.sum())} rows"
+        yield "Moved target", f"{who} by {by}: {int(simulated.moved.sum())} rows"
     if scenario.drift.any():
         yield "Drift, first to last row", f"{point_mm(scenario.drift)} mm in the measurement frame"
+
+
+def _picture_facts(
+    scenario: Scenario, simulated: Simulated, pictures: Pictures
+) -> Iterator[tuple[str, str]]:
+    """Yield label and text of each fact about pictures; the text of encoder steps is empty without any."""
+    truth = simulated.truth
+    camera, stated = pictures.equipment.camera, pictures.equipment.stated
+    printed, board = pictures.equipment.printed, pictures.equipment.printed.board
+
+    # The pictures with corners.
+    corners = len(printed.corners)
+    fewest = np.bincount(pictures.picture, minlength=len(pictures.images)).min()
+    T = pictures.T_camera_board[np.unique(pictures.picture)]
+    tilts = np.rad2deg(board_tilts(printed.board, T))
+    fills = 100.0 * filled_shares(camera, corner_pixels(camera, printed.corners, T)[0])
+    yield "Corners in a picture", f"{fewest} to {corners} of {corners}"
+    yield (
+        "Board in the pictures",
+        f"tilted by {tilts.min():.0f} to {tilts.max():.0f} deg, spans {fills.min():.0f} to "
+        f"{fills.max():.0f} % of the image",
+    )
+    yield from error_lines(truth, pictures.q)
+
+    names = LENSES[camera.lens].names
+    words = []
+    for values in (camera.values, stated.values):
+        numbers = [] if values is None else zip(names, values.tolist(), strict=True)
+        words.append(", ".join(f"{name} {value:.6g}" for name, value in numbers))
+    yield "Camera", f"{camera.width} x {camera.height} px, {camera.lens}; true {words[0]}"
+    yield "  stated", words[1] or "nothing but the size"
+    T_base_camera = rigid_inverse(truth.T_frame_base[0])
+    yield "  mounted", f"at {point_mm(T_base_camera[:3, 3])} mm in {truth.nominal.base}"
+
+    pattern = f"{board.pattern} of {board.columns} x {board.rows}, {1e3 * board.square:g} mm"
+    scale_x, scale_y = (100.0 * (scale - 1.0) for scale in printed.scale)
+    sag_x, sag_y = (1e3 * sag for sag in printed.warp)
+    text = (
+        f"{pattern}; printed {scale_x:+.2f} % wide and {scale_y:+.2f} % high, sags by {sag_x:.2f} mm along x and "
+        f"{sag_y:.2f} mm along y"
+    )
+    if printed.offsets is not None:
+        text += f", corners {1e6 * rms(printed.offsets[:, :2].ravel()):.0f} um rms off"
+    yield "Board", text
+    middle = truth.T_tip_target[0] @ np.append(board.centre, 1.0)
+    yield "  mounted", f"its middle at {point_mm(middle[:3])} mm in {truth.nominal.tip}"
+
+    yield "Noise of a corner", f"{pictures.sigma:g} px along u and along v, in a table (-o)"
+    if scenario.noise is not None and scenario.noise.repeatability:
+        yield "Repeatability", f"{1e6 * scenario.noise.repeatability:g} um per coordinate"
+    yield "Encoder steps", encoder_steps(scenario)
+    if simulated.outlier_rows:
+        yield f"Outliers of {OUTLIER:g} px", f"rows {row_ranges(simulated.outlier_rows)}"
 
 
 def encoder_steps(scenario: Scenario) -> str:
@@ -170,68 +211,6 @@ def _noise(scenario: Scenario, simulated: Simulated) -> str:
     if noise.repeatability:
         text += f", robot {1e6 * noise.repeatability:g} um"
     return text
-
-
-# Pictures
-
-
-def _what_is_seen(pictures: Pictures) -> Iterator[tuple[str, str]]:
-    """Yield label and text of what the pictures show."""
-    camera, printed = pictures.equipment.camera, pictures.equipment.printed
-    corners = len(printed.corners)
-    fewest = np.bincount(pictures.picture, minlength=len(pictures.images)).min()
-    T = pictures.T_camera_board[np.unique(pictures.picture)]
-    tilts = np.rad2deg(board_tilts(printed.board, T))
-    fills = 100.0 * filled_shares(camera, corner_pixels(camera, printed.corners, T)[0])
-    yield "Corners in a picture", f"{fewest} to {corners} of {corners}"
-    yield (
-        "Board in the pictures",
-        f"tilted by {tilts.min():.0f} to {tilts.max():.0f} deg, spans {fills.min():.0f} to "
-        f"{fills.max():.0f} % of the image",
-    )
-
-
-def _camera(pictures: Pictures, truth: Truth) -> Iterator[tuple[str, str]]:
-    """Yield label and text of the true numbers of the camera, the stated ones, and its mount."""
-    camera, stated = pictures.equipment.camera, pictures.equipment.stated
-    names = LENSES[camera.lens].names
-    words = []
-    for values in (camera.values, stated.values):
-        numbers = [] if values is None else zip(names, values.tolist(), strict=True)
-        words.append(", ".join(f"{name} {value:.6g}" for name, value in numbers))
-    yield "Camera", f"{camera.width} x {camera.height} px, {camera.lens}; true {words[0]}"
-    yield "  stated", words[1] or "nothing but the size"
-    T_base_camera = rigid_inverse(truth.T_frame_base[0])
-    yield "  mounted", f"at {point_mm(T_base_camera[:3, 3])} mm in {truth.nominal.base}"
-
-
-def _board(pictures: Pictures, truth: Truth) -> Iterator[tuple[str, str]]:
-    """Yield label and text of the board as printed, and of its mount."""
-    printed, board = pictures.equipment.printed, pictures.equipment.printed.board
-    pattern = f"{board.pattern} of {board.columns} x {board.rows}, {1e3 * board.square:g} mm"
-    scale_x, scale_y = (100.0 * (scale - 1.0) for scale in printed.scale)
-    sag_x, sag_y = (1e3 * sag for sag in printed.warp)
-    text = (
-        f"{pattern}; printed {scale_x:+.2f} % wide and {scale_y:+.2f} % high, sags by {sag_x:.2f} mm along x and "
-        f"{sag_y:.2f} mm along y"
-    )
-    if printed.offsets is not None:
-        text += f", corners {1e6 * rms(printed.offsets[:, :2].ravel()):.0f} um rms off"
-    yield "Board", text
-    middle = truth.T_tip_target[0] @ np.append(board.centre, 1.0)
-    yield "  mounted", f"its middle at {point_mm(middle[:3])} mm in {truth.nominal.tip}"
-
-
-def _picture_disturbances(
-    scenario: Scenario, simulated: Simulated, pictures: Pictures
-) -> Iterator[tuple[str, str]]:
-    """Yield label and text of noise, repeatability, encoder steps and outliers; an empty text for none."""
-    yield "Noise of a corner", f"{pictures.sigma:g} px along u and along v, in a table (-o)"
-    if scenario.noise is not None and scenario.noise.repeatability:
-        yield "Repeatability", f"{1e6 * scenario.noise.repeatability:g} um per coordinate"
-    yield "Encoder steps", encoder_steps(scenario)
-    if simulated.outlier_rows:
-        yield f"Outliers of {OUTLIER:g} px", f"rows {row_ranges(simulated.outlier_rows)}"
 
 
 def _mm(value: float) -> str:

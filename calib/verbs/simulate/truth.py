@@ -75,7 +75,7 @@ class Truth(Value):
     T_tip_target: Array
     #: Shape (T, 4, 4), their stated poses in the tip [m]
     stated_T_tip_target: Array
-    #: What the tip carries
+    #: Mass and centre of mass that the tip carries; None: nothing
     payload: Payload | None
     #: Shape (3,), acceleration in the URDF's root [m/s^2]
     gravity: Array
@@ -193,8 +193,8 @@ def draw_truth(
         stated_twice = [name for name in given if name in all_errors.names and name not in free]
         if stated_twice:
             raise ModelError(f"The true robot has the errors {choices(stated_twice)} already.")
-        true_robot = _match(robot, true_robot)
-        given |= _placement_errors(robot, true_robot)
+        true_robot, placement_errors = _compare_placements(robot, true_robot)
+        given |= placement_errors
     # A cell may be made for a fit of another model: ties and frozen parameters that only that model has do not count.
     ties = {name: tie for name, tie in cell.ties.items() if name in free and tie[0] in free}
     frozen = [name for name in cell.frozen if name in free and name in all_errors.names]
@@ -267,8 +267,12 @@ def _draw_errors(
     return read_only(x)
 
 
-def _match(nominal: Robot, true: Robot) -> Robot:
-    """Return the nominal robot with the placements of a true one, whose URDF may differ in other ways too."""
+def _compare_placements(nominal: Robot, true: Robot) -> tuple[Robot, dict[str, float]]:
+    """Return the nominal robot with the placements of a true one, and these as errors of the set ``placement``.
+
+    The errors, by name, are along x, y, z [m], then about the moving axes x, y, z [rad]. If joints, types or axes
+    differ, it raises `ModelError`; the true robot's URDF may differ in other ways.
+    """
     axes = [
         [(joint.name, joint.type, *np.round(joint.axis, 9)) for joint in robot.joints]
         for robot in (nominal, true)
@@ -280,25 +284,22 @@ def _match(nominal: Robot, true: Robot) -> Robot:
         )
     placements = true.placements.copy()
     placements[0] = nominal.T_root_base @ rigid_inverse(true.T_root_base) @ placements[0]
-    return nominal.with_placements(placements)
+    matched = nominal.with_placements(placements)
 
-
-def _placement_errors(nominal: Robot, true: Robot) -> dict[str, float]:
-    """Return a true robot's placements as errors of the set ``placement``: along, then about moving axes x, y, z."""
     errors: dict[str, float] = {}
     for i, joint in enumerate(nominal.joints):
         if nominal.carriers[i] is None:
             continue
-        T_nominal_true = rigid_inverse(nominal.placements[i]) @ true.placements[i]
+        T_nominal_true = rigid_inverse(nominal.placements[i]) @ matched.placements[i]
         angles = Rotation.from_matrix(T_nominal_true[:3, :3]).as_euler("XYZ")
         names = [f"{joint.name}.{direction}" for direction in ("x", "y", "z", "rx", "ry", "rz")]
         values = map(float, (*T_nominal_true[:3, 3], *angles))
         errors |= dict(zip(names, values, strict=True))
-    return errors
+    return matched, errors
 
 
 def _draw_frames(cell: Cell, seed: int) -> tuple[tuple[str, ...], Array]:
-    """Return names of groups and the true pose of the base in each one's frame: given, drawn, or the base itself."""
+    """Return names of F stations and T_frame_base of each, (F, 4, 4) [m]: as given, drawn, or the identity."""
     groups = tuple(cell.frames) or ("",)
     has_own_frame = cell.kind is not None and registry.get(cell.kind).own_frame
     rng = stream(seed, "frames")
@@ -324,7 +325,7 @@ def _draw_frames(cell: Cell, seed: int) -> tuple[tuple[str, ...], Array]:
 def _draw_targets(
     cell: Cell, seed: int, position_std: float
 ) -> tuple[tuple[str, ...], Array, Array]:
-    """Return names of targets, their stated poses in the tip, and true ones drawn around these."""
+    """Return names of T targets, their stated poses in the tip, (T, 4, 4) [m], and true ones drawn around these."""
     names = tuple(cell.targets) or (DEFAULT_TARGET,)
     rng = stream(seed, "targets")
     stated = np.tile(np.eye(4), (len(names), 1, 1))

@@ -5,7 +5,6 @@ Errors of a camera and a print are named as the fit's estimates of them: what mu
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import astuple
 from pathlib import Path
 from typing import Any
@@ -19,8 +18,8 @@ from calib.basics.json_files import json_bytes
 from calib.camera.lenses import LENSES
 from calib.robot.coupled_readings import coupling_table
 from calib.verbs.simulate.equipment import Equipment
-from calib.verbs.simulate.readings import Pictures
 from calib.verbs.simulate.scenario import Scenario, Simulated
+from calib.verbs.simulate.simulated_rows import Pictures
 from calib.verbs.simulate.truth import Truth
 
 SCHEMA = "truth 2"
@@ -195,6 +194,20 @@ def _camera_tables(scenario: Scenario, simulated: Simulated, pictures: Pictures)
         {"row": row, "displacement_px": simulated.outliers[row - 1]}
         for row in simulated.outlier_rows
     ]
+    rows = zip(pictures.images, pictures.sets, pictures.q, pictures.T_camera_board, strict=True)
+    each_picture = []
+    for k, (image, set_name, q, T) in enumerate(rows):
+        is_here = pictures.picture == k
+        each_picture.append(
+            {
+                "image": image,
+                "set": set_name,
+                "joints": q,
+                **_pose_table(T, "camera_board_"),
+                "corners": pictures.corner[is_here],
+                "pixels": pictures.true_pixels[is_here],
+            }
+        )
     return {
         "cameras": [
             {
@@ -226,20 +239,5 @@ def _camera_tables(scenario: Scenario, simulated: Simulated, pictures: Pictures)
             "encoder_step_m": scenario.encoder.length,
         },
         "events": {"outliers": outliers},
-        "pictures": list(_pictures(pictures)),
+        "pictures": each_picture,
     }
-
-
-def _pictures(pictures: Pictures) -> Iterator[dict[str, Any]]:
-    """Yield the truth of each picture."""
-    rows = zip(pictures.images, pictures.sets, pictures.q, pictures.T_camera_board, strict=True)
-    for k, (image, name, q, T) in enumerate(rows):
-        is_here = pictures.picture == k
-        yield {
-            "image": image,
-            "set": name,
-            "joints": q,
-            **_pose_table(T, "camera_board_"),
-            "corners": pictures.corner[is_here],
-            "pixels": pictures.true_pixels[is_here],
-        }

@@ -25,7 +25,7 @@ from calib.camera.camera import Camera
 from calib.errors import CalibError
 from calib.instruments.camera import board_tilts
 from calib.instruments.instrument import Sightline
-from calib.verbs.plan.candidates import planning_ranges
+from calib.verbs.plan.pose_candidates import planning_ranges
 
 #: Number of views that are chosen at once.
 _BATCH = 128
@@ -105,7 +105,7 @@ def is_framed(scene: CameraScene, T_camera_board: Array, framing: Framing = USUA
     Args:
         scene: Has the camera and the board.
         T_camera_board: Poses of the board in the camera, shape (N, 4, 4) [m].
-        framing: How it is to be shown.
+        framing: Conditions under which it is shown well.
 
     Returns:
         shape (N,).
@@ -139,7 +139,7 @@ def draw_views(
         scene: The robot, the camera and the board.
         count: Number of views.
         seed: Of the random numbers, or where they come from.
-        framing: How the pictures are to show the board.
+        framing: Conditions under which a picture shows the board well.
         progress: Called after each batch with the number of views so far and ``count``; None: nothing is called.
 
     Returns:
@@ -167,7 +167,7 @@ def draw_views(
 def try_views(
     scene: CameraScene, tries: int, rng: np.random.Generator, framing: Framing = USUAL_FRAMING
 ) -> Array:
-    """Try a number of views; returns the readings (n, m) [rad] or [m] of those that show the whole board."""
+    """Draw a number of views and approach them; return the readings (n, m) [rad] or [m] that show the whole board."""
     robot = scene.sightline.robot
     low, high = planning_ranges(robot, {}, _LIMIT_MARGIN).T
     limits = planning_ranges(robot, {}, _LIMIT_MARGIN, turns=True)
@@ -175,7 +175,16 @@ def try_views(
     start = rng.uniform(low, high, size=(tries, len(limits)))
     values = _approach(scene, wanted, start, limits)
     miss = np.linalg.norm(wanted - _see(scene, values), axis=1)
-    q = robot.readings(_scatter(values, miss, limits, rng))
+
+    # An arm that misses its view is stretched there, and is scattered; a joint at a limit goes back from it.
+    low, high = limits.T
+    most = np.minimum(_SCATTER_SHARE * (high - low), _SCATTER)
+    step = most * rng.uniform(-1.0, 1.0, size=values.shape)
+    step = np.where(values <= low, np.abs(step), step)
+    step = np.where(values >= high, -np.abs(step), step)
+    is_stopped = (values <= low) | (values >= high)
+    is_scattered = is_stopped | (miss > _REACHED)[:, None]
+    q = robot.readings(np.where(is_scattered, np.clip(values + step, low, high), values))
     return np.asarray(q[is_framed(scene, scene.sightline.target_poses(q), framing)])
 
 
@@ -214,21 +223,6 @@ def _approach(scene: CameraScene, wanted: Array, start: Array, limits: Array) ->
         step *= np.minimum(1.0, _LONGEST_STEP / np.maximum(longest, _STILL))
         values = np.clip(values + step, low, high)
     return values
-
-
-def _scatter(values: Array, miss: Array, limits: Array, rng: np.random.Generator) -> Array:
-    """Scatter joint values (n, m) that missed their view by lengths (n,) [m], and joints at their limits (m, 2).
-
-    An arm that misses its view is stretched there; a joint at a limit goes back from it.
-    """
-    low, high = limits.T
-    most = np.minimum(_SCATTER_SHARE * (high - low), _SCATTER)
-    step = most * rng.uniform(-1.0, 1.0, size=values.shape)
-    step = np.where(values <= low, np.abs(step), step)
-    step = np.where(values >= high, -np.abs(step), step)
-    is_stopped = (values <= low) | (values >= high)
-    is_scattered = is_stopped | (miss > _REACHED)[:, None]
-    return np.where(is_scattered, np.clip(values + step, low, high), values)
 
 
 def _see(scene: CameraScene, values: Array) -> Array:

@@ -1,4 +1,4 @@
-"""Where the robots, labels and cameras of a page of robots are: values only.
+"""Places of the robots, labels and cameras on a page of robots: values only.
 
 Two robots stand side by side, or one over the other; a robot alone stands at its base.
 """

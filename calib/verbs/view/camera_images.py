@@ -88,9 +88,10 @@ class ImageCorners(NamedTuple):
 class CameraImages(NamedTuple):
     """The cameras and boards of a page, and the images of its steps."""
 
-    #: What the robot carries at its target
+    #: The camera or board that the robot carries at its target
     carried: Shape
-    #: What stands still, and its pose in the base of each robot, as fitted with it, shape (2, 4, 4) [m]
+    #: The cameras or boards that stand still, each with its pose in the base of each robot, as fitted with it, shape
+    #: (2, 4, 4) [m]
     standing: tuple[tuple[Shape, Array], ...]
     #: The corners of each step's image
     corners: tuple[ImageCorners, ...]
@@ -211,7 +212,10 @@ def _rays(camera: Camera, pixels: Array) -> Array:
 
 
 def _board_shapes(e: Evaluation, boards: Sequence[str]) -> dict[str, Shape]:
-    """Return each board in the images: its corners as designed, on a plate with a margin of one square."""
+    """Return the shape of each board in the images by its name: corners as designed, on a plate with a margin.
+
+    ``boards`` names the board of each row of the evaluation; the margin is one square.
+    """
     points = e.measurements.board_points
     assert points is not None
     names = np.array(boards)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar
+from typing import Annotated, ClassVar
 
 import typer
 
@@ -26,12 +26,6 @@ from calib.cli.options import (
 from calib.cli.output_files import check_outputs
 from calib.cli.verb import verb
 from calib.errors import CalibError
-
-if TYPE_CHECKING:
-    from calib.data.cell import Cell
-    from calib.data.measurements import Measurements
-    from calib.robot.robot import Robot
-    from calib.verbs.view.view import View
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,6 +68,10 @@ def view(
     quiet: Quiet = False,
 ) -> None:
     """Load the robots and the table, write the page, and open it if it is a temporary file."""
+    from calib.result.calibration_file import read_result
+    from calib.verbs.view.robots_page import view_page, write_or_open
+    from calib.verbs.view.view import view_of_result, view_of_robots
+
     if other is not None and calibration is not None:
         raise CalibError("OTHER and --calibration are both the second robot; leave out one.")
     if data is None and (
@@ -83,12 +81,30 @@ def view(
     inputs = [robot, other, data, cell_options.file, calibration, table_options.points]
     check_outputs([output], inputs, force=force)
     cell = cell_options.cell()
-    if calibration is None:
-        arm, measurements = _load(robot, cell, data, table_options)
-        shown = _view_of_robots(arm, other, measurements, cell)
+    result = None
+    if calibration is not None:
+        result = read_result(calibration)
+        cell = with_chain_of_result(cell, result, str(calibration))
+    measurements = None
+    if data is None:
+        arm = load(robot, cell)
     else:
-        shown = _view_of_result(robot, cell, cell_options, data, table_options, calibration)
-    from calib.verbs.view.page import view_page, write_or_open
+        arm, measurements = load_with_data(robot, cell, data, table_options)
+
+    if result is not None and calibration is not None:
+        # The robot with the joint origins before and after the calibration.
+        from_result = [name for name in ("frame", "target") if name not in cell_options.given]
+        shown = view_of_result(
+            result, arm, measurements, cell, known=from_result, source=calibration.name
+        )
+    else:
+        second = None
+        if other is not None:
+            second = load(other, replace(cell, base=arm.base, tip=arm.tip))
+        cells = [cell, cell]
+        if cell.target is None and not cell.targets:
+            cells = [with_target_link(one, cell) for one in (arm, second or arm)]
+        shown = view_of_robots(arm, second, measurements, cells=cells)
 
     page = view_page(shown)
     written = write_or_open(page, output, overwrite=force)
@@ -96,54 +112,3 @@ def view(
         for warning in page.warnings:
             typer.echo(f"Not drawn as in the URDF: {warning}")
         typer.echo(f"Written: {written}")
-
-
-def _load(
-    robot: str,
-    cell: Cell,
-    data: Path | None,
-    table_options: TableOptions,
-) -> tuple[Robot, Measurements | None]:
-    """Load the robot, and the table if there is one."""
-    if data is None:
-        return load(robot, cell), None
-    return load_with_data(robot, cell, data, table_options)
-
-
-def _view_of_result(
-    robot: str,
-    cell: Cell,
-    cell_options: ViewOptions,
-    data: Path | None,
-    table_options: TableOptions,
-    calibration: Path,
-) -> View:
-    """Return the view of a result: the robot with the joint origins before and after it."""
-    from calib.result.calibration_file import read_result
-    from calib.verbs.view.view import view_of_result
-
-    result = read_result(calibration)
-    cell = with_chain_of_result(cell, result, str(calibration))
-    arm, measurements = _load(robot, cell, data, table_options)
-    from_result = [name for name in ("frame", "target") if name not in cell_options.given]
-    return view_of_result(
-        result, arm, measurements, cell, known=from_result, source=calibration.name
-    )
-
-
-def _view_of_robots(
-    arm: Robot,
-    other: str | None,
-    measurements: Measurements | None,
-    cell: Cell,
-) -> View:
-    """Return the view of one URDF or of two."""
-    from calib.verbs.view.view import view_of_robots
-
-    second = None
-    if other is not None:
-        second = load(other, replace(cell, base=arm.base, tip=arm.tip))
-    cells = [cell, cell]
-    if cell.target is None and not cell.targets:
-        cells = [with_target_link(shown, cell) for shown in (arm, second or arm)]
-    return view_of_robots(arm, second, measurements, cells=cells)

@@ -46,7 +46,7 @@ _POSES = 24
 #: Poses of each joint of a robot alone.
 _POSES_PER_JOINT = 9
 
-#: Where nothing is known of cameras.
+#: No cameras are known.
 NO_CAMERAS: Mapping[str, Camera] = ReadOnlyMapping()
 
 #: A station whose frame is nearer to the base than this [m, rad] is the base.
@@ -55,7 +55,7 @@ _SAME_FRAME = 1e-9
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Measured:
-    """What was measured at the N poses of a view."""
+    """Measurements at the N poses of a view."""
 
     #: Shape (N, 3), the measured targets in the base [m]; NaN where no position was measured
     points: Array
@@ -93,7 +93,7 @@ class View:
     nominal_target: Array = field(default_factory=lambda: np.eye(4))
     #: The same of the calibrated one
     calibrated_target: Array = field(default_factory=lambda: np.eye(4))
-    #: What was measured at the poses; None: nothing
+    #: Measurements at the poses; None: nothing was measured
     measured: Measured | None = None
     #: Index of the pose shown first, from 0
     start: int = 0
@@ -105,7 +105,7 @@ class View:
     note: str = ""
     #: Name and description of each robot
     names: Names = (("Nominal", "the URDF as given"), ("Calibrated", "the corrected URDF"))
-    #: What is shown in words for each pose, by its name: N texts, such as a joint's values with their unit
+    #: Facts shown in words for each pose, by their names: N texts, such as a joint's values with their unit
     numbers: Mapping[str, Sequence[str]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -287,7 +287,20 @@ def view_of_robots(
         targets.append(translation((0.0, 0.0, 0.0) if point is None else point))
     numbers: Mapping[str, Sequence[str]] = {}
     if calibrated is None:
-        q, labels = _one_joint_after_the_other(nominal)
+        # Each joint in turn goes through its range.
+        ranges = column_ranges(nominal)
+        middle = np.clip(0.0, *ranges.T)
+        values_of_poses = [middle]
+        texts = ["all joints at zero, or as near as they can be"]
+        for k, joint in enumerate(nominal.inputs):
+            scale, unit = _shown_unit(joint.type)
+            low, high = ranges[k]
+            for value in np.linspace(low, high, _POSES_PER_JOINT):
+                values = middle.copy()
+                values[k] = value
+                values_of_poses.append(values)
+                texts.append(f"{joint.name} at {scale * value:.4g} {unit}")
+        q, labels = nominal.readings(np.array(values_of_poses)), tuple(texts)
         numbers = joint_texts(nominal, q)
     else:
         q = spread_poses(nominal, _POSES)
@@ -303,23 +316,6 @@ def view_of_robots(
         title=title,
         numbers=numbers,
     )
-
-
-def _one_joint_after_the_other(robot: Robot) -> tuple[Array, tuple[str, ...]]:
-    """Return poses (N, m) [rad or m] in which each joint in turn goes through its range, and their labels."""
-    ranges = column_ranges(robot)
-    middle = np.clip(0.0, *ranges.T)
-    poses = [middle]
-    labels = ["all joints at zero, or as near as they can be"]
-    for k, joint in enumerate(robot.inputs):
-        scale, unit = _shown_unit(joint.type)
-        low, high = ranges[k]
-        for value in np.linspace(low, high, _POSES_PER_JOINT):
-            pose = middle.copy()
-            pose[k] = value
-            poses.append(pose)
-            labels.append(f"{joint.name} at {scale * value:.4g} {unit}")
-    return robot.readings(np.array(poses)), tuple(labels)
 
 
 def _shown_unit(joint_type: str) -> tuple[float, str]:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -14,99 +13,7 @@ from calib.cli.output_files import check_outputs, written_lines
 from calib.cli.terminal import progress_bar
 from calib.cli.verb import verb
 
-if TYPE_CHECKING:
-    from calib.verbs.workspace.region_rows import RegionView
-
 _File = Path | None
-
-
-@dataclass(frozen=True, slots=True)
-class RangeOptions(ColumnChoice):
-    """Ranges of the joints, and a table whose rows are checked."""
-
-    like: Annotated[
-        _File, typer.Option(help="Table whose rows for estimation give the ranges of the joints.")
-    ] = None
-    margin: Annotated[
-        str,
-        typer.Option(
-            metavar="ANGLE",
-            help="Margin added to the ranges of --like at both ends; it is 5 mm for prismatic joints.",
-        ),
-    ] = "0 deg"
-    check: Annotated[
-        _File, typer.Option(help="Table whose rows are checked: which of them lie in the region.")
-    ] = None
-
-
-@dataclass(frozen=True, slots=True)
-class SamplingOptions:
-    """Samples of the joint values, and the region that is made of them."""
-
-    share: Annotated[
-        float, typer.Option(metavar="P", help="Probability that the target is in the region.")
-    ] = 0.95
-    samples: Annotated[
-        int,
-        typer.Option(
-            min=1000, max=2**24, metavar="N", help="Number of samples of the joint values."
-        ),
-    ] = 2**19
-    voxel: Annotated[
-        str | None,
-        typer.Option(
-            metavar="LENGTH",
-            help="Length of the edge of a voxel. Default: chosen by the number of samples.",
-        ),
-    ] = None
-    seed: Seed = 0
-
-
-@dataclass(frozen=True, slots=True)
-class WorkspaceOutputs:
-    """Files that are written."""
-
-    output: Annotated[
-        _File,
-        typer.Option(
-            "-o", "--output", help="Write the region as a file, for 'calib plan --region'."
-        ),
-    ] = None
-    picture: Annotated[
-        _File,
-        typer.Option(help="Write a figure of the density and the region: .png, .svg or .pdf."),
-    ] = None
-    view: Annotated[
-        _File,
-        typer.Option(help="Write a page that shows robot and region in 3D, to open in a browser."),
-    ] = None
-    force: Force = False
-
-    def check(self, inputs: list[str | Path | None]) -> None:
-        """Refuse outputs that cannot be written before the work begins."""
-        check_outputs([self.output, self.picture, self.view], inputs, force=self.force)
-        if self.picture is not None:
-            from calib.show.plotting import require_matplotlib
-            from calib.verbs.workspace.figures import check_ending
-
-            require_matplotlib("A picture")
-            check_ending(self.picture)
-
-    def write(self, view: RegionView, seed: int) -> list[str]:
-        """Write the files that were asked for; returns a line for each."""
-        from calib.verbs.workspace.region_file import write_region
-
-        if self.output is not None:
-            write_region(view, self.output, seed, overwrite=self.force)
-        if self.picture is not None:
-            from calib.verbs.workspace.figures import write_picture
-
-            write_picture(view, self.picture, overwrite=self.force)
-        if self.view is not None:
-            from calib.verbs.workspace.view import region_page
-
-            region_page(view).write(self.view, overwrite=self.force)
-        return written_lines(self.output, self.picture, self.view)
 
 
 @verb("""Sample the reachable workspace of the target, and find the region to measure in.
@@ -122,10 +29,54 @@ poses inside it. Collisions are not checked here.
 """)
 def workspace(
     robot: RobotFile,
+    *,
     cell_options: CellOptions,
-    range_options: RangeOptions,
-    sampling_options: SamplingOptions,
-    outputs: WorkspaceOutputs,
+    column_options: ColumnChoice,
+    like: Annotated[
+        _File, typer.Option(help="Table whose rows for estimation give the ranges of the joints.")
+    ] = None,
+    margin: Annotated[
+        str,
+        typer.Option(
+            metavar="ANGLE",
+            help="Margin added to the ranges of --like at both ends; it is 5 mm for prismatic joints.",
+        ),
+    ] = "0 deg",
+    check: Annotated[
+        _File, typer.Option(help="Table whose rows are checked: which of them lie in the region.")
+    ] = None,
+    share: Annotated[
+        float, typer.Option(metavar="P", help="Probability that the target is in the region.")
+    ] = 0.95,
+    samples: Annotated[
+        int,
+        typer.Option(
+            min=1000, max=2**24, metavar="N", help="Number of samples of the joint values."
+        ),
+    ] = 2**19,
+    voxel: Annotated[
+        str | None,
+        typer.Option(
+            metavar="LENGTH",
+            help="Length of the edge of a voxel. Default: chosen by the number of samples.",
+        ),
+    ] = None,
+    seed: Seed = 0,
+    output: Annotated[
+        _File,
+        typer.Option(
+            "-o", "--output", help="Write the region as a file, for 'calib plan --region'."
+        ),
+    ] = None,
+    picture: Annotated[
+        _File,
+        typer.Option(help="Write a figure of the density and the region: .png, .svg or .pdf."),
+    ] = None,
+    view: Annotated[
+        _File,
+        typer.Option(help="Write a page that shows robot and region in 3D, to open in a browser."),
+    ] = None,
+    force: Force = False,
     quiet: Quiet = False,
 ) -> None:
     """Sample the workspace, write the files and print the region."""
@@ -135,21 +86,24 @@ def workspace(
     from calib.basics.units import ANGLE, LENGTH, parse_amount
     from calib.data.columns import column_names
     from calib.robot.ranges import joint_ranges, margins_by_joint
+    from calib.show.plotting import require_matplotlib
     from calib.verbs.workspace.region import Density
+    from calib.verbs.workspace.region_file import write_region
+    from calib.verbs.workspace.region_picture import check_ending, write_picture
     from calib.verbs.workspace.region_rows import Checked, RegionView, read_rows, row_points
     from calib.verbs.workspace.text import workspace_text
     from calib.verbs.workspace.workspace import workspace_points
 
-    like, check = range_options.like, range_options.check
-    outputs.check([robot, like, check, cell_options.file])
-    voxel = None
-    if sampling_options.voxel is not None:
-        voxel = parse_amount(sampling_options.voxel, "--voxel", LENGTH, "20 mm")
-    margin = parse_amount(range_options.margin, "--margin", ANGLE, "5 deg")
+    check_outputs([output, picture, view], [robot, like, check, cell_options.file], force=force)
+    if picture is not None:
+        require_matplotlib("A picture")
+        check_ending(picture)
+    edge = None if voxel is None else parse_amount(voxel, "--voxel", LENGTH, "20 mm")
+    margin_rad = parse_amount(margin, "--margin", ANGLE, "5 deg")
 
     # Without a tip the chain is that of the joints that the tables have in common.
     cell = cell_options.cell()
-    columns = range_options.parsed()
+    columns = column_options.parsed()
     paths = [path for path in (like, check) if path is not None]
     joints = [column_names(Table.read(path), columns) for path in paths]
     known = [names for names in joints if names is not None]
@@ -160,29 +114,33 @@ def workspace(
     if like is not None:
         rows = tables[like]
         measured = rows.joints_for(arm.joint_names)[rows.estimation]
-    limits = joint_ranges(arm, cell.ranges, measured, margins_by_joint(arm, margin))
+    limits = joint_ranges(arm, cell.ranges, measured, margins_by_joint(arm, margin_rad))
 
     target = np.zeros(3) if cell.target is None else cell.target
     if cell.target is None and len(cell.targets) == 1:
         (target,) = cell.targets.values()
     with progress_bar("workspace", quiet=quiet) as progress:
-        points = workspace_points(
-            arm, target, limits, sampling_options.samples, sampling_options.seed, progress
-        )
-    density = Density.of(points, voxel)
+        points = workspace_points(arm, target, limits, samples, seed, progress)
+    density = Density.of(points, edge)
     checked = None
     checked_path = check or like
     if checked_path is not None:
         rows = tables[checked_path]
         checked = Checked(rows, *row_points(arm, rows, cell, target))
-    region = density.region(sampling_options.share)
-    view = RegionView(arm, target, limits, density, region, checked)
+    found = RegionView(arm, target, limits, density, density.region(share), checked)
 
-    lines = outputs.write(view, sampling_options.seed)
+    if output is not None:
+        write_region(found, output, seed, overwrite=force)
+    if picture is not None:
+        write_picture(found, picture, overwrite=force)
+    if view is not None:
+        from calib.verbs.workspace.region_page import region_page  # with meshcat
+
+        region_page(found).write(view, overwrite=force)
     if quiet:
         return
     origin = ""
     if like is not None:
-        origin = f"the estimation rows of {like.name}, {range_options.margin} wider"
-    text = workspace_text(view, origin, sampling_options.seed, every_row=check is not None)
-    typer.echo("\n".join([text, "", *lines]))
+        origin = f"the estimation rows of {like.name}, {margin} wider"
+    text = workspace_text(found, origin, seed, every_row=check is not None)
+    typer.echo("\n".join([text, "", *written_lines(output, picture, view)]))

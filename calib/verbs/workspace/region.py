@@ -54,7 +54,7 @@ _WHOLE = 1e-6
 _SPOT = 1e-9
 _SPOT_VOXEL = 1e-3
 
-#: What messages call positions of points.
+#: Words for positions of points in messages.
 _POSITIONS = "positions of shape (N, 3), [m]"
 
 

@@ -25,51 +25,45 @@ def workspace_text(view: RegionView, origin: str, seed: int, *, every_row: bool)
 
     Args:
         view: The region, and the rows that were checked against it.
-        origin: What the joint ranges are taken from; empty: the joints' limits.
+        origin: Source of the joint ranges, in words; empty: the joints' limits.
         seed: Seed of the sampled joint values.
         every_row: Whether each checked row has a line.
 
     Returns:
         Joint ranges, region, and checked rows, in lines of 100 columns.
     """
+    robot: Robot = view.robot
+    target = " ".join(f"{1e3 * value:.6g}" for value in view.target)
+    joints = [
+        f"Robot '{robot.name}', base '{robot.base}', tip '{robot.tip}', target at {target} mm in the tip."
+    ]
+    columns = [name_column("  joint", 33), Column("range", left=True)]
+    ranges = zip(robot.joint_names, view.ranges, strict=True)
+    cells = [(f"  {name}", range_text(robot, name, ends)) for name, ends in ranges]
+    joints += table_lines(columns, cells)
+    if origin:
+        joints.append(fill(f"Ranges of {origin}.", "  "))
+
+    density, region = view.density, view.region
+    voxels, reached = np.count_nonzero(region.cells), np.count_nonzero(density.counts)
+    volume = f"{1e3 * region.volume:,.4g} litres, {voxels:,} of {reached:,} reached voxels"
+    facts = {
+        "samples": f"{density.samples:,} (seed {seed})",
+        "workspace": _extent(density.extent),
+        "region": _extent(region.bounds),
+        "volume": volume,
+        "voxel": f"{1e3 * density.voxel:g} mm",
+    }
+    lines = [
+        f"The smallest region that holds {100 * region.held:.4g} % of the target's positions, in the frame of "
+        f"'{robot.base}':"
+    ]
+    lines += [labelled(label, text, _REGION_LABEL, "  ") for label, text in facts.items()]
+
     rows: Iterable[str] = ()
     if view.checked is not None:
         rows = _row_lines(view, view.checked, every_row=every_row)
-    return paragraphs(_joints(view, origin), _region(view, seed), rows)
-
-
-def _joints(view: RegionView, origin: str) -> Iterator[str]:
-    """Write the robot, its target and the ranges of its joints."""
-    robot: Robot = view.robot
-    target = " ".join(f"{1e3 * value:.6g}" for value in view.target)
-    yield (
-        f"Robot '{robot.name}', base '{robot.base}', tip '{robot.tip}', target at {target} mm in the tip."
-    )
-    columns = [name_column("  joint", 33), Column("range", left=True)]
-    ranges = zip(robot.joint_names, view.ranges, strict=True)
-    rows = [(f"  {name}", range_text(robot, name, ends)) for name, ends in ranges]
-    yield from table_lines(columns, rows)
-    if origin:
-        yield fill(f"Ranges of {origin}.", "  ")
-
-
-def _region(view: RegionView, seed: int) -> Iterator[str]:
-    """Write extent, volume and voxels of the region."""
-    density, region = view.density, view.region
-    voxels, reached = np.count_nonzero(region.cells), np.count_nonzero(density.counts)
-    yield (
-        f"The smallest region that holds {100 * region.held:.4g} % of the target's positions, in the frame of "
-        f"'{view.robot.base}':"
-    )
-    volume = f"{1e3 * region.volume:,.4g} litres, {voxels:,} of {reached:,} reached voxels"
-    for label, text in (
-        ("samples", f"{density.samples:,} (seed {seed})"),
-        ("workspace", _extent(density.extent)),
-        ("region", _extent(region.bounds)),
-        ("volume", volume),
-        ("voxel", f"{1e3 * density.voxel:g} mm"),
-    ):
-        yield labelled(label, text, _REGION_LABEL, "  ")
+    return paragraphs(joints, lines, rows)
 
 
 def _extent(ends: Array) -> str:
@@ -85,7 +79,24 @@ def _row_lines(view: RegionView, checked: Checked, *, every_row: bool) -> Iterat
     inside = view.region.contains(points)
     yield f"Targets of {rows.source}, {sum(measured)} measured, {sum(~measured)} predicted:"
     if every_row:
-        yield from _row_table(view, checked)
+        # The target's position of each row, and the share of the densest voxels that reaches it.
+        columns = [
+            Column("row", 8),
+            Column("set", 10, left=True, gap=2),
+            Column("x", 9, gap=0),
+            Column("y", 8),
+            Column("z [mm]", 8),
+            Column("region", 9, left=True, gap=3),
+            Column("within densest", 14, gap=0),
+        ]
+        shares = view.density.share_of(points)
+        cells = []
+        for i, word in enumerate(rows.sets):
+            share = f"{100 * shares[i]:.1f} %" if np.isfinite(shares[i]) else "not reached"
+            place = [f"{1e3 * value:.1f}" for value in points[i]]
+            region = "inside" if inside[i] else "OUTSIDE"
+            cells.append([str(rows.rows[i]), word, *place, region, share])
+        yield from table_lines(columns, cells)
     for name, chosen in (("estimation", rows.estimation), ("validation", rows.validation)):
         if not chosen.any():
             continue
@@ -94,26 +105,3 @@ def _row_lines(view: RegionView, checked: Checked, *, every_row: bool) -> Iterat
         if outside:
             text += f"; outside: {outside}"
         yield fill(f"{text}.", "  ")
-
-
-def _row_table(view: RegionView, checked: Checked) -> list[str]:
-    """Write a line for each checked row: its target's position, and the share of densest voxels that reaches it."""
-    rows, points, _ = checked
-    columns = [
-        Column("row", 8),
-        Column("set", 10, left=True, gap=2),
-        Column("x", 9, gap=0),
-        Column("y", 8),
-        Column("z [mm]", 8),
-        Column("region", 9, left=True, gap=3),
-        Column("within densest", 14, gap=0),
-    ]
-    shares = view.density.share_of(points)
-    inside = view.region.contains(points)
-    cells = []
-    for i, word in enumerate(rows.sets):
-        share = f"{100 * shares[i]:.1f} %" if np.isfinite(shares[i]) else "not reached"
-        place = [f"{1e3 * value:.1f}" for value in points[i]]
-        region = "inside" if inside[i] else "OUTSIDE"
-        cells.append([str(rows.rows[i]), word, *place, region, share])
-    return table_lines(columns, cells)

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -92,27 +92,19 @@ def workspace_points(
     if ranges is not None:
         m = len(robot.inputs)
         limits = finite_numbers("ranges", ranges, (m, 2), f"of shape ({m}, 2), [rad] or [m]")
-    points = np.empty((count, 3))
-    done = 0
-    for values in _even_joint_values(limits, count, seed):
-        T_base_tip = robot.poses(robot.readings(values))
-        positions = T_base_tip[:, :3, :3] @ p_tip_target + T_base_tip[:, :3, 3]
-        points[done : done + len(values)] = positions
-        done += len(values)
-        if progress is not None:
-            progress(done, count)
-    points.setflags(write=False)
-    return points
-
-
-def _even_joint_values(ranges: Array, count: int, seed: int) -> Iterator[Array]:
-    """Yield joint values, shape (`_CHUNK` or fewer, m), that a Sobol sequence spreads evenly over ranges (m, 2)."""
     # Imported late: SciPy's distributions take as long as the rest of calib.
     from scipy.stats import qmc
 
-    low, high = ranges.T
+    low, high = limits.T
     sequence = qmc.Sobol(len(low), scramble=True, seed=np.random.default_rng(seed))
+    points = np.empty((count, 3))
     for start in range(0, count, _CHUNK):
+        end = min(start + _CHUNK, count)
         # SciPy asks for a power of two at first.
-        unit = sequence.random(_CHUNK)[: count - start]
-        yield low + unit * (high - low)
+        unit = sequence.random(_CHUNK)[: end - start]
+        T_base_tip = robot.poses(robot.readings(low + unit * (high - low)))
+        points[start:end] = T_base_tip[:, :3, :3] @ p_tip_target + T_base_tip[:, :3, 3]
+        if progress is not None:
+            progress(end, count)
+    points.setflags(write=False)
+    return points

@@ -18,7 +18,7 @@ from calib.show.scene.posed_robot import (
     root_poses,
     translation,
 )
-from calib.verbs.view.page import pose_robots
+from calib.verbs.view.robots_page import pose_robots
 from calib.verbs.view.view import View
 from tests.view_fixtures import registered
 

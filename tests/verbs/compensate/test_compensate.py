@@ -11,12 +11,12 @@ from calib.errors import VerdictError
 from calib.result.calibrate import calibrate
 from calib.robot.ranges import column_limits, random_joint_values
 from calib.robot.robot import Robot
-from calib.verbs.compensate.compensate import _find_poses_to_send, _motions_by, compensate
+from calib.verbs.compensate.compensate import _find_poses_to_send, compensate
 from calib.verbs.compensate.expected import expected_errors
 from calib.verbs.compensate.inverse import Matching, solve
 from calib.verbs.compensate.nominal_actual import Arm, pair_of
-from calib.verbs.compensate.program import Program
 from calib.verbs.compensate.program_table import write_commands
+from calib.verbs.compensate.robot_program import Program
 from tests.hard_cases import made, table
 from tests.verbs.compensate.arms import off, turned
 
@@ -155,7 +155,7 @@ def test_a_redundant_arm_arrives_with_the_elbow_where_the_controller_puts_it(pan
 def test_a_motion_by_an_error_takes_it_away(match):
     matching = Matching(match, 0.4)
     T_now, T_wanted = turned(1, 0.01)[None], turned(2, 0.01)[None]
-    moved = T_now @ _motions_by(matching, matching.error(T_now, T_wanted))
+    moved = T_now @ matching.motions(matching.error(T_now, T_wanted))
     before, after = (np.abs(matching.error(T, T_wanted)).max() for T in (T_now, moved))
     assert after < 0.05 * before
 

@@ -18,8 +18,8 @@ from calib.example import paper_measurements, paper_urdf
 from calib.robot.robot import Robot
 from calib.verbs.compensate.commands import Commands
 from calib.verbs.compensate.compensate import compensate
-from calib.verbs.compensate.program import Program
 from calib.verbs.compensate.program_table import read_program, write_commands
+from calib.verbs.compensate.robot_program import Program
 from tests.places import ROOT
 
 NAMES = [

@@ -13,7 +13,7 @@ from calib.robot.robot import Robot
 from calib.verbs.compensate.commands import Code, Commands, CommandWarning
 from calib.verbs.compensate.compensate import compensate
 from calib.verbs.compensate.expected import Source
-from calib.verbs.compensate.program import Program
+from calib.verbs.compensate.robot_program import Program
 from calib.verbs.compensate.text import (
     _REMEDIES,
     _SOURCES,

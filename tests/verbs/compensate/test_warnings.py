@@ -13,7 +13,7 @@ from calib.verbs.compensate.commands import Commands, CommandWarning
 from calib.verbs.compensate.compensate import compensate
 from calib.verbs.compensate.inverse import Matching
 from calib.verbs.compensate.nominal_actual import Arm
-from calib.verbs.compensate.program import Program
+from calib.verbs.compensate.robot_program import Program
 from calib.verbs.compensate.warnings import find_warnings
 from tests.hard_cases import made
 from tests.verbs.compensate.arms import off

@@ -10,7 +10,7 @@ import yaml
 
 from calib.camera.camera import Camera
 from calib.errors import CalibError, FileError, ModelError
-from calib.verbs.convert.camera_intrinsics import ROS, camera_of_station, write_intrinsics
+from calib.verbs.convert.camera_intrinsics import camera_of_station, write_intrinsics
 from calib.verbs.convert.convert import convert
 from calib.verbs.convert.format import CameraOptions, Options
 from calib.verbs.convert.robots import result_source
@@ -85,8 +85,11 @@ def test_what_is_refused(tmp_path):
     links = Options(camera=CameraOptions(camera="color", camera_frame="color_optical"))
     with pytest.raises(CalibError, match="it takes --camera alone"):
         convert(image_calibration(), path, to="camera-info", options=links)
-    mirrored = ROS._replace(text=lambda camera: TEXT.format(camera.height, camera.width))
     source = result_source(image_calibration(), Options(), "result")
+
+    def mirrored(camera: Camera) -> str:
+        return TEXT.format(camera.height, camera.width)
+
     with pytest.raises(FileError, match="'color' does not read back"):
         write_intrinsics(mirrored, source, path, Options())
     assert not path.exists()

@@ -18,8 +18,8 @@ from calib.errors import ArgumentError, CalibError, ModelError
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
 from calib.verbs.fleet.fleet import Fleet, run_fleet
+from calib.verbs.fleet.fleet_row import ACCEPTED, DONE, FAILED, WITHHELD, WRITTEN
 from calib.verbs.fleet.job import FleetOptions, FleetRobot
-from calib.verbs.fleet.rows import ACCEPTED, DONE, FAILED, WITHHELD, WRITTEN
 from calib.verbs.simulate.scenario import Scenario
 from tests.places import ROOT
 from tests.verbs.fleet.arms import CELL, arm, arms, files

@@ -15,6 +15,7 @@ from calib.data.cell import Cell, Tracker
 from calib.errors import CalibError
 from calib.robot.robot import Robot
 from calib.robot.urdf import read_urdf
+from calib.verbs.fleet.fleet_row import DONE, FAILED, WRITTEN
 from calib.verbs.fleet.job import (
     FleetJob,
     FleetOptions,
@@ -24,7 +25,6 @@ from calib.verbs.fleet.job import (
     failed_row,
     fingerprint,
 )
-from calib.verbs.fleet.rows import DONE, FAILED, WRITTEN
 from tests.verbs.fleet.arms import CELL, arm, arms
 
 QUICK = FleetOptions(validate=False, reports=False)

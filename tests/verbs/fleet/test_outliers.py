@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calib.verbs.fleet.fleet_row import DONE, FAILED, FleetParameter, FleetRow
 from calib.verbs.fleet.outliers import FEWEST, fleet_outliers, limit, scores
-from calib.verbs.fleet.rows import DONE, FAILED, FleetParameter, FleetRow
 from calib.verbs.fleet.text import few_text
 
 

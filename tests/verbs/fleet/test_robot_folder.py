@@ -7,8 +7,8 @@ import json
 import pytest
 
 from calib.errors import CalibError
+from calib.verbs.fleet.fleet_row import DONE, FleetRow
 from calib.verbs.fleet.robot_folder import MADE, URDF, RobotFolder
-from calib.verbs.fleet.rows import DONE, FleetRow
 from tests.verbs.fleet.arms import files
 
 ROW = FleetRow("arm-0", DONE, sigma={"m": 1e-4})

@@ -10,9 +10,9 @@ import pytest
 import calib.example
 from calib.data.cell import Cell, Priors
 from calib.errors import ModelError
-from calib.verbs.plan.candidates import Pool, draw, planning_ranges
 from calib.verbs.plan.choice import Choice, PlanRequest, choose_poses
 from calib.verbs.plan.forecast import Forecast, Workspace, covariance_root
+from calib.verbs.plan.pose_candidates import Pool, draw, planning_ranges
 from calib.verbs.plan.sensitivity import Sensitivity
 
 SIGMA = 1e-4

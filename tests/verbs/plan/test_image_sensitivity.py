@@ -18,7 +18,7 @@ from calib.model.kinematics import Samples
 from calib.robot.ranges import random_joint_values
 from calib.verbs.plan.sensitivity import Sensitivity, instrument_of
 from tests.instruments.scenes import BOARD, CAMERA, SIZE, at_places, in_hand
-from tests.verbs.plan.test_candidates import drawn
+from tests.verbs.plan.test_pose_candidates import drawn
 
 
 def cell(camera=SIZE, repeatability=0.0, **changes) -> Cell:

@@ -9,7 +9,7 @@ import pytest
 from scipy.sparse.csgraph import minimum_spanning_tree
 
 from calib.robot.robot import Robot
-from calib.verbs.plan.candidates import planning_ranges
+from calib.verbs.plan.pose_candidates import planning_ranges
 from calib.verbs.plan.route import _detour, _turning_joints, find_route, order_poses
 
 

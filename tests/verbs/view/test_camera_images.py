@@ -18,7 +18,7 @@ from calib.verbs.view.camera_images import (
     frustum,
     images_table,
 )
-from calib.verbs.view.page import FACTORS, view_page
+from calib.verbs.view.robots_page import FACTORS, view_page
 from calib.verbs.view.steps import rows_of_steps, seen_from_root
 from calib.verbs.view.view import view_at_rows
 from tests.images import BOARD, VALUES, camera, mounts

@@ -123,7 +123,15 @@ def read_ur(
     """
     arm = None if model is None else ur_model(model)
     if urcontrol is not None:
-        arm = _arm_of_rows(read_nominal(urcontrol), urcontrol, arm)
+        rows = read_nominal(urcontrol)
+        if arm is not None and not arm.has_rows(rows):
+            raise ModelError(
+                f"The rows in [DH] of {urcontrol} are not those of the {arm.name}. Leave the name of the "
+                "arm out, or give the urcontrol.conf of this robot's own controller."
+            )
+        names = [known.name for known in MODELS if known.has_rows(rows)]
+        name = names[0] if names else f"arm of {Path(urcontrol).name}"
+        arm = UrModel(name if arm is None else arm.name, rows)
     elif robot is not None:
         arm = the_mount(robot, arm).model
     if Path(path).suffix.lower() == ".conf":
@@ -137,19 +145,6 @@ def read_ur(
     corrected = nominal.with_placements(placements)
     notes = _hash_notes(path, file.hash)
     return Source("ur-yaml", corrected, nominal, arm, file.hash, file, notes)
-
-
-def _arm_of_rows(rows: Array, path: PathLike, model: UrModel | None) -> UrModel:
-    """Return the arm with the rows (6, 4) of a urcontrol.conf, which must be ``model`` if that is given."""
-    if model is not None and not model.has_rows(rows):
-        raise ModelError(
-            f"The rows in [DH] of {path} are not those of the {model.name}. Leave the name of the "
-            "arm out, or give the urcontrol.conf of this robot's own controller."
-        )
-    if model is not None:
-        return UrModel(model.name, rows)
-    names = [known.name for known in MODELS if known.has_rows(rows)]
-    return UrModel(names[0] if names else f"arm of {Path(path).name}", rows)
 
 
 def _read_conf(
@@ -174,27 +169,21 @@ def _read_conf(
     placements = anchored_placements(placements, nominal.placements, axes)
     notes: Notes = ()
     if not is_certain:
-        notes += _arm_notes(path, arm, chain_of, moved)
+        most = max(_SUSPECT, _FITS_AS_WELL * moved)
+        fitting = [known for known in MODELS if distance_from(chain_of(known), known) <= most]
+        apart = max((distance_from(known.chain, arm) for known in fitting), default=0.0)
+        if apart > _ALIKE:
+            names = choices(known.name for known in fitting)
+            sentence = (
+                "The deltas in {0} fit {1} alike. Taken for another one than the {2}, the flange is up to {3:.0f} mm "
+                "off; the controller's urcontrol.conf (--urcontrol) has the right nominal rows."
+            )
+            notes += (Note("arm not certain", sentence, (str(path), names, arm.name, apart)),)
     if conf.status != LINEARISED:
         sentence = "{0} has calibration_status = {1}, not 2 (linearised): the controller may not use these deltas."
         notes += (Note("not linearised", sentence, (str(path), conf.status[:40])),)
     notes += _hash_notes(path, hash)
     return Source("ur-conf", nominal.with_placements(placements), nominal, arm, hash, conf, notes)
-
-
-def _arm_notes(path: PathLike, arm: UrModel, chain_of: ChainOf, moved: float) -> Notes:
-    """Return a note if deltas, which move the flange by ``moved`` [m], fit other arms as well."""
-    most = max(_SUSPECT, _FITS_AS_WELL * moved)
-    fitting = [known for known in MODELS if distance_from(chain_of(known), known) <= most]
-    apart = max((distance_from(known.chain, arm) for known in fitting), default=0.0)
-    if apart <= _ALIKE:
-        return ()
-    names = choices(known.name for known in fitting)
-    sentence = (
-        "The deltas in {0} fit {1} alike. Taken for another one than the {2}, the flange is up to {3:.0f} mm off; the "
-        "controller's urcontrol.conf (--urcontrol) has the right nominal rows."
-    )
-    return (Note("arm not certain", sentence, (str(path), names, arm.name, apart)),)
 
 
 def _hash_notes(path: PathLike, hash: str | None) -> Notes:

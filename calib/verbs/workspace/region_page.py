@@ -19,7 +19,7 @@ from calib.show.scene.scene import (
     single_page,
     solid,
 )
-from calib.verbs.workspace.figures import headings
+from calib.verbs.workspace.region_picture import headings
 from calib.verbs.workspace.region_rows import RegionView
 
 #: Radius of the ball of the target, and of the ball of a row of a table, as shares of the scene's size.

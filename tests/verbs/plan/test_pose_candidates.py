@@ -15,8 +15,15 @@ from calib.instruments.instrument import Condition
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 from calib.verbs.plan.bodies import collision_model, free_lines_of_sight
-from calib.verbs.plan.candidates import Pool, draw, draw_towards, planning_ranges, reach, rounded
 from calib.verbs.plan.collision import CollisionCheck
+from calib.verbs.plan.pose_candidates import (
+    Pool,
+    draw,
+    draw_towards,
+    planning_ranges,
+    reach,
+    rounded,
+)
 from calib.verbs.plan.sensitivity import Sensitivity
 from tests.instruments.scenes import (
     BOARD,

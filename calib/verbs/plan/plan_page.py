@@ -28,7 +28,7 @@ from calib.verbs.plan.forecast import position_std
 from calib.verbs.plan.plan import Plan
 from calib.verbs.plan.plan_file import distances_and_tilts, image_name
 from calib.verbs.plan.sensitivity import Sensitivity
-from calib.verbs.view.page import WAY_COLOUR, About, view_page
+from calib.verbs.view.robots_page import WAY_COLOUR, About, view_page
 from calib.verbs.view.view import View, joint_texts
 
 #: Radius of a target's ball, as a share of the scene's size.

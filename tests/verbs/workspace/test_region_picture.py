@@ -12,8 +12,8 @@ from calib import example
 from calib.data.measurements import Measurements
 from calib.errors import FileError
 from calib.robot.ranges import joint_ranges
-from calib.verbs.workspace.figures import draw_region, headings, write_picture
 from calib.verbs.workspace.region import Density
+from calib.verbs.workspace.region_picture import draw_region, headings, write_picture
 from calib.verbs.workspace.region_rows import Checked, RegionView
 from calib.verbs.workspace.workspace import workspace_points
 

@@ -19,7 +19,7 @@ from calib.errors import ModelError, choices
 from calib.numerics.geometry import not_rotations
 from calib.verbs.compensate.inverse import MATCHES, POSITION
 
-#: What messages call joint values, and poses.
+#: Words for joint values, and for poses, in messages.
 _VALUES = "joint values of shape (N, m) or (m,), [rad] or [m]"
 _POSES = "poses of shape (N, 4, 4) or (4, 4), [m]"
 
@@ -33,7 +33,7 @@ class Program(Value):
             or a start that does not fit the rows.
     """
 
-    #: What messages call each row, such as ``"row 3"``.
+    #: Name of each row in messages, such as ``"row 3"``.
     labels: tuple[str, ...]
     #: shape (N, m), joint values in the order of ``Robot.joint_names`` [rad] or [m]; with ``T_wanted`` those at which
     #: the search for joint values starts; None: poses alone.
@@ -42,7 +42,7 @@ class Program(Value):
     T_wanted: Array | None = None
     #: Whether ``T_wanted`` gives orientations, or positions only.
     oriented: bool = True
-    #: What of the poses is to be reached, one of `MATCHES`; None: ``"pose"``, ``"axis"`` with five joints,
+    #: Part of the poses that is to be reached, one of `MATCHES`; None: ``"pose"``, ``"axis"`` with five joints,
     #: ``"position"`` with fewer or if no orientation is given.
     match: str | None = None
     #: Joint values by name [rad] or [m] near which the search for the first pose starts, of a program of poses alone;
@@ -146,7 +146,7 @@ class Program(Value):
 
 
 def _labels(count: int) -> tuple[str, ...]:
-    """Return labels of rows, numbered from 1."""
+    """Return the labels of so many rows: ``"row 1"``, ``"row 2"`` and so on."""
     return tuple(f"row {i + 1}" for i in range(count))
 
 

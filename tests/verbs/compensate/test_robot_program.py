@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from calib.errors import ModelError
-from calib.verbs.compensate.program import Program
+from calib.verbs.compensate.robot_program import Program
 
 
 @pytest.mark.parametrize(

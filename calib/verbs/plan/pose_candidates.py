@@ -87,7 +87,7 @@ class Pool(NamedTuple):
 
 
 def drawing_of(instrument: Instrument) -> Drawing:
-    """Return how candidates of an instrument are drawn."""
+    """Return the numbers of poses to draw for an instrument: fewer if it has viewpoints."""
     return TOWARDS_VIEWPOINTS if instrument.VIEWPOINT_NUMBERS else EVEN
 
 
@@ -107,7 +107,7 @@ def draw(
         robot: The robot, with m measured joints.
         ranges: Lowest and highest value of each joint, shape (m, 2), [rad] or for sliding joints [m], see
             `planning_ranges`.
-        conditions: What a pose must pass, in this order; that with the reason ``"region"``, if any, first.
+        conditions: Conditions that a pose must pass, in this order; that with the reason ``"region"``, if any, first.
         count: Number of candidates that is enough, 1 or more.
         seed: Seed of the Sobol sequence: the same one draws the same poses.
         progress: Called after each batch with the number of candidates so far and ``count``; None: nothing is called.
@@ -139,7 +139,7 @@ def draw_towards(
         sightline: The instrument and its target.
         ranges: Lowest and highest value of each joint, shape (m, 2), [rad] or for sliding joints [m]. Readings beyond
             them are refused for ``"limits"``, before all other reasons.
-        conditions: What a pose must pass, in this order.
+        conditions: Conditions that a pose must pass, in this order.
         count: Number of candidates that is enough, 1 or more.
         seed: The same one draws the same poses.
         progress: Called after each batch with the number of candidates so far and ``count``; None: nothing is called.
@@ -153,7 +153,7 @@ def draw_towards(
     robot = sightline.robot
 
     def are_within(q: Array) -> Mask:
-        """Test whether all joints are within their ranges."""
+        """Return at which readings (N, m) all joints are within their ranges, (N,)."""
         values = robot.input_values(q)
         return np.asarray(((values >= ranges[:, 0]) & (values <= ranges[:, 1])).all(axis=1))
 
@@ -233,7 +233,10 @@ def _even_batches(robot: Robot, ranges: Array, seed: int) -> Iterator[Array]:
 def _batches_near_viewpoints(
     instrument: Instrument, sightline: Sightline, ranges: Array, seed: int
 ) -> Iterator[Array]:
-    """Yield batches of readings (n, m) that bring the robot near viewpoints."""
+    """Yield batches of readings (n, m) [rad] or [m] that bring the robot near viewpoints of a Sobol sequence.
+
+    Ranges are (m, 2); the readings that inverse kinematics finds may be beyond them.
+    """
     # Imported late: SciPy's distributions take as long as the rest of calib.
     from scipy.stats import qmc
 

@@ -11,7 +11,7 @@ import pytest
 
 from calib.basics.json_files import json_bytes
 from calib.data.measurements import Measurements
-from calib.verbs.fleet.rows import (
+from calib.verbs.fleet.fleet_row import (
     DONE,
     FAILED,
     ROW_LAYOUT,

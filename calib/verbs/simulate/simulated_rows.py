@@ -77,13 +77,26 @@ class Tour:
         route = np.tile(np.arange(len(sets)), visits)
         stop = np.repeat(np.arange(len(route)), targets)
         pose = route[stop]
+        partner = None
+        if paired:
+            # Consecutive poses of one set, the same target, the same visit.
+            other = np.arange(len(sets))
+            for name in SETS:
+                members = [i for i, set_name in enumerate(sets) if set_name == name]
+                if len(members) % 2:
+                    raise CalibError(
+                        f"Pairs need an even number of poses; {len(members)} are to '{name}'."
+                    )
+                other[members[::2]] = members[1::2]
+                other[members[1::2]] = members[::2]
+            partner = np.asarray(np.arange(len(pose)) + (other[pose] - pose) * targets)
         return cls(
             route=route,
             stop=stop,
             target=np.tile(np.arange(targets), len(route)),
             group=pose % len(truth.groups),
             sets=tuple(sets[i] for i in pose),
-            partner=_partners(sets, pose, targets) if paired else None,
+            partner=partner,
         )
 
     def __len__(self) -> int:
@@ -107,23 +120,8 @@ class Tour:
         return np.stack([T, T[self.partner]], axis=1)
 
 
-def _partners(sets: Sequence[str], pose: Integers, targets: int) -> Integers:
-    """Return the other view of each one's pair (R,): consecutive poses of one set, the same target, the same visit.
-
-    It raises `CalibError` if a set has an odd number of poses.
-    """
-    other = np.arange(len(sets))
-    for name in SETS:
-        members = [i for i, set_name in enumerate(sets) if set_name == name]
-        if len(members) % 2:
-            raise CalibError(f"Pairs need an even number of poses; {len(members)} are to '{name}'.")
-        other[members[::2]] = members[1::2]
-        other[members[1::2]] = members[::2]
-    return np.asarray(np.arange(len(pose)) + (other[pose] - pose) * targets)
-
-
 class Stops(NamedTuple):
-    """What the robot does on a tour of R views, and where that brings the targets."""
+    """Joint values of the robot at the stops of a tour of R views, and the poses of the targets there."""
 
     tour: Tour
     #: Shape (stops, m), joint values that are read, [rad] or [m].
@@ -156,9 +154,9 @@ class Pictures(Value):
     picture: Integers
     #: Its id on the board, shape (R,).
     corner: Integers
-    #: Where it is, shape (R, 2) [px].
+    #: Its true place in the picture, shape (R, 2) [px].
     true_pixels: Array
-    #: Where it is found, shape (R, 2) [px].
+    #: The place where it is found, shape (R, 2) [px].
     pixels: Array
     #: Standard deviation of the noise of a coordinate [px].
     sigma: float
@@ -191,14 +189,14 @@ class Reader(ABC):
         """Read all targets of a tour.
 
         Args:
-            stops: What the robot does.
+            stops: The stops of the robot.
             seed: Of the random numbers.
         """
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrackerReader(Reader):
-    """A tracker, or another gauge of what a kind measures of a target."""
+    """A tracker, or another instrument that measures targets as a kind of measurement says."""
 
     kind: Kind
     #: The targets and the frames.
@@ -218,7 +216,18 @@ class TrackerReader(Reader):
         assert kind.measure is not None
         instrument = self._instrument_std(tour, T)
         outliers = self._draw_outliers(tour, seed)
-        noise = self._draw_noise(instrument, seed)
+        # By quantity, shape (R, 3 or more) each, in its residual unit: three columns for a vector, then one for each
+        # single reading. Lengths have the standard deviation of each row.
+        noise: dict[str, Array] = {}
+        for symbol, unit in RESIDUAL_UNITS.items():
+            quantity = unit.quantity
+            further = sum(reading.quantity == quantity for reading in kind.readings)
+            random = stream(seed, "tracker noise" if symbol == "m" else f"{quantity} noise")
+            of_vector = random.standard_normal((len(instrument), VECTOR))
+            of_readings = random.standard_normal((len(instrument), further))
+            unit_normal = np.hstack([of_vector, of_readings])
+            std = np.full(len(instrument), self.sigma.get(symbol, 0.0))
+            noise[quantity] = unit_normal * (instrument if symbol == "m" else std)[:, None]
         noise["length"][:, :VECTOR] += outliers
         exact = kind.measure(tour.with_partners(stops.displaced))
         noisy = with_pose_noise(kind, exact, T[:, :3, :3], noise)
@@ -241,7 +250,10 @@ class TrackerReader(Reader):
         )
 
     def _instrument_std(self, tour: Tour, T: Array) -> Array:
-        """Return the standard deviation of the instrument alone at each view, shape (R,), [m]."""
+        """Return the standard deviation of lengths by the instrument alone at R views, (R,) [m].
+
+        It depends on the distances of the targets, whose true poses in their frames are T, (R, 4, 4) [m].
+        """
         noise, kind = self.noise, self.kind
         if noise is None:
             return np.zeros(len(T))
@@ -271,23 +283,6 @@ class TrackerReader(Reader):
             directions = np.sign(directions) * (1.0, 0.0, 0.0)
         displacement[chosen] = self.outliers.size * directions[chosen]
         return displacement
-
-    def _draw_noise(self, instrument: Array, seed: int) -> dict[str, Array]:
-        """Draw noise by quantity, shape (R, 3 or more) each, in its residual unit; lengths by the std of each row."""
-        noise: dict[str, Array] = {}
-        for symbol, unit in RESIDUAL_UNITS.items():
-            quantity = unit.quantity
-            further = sum(reading.quantity == quantity for reading in self.kind.readings)
-            random = stream(seed, "tracker noise" if symbol == "m" else f"{quantity} noise")
-            unit_normal = np.hstack(
-                [
-                    random.standard_normal((len(instrument), VECTOR)),
-                    random.standard_normal((len(instrument), further)),
-                ]
-            )
-            std = np.full(len(instrument), self.sigma.get(symbol, 0.0))
-            noise[quantity] = unit_normal * (instrument if symbol == "m" else std)[:, None]
-        return noise
 
 
 @dataclass(frozen=True, slots=True, eq=False)

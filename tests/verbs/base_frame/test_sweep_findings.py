@@ -5,7 +5,7 @@ import pytest
 
 from calib.errors import CalibError
 from calib.verbs.base_frame.circles import fit_circle
-from calib.verbs.base_frame.findings import SweepFinding, findings, with_positive_sense
+from calib.verbs.base_frame.sweep_findings import SweepFinding, findings, with_positive_sense
 from calib.verbs.base_frame.sweeps import Sweep
 
 SIGMA = 33e-6

@@ -11,8 +11,8 @@ from calib import example
 from calib.data.measurements import Measurements
 from calib.robot.ranges import joint_ranges
 from calib.verbs.workspace.region import Density
+from calib.verbs.workspace.region_page import region_page
 from calib.verbs.workspace.region_rows import Checked, RegionView
-from calib.verbs.workspace.view import region_page
 from calib.verbs.workspace.workspace import workspace_points
 from tests.view_fixtures import moved, positions, scene_of
 

@@ -138,6 +138,17 @@ class FleetRow:
             unseen, unseen_rms = "validation", _rms_by_unit(calibrated["validation"])
         elif calibration.cross_validation is not None:
             unseen = "cross-validation"
+        # Robots are compared by the parameters of robot and target; those of frames are of the instrument's place.
+        compared = []
+        estimates = zip(calibration.parameters, calibration.model.parameters, strict=True)
+        for estimated, parameter in estimates:
+            if parameter.family == FRAME:
+                continue
+            change = estimated.value if parameter.family == TARGET else estimated.delta
+            determined = estimated.identifiable and not estimated.at_bound
+            std = estimated.std if determined else math.nan
+            compared.append(FleetParameter(estimated.name, estimated.unit, change, std))
+
         robot, measurements = calibration.nominal, calibration.fit.measurements
         non_geometric = calibration.non_geometric
         return cls(
@@ -158,29 +169,13 @@ class FleetRow:
             kind=" ".join([robot.name, robot.base, robot.tip, *robot.joint_names]),
             data=measurements.source,
             measured=measured_hash(measurements),
-            parameters=_parameters(calibration),
+            parameters=tuple(compared),
         )
 
 
 def _rms_by_unit(errors: Errors) -> dict[str, float]:
-    """Return the rms errors in each unit that was measured."""
+    """Return the rms error in each unit that was measured, by its symbol: ``"m"`` [m] and so on."""
     return {unit: errors[unit].rms for unit in errors.units}
-
-
-def _parameters(calibration: Calibration) -> tuple[FleetParameter, ...]:
-    """Return the parameters that robots are compared by: not those of frames, which are of the instrument's place."""
-    compared = []
-    pairs = zip(calibration.parameters, calibration.model.parameters, strict=True)
-    for estimated, parameter in pairs:
-        if parameter.family == FRAME:
-            continue
-        change = estimated.delta
-        if parameter.family == TARGET:
-            change = estimated.value
-        determined = estimated.identifiable and not estimated.at_bound
-        std = estimated.std if determined else math.nan
-        compared.append(FleetParameter(estimated.name, estimated.unit, change, std))
-    return tuple(compared)
 
 
 #: Layout of a row in a JSON file.

@@ -10,7 +10,7 @@ import calib.data.kinds as registry
 from calib.data.cell import Cell
 from calib.data.kinds import Kind, Reading
 from calib.errors import CalibError
-from calib.verbs.simulate.readings import Tour, with_pose_noise, with_reading_noise
+from calib.verbs.simulate.simulated_rows import Tour, with_pose_noise, with_reading_noise
 from calib.verbs.simulate.truth import draw_truth
 
 SETS = ("estimate",) * 4

@@ -14,9 +14,9 @@ from calib.errors import FileError, ModelError
 from calib.robot.robot import Robot
 from calib.robot.ur_models import chain_of_rows, ur_model
 from calib.verbs.convert.format import Notes, Options, Source
-from calib.verbs.convert.universal_robots import FORMATS, conf_file, kinematics_file, read_ur
 from calib.verbs.convert.ur_arms import chain_poses, kinematics_hash, the_mount, ur_robot
 from calib.verbs.convert.ur_files import KinematicsYaml, kinematics_bytes
+from calib.verbs.convert.ur_formats import FORMATS, conf_file, kinematics_file, read_ur
 from tests.places import ROOT
 from tests.verbs.convert.ur_cases import WITH_DELTAS, rows, write_deltas
 

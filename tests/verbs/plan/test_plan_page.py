@@ -16,10 +16,10 @@ from calib.robot.ranges import random_joint_values
 from calib.verbs.plan.choice import PlanRequest
 from calib.verbs.plan.plan import plan
 from calib.verbs.plan.plan_file import write_plan
-from calib.verbs.plan.view import on_foot, plan_page
+from calib.verbs.plan.plan_page import on_foot, plan_page
 from tests.instruments.scenes import BOARD, standing
 from tests.verbs.plan import test_images
-from tests.verbs.view.test_page import floats, table_of
+from tests.verbs.view.test_robots_page import floats, table_of
 from tests.view_fixtures import moved, positions, scene_of
 
 TARGET = np.array(example.PAPER_TARGET)
