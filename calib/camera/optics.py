@@ -23,6 +23,9 @@ from calib.camera.lenses import LENSES, Lens
 #: Intrinsics; a lens that has fewer leaves the last ones at zero.
 INTRINSICS = slice(0, 9)
 
+#: The two focal lengths among them [px].
+FOCAL = slice(0, 2)
+
 #: Number of the lens, in the order of `LENSES`.
 LENS = 9
 

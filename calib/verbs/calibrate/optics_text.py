@@ -31,7 +31,7 @@ def optics_sentences(c: Calibration) -> list[str]:
     """
     pairs = list(zip(c.model.parameters, c.parameters, strict=True))
     optical = [
-        (parameter, estimate) for parameter, estimate in pairs if parameter.optic is not None
+        (parameter, estimate) for parameter, estimate in pairs if parameter.internal is not None
     ]
     sentences = []
     for family, word in ((CAMERA, _camera), (BOARD, _board)):
@@ -76,7 +76,7 @@ def _board(estimated: Sequence[_Estimated]) -> str:
 def _offsets(estimated: Sequence[_Estimated]) -> Array:
     """Return the errors of all corners of a print along x and y [m]."""
     columns = range(optics.OFFSET.start, optics.OFFSET.stop)
-    return np.array([p.delta for parameter, p in estimated if parameter.optic in columns])
+    return np.array([p.delta for parameter, p in estimated if parameter.internal in columns])
 
 
 def _half(p: ParameterEstimate, decimals: int, factor: float = 1.0) -> str:

@@ -140,7 +140,7 @@ def _frame_place(c: Calibration, f: int, kinds: Sequence[Kind]) -> str:
     T_frame_base = c.setup.T_frame_base[f]
     position = T_frame_base[:3, 3]
     base = c.nominal.base
-    if any(kind.optical for kind in kinds):
+    if any(kind.is_image for kind in kinds):
         T_base_camera = np.linalg.inv(T_frame_base)
         return f"estimated at ({_listed(T_base_camera[:3, 3])}) mm{_rpy(T_base_camera)} in {base}"
     if _is_point(kinds):

@@ -184,13 +184,12 @@ def evaluate(
         known = non_geometric.setup
     rows, setup = rows_and_setup(arm, table, known_cell)
     if known is not None:
-        setup = replace(_with_known(setup, known, which), optics=known.optics)
+        setup = replace(_with_known(setup, known, which), internals=known.internals)
     T_base_tip = _tip_poses(arm, rows, non_geometric)
     placed = _registered(T_base_tip, rows, setup, registration_rows(table))
-    T_frame_target = placed.target_poses(T_base_tip, rows.samples)
-    optics = placed.optics_at(rows.samples)
-    residual = rows.residual(T_frame_target, optics)
-    scale = length_of_pixels(T_frame_target, optics, rows)
+    seen = placed.sightings(T_base_tip, rows.samples)
+    residual = rows.residual(seen)
+    scale = length_of_pixels(seen, rows)
     return Evaluation(
         robot=arm,
         measurements=table,

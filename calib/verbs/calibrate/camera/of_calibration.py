@@ -9,8 +9,8 @@ import numpy as np
 from calib.basics.arrays import Array, Integers, Mask
 from calib.camera import optics
 from calib.camera.lenses import LENSES
-from calib.fit.registration.table_optics import number_corners
 from calib.fit.registration.table_rows import rows_and_setup
+from calib.instruments.internals import number_corners
 from calib.result.calibration import Calibration
 from calib.show.row_values import flagged_rows
 from calib.verbs.calibrate.camera.seen_corners import SeenCorners
@@ -41,7 +41,7 @@ def all_pixels_are_images(c: Calibration) -> bool:
 
 def _is_image(c: Calibration) -> Mask:
     """Return the rows that are images of corners, shape (N,)."""
-    return c.fit.measurements.where(lambda kind: kind.optical)
+    return c.fit.measurements.is_image
 
 
 def seen_corners(c: Calibration) -> tuple[SeenCorners, ...]:
@@ -62,11 +62,11 @@ def _prediction(c: Calibration) -> _Prediction:
     """Predict all rows with the calibrated robot, camera and board."""
     rows, _ = rows_and_setup(c.nominal, c.fit.measurements, c.fit.cell)
     T_base_tip = c.robot.poses(c.fit.measurements.joints_for(c.nominal.joint_names))
-    values = c.setup.optics_at(rows.samples)
-    assert values is not None
+    seen = c.setup.sightings(T_base_tip, rows.samples)
+    assert seen.internals is not None
     return _Prediction(
-        T_frame_target=c.setup.target_poses(T_base_tip, rows.samples),
-        optics=values.values,
+        T_frame_target=seen.T_frame_target,
+        optics=seen.internals.values,
         images=_image_names(c.fit.measurements.images, rows.blocks),
     )
 
