@@ -16,8 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from calib.basics.arrays import Array, Integers
 from calib.basics.values import Value
-from calib.camera import optics
-from calib.camera.lenses import LENSES, Lens
+from calib.camera.lenses import Lens
 
 #: A view: points on the board, shape (k, 3) [m], and their images, shape (k, 2) [px].
 View = tuple[Array, Array]
@@ -108,30 +107,6 @@ def planar_poses(views: Sequence[View], lens: Lens, values: Array) -> tuple[Plan
             rms_other=float(np.sqrt(other_cost / len(points))),
         )
     return tuple(result)
-
-
-def view_poses(views: Sequence[tuple[Array, Array]]) -> list[Array | None]:
-    """Estimate the poses of boards in cameras, each from the corners of one view.
-
-    Args:
-        views: Images of the corners of each view, shape (k, 2) [px], and the numbers of lens and print of each corner,
-            shape (k, `calib.camera.optics.COUNT`).
-
-    Returns:
-        T_camera_board, shape (4, 4) [m], of each view; None for one whose corners do not determine it.
-    """
-    by_camera: dict[float, list[int]] = {}
-    for k, (_, internals) in enumerate(views):
-        by_camera.setdefault(float(internals[0, optics.CAMERA]), []).append(k)
-    result: list[Array | None] = [None] * len(views)
-    for numbers in by_camera.values():
-        of_camera = views[numbers[0]][1][0]
-        lens = list(LENSES.values())[int(of_camera[optics.LENS])]
-        corners = [(optics.board_points(views[k][1]), views[k][0]) for k in numbers]
-        poses = planar_poses(corners, lens, of_camera[: len(lens.names)])
-        for k, pose in zip(numbers, poses, strict=True):
-            result[k] = None if pose is None else pose.T_camera_board
-    return result
 
 
 def closed_form_poses(views: Sequence[View], lens: Lens, values: Array) -> tuple[Array | None, ...]:

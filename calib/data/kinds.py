@@ -34,7 +34,6 @@ from calib.basics.channels import RESIDUAL_UNITS
 from calib.basics.units import UNITS, Quantity
 from calib.basics.values import Value
 from calib.camera import optics
-from calib.camera.planar_pose import view_poses
 from calib.data.kind_check import check_functions
 from calib.errors import CalibError, MeasurementError, choices
 from calib.model.error_model import DIRECTIONS
@@ -560,7 +559,7 @@ _OPTICS = Internals(
     point_number=optics.CORNER,
     points=optics.board_points,
     lengths=_pixel_lengths,
-    view_poses=view_poses,
+    view_poses=optics.view_poses,
     stated=(
         StatedSize(
             name="focal_length",

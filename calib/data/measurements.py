@@ -163,12 +163,11 @@ class Measurements(Value):
         fill("readings", ReadOnlyMapping(readings))
 
         is_oriented = self.where(lambda kind: kind.orientation)
-        is_image = self.is_image
         for name, tail, rows in (
             ("joints", (len(self.joint_names),), np.ones(count, dtype=np.bool_)),
             ("points", (3,), self.positions),
             ("rotations", (3, 3), is_oriented),
-            ("board_points", (3,), is_image),
+            ("board_points", (3,), self.is_image),
         ):
             array = checked_numbers(labels, name, getattr(self, name), tail, rows, _REACH)
             if array is None and name in ("joints", "points"):

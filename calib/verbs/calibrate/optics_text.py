@@ -7,7 +7,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from calib.basics.arrays import Array
-from calib.camera import optics
 from calib.model.parameters import BOARD, CAMERA, Parameter
 from calib.result.calibration import Calibration
 from calib.result.fitted_model import ParameterEstimate
@@ -16,7 +15,7 @@ from calib.show.lines import number, plural
 #: Decimals of a number of a lens, by its unit.
 _DECIMALS = {"px": 1, "1": 4}
 
-#: An optical parameter and its estimate.
+#: An internal of camera or board that was estimated, and its estimate.
 _Estimated = tuple[Parameter, ParameterEstimate]
 
 
@@ -30,12 +29,12 @@ def optics_sentences(c: Calibration) -> list[str]:
         The sentences; none without cameras.
     """
     pairs = list(zip(c.model.parameters, c.parameters, strict=True))
-    optical = [
+    internal = [
         (parameter, estimate) for parameter, estimate in pairs if parameter.internal is not None
     ]
     sentences = []
     for family, word in ((CAMERA, _camera), (BOARD, _board)):
-        of_family = [pair for pair in optical if pair[0].family == family]
+        of_family = [pair for pair in internal if pair[0].family == family]
         owners = dict.fromkeys(parameter.samples[0] for parameter, _ in of_family)
         for owner in owners:
             estimated = [pair for pair in of_family if pair[0].samples[0] == owner]
@@ -55,7 +54,7 @@ def _camera(estimated: Sequence[_Estimated]) -> str:
 
 def _board(estimated: Sequence[_Estimated]) -> str:
     """Word the errors of one print: scale and sag along x and y, and how far its corners are from their places."""
-    whole = [(parameter, p) for parameter, p in estimated if len(parameter.samples) == 1]
+    whole = [(parameter, p) for parameter, p in estimated if not parameter.of_one_point]
     parts = []
     for name, factor, unit, decimals in (("scale", 100.0, "%", 2), ("sag", 1e3, "mm", 2)):
         values = []
@@ -75,8 +74,7 @@ def _board(estimated: Sequence[_Estimated]) -> str:
 
 def _offsets(estimated: Sequence[_Estimated]) -> Array:
     """Return the errors of all corners of a print along x and y [m]."""
-    columns = range(optics.OFFSET.start, optics.OFFSET.stop)
-    return np.array([p.delta for parameter, p in estimated if parameter.internal in columns])
+    return np.array([p.delta for parameter, p in estimated if parameter.of_one_point])
 
 
 def _half(p: ParameterEstimate, decimals: int, factor: float = 1.0) -> str:
