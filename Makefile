@@ -77,7 +77,7 @@ $(CALIB): pyproject.toml
 	@rm -rf $(VENV)
 	@$(PYTHON) -m venv $(VENV)
 	@$(PIP) --quiet uv || true
-	@$(call INSTALL,--editable .)
+	@$(call INSTALL,--editable '.[report]')
 	@touch $(CALIB)
 
 $(TOOLS): $(CALIB)

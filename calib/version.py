@@ -1,3 +1,3 @@
 """The version of calib, below everything that writes it into a file."""
 
-__version__ = "0.1.0.dev0"
+__version__ = "0.1.0"

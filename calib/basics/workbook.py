@@ -85,8 +85,8 @@ def _load(data: bytes, source: str, *, values: bool) -> Workbook:
         from openpyxl import load_workbook
     except ImportError as error:
         raise MeasurementError(
-            f"{source}: Excel files are read with openpyxl, which is not installed: pip install openpyxl. Or save "
-            "the sheet as CSV (UTF-8)."
+            f"{source}: Excel files are read with openpyxl, which is not installed: pip install "
+            "'robot-calib[xlsx]'. Or save the sheet as CSV (UTF-8)."
         ) from error
     try:
         with warnings.catch_warnings():  # about what a table does not need, such as styles

@@ -21,7 +21,7 @@ def opencv() -> Any:  # noqa: ANN401  a module without types
         cv2 = importlib.import_module("cv2")
     except ImportError as error:
         raise CalibError(
-            "Boards are drawn and found with OpenCV, which is not installed: pip install opencv-python-headless"
+            "Boards are drawn and found with OpenCV, which is not installed: pip install 'robot-calib[camera]'"
         ) from error
     if not hasattr(cv2, "aruco") or not hasattr(cv2.aruco, "CharucoDetector"):
         raise CalibError(

@@ -67,7 +67,7 @@ def _dask_executor(address: str) -> Iterator[Executor]:
 
         client = Client(address, timeout="10s", set_as_default=False)  # type: ignore[no-untyped-call]
     except ImportError as error:
-        raise CalibError("Dask is not installed: pip install distributed.") from error
+        raise CalibError("Dask is not installed: pip install 'robot-calib[dask]'") from error
     except (OSError, ValueError) as error:
         raise CalibError(
             f'--dask "{address}": no Dask scheduler answers there: {error}.'

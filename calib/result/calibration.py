@@ -116,11 +116,11 @@ class Calibration(Value):
 
     def _repr_html_(self) -> str:
         """A small table for notebooks: the verdict and its first reason, errors before and after."""
-        return str(shown_by("verbs.calibrate.text").calibration_html(self))
+        return str(shown_by("verbs.calibrate.report").calibration_html(self))
 
     def summary(self) -> str:
         """Return the result as text, without colours."""
-        return str(shown_by("verbs.calibrate.text").summary(self))
+        return str(shown_by("verbs.calibrate.report").summary(self))
 
     def checked_urdf(self, *, target_link: bool = False) -> Urdf:
         """Return the URDF that `write_urdf` writes, read back with Pinocchio and yourdfpy.
@@ -205,6 +205,7 @@ class Calibration(Value):
 
         Raises:
             ModelError: The result was read from a file, which does not hold the measurements.
+            CalibError: Matplotlib is missing, which draws the figures: ``pip install 'robot-calib[report]'``.
             FileError: The file exists, or cannot be written.
         """
         check_path("path", path)

@@ -94,7 +94,8 @@ def flattened(call: XacroCall) -> bytes:
     package = importlib.util.find_spec("xacro")
     if package is None or package.origin is None:
         raise UrdfError(
-            f"{call.name} is a xacro, and the package that flattens it is not installed: pip install xacro"
+            f"{call.name} is a xacro, and the package that flattens it is not installed: "
+            "pip install 'robot-calib[xacro]'"
         )
     words = [f"{name}:={value}" for name, value in call.arguments]
     program = [sys.executable, "-W", "ignore", "-m", __name__, str(call.path), *words]

@@ -2,18 +2,149 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from calib.basics.channels import RESIDUAL_UNITS, Channels
 from calib.numerics.errors import Errors, UnitErrors
-from calib.show.sizes import shown
-from calib.show.tables import Column, name_column, table_lines
+from calib.show.blocks import EVERYWHERE, Medium
+from calib.show.tables import Column, Label, Row, Table, name_column, residual_column
+
+
+@dataclass(frozen=True, slots=True)
+class ErrorColumn:
+    """A column of the tables of errors: a figure of a set of rows, in the unit of the errors."""
+
+    #: Its heading
+    head: str
+    #: The figure, in the SI unit of the errors, or [px]; NaN if a set has none
+    value: Callable[[UnitErrors], float]
+    #: What it is, for the docs
+    meaning: str
+    #: Heading that it shares with its neighbours
+    group: str = ""
+    #: Left out if no set of rows has a value; tables with several columns for a robot do not have it at all
+    optional: bool = False
+    #: Sentence below the table on a page
+    note: str = ""
+
+    def column(self, unit: str, group: str = "") -> Column:
+        """Return the column of a table of errors in one unit.
+
+        Args:
+            unit: Symbol of the unit, of `calib.basics.channels.RESIDUAL_UNITS`.
+            group: Heading above it in place of its own.
+        """
+        column = residual_column(self.head, unit, 9, group=group or self.group)
+        return replace(column, optional=self.optional, note=self.note)
+
+
+def _span(axis: int) -> Callable[[UnitErrors], float]:
+    """Return the function that gives the span of errors along an axis; NaN in units whose span is not shown."""
+
+    def span(errors: UnitErrors) -> float:
+        shows = RESIDUAL_UNITS[errors.unit].shows_span
+        return float(errors.span_axis[axis]) if shows else math.nan
+
+    return span
+
+
+_SPAN = "Span: largest minus smallest signed error along an axis of the frame."
+
+#: The columns of every table of errors, after the number of rows. A further one is an entry here.
+ERROR_COLUMNS: tuple[ErrorColumn, ...] = (
+    ErrorColumn("max", lambda errors: errors.max, "largest error"),
+    ErrorColumn("mean", lambda errors: errors.mean, "mean of the errors"),
+    ErrorColumn("rms", lambda errors: errors.rms, "root mean square of the errors"),
+    *(
+        ErrorColumn(
+            letter,
+            _span(axis),
+            f"span of position errors along {letter} of the measurement frame: largest minus smallest signed error",
+            group="span",
+            optional=True,
+            note=_SPAN,
+        )
+        for axis, letter in enumerate("xyz")
+    ),
+)
+
+
+class ErrorRow(NamedTuple):
+    """A row of a table of errors."""
+
+    label: str | Label
+    errors: Errors
+    #: In bold on a page
+    strong: bool = False
+
+
+def error_table(
+    title: str,
+    unit: str,
+    rows: Iterable[ErrorRow | str],
+    columns: Sequence[ErrorColumn] = ERROR_COLUMNS,
+    *,
+    names: str = "",
+    note: str = "",
+    on: Medium = EVERYWHERE,
+) -> Table:
+    """Make a table of errors in one unit.
+
+    Args:
+        title: What the errors are of, see `error_title`.
+        unit: Symbol of the unit.
+        rows: The rows; those without errors in this unit are left out. A text takes a row of its own.
+        columns: The columns after the number of rows.
+        names: Heading of the labels on a page.
+        note: Sentences below the table on a page.
+        on: The media that draw it.
+
+    Returns:
+        Number of rows, and the figures of ``columns`` of each set of rows.
+    """
+    cells: list[Row] = []
+    strong = []
+    for row in rows:
+        if isinstance(row, str):
+            cells.append(row)
+            continue
+        errors = row.errors[unit]
+        if errors.n:
+            if row.strong:
+                strong.append(len(cells))
+            cells.append((row.label, errors.n, *error_cells(errors, columns)))
+    return Table(
+        f"{title} [{RESIDUAL_UNITS[unit].shown}]",
+        (name_column(names, 33), Column("rows", 4), *(one.column(unit) for one in columns)),
+        cells,
+        note,
+        strong,
+        on=on,
+    )
+
+
+def error_cells(errors: UnitErrors, columns: Sequence[ErrorColumn]) -> list[float]:
+    """Return the figures of errors that columns show, in the unit of the errors."""
+    return [column.value(errors) for column in columns]
+
+
+def error_texts(errors: UnitErrors, columns: Sequence[ErrorColumn]) -> list[str]:
+    """Write the figures of errors that columns show, for tables whose rows differ in their unit."""
+    return [column.column(errors.unit).text(column.value(errors)) for column in columns]
+
+
+def sizes_of_errors(columns: Sequence[ErrorColumn]) -> list[ErrorColumn]:
+    """Return the columns that tables with several columns for a robot have: those that are not optional."""
+    return [column for column in columns if not column.optional]
 
 
 def error_title(unit: str, *channels: Channels) -> str:
-    """Title of a table of errors in one unit: an error of a distance is none of a position.
+    """Title of a table of errors in one unit: an error of a distance is not one of a position.
 
     Args:
         unit: Symbol of the unit.
@@ -28,53 +159,6 @@ def error_title(unit: str, *channels: Channels) -> str:
     return f"{measured.capitalize()} error"
 
 
-def error_table(title: str, unit: str, rows: Iterable[tuple[str, Errors] | str]) -> list[str]:
-    """Write a table of errors in one unit.
-
-    Args:
-        title: Heading of the labels; see `error_title`.
-        unit: Symbol of the unit.
-        rows: Label and errors of each row; a text is a line of its own.
-
-    Returns:
-        Its lines: rows, maximum, mean, rms, and of positions the span of the error along each axis.
-    """
-    listed = list(rows)
-    of_errors = [row[1][unit] for row in listed if not isinstance(row, str)]
-    has_span = any(np.isfinite(figures.span_axis).any() for figures in of_errors)
-    count, *heads = error_heads(unit)
-    if not has_span:
-        heads = heads[:_WITHOUT_SPAN]
-    columns = [name_column(f"{title} [{RESIDUAL_UNITS[unit].shown}]", 33), Column(count, 4)]
-    columns += [Column(head, 9) for head in heads]
-    cells: list[Sequence[str] | str] = []
-    for row in listed:
-        if isinstance(row, str):
-            cells.append(row)
-            continue
-        label, errors = row
-        cells.append((label, *error_cells(errors[unit])[: len(heads) + 1]))
-    return table_lines(columns, cells)
-
-
-def error_heads(unit: str) -> tuple[str, ...]:
-    """Return the heads of the columns of a table of errors in one unit, but for the first."""
-    spans = ("span x", "y", "z") if RESIDUAL_UNITS[unit].shows_span else ()
-    return ("rows", "max", "mean", "rms", *spans)
-
-
-def error_cells(figures: UnitErrors) -> list[str]:
-    """Return a cell for each of `error_heads` of the unit of some errors."""
-    values = [figures.max, figures.mean, figures.rms]
-    if RESIDUAL_UNITS[figures.unit].shows_span:
-        values += figures.span_axis.tolist()
-    return [str(figures.n), *(shown(value, figures.unit) for value in values)]
-
-
-#: Columns of a table of errors besides the count, without those of the span: maximum, mean, rms.
-_WITHOUT_SPAN = 3
-
-
 def measured_lengths(*channels: Channels) -> str:
     """Name what measured lengths are: coordinates of points, distances, or both.
 
@@ -82,7 +166,7 @@ def measured_lengths(*channels: Channels) -> str:
         channels: Units of the scalars of one or several sets of rows.
 
     Returns:
-        ``"coordinate"``, ``"length"`` where these are no coordinates of a position, or ``"coordinate or length"``.
+        ``"coordinate"``, ``"length"`` if none is a coordinate of a position, or ``"coordinate or length"``.
     """
     are_vectors = set()
     for of_rows in channels:

@@ -3,25 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    pass
-
 import textwrap
+from collections.abc import Iterable, Sequence
 
 #: Columns of a line, at most: what a terminal beside an editor shows without breaking lines.
 WIDTH = 100
 
 
 def fill(text: str, indent: str = "", hang: str = "") -> str:
-    """Break a paragraph at 100 columns, nowhere within a word, however long.
+    """Break a paragraph at 100 columns, but not within a word, however long.
 
     Args:
         text: The paragraph.
         indent: What stands before each line.
-        hang: What stands behind the indent of each line but the first.
+        hang: What follows the indent of all lines except the first.
 
     Returns:
         The lines, joined.
@@ -41,7 +36,7 @@ def wrap(text: str, indent: str = "") -> str:
 
     Args:
         text: The paragraph.
-        indent: What stands before each line; all but the first have two spaces more.
+        indent: What stands before each line; all except the first have two spaces more.
 
     Returns:
         The lines, joined, none of them longer than 100 columns.
@@ -79,7 +74,7 @@ def row_ranges(rows: Iterable[int], limit: int = 12) -> str:
         limit: The most numbers and ranges that are listed.
 
     Returns:
-        The list; what exceeds the limit is counted: ``... and 5 more``.
+        The list; rows beyond the limit are counted: ``... and 5 more``.
     """
     runs: list[list[int]] = []
     for row in sorted(rows):
@@ -112,7 +107,7 @@ def number(value: float, digits: int = 3, sign: str = "-") -> str:
 
     Args:
         value: The number.
-        digits: How many digits stand after the point.
+        digits: Digits after the decimal point.
         sign: ``"+"`` also marks positive numbers.
 
     Returns:

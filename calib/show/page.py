@@ -1,23 +1,20 @@
-"""HTML pages that print on A4: one file, figures inside, no script, nothing from the network.
+"""Pages as HTML that prints on A4, and as excerpts for notebooks: one file, figures inside, no script, no network.
 
-Every report is ``page.html.j2`` with sections of its own: a template that extends it, filled in with variables.
+The look, and how each kind of block is drawn, are in ``page.html.j2``.
 """
 
 from __future__ import annotations
 
 import base64
-import os
-from collections.abc import Iterable, Mapping
-from datetime import datetime, timezone
+from itertools import groupby
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from calib.errors import FileError
+from calib.show.blocks import HTML, NOTEBOOK, Drawing, GalleryPicture, Medium, Page
+from calib.show.tables import Table, format_cells
 
-if TYPE_CHECKING:
-    from calib.show.drawing import Drawing
-
-#: A drawing with more bytes than this as SVG goes into the page as PNG: browsers scroll slowly over large SVG.
+#: A figure with more bytes than this as SVG goes into the page as PNG: browsers scroll slowly over large SVG.
 _LARGE = 260_000
 
 #: A longer word in a table [letters] may be broken anywhere: it would push its table off the page.
@@ -36,55 +33,90 @@ def check_ending(path: str | Path) -> None:
         )
 
 
-def page_bytes(
-    template: Path, content: Mapping[str, Any], drawings: Iterable[Drawing] = ()
-) -> bytes:
-    """Return a page, UTF-8.
+def page_bytes(page: Page) -> bytes:
+    """Draw the sections of a page that are for HTML, UTF-8.
 
-    Two pages of the same content differ in their date only: that of the environment variable ``SOURCE_DATE_EPOCH``
-    (seconds since 1970), else now.
-
-    Args:
-        template: The template; those that it extends or includes are beside it, or beside this module.
-        content: Its variables, ``document`` and ``first`` among them: the report's title and its `FirstPage`.
-        drawings: The figures.
+    Two pages of the same content differ in their date only.
     """
+    return _draw(page, HTML).encode("utf-8", "replace")
+
+
+def notebook_html(page: Page) -> str:
+    """Draw the sections of a page that are for a notebook, as an element of HTML; every text is escaped."""
+    return _draw(page, NOTEBOOK)
+
+
+def _draw(page: Page, medium: Medium) -> str:
+    """Fill in the template."""
     import jinja2
+    from markupsafe import Markup
 
     environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader([template.parent, Path(__file__).parent]),
+        loader=jinja2.FileSystemLoader(Path(__file__).parent),
         autoescape=True,
         trim_blocks=True,
         lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
     )
     environment.tests["long"] = _has_long_word
-    figures = [(drawing, _picture(drawing)) for drawing in drawings]
-    variables = {**content, "date": _date(), "figures": figures}
-    return environment.get_template(template.name).render(variables).encode("utf-8", "replace")
+    environment.globals |= {"cells_of": _cells, "picture_of": _picture, "jpeg_of": _jpeg}
+    sections = [
+        (section, [(type(block).__name__, block) for block in blocks])
+        for section, blocks in page.drawn_on(medium)
+    ]
+    in_notebook = medium is NOTEBOOK
+    return environment.get_template("page.html.j2").render(
+        page=page,
+        medium=medium,
+        sections=sections,
+        in_notebook=in_notebook,
+        # A notebook has no style sheet of ours.
+        left=Markup(' style="text-align:left"' if in_notebook else ""),
+        right=Markup(' style="text-align:right"' if in_notebook else ' class="r"'),
+    )
+
+
+def _cells(table: Table) -> dict[str, Any]:
+    """Return columns, headings above several columns, texts of the rows, and sentences below a table."""
+    columns, rows = format_cells(table.columns, table.rows[: table.most.get(HTML)])
+    groups = [
+        (label, len(list(below))) for label, below in groupby(column.group for column in columns)
+    ]
+    more = len(table.rows) - len(rows)
+    notes = [table.note, *dict.fromkeys(column.note for column in columns)]
+    if more:
+        notes.append(f"{more:,} more are in {table.elsewhere}.")
+    return {
+        "columns": columns,
+        "groups": groups if any(label for label, _ in groups) else [],
+        "rows": rows,
+        "note": " ".join(note for note in notes if note),
+        "named": max((len(row[0]) for row in rows if not isinstance(row, str)), default=0) > 12,
+    }
 
 
 def _has_long_word(text: str) -> bool:
-    """Tell if a cell holds a word that must be broken to fit its column."""
+    """Say if a cell holds a word that must be broken to fit its column."""
     return any(len(word) > _LONGEST_WORD for word in text.split())
 
 
-def _date() -> str:
-    """Return the date and time of the report, UTC."""
-    epoch = os.environ.get("SOURCE_DATE_EPOCH", "")
-    date = datetime.now(timezone.utc)
-    if epoch.isdecimal():
-        date = datetime.fromtimestamp(int(epoch), timezone.utc)
-    return f"{date:%Y-%m-%d %H:%M} UTC"
-
-
 def _picture(drawing: Drawing) -> str:
-    """Draw a figure and return it as a data address: SVG, or PNG where SVG would be large."""
-    from calib.show.drawing import rendered
+    """Draw a figure and return it as a data address: SVG, or PNG if SVG would be large."""
+    from calib.show.plotting import render
 
     media_type = "svg+xml"
-    data = rendered(drawing, "svg")
+    data = render(drawing, "svg")
     if len(data) > _LARGE:
         media_type = "png"
-        data = rendered(drawing, "png")
+        data = render(drawing, "png")
+    return _data_address(media_type, data)
+
+
+def _jpeg(picture: GalleryPicture) -> str:
+    """Return a small picture as a data address."""
+    return _data_address("jpeg", picture.jpeg)
+
+
+def _data_address(media_type: str, data: bytes) -> str:
+    """Return the address of a picture that stands in the page itself."""
     return f"data:image/{media_type};base64,{base64.b64encode(data).decode('ascii')}"

@@ -9,10 +9,7 @@ if TYPE_CHECKING:
 
 
 def coupling_sentence(robot: Robot) -> str:
-    """Word how the joints follow from their readings; empty where none are coupled.
-
-    Args:
-        robot: The robot.
+    """Word how the joints follow from their readings; empty if none are coupled.
 
     Returns:
         Such as ``"Coupled readings: 'joint_3' is at its reading plus that of 'joint_2'."``
@@ -25,17 +22,13 @@ def coupling_sentence(robot: Robot) -> str:
 
 
 def rows_sentence(robot: Robot) -> str:
-    """Word from which DH rows a robot was made; empty where it was made from none.
-
-    Args:
-        robot: The robot.
+    """Word from which DH rows a robot was made; empty if it was made from none.
 
     Returns:
         Such as ``"Made from DH rows, standard convention: A_i = ..."``, without a full stop.
     """
-    from calib.robot.dh.rows import (
-        EQUATIONS,  # late: the command line loads nothing heavy at its start
-    )
+    # Late: the command line loads nothing heavy at its start.
+    from calib.robot.dh.rows import EQUATIONS
 
     rows = robot.urdf.dh
     if rows is None:

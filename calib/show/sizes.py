@@ -15,7 +15,7 @@ def shown(value: float, unit: str, digits: int | None = None) -> str:
     Args:
         value: The error, in its SI unit, or [px].
         unit: Symbol of this unit, of `calib.basics.channels.RESIDUAL_UNITS`.
-        digits: How many digits stand after the point; None: as many as the unit usually has.
+        digits: Digits after the decimal point; None: as many as the unit usually has.
     """
     of_unit = RESIDUAL_UNITS[unit]
     return number(of_unit.to_shown * value, of_unit.digits if digits is None else digits)
@@ -43,11 +43,11 @@ def sizes_of(values: Mapping[str, Any], name: str, form: str = ".3f") -> list[st
 
 
 def absurd_size(values: Mapping[str, Any], name: str) -> str:
-    """Format the first size that is beyond any arm, without digits behind the point: ``"264 mm"``.
+    """Format the first size that is beyond any arm, without decimals: ``"264 mm"``.
 
     Args:
         values: The values of a reason, in SI units.
-        name: Their common name, as of `sizes_of`.
+        name: Their common name, as for `sizes_of`.
 
     Returns:
         The size with its unit; empty if none is.

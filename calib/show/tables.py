@@ -1,37 +1,79 @@
-"""Tables and lists of labels as text of at most 100 columns."""
+"""Tables: columns with their type and unit, rows of values; drawn as lines of at most 100 columns here.
+
+A row holds values: texts, counts, and numbers in SI units. A column says how they are written, so that every drawing of
+a table has the same digits. `calib.show.page` draws tables as HTML.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
 
-from calib.show.lines import WIDTH, fill, wrap
+from calib.basics.channels import RESIDUAL_UNITS
+from calib.basics.units import UNITS
+from calib.show.blocks import Block, Medium
+from calib.show.lines import WIDTH, fill, number, wrap
+
+#: Rows, poses, targets or combinations of parameters that a page lists at most; the others are counted.
+MOST_LISTED = 40
+
+
+class Label(NamedTuple):
+    """A name of a row that a terminal has shorter, because there it is read below the row above."""
+
+    full: str
+    short: str
+
+
+#: A text, a count, or a number in SI units; NaN for none.
+Cell = str | int | float | Label
+
+#: The cells of a row, one for each column; or a text that takes the whole row.
+Row = Sequence[Cell] | str
 
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """A column of a printed table."""
+    """A column of a table."""
 
     #: Its heading
     head: str
-    #: The fewest characters of its cells; longer cells widen the column
+    #: In a terminal: its least width in characters; longer cells widen the column
     width: int = 0
-    #: Cells are aligned to the left, else to the right
+    #: Cells are aligned to the left, otherwise to the right
     left: bool = False
-    #: Spaces before it; the first column has none
+    #: In a terminal: spaces before it; the first column has none
     gap: int = 1
+    #: Unit in which its numbers are shown, such as ``"mm"``; empty: numbers are shown as they are
+    unit: str = ""
+    #: Digits after the point of its numbers
+    digits: int = 3
+    #: ``"+"``: positive numbers have a sign too
+    sign: str = "-"
+    #: Heading that it shares with its neighbours
+    group: str = ""
+    #: Left out of a table in which no row has a value for it
+    optional: bool = False
+    #: Meaning of the column, below the table on a page
+    note: str = ""
 
-    def cell(self, text: str, width: int) -> str:
-        """Align the text of a cell.
+    def text(self, cell: Cell, *, short: bool = False) -> str:
+        """Write a cell.
 
         Args:
-            text: The text.
-            width: Characters of the column.
-
-        Returns:
-            The text, filled with spaces to that width.
+            cell: The value; a dash stands for a number that is not finite.
+            short: Write names short, and counts without separators, as a terminal has them.
         """
-        return text.ljust(width) if self.left else text.rjust(width)
+        if isinstance(cell, str):
+            return cell
+        if isinstance(cell, Label):
+            return cell.short if short else cell.full
+        if isinstance(cell, int):
+            return str(cell) if short else f"{cell:,}"
+        factor = 1.0 / UNITS[self.unit].to_si if self.unit else 1.0
+        return number(factor * cell, self.digits, self.sign)
 
 
 def name_column(head: str, width: int = 0) -> Column:
@@ -39,22 +81,92 @@ def name_column(head: str, width: int = 0) -> Column:
     return Column(head, width, left=True)
 
 
-def table_lines(columns: Sequence[Column], rows: Iterable[Sequence[str] | str]) -> list[str]:
+def residual_column(head: str, unit: str, width: int = 0, *, group: str = "") -> Column:
+    """Column of errors in a unit of residuals, by its symbol such as ``"m"``, with the digits of that unit."""
+    of_unit = RESIDUAL_UNITS[unit]
+    return Column(head, width, unit=of_unit.shown, digits=of_unit.digits, group=group)
+
+
+@dataclass(frozen=True, slots=True)
+class Table(Block):
+    """A table; without rows it is not shown."""
+
+    #: What it shows, with the unit if all numbers have the same
+    title: str
+    #: Its columns, names first
+    columns: Sequence[Column]
+    rows: Sequence[Row]
+    #: Sentences below the table, on a page
+    note: str = ""
+    #: Indices of the rows in bold, on a page, from 0
+    strong: Sequence[int] = ()
+    #: Rows that a medium lists at most; the others are counted
+    most: Mapping[Medium, int] = field(default_factory=dict)
+    #: Where the others are, for a page
+    elsewhere: str = ""
+    #: In a terminal the title is a line of its own; otherwise it is the heading of the first column
+    title_above: bool = False
+    #: In a terminal: spaces before the names of its rows
+    indent: str = ""
+
+
+def format_cells(
+    columns: Sequence[Column], rows: Iterable[Row], *, short: bool = False
+) -> tuple[list[Column], list[list[str] | str]]:
+    """Write the cells of a table.
+
+    Args:
+        columns: The columns.
+        rows: The rows.
+        short: As of `Column.text`.
+
+    Returns:
+        The columns without the optional ones in which no row has a value, and the texts of each row.
+    """
+    listed = list(rows)
+    cells = [row for row in listed if not isinstance(row, str)]
+    kept = [
+        k
+        for k, column in enumerate(columns)
+        if not column.optional or any(_has_value(row[k]) for row in cells)
+    ]
+    texts: list[list[str] | str] = []
+    for row in listed:
+        if isinstance(row, str):
+            texts.append(row)
+        else:
+            texts.append([columns[k].text(row[k], short=short) for k in kept])
+    return [columns[k] for k in kept], texts
+
+
+def _has_value(cell: Cell) -> bool:
+    """Say if a cell is neither empty nor NaN."""
+    return not math.isnan(cell) if isinstance(cell, float) else bool(cell)
+
+
+def table_lines(columns: Sequence[Column], rows: Iterable[Row]) -> list[str]:
     """Align a table.
 
-    A column is as wide as its longest cell. Where the table would be wider than 100 characters, a name in the first
-    column that does not fit gets a line of its own, above its cells.
+    A column is as wide as its longest cell. If the table would be wider than 100 characters, a name in the first column
+    that does not fit gets a line of its own, above its cells; if that is not enough, the other columns move closer
+    together.
 
     Args:
         columns: The columns, names first.
-        rows: The rows, with a cell for each column; a cell may be empty. A text instead of cells is a line of its own.
+        rows: The rows; a text is a line of its own.
 
     Returns:
         The line of headings, if there are any, and the lines of the rows, without spaces at their ends.
     """
-    heads = [column.head for column in columns]
-    every = [heads, *rows] if any(heads) else list(rows)
-    widths = _widths(columns, [row for row in every if not isinstance(row, str)])
+    shown, texts = format_cells(columns, rows, short=True)
+    heads = []
+    group = ""
+    for column in shown:
+        starts_group = column.group and column.group != group
+        heads.append(f"{column.group} {column.head}" if starts_group else column.head)
+        group = column.group
+    every = [heads, *texts] if any(heads) else texts
+    widths = _widths(shown, [row for row in every if not isinstance(row, str)])
     lines = []
     for row in every:
         if isinstance(row, str):
@@ -62,38 +174,32 @@ def table_lines(columns: Sequence[Column], rows: Iterable[Sequence[str] | str]) 
             continue
         name, others = row[0], row[1:]
         if len(name) > widths[0]:
-            lines += _wrapped(name)
+            stripped = name.lstrip()
+            lines += wrap(stripped, name.removesuffix(stripped)).splitlines()
             name = ""
-        lines.append(_line(columns, widths, [name, *others]))
+        line = name.ljust(widths[0]) if shown[0].left else name.rjust(widths[0])
+        for column, width, text in zip(shown[1:], widths[1:], others, strict=True):
+            line += " " * column.gap + (text.ljust(width) if column.left else text.rjust(width))
+        lines.append(line.rstrip())
     return lines
 
 
-def _widths(columns: Sequence[Column], cells: Sequence[Sequence[str]]) -> list[int]:
+def _widths(columns: Sequence[Column], texts: Sequence[Sequence[str]]) -> list[int]:
     """Find the width of each column; the first one may be narrower than its longest name."""
-    widths = [column.width for column in columns]
-    for row in cells:
-        widths = [max(width, len(cell)) for width, cell in zip(widths, row, strict=True)]
-    others = sum(widths[1:]) + sum(column.gap for column in columns[1:])
-    widths[0] = min(widths[0], max(WIDTH - others, columns[0].width))
+    longest = [max((len(row[k]) for row in texts), default=0) for k in range(len(columns))]
+    widths = [max(column.width, width) for column, width in zip(columns, longest, strict=True)]
+    room = WIDTH - sum(column.gap for column in columns[1:])
+    widths[0] = min(widths[0], max(room - sum(widths[1:]), columns[0].width))
+    while sum(widths) > room:
+        loose = [k for k in range(1, len(widths)) if widths[k] > longest[k]]
+        if not loose:
+            break
+        widths[max(loose, key=lambda k: widths[k])] -= 1
     return widths
 
 
-def _wrapped(name: str) -> list[str]:
-    """Break a name into lines with its indent."""
-    stripped = name.lstrip()
-    return wrap(stripped, name.removesuffix(stripped)).splitlines()
-
-
-def _line(columns: Sequence[Column], widths: Sequence[int], cells: Sequence[str]) -> str:
-    """Join the cells of a row, each in the width of its column."""
-    parts = [columns[0].cell(cells[0], widths[0])]
-    for column, width, text in zip(columns[1:], widths[1:], cells[1:], strict=True):
-        parts.append(" " * column.gap + column.cell(text, width))
-    return "".join(parts).rstrip()
-
-
 def labelled(label: str, text: str, width: int, indent: str = "") -> str:
-    """Put a text behind its label; further lines are below the text.
+    """Put a text after its label; further lines are below the text.
 
     Args:
         label: The label.

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from calib.diagnosis.reasons import NO, Reason, Verdict, Why
-from calib.show.doubtful_rows import joint_unit, row_or_image, rows_lie
 from calib.show.lines import listed, mm, plural
 from calib.show.sizes import absurd_size, sizes_of
+from calib.show.words import joint_unit
 
 _DEG = float(np.degrees(1.0))
 
@@ -29,7 +29,7 @@ _TURNED = (
     "The nominal robot's orientations are {given_rad:deg.0f} deg rms off, but only "
     "{error_rad:deg.1f} deg if "
 )
-_ANEW = (
+_REGISTERED_AGAIN = (
     "The rms error is {given_m:mm.3g} mm with the frame and target of the result, but only "
     "{error_m:mm.3g} mm if the "
 )
@@ -133,7 +133,7 @@ SENTENCES = {
     Why.JOINTS_STILL: "Joints that hardly moved: {joints}. Their errors are known near these "
     "values only; measure poses that move every joint.",
     Why.SOLE_POSTURE: "{sole}; no other row can check this, nor is it cross-validated. Measure "
-    "{anew} again, and add poses with {those} at other values.",
+    "{whose} again, and add poses with {those} at other values.",
     Why.MODEL_LACKS: "The model '{model}' leaves residuals of {noise} per coordinate, "
     "'{non_geometric}' would leave {less_noise}: the robot has errors that this model lacks. "
     "Try --model auto.",
@@ -198,33 +198,34 @@ SENTENCES = {
     + "'{tip}' carries the camera and '{base}' the board: exchange --camera-on and --board-on.",
     Why.SENSE_REVERSED: "The images fit far better if '{joint}' counts the other way ({error_m:mm.1f} mm "
     "instead of {given_m:mm.1f} mm): check its positive direction in the table and in the URDF.",
-    Why.SENSE_UNKNOWN: "These poses do not tell in which direction a joint counts: with the sign of "
-    "{joints} reversed the images fit as well. Check it by hand, and turn this joint by 60 deg or more while "
-    "others are elsewhere.",
+    Why.SENSE_UNKNOWN: "These poses do not show in which direction a joint counts: with the sign of "
+    "{joints} reversed the images fit as well. Check it by hand, and turn this joint by 60 deg or more with the other "
+    "joints at other values.",
     Why.FOCAL_LENGTH_OFF: "The focal length seems to be {share:%+.2f} % off what was stated (standard "
     "deviation {std:%.2f} %): {if_exact}are the intrinsics of this camera, resolution and focus?",
     Why.BOARD_SCALE_OFF: "The board seems to be {share:%+.2f} % off its stated size (standard deviation "
     "{std:%.2f} %), and all lengths of the arm with it: {if_exact}measure the printed squares, many of them at once, "
     "correct square_mm, and run calib detect again.",
-    Why.COVARIANCES_IDLE: "The stated covariances tell nothing of the errors of the poses (their scale is "
+    Why.COVARIANCES_IDLE: "The stated covariances say nothing about the errors of the poses (their scale is "
     "{scale:.2g}): are they of these rows, in the order x, y, z, turns about x, y, z, in m and rad, along the axes of "
     "the measurement frame? Or does the robot miss its stops by far more?",
     Why.BOARD_HEAD_ON: "The board was always seen head on, tilted by {tilt_rad:deg.0f} deg at most: such "
-    "images hardly tell focal length from distance. Add images with the board tilted by 30 to 45 deg, to all sides.",
+    "images hardly distinguish focal length from distance. Add images with the board tilted by 30 to 45 deg, in all "
+    "directions.",
     Why.FEW_CORNERS: "{images} of {all} images show fewer than {corners} corners: their poses are rough, "
     "however well they fit. Bring the whole board into view, near enough to fill the image.",
     Why.ONE_AXIS: "The hand turned about one axis only, by {across_rad:deg.1f} deg about others: the camera's "
     "place along that axis stays open. Turn it about two axes, by 30 deg or more.",
-    Why.CAMERA_TOO_ROUGH: "This camera cannot tell: what it can improve is less than what it cannot see. "
-    "Come nearer with the camera, take more images, or borrow a laser tracker.",
-    Why.FRAME_MOVED: _ANEW
-    + "measurement frame is registered anew: did the tracker or the robot move? Then add --frame "
+    Why.CAMERA_TOO_ROUGH: "This camera is not accurate enough to show an improvement: move it closer, take "
+    "more images, or use a laser tracker.",
+    Why.FRAME_MOVED: _REGISTERED_AGAIN
+    + "measurement frame is registered again: did the tracker or the robot move? Then add --frame "
     "estimate.",
-    Why.TARGET_MOVED: _ANEW
-    + "target is registered anew: was it remounted? Then give its place with --target.",
+    Why.TARGET_MOVED: _REGISTERED_AGAIN
+    + "target is registered again: was it remounted? Then give its place with --target.",
 }
 
-#: Second sentence of a reason that much remains, where the non-geometric model leaves far less.
+#: Second sentence of a reason that much remains, if the non-geometric model leaves far less.
 _BETTER = (
     " The non-geometric model '{model}' leaves {less}. No URDF can represent it: " + _COMPENSATE
 )
@@ -250,6 +251,7 @@ def _words(values: Mapping[str, Any]) -> dict[str, str]:
     """Words that the sentences take besides the values of a reason."""
     before = sizes_of(values, "before")
     after = sizes_of(values, "after")
+    p, falls = values.get("p", 1.0), values.get("falls", 0.0)
     words = {
         "before": f"{listed(before)} rms",
         "after": f"{listed(after)} rms",
@@ -259,16 +261,16 @@ def _words(values: Mapping[str, Any]) -> dict[str, str]:
         "beyond": "".join(sizes_of(values, "by", ".3g")),
         "explained": _percent(values.get("share", 0.0)),
         "chance_explains": _percent(values.get("chance", 0.0)),
-        "chance_p": _p_value(values.get("p", 1.0)),
-        "falls_by": _fall(values.get("falls", 0.0)),
+        "chance_p": "p < 1e-6" if p < _SMALLEST_P else f"p = {p:.1g}",
+        "falls_by": f"falls by {_percent(falls)} %" if falls > 0.0 else "does not fall",
         "outliers_aside": "",
-        "if_exact": _if_exact(values),
+        "if_exact": "do not state it as exact, and " if values.get("exact") else "",
         "rows_aside": "",
         "named": "",
         "of_station": "",
         "ranges": _ranges(values),
-        "rows_lie": rows_lie(values),
-        "place": row_or_image(values),
+        "rows_lie": _rows_lie(values),
+        "place": f"'{values['image']}'" if "image" in values else f"row {values.get('row', 0)}",
         "better": "",
         "before_off": absurd_size(values, "before"),
         "after_off": absurd_size(values, "after"),
@@ -316,21 +318,6 @@ def _measured(values: Mapping[str, Any]) -> str:
     return " and ".join(counts)
 
 
-def _p_value(p: float) -> str:
-    """Format a p-value."""
-    return "p < 1e-6" if p < _SMALLEST_P else f"p = {p:.1g}"
-
-
-def _if_exact(values: Mapping[str, Any]) -> str:
-    """Word what helps where a number was taken as exact; empty where it was free."""
-    return "do not state it as exact, and " if values.get("exact") else ""
-
-
-def _fall(share: float) -> str:
-    """Word the share by which an error falls."""
-    return f"falls by {_percent(share)} %" if share > 0.0 else "does not fall"
-
-
 def _percent(share: float) -> str:
     """Format a share as a number of percent: whole, or with one significant digit below 1 %, of 0.01 % at least."""
     percent = 100.0 * share
@@ -354,18 +341,13 @@ def _sole_postures(rows: Sequence[int], joints: Sequence[str]) -> dict[str, str]
     text = "; ".join(parts)
     return {
         "sole": text[0].upper() + text[1:],
-        "anew": f"row {rows[0]}" if len(rows) == 1 else "them",
+        "whose": f"row {rows[0]}" if len(rows) == 1 else "them",
         "those": "this joint" if len(rows_of_joint) == 1 else "these joints",
     }
 
 
 def _alternative(reason: Reason, other: Mapping[str, Any]) -> str:
-    """Word another mistake that explains the rows as well as the one that a reason names.
-
-    Args:
-        reason: The reason, whose ``given_m`` is the error of the robot as given [m].
-        other: Code of the other mistake, ``error_m`` without it [m], and the values of its sentence.
-    """
+    """Word another mistake that explains the rows as well as the one that a reason names."""
     values = {"given_m": reason.values["given_m"], **other}
     sentence = SENTENCES[Why[str(other["code"]).upper()]].removeprefix(_OFF)
     text = _Units().vformat(sentence, (), values)
@@ -385,14 +367,23 @@ def _ranges(values: Mapping[str, Any]) -> str:
     return ", ".join(parts)
 
 
+def _rows_lie(values: Mapping[str, Any]) -> str:
+    """Word how many validation rows, or images, lie somewhere; rows of other reasons may be a list."""
+    if "image" in values:
+        images = values["images"]
+        return f"{plural(images, 'validation image')} {'lies' if images == 1 else 'lie'}"
+    rows = values.get("rows", 0)
+    return "1 validation row lies" if rows == 1 else f"{rows} validation rows lie"
+
+
 def against(verdict: Verdict | None) -> str:
     """Word the verdict ``do not use`` and its first reason in one line.
 
     Args:
-        verdict: The verdict; None where nothing was judged.
+        verdict: The verdict; None if nothing was judged.
 
     Returns:
-        Such as ``do not use (no_better): On held-out rows ...``; empty for any other verdict, and for none.
+        Such as ``do not use (no_better): On held-out rows ...``; empty for any other verdict, and without one.
     """
     if verdict is None or verdict.use != NO:
         return ""
@@ -413,8 +404,8 @@ def refusal(name: str, verdict: str) -> str:
         The verdict, that nothing was written because of it, and how to write it anyway, in one line.
     """
     return (
-        f"the verdict on {name} is: {verdict} So nothing was written that a robot could be given; to write it all the "
-        "same, add --accept (in Python accept=True)."
+        f"the verdict on {name} is: {verdict} No file for a robot or controller was written; to write it anyway, add "
+        "--accept (in Python accept=True)."
     )
 
 

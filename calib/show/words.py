@@ -1,9 +1,66 @@
-"""Words that several verbs share."""
+"""Words that several verbs share: robots, rows, parameters and errors."""
 
 from __future__ import annotations
 
+import math
+from collections import Counter
+from collections.abc import Sequence
+
+from calib.data.kinds import get as kind_named
+from calib.data.measurements import Measurements
+from calib.diagnosis.coverage import OutsideRow
 from calib.model.families import unit_of
 from calib.model.observability import Combination
+from calib.numerics.errors import Errors
+from calib.result.calibration import Calibration
+from calib.robot.robot import Robot
+from calib.show.lines import listed, plural
+from calib.show.sizes import with_unit
+
+#: Rows outside of the measured range that are named one by one; a sentence with more is hard to read.
+_NAMED = 3
+
+#: Parameters of a combination that are named; the others are counted.
+_MOST_NAMES = 6
+
+
+def chain_name(robot: Robot) -> str:
+    """Name a robot and its chain."""
+    return f"'{robot.name}', {robot.base} to {robot.tip}"
+
+
+def joint_unit(*, prismatic: bool) -> tuple[float, str]:
+    """Return the factor from SI, and the symbol, of the unit in which a joint's values are shown."""
+    return (1e3, "mm") if prismatic else (math.degrees(1.0), "deg")
+
+
+def kinds_text(m: Measurements) -> str:
+    """Word the kinds of measurements with their numbers of rows."""
+    counts = Counter(m.kinds)
+    return "; ".join(f"{kind_named(kind).words} ({n:,} rows)" for kind, n in counts.items())
+
+
+def outside_text(rows: Sequence[OutsideRow], numbers: Sequence[int]) -> str:
+    """List the rows outside of the measured range.
+
+    Args:
+        rows: The rows; the first few are named with their joints, the furthest joint first.
+        numbers: The number of each queried row in its table, by `OutsideRow.index`.
+
+    Returns:
+        The rows in one line; empty if there are none.
+    """
+    parts = []
+    for row in rows[:_NAMED]:
+        joints = []
+        for beyond in row.beyond:
+            factor, unit = joint_unit(prismatic=beyond.prismatic)
+            joints.append(f"'{beyond.joint}' {factor * beyond.by:.3g} {unit}")
+        parts.append(f"row {numbers[row.index]}: {', '.join(joints)} beyond the measured range")
+    more = len(rows) - _NAMED
+    if more > 0:
+        parts.append(f"and {plural(more, 'more row')}")
+    return "; ".join(parts)
 
 
 def combination_text(combination: Combination) -> str:
@@ -20,5 +77,26 @@ def combination_text(combination: Combination) -> str:
     return f"{', '.join(names[:-1])} and {names[-1]} together ({', '.join(amounts)})"
 
 
-#: Parameters of a combination that are named; the others are counted.
-_MOST_NAMES = 6
+def rms_text(errors: Errors) -> str:
+    """Word the rms error of some rows in each unit that was measured; a dash without any."""
+    return listed([with_unit(errors[unit].rms, unit) for unit in errors.units]) or "-"
+
+
+def before_and_after(c: Calibration) -> tuple[str, Errors, Errors]:
+    """Return the most telling errors of the nominal and of the calibrated robot.
+
+    Args:
+        c: The result.
+
+    Returns:
+        The rows that they are of, ``"held-out"``, ``"validation"`` or ``"fitted"``; and the errors of both robots, of
+        the geometry alone and without outliers.
+    """
+    before, after = c.trust.nominal_cross_validation, c.cross_validation
+    if before is not None and after is not None:
+        return "held-out", before.errors_without_outliers, after.errors_without_outliers
+    nominal, calibrated = c.errors["nominal"], c.errors["calibrated"]
+    name, rows = "fitted", "estimation"
+    if c.rows.validation.any():
+        name, rows = "validation", "validation"
+    return name, nominal[rows], calibrated[rows]

@@ -27,7 +27,7 @@ def start_workers(stack: ExitStack) -> Executor:
         import dask
         from distributed import Client, LocalCluster
     except ImportError:
-        print("Dask is not installed (pip install distributed): two processes do the work.")
+        print("Dask is not installed (pip install 'robot-calib[dask]'): two processes do the work.")
         return stack.enter_context(ProcessPoolExecutor(2, mp_context=get_context("spawn")))
     dask.config.set({"temporary-directory": "."})  # default: the system's folder for such files
     cluster = LocalCluster(  # type: ignore[no-untyped-call]

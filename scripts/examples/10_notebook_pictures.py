@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 
 import calib
 from calib.example import PAPER_TARGET, paper_measurements, paper_urdf
-from calib.show.drawing import rendered
+from calib.show.plotting import render
 from calib.verbs.calibrate.figures import drawings
 
 # The UR3 of a paper, which comes with calib: 35 points of a laser tracker.
@@ -23,7 +23,7 @@ Path("table.html").write_text(html, encoding="utf-8")
 # The report's figures as PNG: in a notebook IPython.display.Image(picture) shows one.
 names = []
 for drawing in drawings(result):
-    picture = rendered(drawing, "png")
+    picture = render(drawing, "png")
     Path(f"{drawing.name}.png").write_bytes(picture)
     names.append(drawing.name)
     assert picture.startswith(b"\x89PNG")

@@ -94,8 +94,8 @@ def test_files_and_sheets_that_are_refused(saved, tmp_path):
 def test_without_openpyxl_the_message_says_what_to_install(saved, monkeypatch):
     path = saved(HEADER)
     monkeypatch.setitem(sys.modules, "openpyxl", None)
-    refused(path, ["t.xlsx", "pip install openpyxl"])
-    with pytest.raises(MeasurementError, match=r"pip install openpyxl"):
+    refused(path, ["t.xlsx", "pip install 'robot-calib[xlsx]'"])
+    with pytest.raises(MeasurementError, match=r"pip install 'robot-calib\[xlsx\]'"):
         read_points(path)
 
 

@@ -17,7 +17,7 @@ def test_returns_opencv_with_its_boards():
 
 def test_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "cv2", None)
-    with pytest.raises(CalibError, match="pip install opencv-python-headless"):
+    with pytest.raises(CalibError, match=r"pip install 'robot-calib\[camera\]'"):
         opencv()
 
 

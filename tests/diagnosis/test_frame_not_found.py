@@ -12,7 +12,7 @@ import calib
 from calib.diagnosis.reasons import NO, Reason, Why
 from calib.diagnosis.usual_mistakes import frame_not_found
 from calib.fit.registration.table_rows import rows_and_setup
-from calib.show.figure_base import styled
+from calib.show.plotting import styled
 from calib.show.verdict import reason_text
 from calib.verbs.calibrate.figure_errors import by_row, histograms
 from calib.verbs.evaluate.acceptance import assess

@@ -34,7 +34,7 @@ from calib.result.calibration_file import (
 from calib.robot.gravity import Payload
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
-from calib.verbs.calibrate.text import summary
+from calib.verbs.calibrate.report import summary
 from calib.verbs.evaluate.evaluation import evaluate
 from tests.places import ROOT
 

@@ -76,6 +76,13 @@ def test_a_small_share_is_not_rounded_to_nothing(share, percent):
     assert f"explains {percent} % of them (by chance 0.02 %; p < 1e-6)." in text
 
 
+def test_rows_outside_may_be_images():
+    values = {"rows": 80, "row": 3, "images": 2, "image": "b.png", "joint": "elbow", "by_rad": 0.1}
+    text = reason_text(Reason(Why.OUTSIDE, values))
+    assert text.startswith("2 validation images lie outside")
+    assert "'elbow' in 'b.png' by 5.73 deg" in text
+
+
 #: Values of reasons about images.
 VALUES = {
     Why.CAMERA_ON_OTHER_LINK: {"given_m": 0.05, "error_m": 3e-3, "base": "arm", "tip": "hand"},

@@ -14,8 +14,8 @@ import meshcat
 import numpy as np
 from numpy.typing import ArrayLike
 
-import calib.show.figure_base as look
 from calib.basics.files import write_atomically
+from calib.show.look import CALIBRATED, INK, NOMINAL
 
 #: Folder of the templates and scripts.
 _FOLDER = Path(__file__).parent
@@ -24,7 +24,7 @@ _FOLDER = Path(__file__).parent
 _SCRIPTS = ("robots.js", "marks.js", "inset.js", "image.js", "texts.js", "controls.js")
 
 #: Colours of robots and measured positions.
-COLOURS = {"nominal": look.NOMINAL, "calibrated": look.CALIBRATED, "measured": look.INK}
+COLOURS = {"nominal": NOMINAL, "calibrated": CALIBRATED, "measured": INK}
 
 
 class Page(NamedTuple):

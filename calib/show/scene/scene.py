@@ -18,9 +18,9 @@ from meshcat import geometry as mc
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-import calib.show.figure_base as look
 from calib.basics.arrays import Array
 from calib.robot.robot import Robot
+from calib.show.look import NOMINAL
 from calib.show.scene.html_page import Key, Page, fill_page
 from calib.show.scene.posed_robot import PosedRobot, read_visuals, translation
 
@@ -402,8 +402,8 @@ def single_page(
     scene = new_scene(camera, size, floor=float(outline[:, 2].min()))
     base = scene.root[SCENE]
     base.set_transform(translation(-camera.centre))
-    draw_robot(base["nominal"], posed, 0, solid(look.NOMINAL))
-    keys = [Key(legend, look.NOMINAL, "nominal"), *draw(base, size)]
+    draw_robot(base["nominal"], posed, 0, solid(NOMINAL))
+    keys = [Key(legend, NOMINAL, "nominal"), *draw(base, size)]
     html = fill_page(
         "page.html",
         scene.window.scene(),

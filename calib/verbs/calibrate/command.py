@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from pathlib import Path
-from typing import TYPE_CHECKING
-
 import typer
 
 from calib.cli.executor import executor_of
@@ -24,9 +20,6 @@ from calib.cli.verb import verb
 from calib.errors import VerdictError
 from calib.verbs.calibrate.interval_options import Intervals
 from calib.verbs.calibrate.outputs import Outputs
-
-if TYPE_CHECKING:
-    from calib.result.calibration import Calibration
 
 
 @verb("""Calibrate a robot from measurements.
@@ -66,6 +59,7 @@ def calibrate(
         arm, measurements = load_with_data(robot, cell, data, table_options)
 
         from calib.result.calibrate import calibrate as calibrate_robot
+        from calib.show.verdict import against, refusal
 
         with progress_bar("cross-validation", quiet=quiet, first="fits") as progress:
             result = calibrate_robot(
@@ -84,31 +78,14 @@ def calibrate(
         say_ignored(measurements, arm)
         say_unused_camera(measurements, cell)
         say("\n\n".join([result.summary(), *interval_texts]) + "\n")
-        _say_written(result, outputs, written)
-    _obey_verdict(result, outputs)
-
-
-def _say_written(result: Calibration, outputs: Outputs, written: Sequence[Path | str]) -> None:
-    """Name the files that were written, or why there is no URDF."""
-    from calib.show.verdict import against
-
-    for path in written:
-        typer.echo(f"Written: {path}")
-    if outputs.output is not None:
-        return
-    if result.verdict is None:
-        typer.echo("No URDF was written. There is no verdict on one: --no-validate leaves it out.")
-    elif not against(result.verdict):
-        typer.echo("No URDF was written; add -o corrected.urdf to write it.")
-
-
-def _obey_verdict(result: Calibration, outputs: Outputs) -> None:
-    """Report that no URDF was written because of the verdict, or that it was accepted.
-
-    Raises:
-        VerdictError: The verdict is ``do not use``, a URDF was wanted, and ``--accept`` was not given.
-    """
-    from calib.show.verdict import against, refusal
+        for path in written:
+            typer.echo(f"Written: {path}")
+        if outputs.output is None and result.verdict is None:
+            typer.echo(
+                "No URDF was written (no -o), and there is no verdict because of --no-validate."
+            )
+        elif outputs.output is None and not against(result.verdict):
+            typer.echo("No URDF was written; add -o corrected.urdf to write it.")
 
     stated = against(result.verdict)
     if outputs.output is None or not stated:

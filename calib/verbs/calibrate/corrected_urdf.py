@@ -1,4 +1,4 @@
-"""The corrected URDF of a calibration: read back before it is written, and refused where the verdict is against it."""
+"""The corrected URDF of a calibration: read back before it is written, and refused if the verdict is against it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from calib.model.kinematics import Samples
 from calib.result.calibration import Calibration
 from calib.robot.ranges import random_joint_values
 from calib.robot.readback import check_written
-from calib.robot.robot import Robot
 from calib.robot.urdf import TARGET_LINK, Urdf
 from calib.show.verdict import against, refusal
 
@@ -33,10 +32,15 @@ def write_urdf(
 
 def checked_urdf(c: Calibration, *, target_link: bool = False) -> Urdf:
     """Return the URDF that `write_urdf` writes, read back; see `Calibration.checked_urdf`."""
-    robot = c.robot
+    urdf = c.robot.urdf
     if target_link:
-        robot = _robot_with_target_link(c)
-    robot = replace(robot, urdf=robot.urdf.with_verdict(against(c.verdict)))
+        names = c.setup.targets
+        if len(names) > 1:
+            raise ModelError(
+                f"There are {len(names)} targets, {choices(names)}; a target link can be written for one."
+            )
+        urdf = _with_target_link(urdf, c.robot.tip, c.setup.T_tip_target[0])
+    robot = replace(c.robot, urdf=urdf.with_verdict(against(c.verdict)))
     q = random_joint_values(robot)
     # Straight from the parameters, by the path that the fit took, not through the corrected robot.
     T_base_tip = c.geometry.tips(Samples.at(q))
@@ -44,20 +48,8 @@ def checked_urdf(c: Calibration, *, target_link: bool = False) -> Urdf:
     return robot.urdf
 
 
-def _robot_with_target_link(c: Calibration) -> Robot:
-    """Return the corrected robot with a link at its only target; one of an earlier calibration is moved."""
-    names = c.setup.targets
-    if len(names) > 1:
-        raise ModelError(
-            f"There are {len(names)} targets, {choices(names)}; a target link can be written "
-            "for one."
-        )
-    urdf = _with_target_link(c.robot.urdf, c.robot.tip, c.setup.T_tip_target[0])
-    return replace(c.robot, urdf=urdf)
-
-
 def _with_target_link(urdf: Urdf, tip: str, T_tip_target: Array) -> Urdf:
-    """Return a URDF with a link `TARGET_LINK` fixed to its tip; one that is there is moved."""
+    """Return a URDF with a link `TARGET_LINK` fixed to its tip; one of an earlier calibration is moved."""
     if TARGET_LINK not in urdf.links:
         return urdf.with_link(TARGET_LINK, tip, T_tip_target)
     joint = next(joint for joint in urdf.joints if joint.child == TARGET_LINK)

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-import calib.show.figure_base as base
 from calib.basics.arrays import Array, Mask
 from calib.basics.channels import RESIDUAL_UNITS, VECTOR, Channels
 from calib.numerics.errors import CrossValidation
 from calib.result.calibration import Calibration
-from calib.show.row_values import flagged_rows
+from calib.show.look import AFTER, BEFORE, INK, SOFT, RobotStyle, row_kinds, rows_text
+from calib.show.measured_rows import flagged_rows
+from calib.show.plotting import few_ticks, legend_above, log_axis, new_figure, number_points
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 #: Curves over more rows than this have no markers: they would overlap.
 _MOST_MARKERS = 80
@@ -29,22 +32,6 @@ _REACH = 5.0
 _OUTLIER_EDGE = 1.25
 
 
-def sizes(c: Calibration, unit: str) -> tuple[Array, Array]:
-    """Return each row's error in one unit, of the nominal and of the calibrated robot.
-
-    Args:
-        c: The result.
-        unit: Symbol of the unit.
-
-    Returns:
-        Norms of residuals in the unit that is shown, shapes (N,); NaN where a row measures none.
-    """
-    scale = RESIDUAL_UNITS[unit].to_shown
-    before = scale * c.rows.channels.norms(c.rows.residual_nominal, unit)
-    after = scale * c.rows.channels.norms(c.rows.residual_calibrated, unit)
-    return before, after
-
-
 class CurveRows(NamedTuple):
     """The rows of the error curves and their residuals."""
 
@@ -52,21 +39,10 @@ class CurveRows(NamedTuple):
     name: str
     #: Shape (N,), the rows drawn
     mask: Mask
-    #: Shape (N, D), measured minus predicted of the nominal robot [m, rad]
+    #: Shape (N, D), measured minus predicted by the nominal robot, in the units of the rows' channels
     before: Array
     #: Shape (N, D), of the calibrated robot
     after: Array
-
-
-def has_axes(c: Calibration, rows: Mask | slice = slice(None)) -> bool:
-    """Tell if any row has errors along x, y and z.
-
-    Args:
-        c: The result.
-        rows: The rows looked at; all by default.
-    """
-    _, are_vectors = c.rows.channels.vector_columns("m")
-    return bool(np.any(are_vectors[rows]))
 
 
 def curve_rows(c: Calibration) -> CurveRows:
@@ -91,7 +67,7 @@ def curve_rows(c: Calibration) -> CurveRows:
 
 
 def _held_out(c: Calibration, validated: CrossValidation) -> Array:
-    """Return the residuals (N, D) of a cross-validation, NaN for validation rows [m, rad]."""
+    """Return the residuals (N, D) of a cross-validation; NaN for validation rows."""
     residual = np.full(c.rows.residual_calibrated.shape, np.nan)
     residual[c.fit.measurements.estimation] = validated.residual
     return residual
@@ -103,40 +79,38 @@ def curves(c: Calibration) -> Figure:
     Errors along x, y and z and their norm have a panel each; measured lengths have one, their errors with their signs.
     """
     shown = curve_rows(c)
-    with_axes = has_axes(c, shown.mask)
-    figure = base.new_figure(4.9 if with_axes else 2.8)
+    _, are_vectors = c.rows.channels.vector_columns("m")
+    with_axes = bool(np.any(are_vectors[shown.mask]))
+    figure = new_figure(4.9 if with_axes else 2.8)
     shape = (2, 2) if with_axes else (1, 1)
     panels = figure.subplots(*shape, sharex=True, squeeze=False)
     numbers = np.array(c.fit.measurements.rows)[shown.mask]
-    for style, residual in ((base.BEFORE, shown.before), (base.AFTER, shown.after)):
+    for style, residual in ((BEFORE, shown.before), (AFTER, shown.after)):
         errors = 1e3 * _curve_values(residual, c.rows.channels, with_axes=with_axes)[shown.mask]
         for ax, values in zip(panels.ravel(), errors.T, strict=True):
             _curve(ax, numbers, values, style)
     titles = ["Δx", "Δy", "Δz", "Size of the error"] if with_axes else ["Error of the length"]
     for ax, title in zip(panels.ravel(), titles, strict=True):
-        ax.axhline(0.0, color=base.INK, lw=0.7, zorder=1.5)
-        ax.xaxis.set_major_locator(base.few_ticks(6 if with_axes else 10, integers=True))
+        ax.axhline(0.0, color=INK, lw=0.7, zorder=1.5)
+        ax.xaxis.set_major_locator(few_ticks(6 if with_axes else 10, integers=True))
         ax.set(title=title, ylabel="error [mm]")
     if with_axes:
-        _share_scale(panels.ravel()[:VECTOR])
+        # One scale for x, y and z, symmetric about zero, so that they can be compared.
+        by_axis = panels.ravel()[:VECTOR]
+        reach = float(np.max(np.abs([ax.get_ylim() for ax in by_axis])))
+        for ax in by_axis:
+            ax.set_ylim(-reach, reach)
         panels[1, 1].set_ylim(bottom=0.0)
     for ax in panels[-1]:
         ax.set_xlabel(f"{shown.name} row")
-    base.legend_above(figure)
+    legend_above(figure)
     return figure
 
 
 def _curve_values(residual: Array, channels: Channels, *, with_axes: bool) -> Array:
-    """Return the values of the error curves.
+    """Return errors along x, y, z and their norm, shape (N, 4), or signed errors of lengths, shape (N, 1), [m].
 
-    Args:
-        residual: shape (N, D).
-        channels: Units of its entries.
-        with_axes: Whole positions instead of lengths.
-
-    Returns:
-        shape (N, 4), errors along x, y, z and their norm [m], or (N, 1), signed errors of lengths; NaN where a row has
-        none. A row with several lengths that are no position has the norm of their errors.
+    They are NaN if a row has none. A row with several lengths that are not a position has the norm of their errors.
     """
     norms = np.where(np.isnan(residual).any(axis=1), np.nan, channels.norms(residual, "m"))
     if with_axes:
@@ -149,11 +123,12 @@ def _curve_values(residual: Array, channels: Channels, *, with_axes: bool) -> Ar
     return np.asarray(np.where(is_single, signed, norms)[:, None])
 
 
-def _share_scale(panels: NDArray[Any]) -> None:
-    """Give some panels one scale, symmetric about zero, so that they can be compared."""
-    reach = float(np.max(np.abs([ax.get_ylim() for ax in panels])))
-    for ax in panels:
-        ax.set_ylim(-reach, reach)
+def _sizes(c: Calibration, unit: str) -> tuple[Array, Array]:
+    """Return each row's error by the nominal and by the calibrated robot in the unit shown, (N,); NaN for none."""
+    scale = RESIDUAL_UNITS[unit].to_shown
+    before = scale * c.rows.channels.norms(c.rows.residual_nominal, unit)
+    after = scale * c.rows.channels.norms(c.rows.residual_calibrated, unit)
+    return before, after
 
 
 def by_row(c: Calibration, unit: str = "m") -> Figure:
@@ -161,23 +136,23 @@ def by_row(c: Calibration, unit: str = "m") -> Figure:
 
     Args:
         c: The result.
-        unit: Symbol of the unit: ``"m"`` for lengths, ``"rad"`` for orientations.
+        unit: Symbol of the unit: ``"m"`` for lengths, ``"rad"`` for orientations, ``"px"`` for images.
     """
     rows = np.array(c.fit.measurements.rows)
-    before, after = sizes(c, unit)
-    figure = base.new_figure(4.6)
+    before, after = _sizes(c, unit)
+    figure = new_figure(4.6)
     top, below = figure.subplots(2, 1, sharex=True)
-    _curve(top, rows, before, base.BEFORE)
-    _curve(top, rows, after, base.AFTER)
+    _curve(top, rows, before, BEFORE)
+    _curve(top, rows, after, AFTER)
     reach = _draw_calibrated_errors(below, c, unit, after)
     for ax, title in ((top, "Before and after"), (below, "After")):
         ax.set_title(title)
         ax.set_ylabel(f"size of the error [{RESIDUAL_UNITS[unit].shown}]")
-        ax.xaxis.set_major_locator(base.few_ticks(9, integers=True))
+        ax.xaxis.set_major_locator(few_ticks(9, integers=True))
     below.set_xlabel("row")
     top.set_ylim(bottom=0.0)
     below.set_ylim(0.0, 1.32 * reach)
-    base.legend_above(figure, 3)
+    legend_above(figure, 3)
     return figure
 
 
@@ -187,34 +162,25 @@ def _draw_calibrated_errors(
     unit: str,
     errors: Array,
 ) -> float:
-    """Mark each row's error after calibration, and its held-out error as a dash.
-
-    Args:
-        ax: The panel.
-        c: The result.
-        unit: Symbol of the unit: ``"m"`` for lengths, ``"rad"`` for orientations.
-        errors: shape (N,), each row's error of the calibrated robot in the unit that is shown, NaN where it has none.
-
-    Returns:
-        The largest error drawn of rows that are not flagged.
-    """
+    """Mark each row's error after calibration (N,), held-out ones as dashes; return the largest that is not flagged."""
     rows = np.array(c.fit.measurements.rows)
     flagged = flagged_rows(c)
     reach = float(np.nanmax(errors[~flagged], initial=1e-3))
-    kinds = [kind for kind in base.row_kinds(c) if np.any(np.isfinite(errors[kind.mask]))]
+    kinds = [kind for kind in row_kinds(c) if np.any(np.isfinite(errors[kind.mask]))]
     if len(rows) > _MOST_LINES:
-        _curve(ax, rows, np.where(flagged, np.nan, errors), base.AFTER)
+        _curve(ax, rows, np.where(flagged, np.nan, errors), AFTER)
         kinds = [kind for kind in kinds if kind.name == "outlier"]
     elif c.cross_validation is not None:
-        held_out = _held_out_sizes(c, c.cross_validation, unit)
-        held_out[flagged] = np.nan
+        residual = _held_out(c, c.cross_validation)
+        held_out = RESIDUAL_UNITS[unit].to_shown * c.rows.channels.norms(residual, unit)
+        held_out[np.isnan(residual).any(axis=1) | flagged] = np.nan
         reach = float(np.nanmax(held_out, initial=reach))
         look: dict[str, Any] = {
             "ls": "none",
             "marker": "_",
             "ms": 7,
             "mew": 1.1,
-            "color": base.SOFT,
+            "color": SOFT,
         }
         ax.plot(rows, held_out, label="held out", **look)
     # Outliers far above the others stand at the edge: the panel above has them to scale.
@@ -224,15 +190,8 @@ def _draw_calibrated_errors(
         if len(rows) <= _MOST_MARKERS:
             ax.vlines(rows[at], 0.0, shown[at], color=kind.colour, lw=0.9, alpha=0.6)
         ax.plot(rows[at], shown[at], **kind.style())
-    base.number_points(ax, c.fit.measurements.rows, np.stack([rows, shown], axis=1), flagged)
+    number_points(ax, c.fit.measurements.rows, np.stack([rows, shown], axis=1), flagged)
     return reach
-
-
-def _held_out_sizes(c: Calibration, validated: CrossValidation, unit: str) -> Array:
-    """Return each row's held-out error in the unit that is shown, shape (N,), NaN for validation rows."""
-    held_out = _held_out(c, validated)
-    norms = RESIDUAL_UNITS[unit].to_shown * c.rows.channels.norms(held_out, unit)
-    return np.where(np.isnan(held_out).any(axis=1), np.nan, norms)
 
 
 def by_axis(c: Calibration, unit: str = "m") -> Figure:
@@ -244,68 +203,51 @@ def by_axis(c: Calibration, unit: str = "m") -> Figure:
         c: The result.
         unit: Symbol of the unit: ``"m"`` for lengths, ``"rad"`` for orientations.
     """
-    sets = _sets_with_axes(c, unit)
+    m = c.fit.measurements
     of_unit = RESIDUAL_UNITS[unit]
-    figure = base.new_figure(4.6)
+    columns, are_vectors = c.rows.channels.vector_columns(unit)
+    before = of_unit.to_shown * c.rows.residual_nominal[:, columns]
+    after = of_unit.to_shown * c.rows.residual_calibrated[:, columns]
+    flagged = flagged_rows(c)
+    masks = {"estimation": m.estimation & are_vectors, "validation": m.validation & are_vectors}
+    sets = {name: mask for name, mask in masks.items() if np.any(mask)}
+
+    figure = new_figure(4.6)
     panels = figure.subplots(2, len(sets), squeeze=False, sharey="row", sharex=True)
-    for (upper, lower), (name, mask) in zip(panels.T, sets, strict=True):
-        _draw_boxes(upper, lower, c, unit, mask)
-        upper.set_title(base.rows_text(mask, name))
+    for (upper, lower), (name, mask) in zip(panels.T, sets.items(), strict=True):
+        _boxes(upper, before[mask], -0.19, BEFORE)
+        _boxes(upper, after[mask], 0.19, AFTER)
+        _boxes(lower, after[mask & ~flagged], 0.0, AFTER)
+        upper.set_title(rows_text(mask, name))
+        addition = "without outliers" if np.any(flagged[mask]) else "alone"
+        lower.set_title(f"After, {addition}")
         for ax in (upper, lower):
-            ax.axhline(0.0, color=base.INK, lw=0.7, zorder=1.5)
+            ax.axhline(0.0, color=INK, lw=0.7, zorder=1.5)
             ax.grid(visible=False, axis="x")
         prefix = "about " if of_unit.preposition == "about" else ""
         lower.set_xticks(range(VECTOR), [f"{prefix}{axis}" for axis in "xyz"])
     for ax in panels[:, 0]:
         ax.set_ylabel(f"error {of_unit.preposition} the axis [{of_unit.shown}]")
-    base.legend_above(figure)
+    legend_above(figure)
     return figure
-
-
-def _sets_with_axes(c: Calibration, unit: str) -> list[tuple[str, Mask]]:
-    """Return name and mask (N,) of the sets that have rows with errors along or about all axes."""
-    m = c.fit.measurements
-    _, complete = c.rows.channels.vector_columns(unit)
-    sets = [("estimation", m.estimation & complete), ("validation", m.validation & complete)]
-    return [(name, mask) for name, mask in sets if np.any(mask)]
-
-
-def _draw_boxes(
-    upper: Axes,
-    lower: Axes,
-    c: Calibration,
-    unit: str,
-    mask: Mask,
-) -> None:
-    """Draw the boxes of the rows of a mask (N,): both robots above, the calibrated one without outliers below."""
-    columns, _ = c.rows.channels.vector_columns(unit)
-    scale = RESIDUAL_UNITS[unit].to_shown
-    before = scale * c.rows.residual_nominal[:, columns]
-    after = scale * c.rows.residual_calibrated[:, columns]
-    flagged = flagged_rows(c)
-    _boxes(upper, before[mask], -0.19, base.BEFORE)
-    _boxes(upper, after[mask], 0.19, base.AFTER)
-    _boxes(lower, after[mask & ~flagged], 0.0, base.AFTER)
-    addition = "without outliers" if np.any(flagged[mask]) else "alone"
-    lower.set_title(f"After, {addition}")
 
 
 def histograms(c: Calibration) -> Figure:
     """Draw the distribution of the errors' sizes, and that of the residuals over their noise beside the normal one."""
-    figure = base.new_figure(2.9)
+    figure = new_figure(2.9)
     left, right = figure.subplots(1, 2)
     _size_histogram(left, c)
     _noise_histogram(right, c)
     for ax in (left, right):
-        ax.yaxis.set_major_locator(base.few_ticks(6, integers=True))
-    base.legend_above(figure)
+        ax.yaxis.set_major_locator(few_ticks(6, integers=True))
+    legend_above(figure)
     return figure
 
 
 def _size_histogram(ax: Axes, c: Calibration) -> None:
     """Draw the sizes of all rows' errors before and after, on a logarithmic scale."""
     unit = c.rows.channels.present[0]
-    before, after = sizes(c, unit)
+    before, after = _sizes(c, unit)
     before = before[np.isfinite(before)]
     after = after[np.isfinite(after)]
     # Bins are even in the logarithm; what is far below the median is put into the first one.
@@ -313,12 +255,12 @@ def _size_histogram(ax: Axes, c: Calibration) -> None:
     low = min(max(0.05 * float(np.median(after)), 1e-6 * high), 0.5 * high)
     count = int(np.clip(2.0 * np.sqrt(len(after)) + 5, 9, 61))
     edges = list(np.geomspace(low, 1.001 * high, count))
-    for style, values in ((base.BEFORE, before), (base.AFTER, after)):
-        if not len(values):  # the nominal robot is not judged
+    for style, values in ((BEFORE, before), (AFTER, after)):
+        if not len(values):  # of a nominal robot that is not judged
             continue
         shown = np.maximum(values, low)
         ax.hist(shown, edges, histtype="stepfilled", label=style.label, **style.area)
-    base.log_axis(ax, "x")
+    log_axis(ax, "x")
     ax.set(xlabel=f"size of the error [{RESIDUAL_UNITS[unit].shown}]", ylabel="rows")
     ax.set_title(f"All {len(after):,} rows")
 
@@ -328,10 +270,10 @@ def _noise_histogram(ax: Axes, c: Calibration) -> None:
     values = scaled_residuals(c)
     bins = int(np.clip(np.sqrt(len(values)) * 1.5, 8, 50))
     edges = np.linspace(-_REACH, _REACH, bins + 1)
-    ax.hist(values, list(edges), histtype="stepfilled", **base.AFTER.area)
+    ax.hist(values, list(edges), histtype="stepfilled", **AFTER.area)
     t = np.linspace(-_REACH, _REACH, 201)
     normal = np.exp(-0.5 * t**2) / np.sqrt(2.0 * np.pi) * len(values) * (edges[1] - edges[0])
-    ax.plot(t, normal, color=base.INK, lw=1.2, ls="--", label="normal")
+    ax.plot(t, normal, color=INK, lw=1.2, ls="--", label="normal")
     ax.set(xlabel="residual / its noise", ylabel="measured scalars")
     ax.set_title(f"{len(values):,} scalars of estimation rows")
     outside = int(np.sum(np.abs(values) > _REACH))
@@ -346,16 +288,9 @@ def scaled_residuals(c: Calibration) -> Array:
     return np.asarray((residual / problem.scales)[problem.rows.used])
 
 
-def _curve(ax: Axes, rows: NDArray[np.int_], values: Array, style: base.RobotStyle) -> None:
-    """Draw a robot's errors over row numbers; with markers where they are few, as pixels where they are many.
-
-    Args:
-        ax: The panel.
-        rows: shape (K,), row numbers.
-        values: shape (K,), errors in the panel's unit; NaN where a row has none.
-        style: The robot's style.
-    """
-    # The line leads over rows without a value, such as the second rows of pairs: gaps would leave nothing of it.
+def _curve(ax: Axes, rows: NDArray[np.int_], values: Array, style: RobotStyle) -> None:
+    """Draw a robot's errors (K,), NaN for none, over row numbers: with markers if they are few, as pixels if many."""
+    # The line passes over rows without a value, such as the second rows of pairs: gaps would leave nothing of it.
     finite = np.isfinite(values)
     if not finite.any():  # no entry in the legend either
         return
@@ -369,15 +304,8 @@ def _curve(ax: Axes, rows: NDArray[np.int_], values: Array, style: base.RobotSty
     ax.plot(rows, values, lw=1.3 if few else 0.6, mec="white", mew=0.4, rasterized=many, **look)
 
 
-def _boxes(ax: Axes, values: Array, shift: float, style: base.RobotStyle) -> None:
-    """Draw a box for each axis.
-
-    Args:
-        ax: The panel.
-        values: shape (K, 3), errors along or about x, y and z in the panel's unit.
-        shift: Distance of the boxes from the ticks 0, 1, 2.
-        style: The robot's style.
-    """
+def _boxes(ax: Axes, values: Array, shift: float, style: RobotStyle) -> None:
+    """Draw a box for the errors (K, 3) along or about each axis, shifted from the ticks 0, 1, 2."""
     line = {"color": style.colour, "lw": 1.4}
     parts = ax.boxplot(
         list(values.T),
@@ -388,7 +316,7 @@ def _boxes(ax: Axes, values: Array, shift: float, style: base.RobotStyle) -> Non
         patch_artist=True,
         manage_ticks=False,
         boxprops=style.area,
-        medianprops={"color": base.INK, "lw": 1.4},
+        medianprops={"color": INK, "lw": 1.4},
         whiskerprops=line,
         capprops=line,
     )

@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
-import calib.show.figure_base as base
 from calib.basics.arrays import Array, Mask
 from calib.fit.registration.table_rows import rows_and_setup
 from calib.result.calibration import Calibration
-from calib.show.row_values import flagged_rows, setup_of_rows
+from calib.show.look import CALIBRATED, INK, row_kinds, short_names
+from calib.show.measured_rows import flagged_rows, setup_of_rows
+from calib.show.plotting import MOST_SHAPES, few_ticks, legend_above, new_figure
+from calib.show.words import joint_unit
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 #: Step of the central differences in a joint's value [rad or m].
 _STEP = 1e-6
@@ -45,11 +49,11 @@ def residuals_by_joint(c: Calibration) -> Figure:
 
     See `along_joints`; a panel for each joint.
     """
-    names = base.short_names(c.nominal.joint_names)
+    names = short_names(c.nominal.joint_names)
     count = len(names)
     columns = 2 if count in (2, 4) else min(count, 3)
     lines = math.ceil(count / columns)
-    figure = base.new_figure(1.65 * lines + 0.6)
+    figure = new_figure(1.65 * lines + 0.6)
     panels = figure.subplots(lines, columns, squeeze=False, sharey=True)
     for empty in panels.ravel()[count:]:
         empty.remove()
@@ -62,27 +66,18 @@ def residuals_by_joint(c: Calibration) -> Figure:
         ax.set_title(names[j], size=8.5)
     for ax in panels[:, 0]:
         ax.set_ylabel("residual [mm]")
-    base.legend_above(figure)
+    legend_above(figure)
     return figure
 
 
 def _joint_panel(ax: Axes, c: Calibration, j: int, parts: Array, reach: float) -> None:
-    """Draw the panel of one joint.
-
-    Args:
-        ax: The panel.
-        c: The result.
-        j: The joint's index among the robot's inputs.
-        parts: shape (N,), parts of the residuals along its motion [mm]; NaN where a row has none.
-        reach: Largest part drawn [mm]; parts beyond stand at the edge.
-    """
-    is_prismatic = c.nominal.inputs[j].type == "prismatic"
-    scale, unit = (1e3, "mm") if is_prismatic else (np.degrees(1.0), "deg")
+    """Draw the parts (N,) [mm] of the residuals along the motion of joint ``j``; those beyond ``reach`` at the edge."""
+    scale, unit = joint_unit(prismatic=c.nominal.inputs[j].type == "prismatic")
     readings = c.fit.measurements.joints_for(c.nominal.joint_names)
     values = scale * c.nominal.input_values(readings)[:, j]
-    as_pixels = len(values) > base.MOST_SHAPES
-    ax.axhline(0.0, color=base.INK, lw=0.7, zorder=1.5)
-    for kind in base.row_kinds(c):
+    as_pixels = len(values) > MOST_SHAPES
+    ax.axhline(0.0, color=INK, lw=0.7, zorder=1.5)
+    for kind in row_kinds(c):
         if np.any(kind.mask & has_joint_parts(c)):
             shown = np.clip(parts[kind.mask], -reach, reach)
             ax.plot(values[kind.mask], shown, rasterized=as_pixels, zorder=2, **kind.style(0.8))
@@ -92,7 +87,7 @@ def _joint_panel(ax: Axes, c: Calibration, j: int, parts: Array, reach: float) -
         _running_mean(ax, values[fitted], parts[fitted])
     ax.set_ylim(-1.08 * reach, 1.08 * reach)
     ax.set_xlabel(f"joint value [{unit}]")
-    ax.xaxis.set_major_locator(base.few_ticks(4))
+    ax.xaxis.set_major_locator(few_ticks(4))
 
 
 def along_joints(c: Calibration) -> Array:
@@ -123,35 +118,17 @@ def along_joints(c: Calibration) -> Array:
     residual = np.where(are_lengths, c.rows.residual_calibrated, 0.0)
     parts = np.full(q.shape, np.nan)
     for j, step in enumerate(_STEP * np.eye(q.shape[1])):
-        # What is predicted enters the residual with a minus.
+        # The prediction enters the residual with a minus.
         change = lengths(q - step) - lengths(q + step)
-        parts[:, j] = _parts_along(residual, change / (2.0 * _STEP))
+        slope = change / (2.0 * _STEP)
+        size = np.linalg.norm(slope, axis=1)
+        part = np.sum(residual * slope, axis=1) / np.maximum(size, 1e-12)
+        parts[:, j] = np.where(size > _LEAST_LEVER, part, np.nan)
     return parts
 
 
-def _parts_along(residual: Array, change: Array) -> Array:
-    """Return the part of each row's residual along the change of its prediction by a joint.
-
-    Args:
-        residual: shape (N, D), measured minus predicted [m]; 0 where no length was measured.
-        change: shape (N, D), of the prediction per unit of the joint's value [m/rad] or [m/m].
-
-    Returns:
-        shape (N,), [m], signed; NaN where the joint changes the prediction by less than 2 mm/rad.
-    """
-    size = np.linalg.norm(change, axis=1)
-    part = np.sum(residual * change, axis=1) / np.maximum(size, 1e-12)
-    return np.where(size > _LEAST_LEVER, part, np.nan)
-
-
 def _running_mean(ax: Axes, values: Array, parts: Array) -> None:
-    """Draw the mean over runs of rows neighbouring in the joint's value, and twice its standard error about it.
-
-    Args:
-        ax: The panel.
-        values: shape (K,), joint values in the panel's unit.
-        parts: shape (K,), parts of the residuals [mm]; NaN where a row has none.
-    """
+    """Draw the mean of parts (K,) over runs of rows neighbouring in the joint's value, with two standard errors."""
     order = np.argsort(values, kind="stable")
     order = order[np.isfinite(parts[order])]
     count = min(len(order) // _ROWS_PER_RUN, _MOST_RUNS)
@@ -161,7 +138,7 @@ def _running_mean(ax: Axes, values: Array, parts: Array) -> None:
     standard_error = np.array([np.std(parts[run], ddof=1) / np.sqrt(len(run)) for run in runs])
     low = mean - 2 * standard_error
     high = mean + 2 * standard_error
-    look: dict[str, Any] = {"color": base.CALIBRATED, "zorder": 3}
+    look: dict[str, Any] = {"color": CALIBRATED, "zorder": 3}
     label = "mean of the estimation rows ± 2 standard errors"
     ax.fill_between(x, low, high, alpha=0.45, lw=0, label=label, **look)
     ax.plot(x, mean, lw=1.3, **look)

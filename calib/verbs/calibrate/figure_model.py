@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
-import calib.show.figure_base as base
 import calib.verbs.calibrate.text as texts
 from calib.basics.arrays import Array, Mask
 from calib.basics.channels import RESIDUAL_UNITS
@@ -17,7 +14,12 @@ from calib.model.families import unit_of
 from calib.numerics.solvers import has_weights_and_priors
 from calib.result.calibration import Calibration
 from calib.result.fitted_model import ParameterEstimate
-from calib.show.figure_base import CALIBRATED, INK, NOMINAL, OUTLIER, SOFT
+from calib.show.look import CALIBRATED, INK, NOMINAL, OUTLIER, SOFT, short_names
+from calib.show.plotting import WIDTH, few_ticks, legend_above, log_axis, new_figure
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 #: Title of the panel of the parameters of each unit.
 _TITLES = {"m": "Lengths", "rad": "Angles", "1": "Gear ratios and sines", "rad/Nm": "Compliances"}
@@ -82,13 +84,13 @@ def convergence(c: Calibration) -> Figure:
     series = [("cost E", cost, np.append(accepted, [True])), (step_label, step, accepted)]
     if np.any(damping > 0.0):
         series.append(("damping μ", damping, accepted))
-    figure = base.new_figure(len(series) + 0.7)
+    figure = new_figure(len(series) + 0.7)
     panels = figure.subplots(len(series), 1, sharex=True)
     for ax, (label, values, taken) in zip(panels, series, strict=True):
         _iteration_panel(ax, values, taken)
         ax.set_ylabel(label)
     panels[-1].set_xlabel("iteration")
-    base.legend_above(figure)
+    legend_above(figure)
     return figure
 
 
@@ -101,15 +103,15 @@ def _iteration_panel(ax: Axes, values: Array, taken: Mask) -> None:
     ax.plot(iterations[taken], shown[taken], "o", ms=3.6, color=INK, label="accepted step")
     if not np.all(taken):
         ax.plot(iterations[~taken], shown[~taken], **_REJECTED)
-    base.log_axis(ax, "y")
-    ax.xaxis.set_major_locator(base.few_ticks(10, integers=True))
+    log_axis(ax, "y")
+    ax.xaxis.set_major_locator(few_ticks(10, integers=True))
 
 
-def shown_parameters(c: Calibration) -> list[ParameterEstimate]:
+def changed_parameters(c: Calibration) -> list[ParameterEstimate]:
     """Return the parameters whose changes are drawn: of the robot and given targets, then of the non-geometric model.
 
-    Left away are targets that were not given, whose change from the registered value is no error of the robot, and
-    parameters of families without errors, which have no interval; see `calib.verbs.calibrate.text.errorless`.
+    Targets that were not given are left out, because their change from the registered value is not an error of the
+    robot, and so are parameters of families without errors, which have no interval; see `errorless`.
     """
     errorless = texts.errorless(c)
     given = [p for p in texts.shown_parameters(c) if p.nominal is not None]
@@ -122,7 +124,7 @@ def shown_parameters(c: Calibration) -> list[ParameterEstimate]:
 def changes(c: Calibration) -> Figure:
     """Draw the change of each parameter with its 95 % interval; a panel for each unit, two side by side."""
     groups: dict[str, list[ParameterEstimate]] = {}
-    for p in shown_parameters(c):
+    for p in changed_parameters(c):
         groups.setdefault(p.unit, []).append(p)
     grouped = list(groups.values())
     pairs = [grouped[k : k + 2] for k in range(0, len(grouped), 2)]
@@ -130,12 +132,12 @@ def changes(c: Calibration) -> Figure:
     for pair in pairs:
         most = max(len(parameters) for parameters in pair)
         heights.append(0.16 * max(3, most) + 0.75)
-    figure = base.new_figure(sum(heights) + 0.4)
+    figure = new_figure(sum(heights) + 0.4)
     grid = figure.add_gridspec(len(pairs), min(len(grouped), 2), height_ratios=heights)
     for k, parameters in enumerate(grouped):
         ax = figure.add_subplot(grid[k // 2, k % 2])
         _change_panel(ax, parameters)
-    base.legend_above(figure, 3)
+    legend_above(figure, 3)
     return figure
 
 
@@ -146,29 +148,25 @@ def _change_panel(ax: Axes, parameters: Sequence[ParameterEstimate]) -> None:
     if unit == "rad":
         scale, unit_text = float(np.degrees(1.0)), "deg"
     for y, p in enumerate(parameters):
-        half = 0.0 if p.at_bound else 0.5 * scale * (p.high - p.low)
-        ax.errorbar(scale * p.delta, y, xerr=half, **_INTERVAL, **_parameter_look(p))
-    names = base.short_names([p.name for p in parameters])
+        half = 0.5 * scale * (p.high - p.low)
+        look = _IDENTIFIABLE if p.identifiable else _JOINTLY
+        if p.at_bound:
+            half, look = 0.0, _AT_BOUND
+        ax.errorbar(scale * p.delta, y, xerr=half, **_INTERVAL, **look)
+    names = short_names([p.name for p in parameters])
     ax.axvline(0.0, color=NOMINAL, lw=1.2, ls="--")
     font_size = 7.5 if len(names) <= _MANY_NAMES else 6.5
     ax.set_yticks(range(len(names)), names, size=font_size)
     ax.set_ylim(len(names) - 0.4, -0.6)
-    ax.xaxis.set_major_locator(base.few_ticks(5))
+    ax.xaxis.set_major_locator(few_ticks(5))
     ax.set_xlabel(f"change from nominal [{unit_text.replace('urad', 'µrad')}]")
     ax.set_title(_TITLES.get(unit, "Others"))
-
-
-def _parameter_look(p: ParameterEstimate) -> dict[str, Any]:
-    """Return the look of a parameter by how the measurements determine it."""
-    if p.at_bound:
-        return _AT_BOUND
-    return _IDENTIFIABLE if p.identifiable else _JOINTLY
 
 
 def correlation_indices(c: Calibration) -> list[int]:
     """Return the indices of the parameters whose correlations are drawn: identifiable ones, not at a bound.
 
-    The places of single corners on a board are left away: there are many, and the figure of the board has them.
+    The places of single corners on a board are left out: there are many, and the figure of the board has them.
     """
     of_corners = [parameter.of_one_point for parameter in c.model.parameters]
     return [
@@ -181,13 +179,19 @@ def correlation_indices(c: Calibration) -> list[int]:
 def correlations(c: Calibration) -> Figure:
     """Draw the correlation of each pair of identifiable parameters as a colour."""
     chosen = correlation_indices(c)
-    correlation = _correlation_matrix(c.covariance[np.ix_(chosen, chosen)])
-    names = base.short_names([c.parameters[k].name for k in chosen], 18)
+    covariance = c.covariance[np.ix_(chosen, chosen)]
+    variance = np.diag(covariance)
+    correlation = np.asarray(covariance / np.sqrt(np.outer(variance, variance)))
+
+    names = short_names([c.parameters[k].name for k in chosen], 18)
     count = len(chosen)
-    font_size = _matrix_font_size(count)
-    room = _room_for_names(names, font_size)
-    edge = float(np.clip(0.27 * count, 1.8, base.WIDTH - room - 0.8))
-    figure = base.new_figure(edge + room, edge + room + 0.8)
+    font_size = 8.0
+    if count > 30:
+        font_size = 6.0 if count <= 50 else 4.6
+    # Length of the longest name [in], and the space beside it.
+    room = 0.009 * font_size * max(map(len, names)) + 0.25
+    edge = float(np.clip(0.27 * count, 1.8, WIDTH - room - 0.8))
+    figure = new_figure(edge + room, edge + room + 0.8)
     ax = figure.subplots()
     # Each pair once: the lower triangle without the diagonal.
     upper = np.triu(np.ones_like(correlation, dtype=np.bool_))
@@ -200,25 +204,6 @@ def correlations(c: Calibration) -> Figure:
     return figure
 
 
-def _correlation_matrix(covariance: Array) -> Array:
-    """Return the correlations of a covariance (p, p)."""
-    variance = np.diag(covariance)
-    return np.asarray(covariance / np.sqrt(np.outer(variance, variance)))
-
-
-def _matrix_font_size(count: int) -> float:
-    """Return the size [pt] of the names at a matrix of ``count`` rows."""
-    if count <= 30:
-        return 8.0
-    return 6.0 if count <= 50 else 4.6
-
-
-def _room_for_names(names: Sequence[str], font_size: float) -> float:
-    """Return the length of the longest name [in] at a font size [pt], and the space beside it."""
-    longest = max(len(name) for name in names)
-    return 0.009 * font_size * longest + 0.25
-
-
 def singular_values(c: Calibration) -> Figure:
     """Draw the singular values of the scaled Jacobian [mm], and the numerical rank."""
     o = c.trust.observability
@@ -227,7 +212,7 @@ def singular_values(c: Calibration) -> Figure:
     shown = np.maximum(values, max(largest * _LEAST_SINGULAR_VALUE, 1e-15))
     at = np.arange(1, len(values) + 1)
     determined = at <= o.rank
-    figure = base.new_figure(2.9)
+    figure = new_figure(2.9)
     ax = figure.subplots()
     foot = 0.4 * float(shown.min())
     ax.vlines(at[determined], foot, shown[determined], color=NOMINAL, lw=1.0, alpha=0.6)
@@ -239,20 +224,24 @@ def singular_values(c: Calibration) -> Figure:
     if o.rank and np.isfinite(o.condition):
         label = f"condition number {o.condition:,.0f}"
         ax.axhline(float(values[0] / o.condition), color=SOFT, ls="--", lw=1.0, label=label)
-    base.log_axis(ax, "y")
+    log_axis(ax, "y")
     ax.set_ylim(foot, 3.0 * float(shown.max()))
-    ax.xaxis.set_major_locator(base.few_ticks(12, integers=True))
+    ax.xaxis.set_major_locator(few_ticks(12, integers=True))
     ax.set_xlabel("number")
     ax.set_ylabel("singular value [mm]")
-    base.legend_above(figure)
+    legend_above(figure)
     return figure
 
 
 def candidates(c: Calibration) -> Figure:
     """Draw the models that were tried: their errors on held-out rows, and their evidence relative to the best."""
-    rms, unit = _held_out_rms(c)
+    errors = [
+        candidate.cross_validation.errors_without_outliers for candidate in c.method.candidates
+    ]
+    unit = RESIDUAL_UNITS[errors[0].leading.unit]
+    rms = unit.to_shown * np.array([one[unit.symbol].rms for one in errors])
     evidence = np.array([candidate.evidence for candidate in c.method.candidates])
-    figure = base.new_figure(0.24 * len(c.method.candidates) + 1.35)
+    figure = new_figure(0.24 * len(c.method.candidates) + 1.35)
     left, right = figure.subplots(1, 2, sharey=True)
     names = [f"{candidate.name} ({candidate.parameters})" for candidate in c.method.candidates]
     left.set_yticks(np.arange(len(names)), names)
@@ -260,31 +249,14 @@ def candidates(c: Calibration) -> Figure:
     chosen_for = [candidate.chosen for candidate in c.method.candidates]
     _bars(left, rms, chosen_for, "{:.3f}")
     _bars(right, evidence - evidence.max(), chosen_for, "{:.1f}")
-    left.set(title="Error on held-out rows", xlabel=f"rms [{unit}]")
+    left.set(title="Error on held-out rows", xlabel=f"rms [{unit.shown}]")
     right.set(title="Evidence", xlabel="penalised log-likelihood, relative to the best")
-    base.legend_above(figure)
+    legend_above(figure)
     return figure
 
 
-def _held_out_rms(c: Calibration) -> tuple[Array, str]:
-    """Return the rms held-out error of each model in the first unit measured, as shown, and that unit."""
-    errors = [
-        candidate.cross_validation.errors_without_outliers for candidate in c.method.candidates
-    ]
-    unit = RESIDUAL_UNITS[errors[0].leading.unit]
-    rms = np.array([e[unit.symbol].rms for e in errors])
-    return unit.to_shown * rms, unit.shown
-
-
 def _bars(ax: Axes, values: Array, chosen_for: Sequence[str], number_format: str) -> None:
-    """Draw a bar for each model with its value.
-
-    Args:
-        ax: The panel.
-        values: shape (K,), a value of each model.
-        chosen_for: What each model was chosen for, a key of `_CHOSEN`.
-        number_format: Format of the value beside its bar.
-    """
+    """Draw a bar for each model with its value, by what the model was chosen for, a key of `_CHOSEN`."""
     for key, (colour, hatch, label) in _CHOSEN.items():
         at = [k for k, use in enumerate(chosen_for) if use == key]
         if at:

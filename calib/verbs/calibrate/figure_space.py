@@ -3,18 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
-import calib.show.figure_base as base
 from calib.basics.arrays import Array
 from calib.result.calibration import Calibration
 from calib.robot.ranges import spread_poses
-from calib.show.figure_base import VIEWS, flat, limits_of
-from calib.show.row_values import flagged_rows, measured_in_base, setup_of_rows
+from calib.show.look import INK, SOFT, RowKind, row_kinds
+from calib.show.measured_rows import flagged_rows, measured_in_base, setup_of_rows
+from calib.show.plotting import (
+    MOST_SHAPES,
+    VIEWS,
+    WIDTH,
+    few_ticks,
+    legend_above,
+    new_figure,
+    number_points,
+    set_view,
+    view_limits,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 #: Least height of the view from above [in].
 _LEAST_HEIGHT = 2.2
@@ -47,38 +59,31 @@ def measured_places(c: Calibration) -> Array:
 def points(c: Calibration) -> Figure:
     """Draw the measured points in the base frame: in space, and from three sides; as the paper's figure 7."""
     places = 1e3 * measured_places(c)
-    limits = limits_of(places)
+    limits = view_limits(places)
     figure, panels = _panels_of_space(limits)
     numbered = c.fit.measurements.validation | flagged_rows(c)
-    pixels = len(places) > base.MOST_SHAPES
-    kinds = base.row_kinds(c)
+    pixels = len(places) > MOST_SHAPES
+    kinds = row_kinds(c)
     for i, j, name in VIEWS:
         ax = panels[name]
         ax.set_title(f"Seen {name}")
         for order, kind in enumerate(kinds, start=2):
             at = places[kind.mask][:, [i, j]].T
             ax.plot(*at, rasterized=pixels, zorder=order, **kind.style(0.85))
-        flat(ax, limits, (i, j))
-        base.number_points(ax, c.fit.measurements.rows, places[:, [i, j]], numbered)
+        set_view(ax, limits, (i, j))
+        number_points(ax, c.fit.measurements.rows, places[:, [i, j]], numbered)
     _draw_space(panels["space"], places, kinds, limits)
-    base.legend_above(figure)
+    legend_above(figure)
     return figure
 
 
 def _panels_of_space(limits: Array) -> tuple[Figure, dict[str, Any]]:
-    """Make a figure with a panel for each of `VIEWS` and one in space, of the same scale.
-
-    Args:
-        limits: shape (2, 3), see `limits_of`.
-
-    Returns:
-        The figure, and its panels by the name of the view or ``"space"``.
-    """
+    """Make a figure with panels of one scale within limits (2, 3) [mm], by the names of `VIEWS` and ``"space"``."""
     x, y, z = limits[1] - limits[0]
     right = max(y, 0.7 * x)
-    scale = min(0.85 * base.WIDTH / (x + right), _MOST_HEIGHT / (y + z))
+    scale = min(0.85 * WIDTH / (x + right), _MOST_HEIGHT / (y + z))
     upper = max(scale * y, _LEAST_HEIGHT)
-    figure = base.new_figure(upper + scale * z + 1.4)
+    figure = new_figure(upper + scale * z + 1.4)
     panels: dict[str, Any] = figure.subplot_mosaic(
         [["from above", "space"], ["from the front", "from the side"]],
         width_ratios=[x, right],
@@ -91,11 +96,11 @@ def _panels_of_space(limits: Array) -> tuple[Figure, dict[str, Any]]:
 def _draw_space(
     ax: Any,  # noqa: ANN401  matplotlib's Axes3D, which has no types
     places: Array,
-    kinds: Sequence[base.RowKind],
+    kinds: Sequence[RowKind],
     limits: Array,
 ) -> None:
     """Draw points (N, 3) [mm] in perspective, within limits (2, 3) [mm]."""
-    pixels = len(places) > base.MOST_SHAPES
+    pixels = len(places) > MOST_SHAPES
     for kind in kinds:
         ax.plot(*places[kind.mask].T, rasterized=pixels, **kind.style())
     ax.set_box_aspect(limits[1] - limits[0], zoom=0.85)
@@ -104,7 +109,7 @@ def _draw_space(
     for letter, axis in zip("xyz", (ax.xaxis, ax.yaxis, ax.zaxis), strict=True):
         axis.set_label_text(f"{letter} [mm]")
         axis.labelpad = 1.5
-        axis.set_major_locator(base.few_ticks(4))
+        axis.set_major_locator(few_ticks(4))
     ax.tick_params(labelsize=7.5, pad=1)
     ax.view_init(elev=20, azim=-62)
 
@@ -112,66 +117,44 @@ def _draw_space(
 def uncertainty(c: Calibration) -> Figure:
     """Draw the standard deviation of predicted positions over the joint limits: three views, and its distribution."""
     q = spread_poses(c.nominal, POSES)
-    places = 1e3 * _predicted_places(c, q)
+    places = 1e3 * predicted_places(c, q)
     std = 1e3 * c.position_std(q, non_geometric=False)
-    limits = limits_of(places)
-    measured = _some_measured_places(c)
-    figure = base.new_figure(6.2)
+    limits = view_limits(places)
+    measured = 1e3 * measured_places(c)
+    measured = measured[:: 1 + len(measured) // _MEASURED_POINTS]
+
+    figure = new_figure(6.2)
     *views, last = figure.subplots(2, 2).ravel()
-    images = []
+    ring: dict[str, Any] = {"ls": "none", "marker": "o", "ms": 3.0, "mfc": "white", "mew": 0.6}
+    cells = []
     for ax, (i, j, name) in zip(views, VIEWS, strict=True):
-        images.append(_cells(ax, places[:, [i, j]], std, limits[:, [i, j]]))
-        _draw_rings(ax, measured[:, [i, j]])
+        cells.append(_draw_cells(ax, places[:, [i, j]], std, limits[:, [i, j]]))
+        ax.plot(*measured[:, [i, j]].T, mec=INK, label="measured rows", **ring)
         ax.set_title(f"Seen {name}")
-        flat(ax, limits, (i, j))
-    _share_colours(images)
-    bar = figure.colorbar(images[1], ax=views[1], shrink=0.95, pad=0.02, extend="max")
+        set_view(ax, limits, (i, j))
+
+    # One scale of colours, on which a single cell does not make all others alike.
+    values = np.concatenate([np.asarray(of_view.get_array()) for of_view in cells])
+    low = float(values.min())
+    high = float(np.quantile(values, 0.98))
+    for of_view in cells:
+        of_view.set_clim(low, max(high, 1.01 * low + 1e-9))
+    bar = figure.colorbar(cells[1], ax=views[1], shrink=0.95, pad=0.02, extend="max")
     bar.set_label("standard deviation [mm]")
-    _distribution(last, std, c)
-    base.legend_above(figure)
+
+    _draw_distribution(last, std, c)
+    legend_above(figure)
     return figure
 
 
-def _predicted_places(c: Calibration, q: Array) -> Array:
+def predicted_places(c: Calibration, q: Array) -> Array:
     """Return the calibrated robot's positions of the target in the base, shape (N, 3) [m], at joint values (N, m)."""
     T_base_tip = c.robot.poses(q)
     return np.asarray(T_base_tip[:, :3, :3] @ c.target + T_base_tip[:, :3, 3])
 
 
-def _some_measured_places(c: Calibration) -> Array:
-    """Return the target's positions in the base frame, (K, 3) [mm]; of many rows every so many-th."""
-    places = 1e3 * measured_places(c)
-    step = 1 + len(places) // _MEASURED_POINTS
-    return places[::step]
-
-
-def _draw_rings(ax: Axes, places: Array) -> None:
-    """Mark measured points (K, 2) [mm] with rings."""
-    ring: dict[str, Any] = {"ls": "none", "marker": "o", "ms": 3.0, "mfc": "white", "mew": 0.6}
-    ax.plot(*places.T, mec=base.INK, label="measured rows", **ring)
-
-
-def _share_colours(images: Sequence[Any]) -> None:
-    """Give pictures one scale of colours, on which a single cell does not make all others alike."""
-    values = np.concatenate([np.asarray(image.get_array()) for image in images])
-    low = float(values.min())
-    high = float(np.quantile(values, 0.98))
-    for image in images:
-        image.set_clim(low, max(high, 1.01 * low + 1e-9))
-
-
-def _cells(ax: Axes, places: Array, std: Array, limits: Array) -> Any:  # noqa: ANN401  a collection of matplotlib
-    """Draw the root mean square of the standard deviations of the poses in each hexagon of a view.
-
-    Args:
-        ax: The panel.
-        places: shape (N, 2), positions at the poses [mm].
-        std: shape (N,), their standard deviations [mm].
-        limits: shape (2, 2), lowest and highest value of both axes [mm].
-
-    Returns:
-        The hexagons; their array holds the values.
-    """
+def _draw_cells(ax: Axes, places: Array, std: Array, limits: Array) -> Any:  # noqa: ANN401  a collection of matplotlib
+    """Draw the rms of the standard deviations (N,) [mm] of the poses at places (N, 2) in each hexagon of a view."""
     size = limits[1] - limits[0]
     across, up = _CELLS * size / np.max(size)
     columns = max(int(across), 4)
@@ -190,15 +173,9 @@ def _cells(ax: Axes, places: Array, std: Array, limits: Array) -> Any:  # noqa: 
     )
 
 
-def _distribution(ax: Axes, std: Array, c: Calibration) -> None:
-    """Draw the share of poses below each standard deviation, with the expected errors of the report.
-
-    Args:
-        ax: The panel.
-        std: shape (N,), standard deviations at the poses over the joint limits [mm].
-        c: The result.
-    """
-    ax.ecdf(std, color=base.INK, lw=1.4)
+def _draw_distribution(ax: Axes, std: Array, c: Calibration) -> None:
+    """Draw the share of poses below each standard deviation (N,) [mm], with the expected errors of the report."""
+    ax.ecdf(std, color=INK, lw=1.4)
     measured = 1e3 * c.geometry.expected_measured
     # That of the report, not of the poses drawn, which are more: one number for one thing.
     everywhere = 1e3 * c.geometry.expected_everywhere
@@ -209,12 +186,11 @@ def _distribution(ax: Axes, std: Array, c: Calibration) -> None:
     )
     for value, style, meaning in lines:
         label = f"{value:.3f} mm: {meaning}"
-        ax.vlines(value, 0, 1, colors=base.SOFT, ls=style, lw=1.1, label=label)
+        ax.vlines(value, 0, 1, colors=SOFT, ls=style, lw=1.1, label=label)
     nearly_largest = float(np.quantile(std, 0.99))
     ax.set_xlim(0.0, 1.08 * max(nearly_largest, measured, 1e-9))
     ax.set_ylim(0.0, 1.45)  # room for the legend above the curve
-    percent = [f"{share}" for share in range(0, 101, 20)]
-    ax.set_yticks(np.linspace(0.0, 1.0, 6), percent)
+    ax.set_yticks(np.linspace(0.0, 1.0, 6), [f"{share}" for share in range(0, 101, 20)])
     ax.set(xlabel="standard deviation [mm]", ylabel="poses below [%]")
     ax.set_title("Distribution over the joint limits")
     ax.legend(loc="upper left", fontsize=7.5)

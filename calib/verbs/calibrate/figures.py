@@ -1,7 +1,7 @@
 """The figures of a calibration, for reports and papers: PNG, SVG or PDF, readable in print and with any colour vision.
 
-`FIGURES` is the one list of them. `drawings` gives those that apply to a calibration, `rendered` makes a file of
-one, `write_figures` writes all and their captions beside them.
+`FIGURES` is the one list of them. `drawings` gives those that apply to a calibration, `calib.show.plotting.render`
+makes a file of one, `write_figures` writes all and their captions beside them.
 """
 
 from __future__ import annotations
@@ -9,16 +9,14 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import yaml
-from matplotlib.figure import Figure
 
-import calib.verbs.calibrate.camera.board as board
-import calib.verbs.calibrate.camera.coverage as coverage
-import calib.verbs.calibrate.camera.residuals as images
+import calib.verbs.calibrate.figure_coverage as coverage
 import calib.verbs.calibrate.figure_errors as errors
+import calib.verbs.calibrate.figure_images as images
 import calib.verbs.calibrate.figure_joints as joints
 import calib.verbs.calibrate.figure_model as model
 import calib.verbs.calibrate.figure_space as space
@@ -26,15 +24,18 @@ from calib.basics.files import make_folder, write_atomically
 from calib.errors import FileError
 from calib.result.calibration import Calibration
 from calib.robot.ranges import SPREAD
-from calib.show.drawing import Drawing, rendered
-from calib.show.figure_base import rows_text
-from calib.verbs.calibrate.camera.of_calibration import has_images, joint_spans, seen_corners
-from calib.verbs.calibrate.camera.seen_corners import SeenCorners
+from calib.show.blocks import Drawing
+from calib.show.look import rows_text
+from calib.show.plotting import render, require_matplotlib
+from calib.verbs.calibrate.seen_corners import image_rows
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 #: Name of the file of the captions, beside the figures.
 CAPTIONS = "captions.md"
 
-#: Kind of the rows of the error curves, and how the fit relates to them; see `curve_rows` of the figures of errors.
+#: Kind of the rows of the error curves, and how the fit relates to them; see `calib.verbs.calibrate.figure_errors`.
 _CURVE_ROWS = {
     "validation": ("validation", "which took no part in the fit"),
     "held-out": ("estimation", "each predicted by a fit without it"),
@@ -47,101 +48,57 @@ class FigureKind(NamedTuple):
 
     #: Draws it
     draw: Callable[[Calibration], Figure]
-    #: Tells if a calibration has it
+    #: Says if a calibration has it
     applies: Callable[[Calibration], bool]
 
 
-def _always(c: Calibration) -> bool:  # noqa: ARG001
-    """Tell that every calibration has a figure."""
+def _measures(unit: str) -> Callable[[Calibration], bool]:
+    """Return the test whether any row measures something in a unit, by its symbol."""
+    return lambda c: unit in c.rows.channels.present
+
+
+def _has_vectors(unit: str) -> Callable[[Calibration], bool]:
+    """Return the test whether any row measures a whole position or orientation, by the symbol of its unit."""
+    return lambda c: bool(np.any(c.rows.channels.vector_columns(unit)[1]))
+
+
+def _has_images(c: Calibration) -> bool:
+    """Say if any row is the image of a corner."""
+    return bool(np.any(image_rows(c)))
+
+
+def _always(_: Calibration) -> bool:
+    """Say that every calibration has a figure."""
     return True
 
-
-def _has_lengths(c: Calibration) -> bool:
-    """Tell if any row measures a length or a position."""
-    return "m" in c.rows.channels.present
-
-
-def _has_angles(c: Calibration) -> bool:
-    """Tell if any row measures an orientation or another angle."""
-    return "rad" in c.rows.channels.present
-
-
-def _has_pixels(c: Calibration) -> bool:
-    """Tell if any row measures image coordinates."""
-    return "px" in c.rows.channels.present
-
-
-def _has_orientations(c: Calibration) -> bool:
-    """Tell if any row measures a whole orientation."""
-    _, are_vectors = c.rows.channels.vector_columns("rad")
-    return bool(np.any(are_vectors))
-
-
-def _has_joint_parts(c: Calibration) -> bool:
-    """Tell if any residual has a part along joints' motions."""
-    return bool(np.any(joints.has_joint_parts(c)))
-
-
-def _has_iterations(c: Calibration) -> bool:
-    """Tell if the solver made any step."""
-    return bool(c.method.solution.history)
-
-
-def _has_changes(c: Calibration) -> bool:
-    """Tell if any parameter's change is shown."""
-    return bool(model.shown_parameters(c))
-
-
-def _has_correlations(c: Calibration) -> bool:
-    """Tell if there is a pair of identifiable parameters."""
-    return len(model.correlation_indices(c)) > 1
-
-
-def _has_singular_values(c: Calibration) -> bool:
-    """Tell if the Jacobian has any column."""
-    return c.trust.observability.columns > 0
-
-
-def _has_candidates(c: Calibration) -> bool:
-    """Tell if several models were tried."""
-    return bool(c.method.candidates)
-
-
-def _of_cameras(draw: Callable[[Sequence[SeenCorners]], Figure]) -> FigureKind:
-    """Make a figure of the corners that the cameras saw, for calibrations with images."""
-    return FigureKind(lambda c: draw(seen_corners(c)), has_images)
-
-
-def _joints_of_images(c: Calibration) -> Figure:
-    """Draw the joints' ranges in the images."""
-    return coverage.of_joints(joint_spans(c))
-
-
-_angles_by_row = partial(errors.by_row, unit="rad")
-_pixels_by_row = partial(errors.by_row, unit="px")
-_orientations_by_axis = partial(errors.by_axis, unit="rad")
 
 #: The figures by name, in a report's order.
 FIGURES: dict[str, FigureKind] = {
     "points": FigureKind(space.points, _always),
-    "error-curves": FigureKind(errors.curves, _has_lengths),
-    "errors-by-pose": FigureKind(errors.by_row, _has_lengths),
-    "orientation-errors-by-pose": FigureKind(_angles_by_row, _has_angles),
-    "image-errors-by-pose": FigureKind(_pixels_by_row, _has_pixels),
-    "image-residuals": _of_cameras(images.over_image),
-    "images": _of_cameras(images.by_image),
-    "board-corners": _of_cameras(board.corners),
-    "errors-by-axis": FigureKind(errors.by_axis, errors.has_axes),
-    "orientation-errors-by-axis": FigureKind(_orientations_by_axis, _has_orientations),
+    "error-curves": FigureKind(errors.curves, _measures("m")),
+    "errors-by-pose": FigureKind(errors.by_row, _measures("m")),
+    "orientation-errors-by-pose": FigureKind(partial(errors.by_row, unit="rad"), _measures("rad")),
+    "image-errors-by-pose": FigureKind(partial(errors.by_row, unit="px"), _measures("px")),
+    "image-residuals": FigureKind(images.over_image, _has_images),
+    "images": FigureKind(images.by_image, _has_images),
+    "board-corners": FigureKind(images.board_corners, _has_images),
+    "errors-by-axis": FigureKind(errors.by_axis, _has_vectors("m")),
+    "orientation-errors-by-axis": FigureKind(
+        partial(errors.by_axis, unit="rad"), _has_vectors("rad")
+    ),
     "histograms": FigureKind(errors.histograms, _always),
-    "residual-by-joint": FigureKind(joints.residuals_by_joint, _has_joint_parts),
-    "image-coverage": _of_cameras(coverage.of_images),
-    "joint-coverage": FigureKind(_joints_of_images, has_images),
-    "convergence": FigureKind(model.convergence, _has_iterations),
-    "parameter-changes": FigureKind(model.changes, _has_changes),
-    "correlations": FigureKind(model.correlations, _has_correlations),
-    "singular-values": FigureKind(model.singular_values, _has_singular_values),
-    "candidates": FigureKind(model.candidates, _has_candidates),
+    "residual-by-joint": FigureKind(
+        joints.residuals_by_joint, lambda c: bool(np.any(joints.has_joint_parts(c)))
+    ),
+    "image-coverage": FigureKind(coverage.image_coverage, _has_images),
+    "joint-coverage": FigureKind(coverage.joint_coverage, _has_images),
+    "convergence": FigureKind(model.convergence, lambda c: bool(c.method.solution.history)),
+    "parameter-changes": FigureKind(model.changes, lambda c: bool(model.changed_parameters(c))),
+    "correlations": FigureKind(model.correlations, lambda c: len(model.correlation_indices(c)) > 1),
+    "singular-values": FigureKind(
+        model.singular_values, lambda c: c.trust.observability.columns > 0
+    ),
+    "candidates": FigureKind(model.candidates, lambda c: bool(c.method.candidates)),
     "workspace-uncertainty": FigureKind(space.uncertainty, _always),
 }
 
@@ -160,6 +117,28 @@ def drawings(calibration: Calibration) -> tuple[Drawing, ...]:
     return tuple(made)
 
 
+def _caption_words(c: Calibration) -> dict[str, str]:
+    """Return the texts that captions name in braces."""
+    m = c.fit.measurements
+    estimation = rows_text(m.estimation, "estimation")
+    rows = estimation
+    if np.any(m.validation):
+        rows = f"{estimation} and {rows_text(m.validation, 'validation')}"
+    curves = errors.curve_rows(c)
+    kind, relation = _CURVE_ROWS[curves.name]
+    words = {
+        "rows": rows,
+        "estimation": estimation,
+        "poses": f"{space.POSES:,}",
+        "spread": str(SPREAD),
+        "curve_rows": f"the {rows_text(curves.mask, kind)}, {relation}",
+    }
+    if c.method.candidates:
+        held_out = c.method.candidates[0].cross_validation.errors_without_outliers
+        words["compared"] = f"{held_out.leading.n:,}"
+    return words
+
+
 def write_figures(
     calibration: Calibration,
     folder: str | Path,
@@ -173,7 +152,7 @@ def write_figures(
     Args:
         calibration: The result.
         folder: The folder; made if it is missing.
-        kind: One of `calib.show.figure_base.KINDS`.
+        kind: One of `calib.show.plotting.KINDS`.
         overwrite: Replace existing files.
         progress: Called after each figure with the number done and that of all.
 
@@ -181,13 +160,15 @@ def write_figures(
         The figures' files, in a report's order.
 
     Raises:
+        CalibError: Matplotlib is missing, which draws the figures.
         FileError: Another kind, or a file exists or cannot be written; an existing file is found before anything is
             drawn.
     """
+    require_matplotlib("A figure")
     made = drawings(calibration)
     *paths, captions = figure_files(made, make_folder(folder), kind, overwrite=overwrite)
     for done, (drawing, path) in enumerate(zip(made, paths, strict=True), start=1):
-        write_atomically(path, rendered(drawing, kind), overwrite=overwrite)
+        write_atomically(path, render(drawing, kind), overwrite=overwrite)
         if progress is not None:
             progress(done, len(made))
     entries = [
@@ -221,25 +202,3 @@ def figure_files(
         if path.exists() and not overwrite:
             raise FileError(f"{path} exists already; add --force or choose another folder.")
     return paths
-
-
-def _caption_words(c: Calibration) -> dict[str, str]:
-    """Return the texts that captions name in braces."""
-    m = c.fit.measurements
-    estimation = rows_text(m.estimation, "estimation")
-    rows = estimation
-    if np.any(m.validation):
-        rows = f"{estimation} and {rows_text(m.validation, 'validation')}"
-    shown = errors.curve_rows(c)
-    kind, relation = _CURVE_ROWS[shown.name]
-    words = {
-        "rows": rows,
-        "estimation": estimation,
-        "poses": f"{space.POSES:,}",
-        "spread": str(SPREAD),
-        "curve_rows": f"the {rows_text(shown.mask, kind)}, {relation}",
-    }
-    if c.method.candidates:
-        held_out = c.method.candidates[0].cross_validation.errors_without_outliers
-        words["compared"] = f"{held_out.leading.n:,}"
-    return words

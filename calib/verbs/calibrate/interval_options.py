@@ -83,13 +83,8 @@ class Intervals:
         Returns:
             Texts to print, and tables for the result file by key.
         """
-        from calib.verbs.calibrate.interval_text import (
-            LEVEL,
-            bootstrap_table,
-            bootstrap_text,
-            profile_text,
-        )
-        from calib.verbs.calibrate.uncertainty import bootstrap, profile_interval
+        from calib.verbs.calibrate.report import bootstrap_text, profile_text
+        from calib.verbs.calibrate.uncertainty import LEVEL, bootstrap, profile_interval
 
         texts: list[str] = []
         tables: dict[str, Any] = {}
@@ -97,7 +92,7 @@ class Intervals:
             with progress_bar("bootstrap", quiet=quiet) as progress:
                 samples = bootstrap(result, self.bootstrap, self.seed or 0, progress, executor)
             texts.append(bootstrap_text(result, samples))
-            tables["bootstrap"] = bootstrap_table(samples)
+            tables["bootstrap"] = samples.table()
         if self.profile:
             profiles = [
                 (result.parameter(name), profile_interval(result, name, LEVEL))

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from calib.cli.options import Accept, Force, TargetLink
+from calib.cli.outputs import check_outputs
 from calib.cli.terminal import command_line, progress_bar
 from calib.errors import CalibError
 
 if TYPE_CHECKING:
     from calib.result.calibration import Calibration
-from calib.cli.outputs import check_outputs
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,6 +69,10 @@ class Outputs:
             raise CalibError("--figure-format takes --figures FOLDER.")
         if self.figures is not None and self.figures.is_file():
             raise CalibError(f"{self.figures} is a file; --figures names a folder.")
+        if self.report is not None or self.figures is not None:
+            from calib.show.plotting import require_matplotlib
+
+            require_matplotlib("A report" if self.report is not None else "A figure")
         if self.report is not None:
             from calib.show.page import check_ending
 
@@ -85,7 +89,7 @@ class Outputs:
     ) -> Iterator[Path | str]:
         """Write the outputs that were asked for, one after the other.
 
-        The corrected URDF is not written where the verdict is ``do not use`` and was not accepted.
+        The corrected URDF is not written if the verdict is ``do not use`` and was not accepted.
 
         Args:
             result: The calibration.
@@ -97,7 +101,11 @@ class Outputs:
         """
         from calib.show.verdict import against
 
-        self._check_figures(result)
+        if self.figures is not None and not self.force:
+            from calib.verbs.calibrate.figures import drawings, figure_files
+
+            # Figures that exist are refused before anything is written.
+            figure_files(drawings(result), self.figures, self.figure_format or "png")
         if self.output is not None and (self.accept or not against(result.verdict)):
             yield result.write_urdf(
                 self.output,
@@ -119,26 +127,14 @@ class Outputs:
             command = command_line()
             yield write_report(result, self.report, command=command, overwrite=self.force)
         if self.figures is not None:
-            yield self._write_figures(result, self.figures, quiet=quiet)
+            from calib.verbs.calibrate.figures import write_figures
 
-    def _check_figures(self, result: Calibration) -> None:
-        """Refuse figures that exist before anything is written."""
-        if self.figures is None or self.force:
-            return
-        from calib.verbs.calibrate.figures import drawings, figure_files
-
-        figure_files(drawings(result), self.figures, self.figure_format or "png")
-
-    def _write_figures(self, result: Calibration, folder: Path, *, quiet: bool) -> str:
-        """Write the figures and return what was written."""
-        from calib.verbs.calibrate.figures import write_figures
-
-        with progress_bar("figures", quiet=quiet) as progress:
-            figures = write_figures(
-                result,
-                folder,
-                kind=self.figure_format or "png",
-                overwrite=self.force,
-                progress=progress,
-            )
-        return f"{folder} ({len(figures)} figures)"
+            with progress_bar("figures", quiet=quiet) as progress:
+                figures = write_figures(
+                    result,
+                    self.figures,
+                    kind=self.figure_format or "png",
+                    overwrite=self.force,
+                    progress=progress,
+                )
+            yield f"{self.figures} ({len(figures)} figures)"

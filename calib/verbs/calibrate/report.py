@@ -1,12 +1,15 @@
-"""The report of a calibration: a first page to sign, then errors before and after, figures, parameters, and the method.
+"""What is shown of a calibration: its summary in a terminal, its report to print and sign, its excerpt in notebooks.
 
-One HTML page, ``report.html.j2`` filled in; see `calib.show.page`.
+`report` is the one list of their sections; `calib.verbs.calibrate.tables` and `.text` make what stands in them.
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -17,27 +20,65 @@ from calib.basics.files import write_atomically
 from calib.data.forms.orientations import find_convention
 from calib.data.measurements import Measurements
 from calib.diagnosis.reasons import Why
+from calib.model.parameters import FRAME
 from calib.numerics.errors import interval_factor
 from calib.result.calibration import Calibration
 from calib.result.calibration_file import versions
-from calib.show.doubtful_rows import outside_text, robustness_text
-from calib.show.first_page import (
-    FirstPage,
-    Outcome,
-    left_lines,
-    right_lines,
-    robot_name,
+from calib.result.fitted_model import ParameterEstimate
+from calib.show.as_text import blocks_text, page_text
+from calib.show.blocks import (
+    HTML,
+    NOTEBOOK,
+    TERMINAL,
+    Block,
+    Bullets,
+    Drawing,
+    Facts,
+    Page,
+    Paragraph,
+    Section,
+    Verdict,
+    report_date,
 )
+from calib.show.errors import ERROR_COLUMNS, ErrorColumn, ErrorRow, error_table, error_title
+from calib.show.first_page import FirstPage, robot_name
 from calib.show.lines import deg, mm, plural, times
-from calib.show.page import check_ending, page_bytes
-from calib.show.readings import coupling_sentence
-from calib.show.row_values import kinds_text
-from calib.show.table import MOST_LISTED
+from calib.show.page import check_ending, notebook_html, page_bytes
+from calib.show.plotting import require_matplotlib
+from calib.show.readings import coupling_sentence, rows_sentence
+from calib.show.tables import MOST_LISTED
 from calib.show.verdict import reason_text
-from calib.show.words import combination_text
-from calib.verbs.calibrate.camera.tables import image_errors, units_of_tables, with_errors_at_board
-from calib.verbs.calibrate.optics_text import optics_sentences
-from calib.verbs.calibrate.places_text import frame_sentences, target_sentences
+from calib.show.words import (
+    before_and_after,
+    chain_name,
+    combination_text,
+    kinds_text,
+    outside_text,
+    rms_text,
+)
+from calib.verbs.calibrate.figures import drawings
+from calib.verbs.calibrate.places_text import (
+    camera_and_board_sentences,
+    frame_sentences,
+    target_sentences,
+)
+from calib.verbs.calibrate.seen_corners import image_rows
+from calib.verbs.calibrate.uncertainty import LEVEL, Bootstrap, Profile
+from calib.version import __version__
+
+#: Targets, frames, or combinations of parameters that are listed; the others are counted.
+_MOST_PLACES = {TERMINAL: 6, HTML: MOST_LISTED}
+_MOST_COMBINATIONS = {TERMINAL: 12, HTML: MOST_LISTED}
+
+
+def summary(c: Calibration) -> str:
+    """Write the summary of a calibration: lines of at most 100 columns."""
+    return page_text(report(c))
+
+
+def calibration_html(c: Calibration) -> str:
+    """Draw the excerpt of a calibration for a notebook."""
+    return notebook_html(report(c))
 
 
 def write_report(
@@ -52,97 +93,84 @@ def write_report(
     Args:
         calibration: The result.
         path: Name of the file, which ends in .html or .htm.
-        command: The command line that made the calibration; empty where there was none.
+        command: The command line that made the calibration; empty if there was none.
         overwrite: Replace an existing file.
 
     Returns:
         The file's path.
 
     Raises:
+        CalibError: Matplotlib is missing, which draws the figures.
         FileError: The name does not end in .html or .htm, the file exists, or it cannot be written.
     """
     check_ending(path)
-    page = report_bytes(calibration, command=command)
+    require_matplotlib("A report")
+    page = page_bytes(report(calibration, command=command))
     return write_atomically(path, page, overwrite=overwrite)
 
 
-def report_bytes(calibration: Calibration, *, command: str = "") -> bytes:
-    """Return the page, UTF-8, see `calib.show.page.page_bytes`.
+def report(
+    c: Calibration, *, command: str = "", columns: Sequence[ErrorColumn] = ERROR_COLUMNS
+) -> Page:
+    """Say what is shown of a calibration, and where.
 
     Args:
-        calibration: The result.
-        command: The command line that made it; empty where there was none.
+        c: The result. Sections for HTML need its measurements and its solved problem in memory.
+        command: The command line that made it; empty if there was none.
+        columns: The columns of the tables of errors.
     """
-    from calib.verbs.calibrate.figures import drawings
-
-    content = _content(calibration)
-    content["command"] = command or "not from the command line"
-    return page_bytes(Path(__file__).with_name("report.html.j2"), content, drawings(calibration))
-
-
-def _rows_text(m: Measurements) -> str:
-    """Return how many rows there are, and in which convention orientations were given."""
-    text = f"{m.estimation.sum():,} to estimate, {m.validation.sum():,} to validate"
-    if m.orientation:
-        text += f"; orientations as {find_convention(m.orientation).words}"
-    return text
-
-
-def _content(c: Calibration) -> dict[str, Any]:
-    """Return the variables of the template, all but date, command and figures.
-
-    The template calls `calib.verbs.calibrate.tables` and `.text` itself; here are the texts that need more.
-    """
-    reasons = _reasons(c)
-    return {
-        "c": c,
-        "document": "Calibration report",
-        "first": _first_page(c, reasons),
-        "texts": texts,
-        "tables": tables,
-        "known": texts.facts(c),
-        "source": c.fit.measurements.source or "from memory",
-        "rows_text": _rows_text(c.fit.measurements),
-        "reasons": reasons,
-        "robustness": robustness_text(c.trust.robustness) if c.trust.robustness else "",
-        "unweighted": int(np.sum(c.rows.weights[c.fit.measurements.estimation] <= 0.0)),
-        "factor": f"{interval_factor(c.fit.geometry.estimate.freedom):.2f}",
-        "places": [
-            *target_sentences(c, MOST_LISTED),
-            *frame_sentences(c, MOST_LISTED),
-            *optics_sentences(c),
-        ],
-        "combinations": _combinations(c),
-        "image_errors": image_errors(c),
-        "units": units_of_tables(c),
-        "kinds": kinds_text(c.fit.measurements),
-        "outside": _outside(c),
-        "versions": ", ".join(f"{name} {version}" for name, version in versions().items()),
-        **_measurement_setup(c),
-    }
+    date = report_date()
+    figures = partial(_figures, c)
+    sections = (
+        Section(lambda: [_first_page(c, columns)], on=HTML),
+        Section(partial(_head, c), on=TERMINAL),
+        Section(partial(_excerpt, c, columns), on=NOTEBOOK),
+        Section(lambda: [_verdict(c)], "Verdict"),
+        Section(partial(_accuracy, c, columns), "Accuracy before and after"),
+        Section(partial(_validation, c), on=HTML),
+        Section(partial(figures, "errors"), "Figures of the errors", on=HTML),
+        Section(partial(_rows_and_places, c), on=TERMINAL),
+        Section(lambda: [tables.models(c), *_evidence_note(c)], on=TERMINAL),
+        Section(partial(_facts, c), on=TERMINAL),
+        Section(partial(_parameters_in_words, c), "Parameters", on=HTML),
+        Section(partial(_parameters, c)),
+        Section(partial(figures, "parameters"), on=HTML),
+        Section(lambda: [tables.dh(c), tables.origins(c)], "Geometry before and after", on=HTML),
+        Section(partial(_outliers, c), "Outliers", on=HTML),
+        Section(partial(_identifiability, c), "Identifiability and uncertainty", on=HTML),
+        Section(partial(figures, "unknown"), on=HTML),
+        Section(partial(figures, "candidates"), "Models tried", on=HTML),
+        Section(partial(_measurements, c), "Measurements", on=HTML),
+        Section(partial(_method, c), "Method"),
+        Section(partial(figures, "method"), on=HTML),
+        Section(
+            lambda: [_files(c, command, date)], "Files, versions, command", on=HTML, whole=True
+        ),
+    )
+    return Page("Calibration report", f"robot {robot_name(c.nominal)}", sections, date)
 
 
-def _reasons(c: Calibration) -> list[str]:
-    """Word the reasons of the verdict, or why there is none."""
-    if c.verdict is None:
-        return ["No verdict: the result was not cross-validated."]
-    return [reason_text(reason) for reason in c.verdict.reasons]
-
-
-def _first_page(c: Calibration, reasons: list[str]) -> FirstPage:
-    """Return the first page; ``reasons`` are those of the verdict in words."""
-    noise = texts.facts(c)["Noise"]
+def _first_page(c: Calibration, columns: Sequence[ErrorColumn]) -> Block:
+    """Make the first page of the report."""
+    images = c.rows.images_of(c.rows.estimation)
+    if images:
+        corners = plural(int(np.sum(c.rows.estimation)), "corner")
+        basis = f"{corners} in {plural(images, 'image')}"
+    else:
+        poses = c.fit.geometry.estimate.problem.rows.poses
+        _, repeats = np.unique(poses, return_counts=True)
+        often = times(int(repeats.min()), int(repeats.max()))
+        basis = f"{plural(len(repeats), 'pose')}, each measured {often}"
     return FirstPage(
-        robot=robot_name(c.nominal),
-        outcome=Outcome.of("none" if c.verdict is None else c.verdict.use),
-        reasons=reasons,
+        verdict=_verdict(c),
         section="Verdict",
-        left=left_lines(c.record, c.nominal),
-        right=right_lines(c.record, ("Noise (1 sigma)", noise.partition(" (")[0]), c.source.name),
-        note=c.record.note,
-        table=with_errors_at_board(tables.before_and_after(c), c),
+        record=c.record,
+        robot=c.nominal,
+        uncertainty=("Noise (1 sigma)", texts.facts(c)["Noise"].partition(" (")[0]),
+        source=c.source.name,
+        table=tables.before_and_after(c, columns),
         rule=[
-            f"Rows: {_rows_text(c.fit.measurements)}; {_estimated_from(c)}.",
+            f"Rows: {_rows_text(c.fit.measurements)}; the estimate is from {basis}.",
             "The verdict rests on rows that took no part in the fit, not on a tolerance: 'calib evaluate --tolerance' "
             "tests one, on rows measured afterwards.",
         ],
@@ -150,45 +178,332 @@ def _first_page(c: Calibration, reasons: list[str]) -> FirstPage:
     )
 
 
-def _estimated_from(c: Calibration) -> str:
-    """Say what the estimate is from: of images how many corners each, else how often each pose was measured."""
-    images = c.rows.images_of(c.rows.estimation)
-    if images:
-        corners = int(np.sum(c.rows.estimation))
-        return f"the estimate is from {plural(corners, 'corner')} in {plural(images, 'image')}"
-    _, repeats = np.unique(c.fit.geometry.estimate.problem.rows.poses, return_counts=True)
-    often = times(int(repeats.min()), int(repeats.max()))
-    return f"the estimate is from {plural(len(repeats), 'pose')}, each measured {often}"
+def _rows_text(m: Measurements) -> str:
+    """Count the rows of each set, and name the convention in which orientations were given."""
+    text = f"{m.estimation.sum():,} to estimate, {m.validation.sum():,} to validate"
+    if m.orientation:
+        text += f"; orientations as {find_convention(m.orientation).words}"
+    return text
 
 
-def _combinations(c: Calibration) -> list[str]:
-    """Word the unidentifiable combinations of parameters; beyond `MOST_LISTED` they are counted."""
-    combinations = [
-        combination_text(combination) for combination in c.trust.observability.unidentifiable
-    ]
-    listed = combinations[:MOST_LISTED]
-    more = len(combinations) - len(listed)
-    if more:
-        listed.append(f"and {more} more")
-    return listed
+def _head(c: Calibration) -> Iterator[Block]:
+    """Name the robot and count the rows."""
+    rows = rows_sentence(c.nominal)
+    yield Paragraph(
+        f"calib {__version__}: robot {chain_name(c.nominal)}, {len(c.nominal.joints)} joints; "
+        f"{texts.counted_rows(c)} from {c.source.name or 'memory'}"
+    )
+    yield Paragraph(f"{rows}." if rows else "", tight=True)
+    yield Paragraph(coupling_sentence(c.nominal), tight=True)
 
 
-def _outside(c: Calibration) -> str:
-    """Word the validation rows outside of the fitted joint ranges; empty where the verdict names them already."""
-    if c.verdict and any(reason.why == Why.OUTSIDE for reason in c.verdict.reasons):
-        return ""
-    m = c.fit.measurements
-    return outside_text(c.rows.outside, np.array(m.rows)[m.validation].tolist())
+def _excerpt(c: Calibration, columns: Sequence[ErrorColumn]) -> Iterator[Block]:
+    """Show the verdict with its first reason, errors before and after, model and rows."""
+    verdict = _verdict(c)
+    yield Paragraph(f"Calibration of {chain_name(c.nominal)}")
+    yield replace(verdict, reasons=verdict.reasons[:1])
+    yield tables.before_and_after(c, columns)
+    facts = [("model", c.model.name)]
+    other = c.non_geometric
+    if other is not None and other.cross_validation is not None:
+        where, _, _ = before_and_after(c)
+        errors = other.cross_validation.errors_without_outliers
+        facts.append((f"rms error, model '{other.name}' ({where} rows)", rms_text(errors)))
+    facts.append(("rows", f"{len(c.rows)}, {len(c.rows.outliers)} of them outliers"))
+    yield Facts(facts)
 
 
-def _measurement_setup(c: Calibration) -> dict[str, str]:
-    """Write the base's position [mm] and rpy angles [deg] in the measurement frame, held joints, coupled readings."""
-    T_frame_base = c.T_frame_base
-    rpy = pin.rpy.matrixToRpy(T_frame_base[:3, :3])
+def _verdict(c: Calibration) -> Verdict:
+    """Word the verdict and its reasons."""
+    if c.verdict is None:
+        return Verdict("none", ["Nothing was cross-validated, so there is no verdict."])
+    return Verdict(c.verdict.use, [reason_text(reason) for reason in c.verdict.reasons])
+
+
+def _accuracy(c: Calibration, columns: Sequence[ErrorColumn]) -> Iterator[Block]:
+    """Tabulate the errors of sets of rows in each unit that was measured."""
+    text = (
+        "An error is the residual, measured minus predicted; its size is the norm. Nominal: the robot as given, with "
+        "the measurement frame and the target as given, or registered on the nominal robot if they were not. "
+        "Calibrated: the robot of the corrected URDF."
+    )
+    if c.non_geometric is not None:
+        text += f" Non-geometric: the same with the model '{c.non_geometric.name}'."
+    if "pair" in c.rows.kinds:
+        text += " The two rows of a pair give one length."
+    yield Paragraph(text, on=HTML)
+
+    held_out = texts.held_out_text(c)
+    rows = tables.error_rows(c)
+    images = tables.image_errors(c, columns)
+    for unit in c.rows.channels.present:
+        # A page has errors in pixels beside those at the board, if all of them are of images.
+        in_pixels = np.any(c.rows.channels.where("px"), axis=1)
+        in_images = unit == "px" and bool(images.rows) and bool(np.all(image_rows(c)[in_pixels]))
+        yield error_table(
+            error_title(unit, c.rows.channels),
+            unit,
+            rows,
+            columns,
+            names="rows, robot",
+            note=f"{held_out}." if held_out else "",
+            on=TERMINAL if in_images else TERMINAL | HTML,
+        )
+    at_board = [ErrorRow(label, errors) for label, errors in tables.errors_at_board(c).items()]
+    yield error_table("Error at the board", "m", at_board, columns, on=TERMINAL)
+    yield Paragraph(held_out, on=TERMINAL, tight=True)
+    yield images
+
+
+def _validation(c: Calibration) -> Iterator[Block]:
+    """Tabulate the validation rows one by one, or say what stands for them."""
+    if c.rows.validation.any():
+        yield tables.validation_rows(c)
+    elif c.cross_validation is not None:
+        yield Paragraph(
+            "No rows were kept for validation: the errors of the held-out rows show the accuracy at other poses."
+        )
+    else:
+        yield Paragraph(
+            "No rows were kept for validation, and there was no cross-validation: these errors show how well the model "
+            "fits its rows, not the accuracy at other poses."
+        )
+
+
+def _figures(c: Calibration, section: str) -> list[Drawing]:
+    """Return the figures of a section of the report."""
+    return [drawing for drawing in drawings(c) if drawing.section == section]
+
+
+def _rows_and_places(c: Calibration) -> Iterator[Block]:
+    """List outliers, targets, frames, cameras and boards in sentences."""
+    if c.rows.outliers:
+        outliers = texts.outliers_text(c, c.rows.outliers)
+        yield Paragraph(f"Outliers ({texts.weights_text(c)}): {outliers}")
+        if c.trust.robustness is not None:
+            effect = texts.robustness_text(c.trust.robustness)
+            yield Bullets([effect], indent="  ", tight=True)
+    else:
+        yield Paragraph("Outliers: none.")
+    if c.rows.suspects:
+        suspects = texts.outliers_text(c, c.rows.suspects)
+        yield Paragraph(f"Outliers among the validation rows: {suspects}", tight=True)
+    yield Bullets(target_sentences(c), most=_MOST_PLACES)
+    yield Bullets(frame_sentences(c), most=_MOST_PLACES)
+    yield Bullets(camera_and_board_sentences(c))
+
+
+def _evidence_note(c: Calibration) -> Iterator[Block]:
+    """Explain the evidence of the models that were tried."""
+    if c.method.candidates:
+        note = "evidence: penalised restricted log-likelihood, relative to the best model"
+        yield Bullets([note], indent="  ", tight=True)
+
+
+def _facts(c: Calibration) -> Iterator[Block]:
+    """List noise, expected error and rank, and the unidentifiable combinations."""
+    yield Facts(list(texts.facts(c).items()))
+    combinations = [combination_text(one) for one in c.trust.observability.unidentifiable]
+    lead = f"{texts.unidentifiable_text(c)}:"
+    yield Bullets(combinations, lead, "  ", _MOST_COMBINATIONS, tight=True)
+
+
+def _parameters_in_words(c: Calibration) -> Iterator[Block]:
+    """Explain the tables of the parameters."""
+    text = (
+        f"{len(c.parameters)} parameters of the model '{c.model.name}' were estimated from "
+        f"{c.rows.estimation.sum():,} estimation rows"
+    )
+    unweighted = int(np.sum(c.rows.weights[c.rows.estimation] <= 0.0))
+    if unweighted:
+        text += f", {unweighted:,} of which have no weight"
+    factor = interval_factor(c.fit.geometry.estimate.freedom)
+    text += (
+        f". Correction: calibrated minus nominal. 95 % ±: half the 95 % interval, {factor:.2f} standard deviations "
+        f"(Student's t, {c.noise.freedom:.0f} degrees of freedom). Determined: 'yes' by the measurements alone; "
+        "'jointly' in combinations only, so that the single value depends on its prior; 'at bound' stopped by a bound"
+    )
+    if texts.errorless(c):
+        text += "; 'kept' nominal, because its family has no errors"
+    yield Paragraph(f"{text}.")
+
+
+def _parameters(c: Calibration) -> Iterator[Block]:
+    """Tabulate the parameters, and word the places of targets and frames."""
+    yield tables.parameters(c)
+    kept = texts.errorless(c)
+    notes = []
+    if kept:
+        notes.append("# no errors of this kind were found: kept at its nominal value")
+    if not all(p.identifiable or p.name in kept for p in texts.shown_parameters(c)):
+        notes.append("* known in combination with others only; see above")
+    yield Bullets(notes, on=TERMINAL, tight=True)
+
+    yield tables.parameters_in(c, "mm")
+    yield tables.parameters_in(c, "deg")
+    places = [*target_sentences(c), *frame_sentences(c), *camera_and_board_sentences(c)]
+    yield Bullets(places, on=HTML)
+    yield tables.non_geometric(c)
+
+
+def _outliers(c: Calibration) -> Iterator[Block]:
+    """Count and tabulate the rows that were flagged."""
+
+    def flagged(count: int, kind: str) -> str:
+        return f"{count:,} {kind} row{'s are' if count > 1 else ' is'} flagged"
+
+    if c.rows.outliers:
+        text = f"{flagged(len(c.rows.outliers), 'estimation')} ({texts.weights_text(c)})."
+        if c.trust.robustness:
+            text += f" {texts.robustness_text(c.trust.robustness)}"
+        yield Paragraph(text)
+    if c.rows.suspects:
+        yield Paragraph(
+            f"{flagged(len(c.rows.suspects), 'validation')}: the calibrated robot does not explain them. Validation "
+            "rows never have a weight in the fit, and the errors above include these."
+        )
+    if c.rows.outliers or c.rows.suspects:
+        yield tables.flagged(c)
+    else:
+        yield Paragraph(
+            f"None of the {len(c.rows):,} rows has a score (distance from what the other rows predict, in standard "
+            f"deviations) beyond its limit ({c.rows.flag_limit:.1f} for estimation rows)."
+        )
+
+
+def _identifiability(c: Calibration) -> Iterator[Block]:
+    """Word the rank, the combinations of parameters that the measurements leave open, and the priors."""
+    facts = texts.facts(c)
+    yield Paragraph(f"Rank: {facts['Rank']}")
+    combinations = [combination_text(one) for one in c.trust.observability.unidentifiable]
+    if combinations:
+        yield Paragraph(
+            f"{texts.unidentifiable_text(c)}. They cost no accuracy at the measured poses, but the single values of "
+            "these parameters mean little."
+        )
+        yield Bullets(combinations, most=_MOST_COMBINATIONS)
+    if texts.PRIOR_STD in facts:
+        yield Paragraph(f"{texts.PRIOR_STD}: {facts[texts.PRIOR_STD]}")
+
+
+def _measurements(c: Calibration) -> Iterator[Block]:
+    """List what was measured, where, and with which noise."""
+    m, facts = c.fit.measurements, texts.facts(c)
+    unused = f"; {len(m.unmeasured):,} more without a measurement, not used" if m.unmeasured else ""
+    at = ", ".join(mm(value) for value in c.T_frame_base[:3, 3])
+    rpy = ", ".join(deg(angle) for angle in pin.rpy.matrixToRpy(c.T_frame_base[:3, :3]))
     held = [f"{name} at {value:.6g}" for name, value in c.fit.cell.held.items()]
-    return {
-        "at": ", ".join(mm(value) for value in T_frame_base[:3, 3]),
-        "rpy": ", ".join(deg(angle) for angle in rpy),
-        "held": ", ".join(held),
-        "coupling": coupling_sentence(c.nominal).partition(": ")[2],
+    yield Facts(
+        [
+            ("Rows", f"{len(m):,}: {_rows_text(m)} (column 'set'){unused}"),
+            ("Each row measures", kinds_text(m)),
+            ("Measurement frame", f"{c.nominal.base} at ({at}) mm, rpy ({rpy}) deg in it"),
+            ("Joints held [rad or m]", ", ".join(held)),
+            ("Coupled readings", coupling_sentence(c.nominal).partition(": ")[2]),
+            ("Noise of the rows", facts["Noise"]),
+            (texts.POSE_NOISE, facts.get(texts.POSE_NOISE, "")),
+            (texts.SCATTER, facts.get(texts.SCATTER, "")),
+            (
+                texts.EXPECTED,
+                f"{facts[texts.EXPECTED].removesuffix('.')}; one standard deviation of the target's position, from the "
+                "covariance of the parameters.",
+            ),
+        ]
+    )
+    yield tables.ranges(c)
+    yield from _figures(c, "measurements")
+    # The verdict may name them already.
+    if not c.verdict or all(reason.why != Why.OUTSIDE for reason in c.verdict.reasons):
+        outside = outside_text(c.rows.outside, np.array(m.rows)[m.validation].tolist())
+        if outside:
+            yield Paragraph(
+                f"Validation rows outside of the fitted joint ranges (extrapolation): {outside}."
+            )
+
+
+def _method(c: Calibration) -> Iterator[Block]:
+    """Word how the problem was solved and validated."""
+    solver, message = texts.solver_text(c), c.method.solution.message
+    seconds = c.method.seconds
+    time = "" if math.isnan(seconds) else f", {1e3 * seconds:.0f} ms"
+    yield Paragraph(f"{solver}{time}. {message}", on=TERMINAL)
+    if c.fit_in_memory is None:
+        return
+    validation = "No cross-validation, so there is no verdict."
+    if c.cross_validation is not None:
+        method, folds = c.cross_validation.method, c.cross_validation.folds
+        validation = f"Errors of held-out rows: {method}, {folds} fits."
+    weight = "have no" if c.fit.geometry.task.robust else "keep their"
+    priors = {
+        "data": "Prior standard deviations of the robot's errors: estimated from the data.",
+        "given": "Prior standard deviations of the robot's errors: given.",
+        "off": "No priors on the robot's errors.",
     }
+    sentences = [
+        f"{solver}. {message}",
+        f"Outliers {weight} weight in the fit.",
+        validation,
+        priors[c.fit.cell.priors.source],
+    ]
+    yield Bullets(sentences, on=HTML)
+
+
+def _files(c: Calibration, command: str, date: str) -> Block:
+    """List the files with their hashes, the versions and the command."""
+    m = c.fit.measurements
+    return Facts(
+        [
+            ("Nominal robot", c.nominal.urdf.source or "from memory"),
+            ("  SHA-256", c.nominal.urdf.sha256),
+            ("Measurements", m.source or "from memory"),
+            ("  SHA-256", m.sha256.replace(" + ", ", ") or "-"),
+            ("Corrected robot", "as written without a target link"),
+            ("  SHA-256", c.robot.urdf.sha256),
+            ("Software", ", ".join(f"{name} {version}" for name, version in versions().items())),
+            ("Command", command or "not from the command line"),
+            ("Date of the report", date),
+        ]
+    )
+
+
+# Intervals that are computed on demand, below the summary
+
+
+def bootstrap_text(c: Calibration, bootstrap: Bootstrap) -> str:
+    """Write the bootstrap's intervals beside those of the covariance, and the spread of predicted positions.
+
+    Those of frames are not shown: their parameters count from where registration put the frame.
+
+    Args:
+        c: The result.
+        bootstrap: Its bootstrap.
+    """
+    rows = []
+    ends = bootstrap.intervals(LEVEL).tolist()
+    parameters = zip(bootstrap.parameters, ends, c.model.parameters, strict=True)
+    for estimate, (low, high), parameter in parameters:
+        if parameter.family != FRAME:
+            rows.append((estimate, low, high))
+    blocks: Iterable[Block] = (
+        Paragraph(f"Bootstrap: {len(bootstrap.x)} samples of whole poses, seed {bootstrap.seed}"),
+        tables.intervals("bootstrap", rows),
+        Paragraph(
+            f"Predicted positions spread by {mm(bootstrap.measured_rms)} mm rms at the measured poses and "
+            f"{mm(bootstrap.everywhere_rms)} mm over the joint limits; by the covariance "
+            f"{mm(c.geometry.expected_measured)} mm and {mm(c.geometry.expected_everywhere)} mm.",
+            tight=True,
+        ),
+        Paragraph(
+            f"The solver did not converge on {bootstrap.stopped} of the samples."
+            if bootstrap.stopped
+            else "",
+            tight=True,
+        ),
+    )
+    return blocks_text(blocks)
+
+
+def profile_text(profiles: Sequence[tuple[ParameterEstimate, Profile]]) -> str:
+    """Write intervals by the profile of the cost beside those of the covariance."""
+    rows = [(estimate, profile.low, profile.high) for estimate, profile in profiles]
+    return blocks_text([Paragraph("Profile of the cost"), tables.intervals("profile", rows)])

@@ -1,159 +1,199 @@
-"""The tables of a report: errors, validation rows, parameters, geometry before and after, flagged rows, joint ranges.
-
-Every cell is text in the unit that the table's head or title names: lengths [mm], angles [deg], small rotations [mrad].
-"""
+"""The tables of a calibration: errors, rows, parameters, geometry, joint ranges, models tried, intervals."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
-from itertools import chain
+import math
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-import calib.verbs.calibrate.text as texts
-from calib.basics.arrays import Array, rigid_inverse
-from calib.basics.channels import RESIDUAL_UNITS, Channels
+from calib.basics.arrays import rigid_inverse
+from calib.basics.channels import RESIDUAL_UNITS
 from calib.model.dh_table import dh_table
-from calib.numerics.errors import Errors, UnitErrors
+from calib.model.families import unit_of
+from calib.numerics.errors import Errors
 from calib.result.calibration import Calibration
 from calib.result.fitted_model import ParameterEstimate
-from calib.robot.dh.rows import DHRow
-from calib.show.errors import error_title
+from calib.show.blocks import HTML, TERMINAL
+from calib.show.errors import (
+    ERROR_COLUMNS,
+    ErrorColumn,
+    ErrorRow,
+    error_cells,
+    error_texts,
+    sizes_of_errors,
+)
 from calib.show.lines import number
-from calib.show.sizes import shown
-from calib.show.table import MOST_LISTED, Table
+from calib.show.sizes import with_unit
+from calib.show.tables import (
+    MOST_LISTED,
+    Cell,
+    Column,
+    Label,
+    Row,
+    Table,
+    name_column,
+    residual_column,
+)
+from calib.show.words import joint_unit
+from calib.verbs.calibrate.text import errorless, held_out_text, shown_parameters
 
-#: Number of validation rows listed where there are more than `MOST_LISTED`: those with the largest errors.
+#: Number of validation rows listed if there are more than `MOST_LISTED`: those with the largest errors.
 MOST_WORST = 20
 
 #: Least change of an origin that is listed, [m] along or [rad] about an axis: rounding of the URDF's digits is less.
 _LEAST_DISPLACEMENT = 1e-9
 
-#: Millimetres per metre.
-_MM = 1e3
-
-#: Milliradians per radian.
-_MRAD = 1e3
-
-#: Degrees per radian.
-_DEG = float(np.degrees(1.0))
-
-#: Factor from SI and digits after the point of a, alpha, d, theta and beta in the table of DH rows: [mm] and [deg].
-_DH_FORMATS = ((_MM, 3), (_DEG, 4), (_MM, 3), (_DEG, 4), (_DEG, 4))
-
 #: Indices of the angles alpha, theta and beta among the five DH parameters of a row.
 _DH_ANGLES = [1, 3, 4]
 
+#: Columns of the five DH parameters.
+_DH_COLUMNS = (
+    Column("a [mm]", unit="mm"),
+    Column("alpha [deg]", unit="deg", digits=4),
+    Column("d [mm]", unit="mm"),
+    Column("theta [deg]", unit="deg", digits=4),
+    Column("beta [deg]", unit="deg", digits=4),
+)
 
-def errors(c: Calibration, unit: str) -> Table:
-    """Tabulate the errors of each set of rows in one unit, of the nominal and the calibrated robot.
 
-    Args:
-        c: The result.
-        unit: Symbol of the unit: ``"m"`` for errors of positions and lengths [mm], ``"rad"`` for orientations [deg].
+# Errors of sets of rows
 
-    Returns:
-        Number of rows, largest, mean and rms error of each set. Position errors also have their span (largest minus
-        smallest signed error) along each axis of the measurement frame. The calibrated robot's rows are strong.
+
+def error_rows(c: Calibration) -> list[ErrorRow]:
+    """Return the rows of the error tables: nominal and calibrated, by set, and on held-out rows.
+
+    Those of the nominal robot are left out if a measurement frame was not found: they are those of its wrong place.
     """
-    figures = figures_by_label(c, unit)
-    with_span = RESIDUAL_UNITS[unit].shows_span and any(map(_has_span, figures.values()))
-    rows = [
-        (label, f"{e.n:,}", *error_cells(e, with_span=with_span)) for label, e in figures.items()
-    ]
-    strong = [i for i, label in enumerate(figures) if ", calibrated" in label]
-    notes = []
-    if c.cross_validation is not None:
-        notes.append(f"{texts.held_out_text(c)}.")
-    head = ["rows, robot", "number", "max", "mean", "rms"]
-    groups = [("", 2), ("size of the error", 3)]
-    if with_span:
-        notes.append("Span: largest minus smallest signed error along an axis of the frame.")
-        head += ["x", "y", "z"]
-        groups.append(("span", 3))
-    shown_unit = RESIDUAL_UNITS[unit].shown
-    title = f"{error_title(unit, c.rows.channels)} by set of rows [{shown_unit}]"
-    align = "l" + "r" * (len(head) - 1)
-    return Table(title, head, rows, align, " ".join(notes), groups, strong)
-
-
-def before_and_after(c: Calibration) -> Table:
-    """Tabulate the errors of rows that took no part in the fit, of the nominal robot beside the calibrated one.
-
-    In each unit that was measured these are validation and held-out rows; the estimation rows where there are neither.
-    """
-    sets = _sets_before_and_after(c)
     rows = []
-    for unit in c.rows.channels.present:
-        name = f"{RESIDUAL_UNITS[unit].measured} [{RESIDUAL_UNITS[unit].shown}]"
-        for label, nominal, calibrated in sets:
-            count = calibrated[unit].n
-            if count:
-                cells = (*error_cells(nominal[unit]), *error_cells(calibrated[unit]))
-                rows.append((name, label, f"{count:,}", *cells))
-                name = ""
+    for name in ("estimation", "validation"):
+        for who, errors in c.errors.items():
+            if who != "nominal" or c.rows.nominal_is_judged:
+                label = f"{name} rows, {who}"
+                rows.append(ErrorRow(label, errors[name], strong=who == "calibrated"))
+    validations = {"nominal": c.trust.nominal_cross_validation, "calibrated": c.cross_validation}
+    if c.non_geometric is not None:
+        validations["non_geometric"] = c.non_geometric.cross_validation
+    for who, validation in validations.items():
+        if validation is None:
+            continue
+        label, strong = f"held-out rows*, {who}", who == "calibrated"
+        rows.append(ErrorRow(label, validation.errors, strong))
+        if c.rows.outliers:
+            without = Label(f"{label}, without outliers", "  the same without outliers")
+            rows.append(ErrorRow(without, validation.errors_without_outliers, strong))
+    return rows
+
+
+def errors_at_board(c: Calibration) -> dict[str, Errors]:
+    """Return errors of images as lengths at the board [m], by the labels of `error_rows`; empty without images."""
+    rows = {}
+    by_robot = c.rows.errors_at_board
+    for name in ("estimation", "validation"):
+        for who, sets in by_robot.items():
+            if name in sets:
+                rows[f"{name} rows, {who}"] = sets[name]
+    validations = {"nominal": c.trust.nominal_cross_validation, "calibrated": c.cross_validation}
+    for who, validation in validations.items():
+        errors = c.rows.held_out_errors_at_board(validation)
+        if errors is not None:
+            rows[f"held-out rows*, {who}"] = errors
+    return rows
+
+
+def image_errors(c: Calibration, columns: Sequence[ErrorColumn] = ERROR_COLUMNS) -> Table:
+    """Tabulate the errors of each set of rows in the image, and beside them at the board; no rows without images."""
+    at_board = errors_at_board(c)
+    nothing = Errors({})
+    sizes = sizes_of_errors(columns)
+    rows: list[Row] = []
+    strong = []
+    for row in error_rows(c) if at_board else ():
+        in_image = row.errors["px"]
+        if not in_image.n:
+            continue
+        if row.strong:
+            strong.append(len(rows))
+        label = row.label if isinstance(row.label, str) else row.label.full
+        lengths = at_board.get(label, nothing)["m"]
+        rows.append(
+            (row.label, in_image.n, *error_cells(in_image, sizes), *error_cells(lengths, sizes))
+        )
+    notes = [f"{held_out_text(c)}."] if c.cross_validation is not None else []
+    notes.append(
+        "An error at the board is that in the image times the corner's distance along the camera's axis over the focal "
+        "length: across the line of sight."
+    )
     return Table(
-        "Size of the error by set of rows",
-        ("error of", "rows", "number", *(2 * ("max", "mean", "rms"))),
+        "Errors of corners by set of rows, in the image [px] and at the board [mm]",
+        (
+            name_column("rows, robot"),
+            Column("rows"),
+            *(size.column("px", "in the image [px]") for size in sizes),
+            *(size.column("m", "at the board [mm]") for size in sizes),
+        ),
         rows,
-        "llrrrrrrr",
-        groups=(("", 3), ("before: nominal", 3), ("after: calibrated", 3)),
+        " ".join(notes),
+        strong,
+        on=HTML,
     )
 
 
-def _sets_before_and_after(c: Calibration) -> list[tuple[str, Errors, Errors]]:
-    """Return the label of each set of rows that took no part in the fit, and both robots' errors of it.
+def before_and_after(c: Calibration, columns: Sequence[ErrorColumn] = ERROR_COLUMNS) -> Table:
+    """Tabulate the errors of rows that took no part in the fit, of the nominal robot beside the calibrated one.
 
-    The estimation rows where there is no such set.
+    In each unit that was measured these are validation and held-out rows, or the estimation rows if there are neither;
+    below them those of images as lengths at the board.
     """
-    before, after = c.errors["nominal"], c.errors["calibrated"]
-    sets = [("validation rows", before["validation"], after["validation"])]
-    if c.cross_validation is not None and c.trust.nominal_cross_validation is not None:
-        nominal, fitted = c.trust.nominal_cross_validation, c.cross_validation
-        sets.append(("held-out rows", nominal.errors, fitted.errors))
+    nominal, calibrated = c.errors["nominal"], c.errors["calibrated"]
+    sets = [("validation rows", nominal["validation"], calibrated["validation"])]
+    before, after = c.trust.nominal_cross_validation, c.cross_validation
+    if before is not None and after is not None:
+        sets.append(("held-out rows", before.errors, after.errors))
         if c.rows.outliers:
-            without = (nominal.errors_without_outliers, fitted.errors_without_outliers)
+            without = before.errors_without_outliers, after.errors_without_outliers
             sets.append(("held-out, without outliers", *without))
-    if any(calibrated.leading.n for _, _, calibrated in sets):
-        return sets
-    return [("estimation rows", before["estimation"], after["estimation"])]
+    if not any(errors.leading.n for _, _, errors in sets):
+        sets = [("estimation rows", nominal["estimation"], calibrated["estimation"])]
+
+    sizes = sizes_of_errors(columns)
+    rows: list[Row] = []
+
+    def add_rows(name: str, unit: str, labelled: Sequence[tuple[str, Errors, Errors]]) -> None:
+        """Add a row for each set that has errors in a unit; the first one says what they are of."""
+        for label, of_nominal, of_calibrated in labelled:
+            figures = of_nominal[unit], of_calibrated[unit]
+            if figures[1].n:
+                texts = (*error_texts(figures[0], sizes), *error_texts(figures[1], sizes))
+                rows.append((name, label, figures[1].n, *texts))
+                name = ""
+
+    for unit in c.rows.channels.present:
+        add_rows(f"{RESIDUAL_UNITS[unit].measured} [{RESIDUAL_UNITS[unit].shown}]", unit, sets)
+    at_board = errors_at_board(c)
+    for labels in (("validation rows", "held-out rows*"), ("estimation rows",)):
+        robots = [(label, f"{label}, nominal", f"{label}, calibrated") for label in labels]
+        of_images = [
+            (label.rstrip("*"), at_board[nominal], at_board[calibrated])
+            for label, nominal, calibrated in robots
+            if nominal in at_board and calibrated in at_board
+        ]
+        if of_images:
+            add_rows("position at the board [mm]", "m", of_images)
+            break
+    heads = [Column(size.head, group="before: nominal") for size in sizes]
+    heads += [Column(size.head, group="after: calibrated") for size in sizes]
+    return Table(
+        "Size of the error by set of rows",
+        (name_column("error of"), name_column("rows"), Column("number"), *heads),
+        rows,
+    )
 
 
-def figures_by_label(c: Calibration, unit: str) -> dict[str, UnitErrors]:
-    """Return the errors in one unit of each set of rows that has any, by the set's label."""
-    labelled = texts.error_rows(c)
-    figures = {}
-    for label, (_, errors_of_set) in zip(_full_labels(labelled), labelled, strict=True):
-        if errors_of_set[unit].n:
-            figures[label] = errors_of_set[unit]
-    return figures
-
-
-def _full_labels(labelled: Iterable[tuple[str, Errors]]) -> list[str]:
-    """Return the labels of sets so that they need no look at the row above: ``the same ...`` is spelt out."""
-    full = []
-    subject = ""
-    for label, _ in labelled:
-        addition = label.strip().removeprefix("the same ")
-        subject = label if addition == label else f"{subject}, {addition}"
-        full.append(subject)
-    return full
-
-
-def _has_span(e: UnitErrors) -> bool:
-    """Tell if a set has errors along the axes of the frame: whole positions, not only lengths."""
-    return e.n > 0 and bool(np.any(np.isfinite(e.span_axis)))
-
-
-def error_cells(e: UnitErrors, *, with_span: bool = False) -> list[str]:
-    """Write largest, mean and rms error of a set, and the spans by axis, in the unit that is shown."""
-    values = [e.max, e.mean, e.rms]
-    if with_span:
-        values += e.span_axis.tolist()
-    return [shown(value, e.unit) for value in values]
+# Errors of single rows
 
 
 def validation_rows(c: Calibration) -> Table:
@@ -163,145 +203,127 @@ def validation_rows(c: Calibration) -> Table:
     the angle [deg]. Of more than `MOST_LISTED` rows the `MOST_WORST` with the largest errors after calibration are
     listed, in the order of the table of measurements.
     """
-    indices = np.flatnonzero(c.fit.measurements.validation & np.any(c.rows.channels.used, axis=1))
+    channels = c.rows.channels
+    before_after = (
+        ("before: nominal", c.rows.residual_nominal),
+        ("after: calibrated", c.rows.residual_calibrated),
+    )
+    indices = np.flatnonzero(c.rows.validation & np.any(channels.used, axis=1))
     subject = f"the {len(indices):,} validation rows"
     if len(indices) > MOST_LISTED:
         subject = f"the {MOST_WORST} of {len(indices):,} validation rows with the largest error after calibration"
-        indices = _worst_rows(c, indices)
-    names, cells = _row_columns(c, indices)
-    first = _Columns([("", len(names))], list(names), cells)
-    errors = [_error_columns(c, indices, unit) for unit in c.rows.channels.select(indices).present]
-    columns = _side_by_side([first, *errors])
+        sizes = channels.norms(c.rows.residual_calibrated, channels.present[0])[indices]
+        worst = np.argsort(-np.nan_to_num(sizes), kind="stable")[:MOST_WORST]
+        indices = indices[np.sort(worst)]
+
+    columns, values = _row_names(c, indices)
     note = ""
-    if "dx" in columns.head:
-        note = "dx, dy, dz: measured minus predicted along the axes of the measurement frame."
-    align = "l" * len(names) + "r" * (len(columns.head) - len(names))
+    for unit in channels.select(indices).present:
+        of_unit = RESIDUAL_UNITS[unit]
+        if unit != "m":
+            group = f"{of_unit.measured} [{of_unit.shown}]"
+            for head, (_, residual) in zip(("before", "after"), before_after, strict=True):
+                columns.append(residual_column(head, unit, group=group))
+                values.append(channels.norms(residual, unit)[indices].tolist())
+            continue
+        along, are_vectors = channels.vector_columns(unit)
+        for robot, residual in before_after:
+            group = f"{robot} [{of_unit.shown}]"
+            if np.any(are_vectors[indices]):
+                note = (
+                    "dx, dy, dz: measured minus predicted along the axes of the measurement frame."
+                )
+                vectors = np.where(are_vectors[:, None], residual[:, along], np.nan)[indices]
+                columns += [residual_column(f"d{axis}", unit, group=group) for axis in "xyz"]
+                values += vectors.T.tolist()
+            columns.append(residual_column("size", unit, group=group))
+            values.append(channels.norms(residual, unit)[indices].tolist())
     title = f"Error of {subject}, which took no part in the fit"
-    return Table(title, columns.head, columns.cells, align, note, columns.groups)
-
-
-def _worst_rows(c: Calibration, indices: NDArray[np.int_]) -> NDArray[np.int_]:
-    """Return the `MOST_WORST` of some rows with the largest calibrated errors in the first unit, in ascending order."""
-    unit = c.rows.channels.present[0]
-    sizes = c.rows.channels.norms(c.rows.residual_calibrated, unit)[indices]
-    order = np.argsort(-np.nan_to_num(sizes), kind="stable")
-    return indices[np.sort(order[:MOST_WORST])]
-
-
-def _has_vectors(channels: Channels, indices: NDArray[np.int_], unit: str) -> bool:
-    """Tell if any of some rows measures a whole vector in a unit, such as a position."""
-    _, are_vectors = channels.select(indices).vector_columns(unit)
-    return bool(np.any(are_vectors))
-
-
-def _residuals(c: Calibration) -> tuple[tuple[str, Array], tuple[str, Array]]:
-    """Return the residuals (N, D) of the nominal and of the calibrated robot with the labels of their columns."""
-    before = ("before: nominal", c.rows.residual_nominal)
-    after = ("after: calibrated", c.rows.residual_calibrated)
-    return before, after
-
-
-@dataclass(frozen=True, slots=True)
-class _Columns:
-    """Columns that stand side by side in a table of K rows."""
-
-    #: Labels above the heads, each with the number of columns below it.
-    groups: list[tuple[str, int]]
-    #: Head of each column.
-    head: list[str]
-    #: Cells of each of the K rows.
-    cells: list[list[str]]
-
-
-def _side_by_side(blocks: Sequence[_Columns]) -> _Columns:
-    """Return columns of the same K rows as one block, from left to right."""
-    groups = [group for block in blocks for group in block.groups]
-    head = [name for block in blocks for name in block.head]
-    cells = [
-        list(chain.from_iterable(parts)) for parts in zip(*(b.cells for b in blocks), strict=True)
-    ]
-    return _Columns(groups, head, cells)
-
-
-def _error_columns(c: Calibration, indices: NDArray[np.int_], unit: str) -> _Columns:
-    """Write the errors of rows in one unit, of the nominal and of the calibrated robot.
-
-    Args:
-        c: The result.
-        indices: Indices of the K rows.
-        unit: Symbol of the unit. Lengths have the signed errors along x, y and z too, if a position is among them.
-    """
-    if unit == "m":
-        return _length_columns(c, indices)
-    of_unit = RESIDUAL_UNITS[unit]
-    cells = _sizes_before_and_after(c, indices, unit)
-    return _Columns([(f"{of_unit.measured} [{of_unit.shown}]", 2)], ["before", "after"], cells)
-
-
-def _sizes_before_and_after(
-    c: Calibration, indices: NDArray[np.int_], unit: str
-) -> list[list[str]]:
-    """Write the errors of rows in one unit before and after calibration, two cells for each row.
-
-    Args:
-        c: The result.
-        indices: Indices of the K rows.
-        unit: Symbol of the unit.
-    """
-    sizes = [c.rows.channels.norms(residual, unit)[indices] for _, residual in _residuals(c)]
-    return [[shown(size, unit) for size in sizes_of_row] for sizes_of_row in np.transpose(sizes)]
-
-
-def _length_columns(c: Calibration, indices: NDArray[np.int_]) -> _Columns:
-    """Write the errors of rows in lengths, see `_error_columns`."""
-    with_axes = _has_vectors(c.rows.channels, indices, "m")
-    head = ["dx", "dy", "dz", "size"] if with_axes else ["size"]
-    groups, values = [], []
-    for label, residual in _residuals(c):
-        groups.append((f"{label} [{RESIDUAL_UNITS['m'].shown}]", len(head)))
-        if with_axes:
-            values.append(_along_axes(c, residual)[indices])
-        values.append(c.rows.channels.norms(residual, "m")[indices, None])
-    cells = [[shown(value, "m") for value in row] for row in np.hstack(values)]
-    return _Columns(groups, 2 * head, cells)
-
-
-def _along_axes(c: Calibration, residual: Array) -> Array:
-    """Return the residuals of positions along x, y, z, shape (N, 3) [m]; NaN where no position was measured."""
-    columns, are_vectors = c.rows.channels.vector_columns("m")
-    return np.where(are_vectors[:, None], residual[:, columns], np.nan)
+    return Table(title, columns, list(zip(*values, strict=True)), note, on=HTML)
 
 
 def flagged(c: Calibration) -> Table:
     """Tabulate the flagged rows of either set: errors before and after, score, and weight in the fit."""
-    m = c.fit.measurements
     outliers = [*c.rows.outliers, *c.rows.suspects]
-    listed = outliers[:MOST_LISTED]
-    indices = np.array([m.rows.index(outlier.row) for outlier in listed], dtype=np.int_)
-    names, rows = _row_columns(c, indices)
+    index_of = {row: i for i, row in enumerate(c.rows.numbers)}
+    indices = np.array([index_of[outlier.row] for outlier in outliers], dtype=np.int_)
     unit = c.rows.channels.present[0]
-    shown_unit = RESIDUAL_UNITS[unit].shown
-    for outlier, i, cells, sizes in zip(
-        listed, indices, rows, _sizes_before_and_after(c, indices, unit), strict=True
-    ):
-        cells += [m.sets[i], *sizes, number(outlier.score, 1), f"{c.rows.weights[i]:.2f}"]
-    note = (
-        "Score: distance from what the other rows predict, in standard deviations. Estimation rows are flagged "
-        f"beyond {c.rows.flag_limit:.1f}."
-    )
-    unlisted = len(outliers) - len(listed)
-    if unlisted:
-        note += f" {unlisted} more are in the result file (--json)."
+    shown = RESIDUAL_UNITS[unit].shown
+    residuals = (c.rows.residual_nominal, c.rows.residual_calibrated)
+    before, after = (c.rows.channels.norms(residual, unit)[indices] for residual in residuals)
+    columns, values = _row_names(c, indices)
+    columns += [
+        name_column("set"),
+        residual_column(f"before [{shown}]", unit),
+        residual_column(f"after [{shown}]", unit),
+        Column("score", digits=1),
+        Column("weight", digits=2),
+    ]
+    values += [
+        [c.rows.sets[i] for i in indices],
+        before.tolist(),
+        after.tolist(),
+        [outlier.score for outlier in outliers],
+        c.rows.weights[indices].tolist(),
+    ]
     return Table(
         "Rows flagged",
-        (*names, "set", f"before [{shown_unit}]", f"after [{shown_unit}]", "score", "weight"),
-        rows,
-        "l" * len(names) + "lrrrr",
-        note,
+        columns,
+        list(zip(*values, strict=True)),
+        "Score: distance from what the other rows predict, in standard deviations. Estimation rows are flagged "
+        f"beyond {c.rows.flag_limit:.1f}.",
+        most={HTML: MOST_LISTED},
+        elsewhere="the result file (--json)",
+        on=HTML,
     )
 
 
-def parameters(c: Calibration, unit: str) -> Table:
+def _row_names(
+    c: Calibration, indices: NDArray[np.int_]
+) -> tuple[list[Column], list[Sequence[Cell]]]:
+    """Return columns and cells that identify rows: their number; kind, target and station if there are several."""
+    columns = [name_column("row")]
+    values: list[Sequence[Cell]] = [[str(c.rows.numbers[i]) for i in indices]]
+    optional = (("kind", c.rows.kinds), ("target", c.rows.targets), ("station", c.rows.groups))
+    for name, of_rows in optional:
+        if len(set(of_rows)) > 1:
+            columns.append(name_column(name))
+            values.append([of_rows[i] for i in indices])
+    return columns, values
+
+
+# Parameters and geometry
+
+
+def parameters(c: Calibration) -> Table:
+    """Tabulate the parameters with their 95 % intervals; a star marks those known in combination with others only."""
+    kept = errorless(c)
+    rows = []
+    for p in shown_parameters(c):
+        factor, unit = _shown_unit(p)
+        nominal = change = "-"
+        if p.nominal is not None:
+            nominal = number(factor * p.nominal)
+            change = number(factor * p.delta, 3, "+")
+        half = f"{0.5 * factor * (p.high - p.low):.3g}"
+        mark = "" if p.identifiable else " *"
+        if p.at_bound:
+            half = "at bound"
+        if p.name in kept:
+            half, mark = "-", " #"
+        rows.append((p.name, nominal, number(factor * p.value), change, half, f"{unit}{mark}"))
+    columns = (
+        name_column(""),
+        Column("nominal", 11, gap=2),
+        Column("value", 11),
+        Column("change", 10),
+        Column("95 % +-", 9),
+        Column("", left=True),
+    )
+    return Table("Parameter", columns, rows, on=TERMINAL)
+
+
+def parameters_in(c: Calibration, unit: str) -> Table:
     """Tabulate nominal value, calibrated value, correction and 95 % interval of the parameters of one unit.
 
     Args:
@@ -312,47 +334,53 @@ def parameters(c: Calibration, unit: str) -> Table:
         One row a parameter. Half the interval is ``-`` for a parameter stopped by a bound and for one that stayed
         nominal because its family has no errors; so are nominal value and correction of one that was not given.
     """
-    kept = texts.errorless(c)
-    shown = [p for p in texts.shown_parameters(c) if (p.unit == "m") == (unit == "mm")]
-    rows = [_parameter_row(p, unit, kept=p.name in kept) for p in shown]
-    title = "Lengths [mm]" if unit == "mm" else "Angles [deg]"
-    head = ("parameter", "nominal", "calibrated", "correction", "95 % ±", "determined")
-    return Table(title, head, rows, "lrrrrl")
-
-
-def _parameter_row(p: ParameterEstimate, unit: str, *, kept: bool) -> tuple[str, ...]:
-    """Write a parameter; ``kept``: it stayed nominal, so that it has no interval."""
-    scale, digits = (_MM, 3) if unit == "mm" else (_DEG, 4)
-    nominal = np.nan if p.nominal is None else p.nominal
-    change = np.nan if p.nominal is None else p.delta
-    half = np.nan if p.at_bound or kept else 0.5 * (p.high - p.low)
-    return (
-        p.name,
-        number(scale * nominal, digits),
-        number(scale * p.value, digits),
-        number(scale * change, digits, "+"),
-        number(scale * half, digits),
-        _determined(p, kept=kept),
+    kept = errorless(c)
+    rows = []
+    for p in shown_parameters(c):
+        if (p.unit == "m") != (unit == "mm"):
+            continue
+        nominal = math.nan if p.nominal is None else p.nominal
+        change = math.nan if p.nominal is None else p.delta
+        half = math.nan if p.at_bound or p.name in kept else 0.5 * (p.high - p.low)
+        determined = "yes" if p.identifiable else "jointly"
+        if p.at_bound:
+            determined = "at bound"
+        if p.name in kept:
+            determined = "kept"
+        rows.append((p.name, nominal, p.value, change, half, determined))
+    digits = 3 if unit == "mm" else 4
+    columns = (
+        name_column("parameter"),
+        Column("nominal", unit=unit, digits=digits),
+        Column("calibrated", unit=unit, digits=digits),
+        Column("correction", unit=unit, digits=digits, sign="+"),
+        Column("95 % ±", unit=unit, digits=digits),
+        name_column("determined"),
     )
-
-
-def _determined(p: ParameterEstimate, *, kept: bool) -> str:
-    """Word how the measurements determine a parameter."""
-    if kept:
-        return "kept"
-    if p.at_bound:
-        return "at bound"
-    return "yes" if p.identifiable else "jointly"
+    title = "Lengths [mm]" if unit == "mm" else "Angles [deg]"
+    return Table(title, columns, rows, on=HTML)
 
 
 def non_geometric(c: Calibration) -> Table:
-    """Tabulate the parameters of the non-geometric model that no URDF can hold; no rows without that model."""
-    name = c.non_geometric.name if c.non_geometric else ""
+    """Tabulate the parameters of the non-geometric model that the geometry lacks; no rows without that model."""
+    name, further = "", []
+    if c.non_geometric is not None:
+        name = c.non_geometric.name
+        further = [p for p in c.non_geometric.parameters if p.name not in c.model.names]
     rows = []
-    for parameter, value, half, unit in texts.non_geometric_parameters(c):
-        rows.append((parameter, value, half.strip("()"), unit))
-    title = f"Non-geometric model '{name}': in the result file, not in the URDF"
-    return Table(title, ("parameter", "value", "95 % interval", "unit"), rows, "lrrl")
+    for p in further:
+        factor, unit = unit_of(p.unit).shown
+        half = "at bound" if p.at_bound else f"± {0.5 * factor * (p.high - p.low):.3f}"
+        rows.append((p.name, number(factor * p.value), half, unit))
+    columns = (
+        name_column("parameter", 48),
+        Column("value", 9),
+        name_column("interval"),
+        name_column("unit"),
+    )
+    title = f"Non-geometric model '{name}', not in the URDF"
+    note = "Interval: half of the 95 % interval. The result file has this model."
+    return Table(title, columns, rows, note, title_above=True, indent="  ")
 
 
 def dh(c: Calibration) -> Table:
@@ -360,46 +388,38 @@ def dh(c: Calibration) -> Table:
     before = dh_table(c.nominal).rows
     after = dh_table(c.robot, like=c.nominal).rows
     tilted = any(row.near_parallel for row in (*before, *after))
-    # Without nearly parallel axes beta is zero everywhere, and its column is left away.
-    columns = 7 if tilted else 6
-    rows: list[tuple[str, ...]] = []
-    for nominal_row, calibrated_row in zip(before, after, strict=True):
-        lines = _dh_lines(nominal_row, calibrated_row)
-        rows.extend(line[:columns] for line in lines)
+    # Without nearly parallel axes beta is zero everywhere.
+    columns = _DH_COLUMNS if tilted else _DH_COLUMNS[:-1]
     hayati = ""
     if tilted:
         hayati = " Ry(beta), with Hayati's beta between nearly parallel axes, where d is 0"
-    head = ("joint", "robot", "a [mm]", "alpha [deg]", "d [mm]", "theta [deg]", "beta [deg]")
+    rows: list[Row] = []
+    for nominal_row, calibrated_row in zip(before, after, strict=True):
+        nominal, calibrated = (
+            np.array([row.a, row.alpha, row.d, row.theta, row.beta])
+            for row in (nominal_row, calibrated_row)
+        )
+        change = calibrated - nominal
+        change[_DH_ANGLES] = np.angle(np.exp(1j * change[_DH_ANGLES]))
+        if nominal_row.near_parallel != calibrated_row.near_parallel:
+            change[:] = np.nan  # their conventions differ
+        signed = [
+            replace(column, sign="+").text(value)
+            for column, value in zip(columns, change.tolist(), strict=False)
+        ]
+        count = len(columns)
+        rows.append((nominal_row.joint, "nominal", *nominal.tolist()[:count]))
+        rows.append(("", "calibrated", *calibrated.tolist()[:count]))
+        rows.append(("", "change", *signed))
     return Table(
         "DH rows before and after",
-        head[:columns],
+        (name_column("joint"), name_column("robot"), *columns),
         rows,
-        "llrrrrr"[:columns],
         f"Standard convention: Rz(theta + q) Tz(d) Tx(a) Rx(alpha){hayati}. The rows are read off both URDFs; frame 0 "
         "and the tip after the last row may have moved too, which the next table shows.",
         strong=range(2, 3 * len(before), 3),
+        on=HTML,
     )
-
-
-def _dh_lines(before: DHRow, after: DHRow) -> Iterator[tuple[str, ...]]:
-    """Write a joint's nominal row, calibrated row, and the change; no change where the conventions differ."""
-    nominal = np.array([before.a, before.alpha, before.d, before.theta, before.beta])
-    calibrated = np.array([after.a, after.alpha, after.d, after.theta, after.beta])
-    change = calibrated - nominal
-    change[_DH_ANGLES] = np.angle(np.exp(1j * change[_DH_ANGLES]))
-    if before.near_parallel != after.near_parallel:
-        change[:] = np.nan
-    yield before.joint, "nominal", *_dh_cells(nominal, "-")
-    yield "", "calibrated", *_dh_cells(calibrated, "-")
-    yield "", "change", *_dh_cells(change, "+")
-
-
-def _dh_cells(values: Array, sign: str) -> list[str]:
-    """Write a, alpha, d, theta, beta in [mm] and [deg]; ``sign`` as in `calib.show.lines.number`."""
-    cells = []
-    for value, (scale, digits) in zip(values, _DH_FORMATS, strict=True):
-        cells.append(number(scale * value, digits, sign))
-    return cells
 
 
 def origins(c: Calibration) -> Table:
@@ -408,22 +428,23 @@ def origins(c: Calibration) -> Table:
     Both are of T_nominal_calibrated, along and about the axes of the nominal origin.
     """
     after = c.robot.origins()
-    rows = []
+    rows: list[Row] = []
     for joint, T_parent_nominal in c.nominal.origins().items():
         T_nominal_calibrated = rigid_inverse(T_parent_nominal) @ after[joint]
         rotation = pin.log3(T_nominal_calibrated[:3, :3])
         twist = np.concatenate([T_nominal_calibrated[:3, 3], rotation])
         if np.abs(twist).max() > _LEAST_DISPLACEMENT:
-            shift = [number(_MM * value, 3, "+") for value in twist[:3]]
-            turn = [number(_MRAD * value, 3, "+") for value in twist[3:]]
-            rows.append((joint, *shift, *turn))
+            rows.append((joint, *twist.tolist()))
+    shift = [Column(axis, unit="mm", sign="+", group="shift [mm]") for axis in "xyz"]
+    turn = [
+        Column(f"r{axis}", unit="mrad", sign="+", group="rotation vector [mrad]") for axis in "xyz"
+    ]
     return Table(
         "Displacement of each <origin> of the corrected URDF from the nominal one",
-        ("joint", "x", "y", "z", "rx", "ry", "rz"),
+        (name_column("joint"), *shift, *turn),
         rows,
-        "lrrrrrr",
         "Along and about the axes of the nominal origin. All else in the URDF is unchanged.",
-        (("", 1), ("shift [mm]", 3), ("rotation vector [mrad]", 3)),
+        on=HTML,
     )
 
 
@@ -432,50 +453,88 @@ def ranges(c: Calibration) -> Table:
     m = c.fit.measurements
     q = m.joints_for(c.nominal.joint_names)[m.estimation]
     values_of_joints = c.nominal.input_values(q).T
-    rows = []
+    rows: list[Row] = []
     for joint, values in zip(c.nominal.inputs, values_of_joints, strict=True):
-        scale, unit = (_MM, "mm") if joint.type == "prismatic" else (_DEG, "deg")
-        low = values.min()
-        high = values.max()
+        factor, unit = joint_unit(prismatic=joint.type == "prismatic")
+        low, high = values.min(), values.max()
         lower = np.nan if joint.lower is None else joint.lower
         upper = np.nan if joint.upper is None else joint.upper
-        shown = [number(scale * value, 2) for value in (low, high, lower, upper)]
-        rows.append((joint.name, unit, *shown, _used_share(low, high, lower, upper)))
+        used = math.nan
+        if upper > lower:  # NaN: a joint without limits
+            used = 100.0 * max(0.0, min(high, upper) - max(low, lower)) / (upper - lower)
+        ends = [number(factor * value, 2) for value in (low, high, lower, upper)]
+        rows.append((joint.name, unit, *ends, float(used)))
     return Table(
         "Joint values of the estimation rows",
-        ("joint", "unit", "lowest", "highest", "lower", "upper", "used [%]"),
+        (
+            name_column("joint"),
+            name_column("unit"),
+            Column("lowest", group="measured"),
+            Column("highest", group="measured"),
+            Column("lower", group="limit"),
+            Column("upper", group="limit"),
+            Column("used [%]", digits=0),
+        ),
         rows,
-        "llrrrrr",
         "Used: share of the range between the limits. Outside the measured range (extrapolation) errors may be "
         "larger.",
-        (("", 2), ("measured", 2), ("limit", 2), ("", 1)),
+        on=HTML,
     )
 
 
-def _used_share(low: float, high: float, lower: float, upper: float) -> str:
-    """Write the share [%] of the range from ``lower`` to ``upper`` that lies between ``low`` and ``high``."""
-    if not upper > lower:  # NaN: a joint without limits
-        return "-"
-    inside = max(0.0, min(high, upper) - max(low, lower))
-    return number(100.0 * inside / (upper - lower), 0)
+# Models and intervals
 
 
-def _row_columns(c: Calibration, indices: NDArray[np.int_]) -> tuple[list[str], list[list[str]]]:
-    """Return heads and cells that identify rows: their number; kind, target and station where there are several.
+def models(c: Calibration) -> Table:
+    """Tabulate the models that were tried, and what they were chosen for."""
+    candidates = c.method.candidates
+    best = max((candidate.evidence for candidate in candidates), default=0.0)
+    uses = {"geometry": "the URDF", "non_geometric": "predict()"}
+    rows: list[Row] = []
+    for candidate in candidates:
+        figures = candidate.cross_validation.errors_without_outliers.leading
+        rms = with_unit(figures.rms, figures.unit)
+        use = uses.get(candidate.chosen, "")
+        evidence = f"{candidate.evidence - best:.1f}"
+        rows.append((candidate.name, candidate.parameters, evidence, rms, use))
+    columns = (
+        name_column("", 35),
+        Column("parameters", 10),
+        Column("evidence", 9),
+        Column("held-out rms", 15),
+        Column("chosen for", left=True, gap=2),
+    )
+    return Table("Models tried", columns, rows, indent="  ", on=TERMINAL)
+
+
+def intervals(method: str, rows: Sequence[tuple[ParameterEstimate, float, float]]) -> Table:
+    """Tabulate the 95 % intervals of parameters by the covariance beside those of another method.
 
     Args:
-        c: The result.
-        indices: Indices of the rows in the table of measurements, from 0, shape (K,).
-
-    Returns:
-        The heads, and a list of cells for each of the K rows.
+        method: Name of the other method.
+        rows: Each parameter with the ends of its interval by this method, in SI units; an infinite end is open.
     """
-    m = c.fit.measurements
-    columns: list[tuple[str, Sequence[object]]] = [("row", m.rows)]
-    optional = (("kind", m.kinds), ("target", m.targets), ("station", m.groups))
-    for name, values in optional:
-        if len(set(values)) > 1:
-            columns.append((name, values))
-    heads = [name for name, _ in columns]
-    cells = [[str(values[i]) for _, values in columns] for i in indices]
-    return heads, cells
+
+    def interval(low: float, high: float) -> str:
+        ends = [number(end) if math.isfinite(end) else "open" for end in (low, high)]
+        return f"{ends[0]:>9} .. {ends[1]:>10}"
+
+    cells = []
+    for p, low, high in rows:
+        factor, unit = _shown_unit(p)
+        covariance = "at bound" if p.at_bound else interval(factor * p.low, factor * p.high)
+        other = interval(factor * low, factor * high)
+        cells.append((p.name, number(factor * p.value), covariance, other, unit))
+    columns = (
+        name_column(""),
+        Column("value", 10, gap=2),
+        Column("covariance", 23),
+        Column(method, 23),
+        Column("", left=True),
+    )
+    return Table("95 % intervals", columns, cells, tight=True)
+
+
+def _shown_unit(p: ParameterEstimate) -> tuple[float, str]:
+    """Return the factor from SI, and the symbol, of the unit in which a parameter is shown: angles in deg."""
+    return (math.degrees(1.0), "deg") if p.unit == "rad" else unit_of(p.unit).shown

@@ -1,11 +1,11 @@
 """Uncertainty on demand, at the price of many fits; noise, prior std and robust weights stay as they were estimated.
 
-**Bootstrap.** Whole poses, with their repeats, are drawn with replacement within each set-up: B. Efron, R. J.
+**Bootstrap.** Whole poses, with their repeats, are drawn with replacement within each station: B. Efron, R. J.
 Tibshirani, An Introduction to the Bootstrap, 1993, sections 9.5 and 13.3. Each sample draws the priors' means too
-(J. M. Bardsley and others, SIAM Journal on Scientific Computing 36, 2014), and known distances between set-ups. With
+(J. M. Bardsley and others, SIAM Journal on Scientific Computing 36, 2014), and known distances between stations. With
 few rows for a parameter it is too wide (N. El Karoui, E. Purdom, JMLR 19, 2018).
 
-**Profile.** The interval of one parameter where the cost, minimised over all others, has risen by no more than the
+**Profile.** The interval of one parameter in which the cost, minimised over all others, has risen by no more than the
 quantile of F(1, dof): D. M. Bates, D. G. Watts, Nonlinear Regression Analysis, 1988, section 6.1.
 """
 
@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,16 +36,19 @@ from calib.result.calibration import Calibration
 from calib.result.fitted_model import ParameterEstimate
 from calib.robot.ranges import spread_poses
 
-#: With fewer samples the ends of a 95 % interval lie beyond them.
+#: With fewer samples, the ends of a 95 % interval lie outside of all of them.
 FEWEST_SAMPLES = 40
 
-#: More samples make intervals no better, and do not fit into memory.
+#: More samples do not improve intervals, and do not fit into memory.
 MOST_SAMPLES = 100_000
+
+#: Probability that an interval holds the true value.
+LEVEL = 0.95
 
 #: Poses over which the predicted scatter of a bootstrap is averaged.
 _POSES = 200
 
-#: A prior wider than this only holds what nothing determines; its mean is not drawn [m, rad].
+#: A prior wider than this only holds a parameter that nothing determines; its mean is not drawn [m, rad].
 _WIDEST_DRAWN = 1.0
 
 #: A fit of a sample ends with steps below this, in steps of 1 mm and 1 mrad.
@@ -74,37 +78,26 @@ class Bootstrap(Value):
 
     @property
     def measured_rms(self) -> float:
-        """Standard deviation of the predicted position over the bootstrap's draws, rms over the measured poses [m].
-
-        Over at most `_POSES` of the rows to which ``fitted``, the fit to all rows, was fitted, evenly spread over their
-        order.
-        """
+        """Standard deviation of the predicted position over the draws, rms over `_POSES` of the measured poses [m]."""
         measured = self.fitted.estimate.problem.rows.samples
         return rms(self.position_std(_evenly(measured)))
 
     @property
     def everywhere_rms(self) -> float:
-        """Standard deviation of the predicted position over the bootstrap's draws, rms over the joint limits [m].
+        """Standard deviation of the predicted position over the draws, rms over the joint limits [m].
 
-        That of one position is the root of its three variances' sum, in the measurement frame. Over `_POSES` joint
-        values spread evenly between the limits of the robot of ``fitted``, for the first measurement frame and target.
+        It is that of the first measurement frame and target.
         """
         spread = spread_poses(self.fitted.task.robot, _POSES)
         return rms(self.position_std(Samples.at(spread)))
 
     @property
     def std(self) -> Array:
-        """Standard deviation of each parameter over the bootstrap's draws, shape (p,), in the parameters' units.
-
-        Of ``x``, shape (count, p), the parameters fitted to each draw of the rows; over count - 1.
-        """
+        """Standard deviation of each parameter over the draws, shape (p,), in the parameters' units."""
         return np.asarray(np.std(self.x, axis=0, ddof=1))
 
     def intervals(self, level: float = 0.95) -> Array:
-        """Return the percentile interval of each parameter's value over the bootstrap's draws.
-
-        With ``x``, shape (count, p), the parameters fitted to each draw, offsets from the registered start like
-        ``fitted.estimate.x``; and ``parameters``, of which ``value`` is the value of each by the fit to all rows.
+        """Return the percentile interval of each parameter's value over the draws.
 
         Args:
             level: Probability that an interval holds the true value, between 0 and 1.
@@ -117,11 +110,28 @@ class Bootstrap(Value):
         values = np.array([p.value for p in self.parameters])
         return np.asarray(ends + (values - self.fitted.estimate.x)[:, None])
 
-    def positions(self, where: SamplesOrValues) -> Array:
-        """Predict the target's position in the measurement frame by the parameters of each of the bootstrap's draws.
+    def table(self) -> dict[str, Any]:
+        """Return the intervals as nested tables of plain values in SI units, for the result file."""
+        parameters = []
+        ends = self.intervals(LEVEL)
+        for p, std, (low, high) in zip(self.parameters, self.std, ends, strict=True):
+            parameters.append(
+                {"name": p.name, "unit": p.unit, "std": std, "low": low, "high": high}
+            )
+        return {
+            "samples": len(self.x),
+            "seed": self.seed,
+            "stopped": self.stopped,
+            "level": LEVEL,
+            "parameters": parameters,
+            "expected": {
+                "measured_rms_m": self.measured_rms,
+                "everywhere_rms_m": self.everywhere_rms,
+            },
+        }
 
-        With ``x``, shape (count, p), the parameters fitted to each draw, and ``fitted.kinematics``, the nominal robot
-        under its error model with registered frames and targets.
+    def positions(self, where: SamplesOrValues) -> Array:
+        """Predict the target's position in the measurement frame by the parameters of each draw.
 
         Args:
             where: N samples: joint values with the index of the frame and of the target of each; or joint values alone,
@@ -133,11 +143,10 @@ class Bootstrap(Value):
         return np.array([self.fitted.kinematics.points(x, where) for x in self.x])
 
     def position_std(self, where: SamplesOrValues) -> Array:
-        """Return the standard deviation of the predicted position over the bootstrap's draws.
+        """Return the standard deviation of the predicted position over the draws.
 
-        Where no row of ``fitted``, the fit to all rows, determines where the base stands, the rigid motion that
-        explains each draw's change at the measured poses best is left out, and all positions are seen from the first
-        frame.
+        If no row determines where the base stands, all positions are seen from the first frame, and the rigid motion
+        that explains each draw's change at the measured poses best is subtracted.
 
         Args:
             where: N samples, see `Calibration.samples`, or joint values of shape (N, m), [rad] or [m], for the first
@@ -158,15 +167,7 @@ class Bootstrap(Value):
         return np.asarray(np.sqrt(np.sum(np.var(scatter, axis=2, ddof=1), axis=1)))
 
     def _scatter(self, samples: Samples) -> tuple[Array, Array]:
-        """Return the target's mean positions over the bootstrap's draws, and each draw's difference from them.
-
-        Args:
-            samples: N joint values, with the frame and target of each.
-
-        Returns:
-            Mean positions in the frame of each sample, shape (N, 3), and the differences from them by each of ``count``
-            draws, shape (N, 3, count), [m].
-        """
+        """Return the mean positions over the draws, (N, 3), and each draw's difference from them, (N, 3, count) [m]."""
         points = self.positions(samples)
         mean = points.mean(axis=0)
         return mean, (points - mean).transpose(1, 2, 0)
@@ -180,9 +181,9 @@ def bootstrap(
     progress: Progress | None = None,
     executor: Executor | None = None,
 ) -> Bootstrap:
-    """Fit the geometry again to rows drawn with replacement, whole poses within each set-up; see the module's text.
+    """Fit the geometry again to rows drawn with replacement, whole poses within each station; see the module's text.
 
-    The draws are the same for the same seed, wherever they are fitted; 200 are enough for standard deviations, 1000 for
+    The same seed gives the same draws, whatever executor fits them; 200 are enough for standard deviations, 1000 for
     intervals.
 
     Args:
@@ -199,7 +200,16 @@ def bootstrap(
         CalibError: Too few or too many draws, or a seed below 0.
         ModelError: The paper's solver made the calibration, or the result was read from a file.
     """
-    _check_arguments(calibration, count, seed, progress, executor)
+    check_type(
+        "calibration",
+        calibration,
+        Calibration,
+        "a Calibration that was made here, not read from a file",
+    )
+    check_type("count", count, (int, np.integer), "a whole number")
+    check_type("seed", seed, (int, np.integer), "a whole number")
+    check_callable("progress", progress)
+    check_executor(executor)
     if not FEWEST_SAMPLES <= count <= MOST_SAMPLES or seed < 0:
         raise CalibError(
             f"A bootstrap of {count} samples with seed {seed} was asked for; it takes {FEWEST_SAMPLES} to "
@@ -218,34 +228,10 @@ def bootstrap(
     return Bootstrap(fitted, calibration.parameters, read_only(x), seed, stopped)
 
 
-def _check_arguments(
-    calibration: object, count: object, seed: object, progress: object, executor: object
-) -> None:
-    """Refuse arguments of `bootstrap` that are of another type."""
-    check_type(
-        "calibration",
-        calibration,
-        Calibration,
-        "a Calibration that was made here, not read from a file",
-    )
-    for argument, given in (("count", count), ("seed", seed)):
-        check_type(argument, given, (int, np.integer), "a whole number")
-    check_callable("progress", progress)
-    check_executor(executor)
-
-
 def _draws(problem: Problem, count: int, seed: int) -> Iterator[tuple[Array, Array]]:
-    """Draw the rows and the priors' means for each fit of a bootstrap.
+    """Draw how often each of N rows is taken, (N,), and standard normal numbers, one for each prior and known distance.
 
-    Args:
-        problem: The problem that is fitted again: N rows, with the block of each, rows that are drawn together, and its
-            measurement frame, within which blocks are drawn; p parameters; and K known distances between frames.
-        count: Number of draws.
-        seed: Seed of the draws, 0 or more.
-
-    Returns:
-        An iterator over the draws. Of each, the number of times that each row is drawn, shape (N,), and independent
-        standard normal numbers, shape (p + K,): one for the prior of each parameter, then one for each known distance.
+    Those are of shape (p + K,) for p parameters and K known distances between frames.
     """
     rows = problem.rows
     times_drawn = bootstrap_counts(rows.blocks, count, seed, rows.samples.frame)
@@ -284,19 +270,10 @@ def bootstrap_counts(
 
 
 def _fit_sample(fitted: Fitted, drawn: tuple[Array, Array]) -> tuple[Array, bool]:
-    """Fit one draw of a bootstrap, with noise, prior standard deviations and robust weights as they were estimated.
+    """Fit one draw of a bootstrap, which gives its parameters, shape (p,), and whether the fit converged.
 
-    Args:
-        fitted: The fit to all N rows, of p parameters. Of its problem are changed the rows' ``weights``, shape (N,);
-            ``centre``, the priors' means, shape (p,), where ``precision``, 1 / variance, is that of a prior sharper
-            than `_WIDEST_DRAWN`; and the lengths of K known distances [m], by their standard deviations ``sigma`` [m].
-        drawn: Number of times that each row is drawn, shape (N,), by which its weight is multiplied; and standard
-            normal numbers, shape (p + K,), by which the priors' means and the known distances are moved, in their
-            standard deviations.
-
-    Returns:
-        Its parameters, shape (p,), offsets from the registered start in their units like those of ``fitted``, and
-        whether the fit converged.
+    ``drawn`` is how often each row is taken, by which its weight is multiplied, and the normal numbers by which the
+    means of the priors and the known distances are moved, in their standard deviations.
     """
     problem, start = fitted.estimate.problem, fitted.estimate.x
     counts, normal = drawn
@@ -320,11 +297,11 @@ def _fit_sample(fitted: Fitted, drawn: tuple[Array, Array]) -> tuple[Array, bool
 
 @dataclass(frozen=True, slots=True)
 class Profile:
-    """An interval from the profile of the cost; an end is infinite where the cost does not rise enough."""
+    """An interval from the profile of the cost; an end is infinite if the cost does not rise enough on its side."""
 
     #: Lower end of the parameter's value, in its unit
     low: float
-    #: Upper end, likewise
+    #: Upper end
     high: float
     #: Probability that the interval holds the true value
     level: float
@@ -332,17 +309,15 @@ class Profile:
 
 @one_blas_thread()
 def profile_interval(calibration: Calibration, name: str, level: float = 0.95) -> Profile:
-    """The interval of one parameter, in its unit, from the profile of the cost; see the module's text.
-
-    An end is infinite where the measurements set no limit.
+    """Return the interval of one parameter from the profile of the cost; see the module's text.
 
     Args:
-        calibration: A result in memory, with the fits of its geometry and of its non-geometric model, if it has one.
-        name: Name of the parameter; one that the geometry lacks is that of the non-geometric model.
+        calibration: A result in memory.
+        name: Name of a parameter of the geometry, or else of the non-geometric model.
         level: Probability that the interval holds the true value, between 0 and 1.
 
     Returns:
-        Both ends of the parameter's value, not of its change from the nominal one, and the level.
+        Both ends of the parameter's value, not of its change from the nominal one.
 
     Raises:
         ModelError: No such parameter, it stands at a bound, the paper's solver made the calibration, or the result was
@@ -365,11 +340,7 @@ def profile_interval(calibration: Calibration, name: str, level: float = 0.95) -
     x = float(estimate.x[k])
 
     def cost_at(offset: float) -> float:
-        """Return the least cost over the other parameters, the sum of squares over their variance, with one held.
-
-        Args:
-            offset: Where the parameter is held, counted from the registered start, in its unit.
-        """
+        """Return the least cost with the parameter held at an offset from the registered start."""
         return _least_cost(fitted, k, offset)
 
     low, high = profile(cost_at, x, parameter.std, level, estimate.freedom)
@@ -384,9 +355,9 @@ def profile(
     level: float = 0.95,
     freedom: float = np.inf,
 ) -> tuple[float, float]:
-    """Return the interval where the cost of one parameter, minimised over the others, is not too high.
+    """Return the interval of one parameter in which the cost, minimised over the others, is not too high.
 
-    cost(x) - cost(value) <= quantile of chi^2(1), or of F(1, freedom) where the noise was estimated.
+    cost(x) - cost(value) <= quantile of F(1, freedom); that of chi^2(1) if the noise is known.
 
     Args:
         cost_at: Function that returns the least sum of squares over their variance [1] with the parameter held at a
@@ -394,28 +365,23 @@ def profile(
         value: The estimate, where the cost is least, in the parameter's unit.
         std: Its standard deviation, from which the search for an end starts, in the same unit.
         level: Probability of the interval, between 0 and 1.
-        freedom: Degrees of freedom of the noise; infinite where the noise is known.
+        freedom: Degrees of freedom of the noise, at least 1 is taken; infinite if the noise is known.
 
     Returns:
-        Lower and upper end, in the parameter's unit; infinite where the cost does not rise enough.
+        Lower and upper end, in the parameter's unit; infinite if the cost does not rise enough.
 
     Raises:
         CalibError: The level is not between 0 and 1.
     """
     if not 0.0 < level < 1.0:
         raise CalibError(f"The level of an interval is {level:g}; it must lie between 0 and 1.")
-    rise = _allowed_rise(level, freedom)
+    rise = float(2.0 * gammaincinv(0.5, level))  # the quantile of chi^2(1)
+    if np.isfinite(freedom):
+        rise = float(fdtri(1.0, max(freedom, 1.0), level))
     least = cost_at(value)
 
     def above(x: float) -> float:
-        """Return the cost at a value of the parameter, less the highest one allowed within the interval [1].
-
-        Args:
-            x: The value, in the parameter's unit.
-
-        Returns:
-            Negative within the interval; at most 1e6 times the allowed rise, so that it is finite for the root finder.
-        """
+        """Return the cost less the highest one allowed in the interval, capped: the root finder needs finite ones."""
         over = cost_at(x) - least - rise
         if not np.isfinite(over):
             return 1e6 * rise
@@ -425,14 +391,7 @@ def profile(
     from scipy.optimize import brentq
 
     def end(step: float) -> float:
-        """Find where the cost crosses the highest one allowed, on one side of the estimate ``value``.
-
-        Args:
-            step: Standard deviation of the parameter, in its unit; negative for the lower end.
-
-        Returns:
-            The value of the parameter there; infinite, with the sign of the step, where the cost stays below.
-        """
+        """Find where the cost crosses the highest one allowed, on the side of the step; infinite if it does not."""
         inner = value
         reach = step * float(np.sqrt(rise))
         for _ in range(_DOUBLINGS + 1):
@@ -446,38 +405,15 @@ def profile(
     return end(-std), end(std)
 
 
-def _allowed_rise(level: float, freedom: float) -> float:
-    """Return how far the cost of one parameter may rise within an interval: a quantile of F(1, freedom).
-
-    Args:
-        level: Probability of the interval, between 0 and 1.
-        freedom: Degrees of freedom of the noise, counted as 1 if fewer; infinite where the noise is known: then it is
-            the quantile of chi^2(1).
-
-    Returns:
-        The rise of the sum of squares over their variance [1].
-    """
-    if np.isfinite(freedom):
-        return float(fdtri(1.0, max(freedom, 1.0), level))
-    return float(2.0 * gammaincinv(0.5, level))
-
-
 def _least_cost(fitted: Fitted, k: int, value: float) -> float:
-    """Return the least sum of squares over their variance, the priors' included, with one parameter held.
+    """Return the least sum of squares over their variance, the priors' included, with parameter k held at an offset.
 
-    Args:
-        fitted: A fit of p parameters. Of its estimate are used ``problem``, residuals and priors; ``x``, shape (p,),
-            offsets from the registered start; and ``covariance``, shape (p, p), by which the others' start follows the
-            one that is held.
-        k: Index of the parameter that is held, from 0.
-        value: The offset from the registered start at which it is held, in its unit; the others are fitted.
-
-    Returns:
-        The least cost [1], twice the objective of the fit.
+    The offset counts from the registered start.
     """
     estimate = fitted.estimate
     problem, C = estimate.problem, estimate.covariance
     others = np.arange(len(estimate.x)) != k
+    # The others start where the covariance says that they follow the one that is held.
     start = estimate.x + C[:, k] / C[k, k] * (value - estimate.x[k])
     start[k] = value
     if not np.any(others):
@@ -485,15 +421,7 @@ def _least_cost(fitted: Fitted, k: int, value: float) -> float:
         return float(residual @ residual)
 
     def system(free: Array) -> tuple[Array, Array]:
-        """Return the weighted residual and its derivative by the p - 1 parameters that are not held.
-
-        Args:
-            free: Offsets of these parameters from the registered start, shape (p - 1,), in their units.
-
-        Returns:
-            Residual, shape (n,), measured minus predicted in standard deviations, priors included; and its derivative,
-            shape (n, p - 1).
-        """
+        """Return weighted residuals, (n,), and their derivative by the parameters that are not held, (n, p - 1)."""
         x = start.copy()
         x[others] = free
         residual, jacobian = problem.system(x)
@@ -504,38 +432,17 @@ def _least_cost(fitted: Fitted, k: int, value: float) -> float:
 
 
 def _check_solver(fitted: Fitted) -> None:
-    """Refuse a fit by the paper's solver: its solution is not the least cost of the problem.
-
-    Args:
-        fitted: The fit, of which ``task.solver`` is used, a name or a function.
-
-    Raises:
-        ModelError: It is the paper's.
-    """
+    """Refuse a fit by the paper's solver: its solution is not the least cost of the problem."""
     if not fitted.task.has_weights_and_priors:
         raise ModelError("The solver 'paper' has neither bootstrap nor profile. Choose 'lm'.")
 
 
 def _evenly(samples: Samples) -> Samples:
-    """Return at most `_POSES` of N samples, evenly spread over their order.
-
-    Args:
-        samples: N joint values, with the frame, the target and the loads of each.
-
-    Returns:
-        These samples, in their order; all where there are no more.
-    """
+    """Return at most `_POSES` of the samples, evenly spread over their order."""
     count = min(len(samples), _POSES)
     return samples.select(np.linspace(0, len(samples) - 1, count).astype(int))
 
 
 def _in_first_frame(samples: Samples) -> Samples:
-    """Return samples as seen from the first measurement frame, so that one rigid motion can be fitted to all positions.
-
-    Args:
-        samples: N joint values, with the frame, the target and the loads of each.
-
-    Returns:
-        The same with frame 0 for all.
-    """
+    """Return samples as seen from the first measurement frame: one rigid motion can be fitted to all positions."""
     return replace(samples, frame=np.zeros_like(samples.frame))

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from calib.cli.options import Force, Quiet
 from calib.cli.outputs import check_outputs, written_lines
 from calib.cli.verb import verb
+
+if TYPE_CHECKING:
+    from calib.verbs.compare.comparison import Comparison
+    from calib.verbs.view.view import View
 
 
 @verb("""Compare two calibrations of one robot: did it drift?
@@ -51,10 +56,9 @@ def compare(
     check_outputs([json, view], [a, b, robot], force=force)
     comparison = compare_results(a, b, robot)
     if view is not None:
-        from calib.verbs.compare.view import view_of_comparison
         from calib.verbs.view.page import view_page
 
-        view_page(view_of_comparison(comparison)).write(view, overwrite=force)
+        view_page(_view(comparison)).write(view, overwrite=force)
     if json is not None:
         comparison.write_json(json, overwrite=force)
     if quiet:
@@ -62,3 +66,18 @@ def compare(
     typer.echo(comparison.summary())
     if written := written_lines(view, json):
         typer.echo("\n" + "\n".join(written))
+
+
+def _view(c: Comparison) -> View:
+    """View both results with the first one's target, each in the base of its own fit."""
+    from calib.show.scene.posed_robot import translation
+    from calib.verbs.compare.text import sentence
+    from calib.verbs.view.view import view_of_robots
+
+    names = ((f"a: {c.names[0]}", "the first result"), (f"b: {c.names[1]}", "the second result"))
+    view = view_of_robots(c.a.corrected(c.robot), c.b.corrected(c.robot), names=names)
+    target = translation(c.a.target)
+    title = f"{c.a.nominal.name or 'Robot'}: two calibrations"
+    return replace(
+        view, nominal_target=target, calibrated_target=target, title=title, note=sentence(c)
+    )

@@ -5,7 +5,7 @@ The difference and its test are those of `calib.verbs.compare.difference`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -17,19 +17,22 @@ from calib.data.inputs import ROBOT, RobotInput, chain_of, robot_of
 from calib.diagnosis.reasons import NO
 from calib.errors import ModelError
 from calib.result.calibration import Calibration
-from calib.result.calibration_file import ResultInput, result_of, write_table
+from calib.result.calibration_file import ResultInput, result_of, versions, write_table
 from calib.robot.robot import Robot
 from calib.verbs.compare.difference import Differences, Displacement, differences_of
-from calib.verbs.compare.drift import DriftTest
+from calib.verbs.compare.drift import LEVEL, DriftTest
 
 Outcome = Literal["drift", "no drift shown", "cannot tell"]
-#: Reason why nothing can be told; empty otherwise.
+#: Why it cannot be said whether the robot drifted; empty if it can.
 Why = Literal["", "same data", "bad verdict", "nothing known", "other errors"]
+
+#: The layout of `Comparison.table`; a word, so that it is not taken for a result.
+SCHEMA = "comparison 5"
 
 #: Joint origins and held values that differ by less are the same [m], [rad].
 _SAME = 1e-9
 
-#: A displacement this many times as large as the residuals has another cause than what a model lacks.
+#: A displacement this many times as large as the residuals is not explained by what a model lacks.
 _FAR = 3.0
 
 
@@ -45,7 +48,7 @@ class Comparison(Value):
     names: tuple[str, str]
     #: ``"drift"``, ``"no drift shown"`` or ``"cannot tell"``
     outcome: Outcome
-    #: Reason why nothing can be told; empty otherwise
+    #: Why it cannot be said; empty otherwise
     why: Why
     #: The robot whose meshes are shown
     robot: Robot
@@ -60,6 +63,11 @@ class Comparison(Value):
     #: The same of b
     only_b: tuple[str, ...]
 
+    @property
+    def results(self) -> tuple[tuple[str, str, Calibration], ...]:
+        """Letter, name and value of each result."""
+        return ("a", self.names[0], self.a), ("b", self.names[1], self.b)
+
     def _repr_html_(self) -> str:
         """A small table for notebooks: the answer, and both results."""
         return str(shown_by("verbs.compare.text").comparison_html(self))
@@ -69,9 +77,44 @@ class Comparison(Value):
         return str(shown_by("verbs.compare.text").comparison_text(self))
 
     def table(self) -> dict[str, Any]:
-        """Return the comparison as nested tables of plain values; docs/comparison.md has the keys."""
-        table: dict[str, Any] = shown_by("verbs.compare.text").comparison_table(self)
-        return table
+        """Return the comparison as nested tables of plain values in SI units; docs/comparison.md has the keys."""
+        robot = self.a.nominal
+        moves = [
+            {
+                "where": move.where,
+                "moved_rms_m": move.moved,
+                "rms_rad": move.rms_angle,
+                "rms_m": move.rms,
+                "max_m": move.max,
+                "noise_rms_m": move.noise,
+                "moved_std_m": move.std,
+            }
+            for move in self.moves
+        ]
+        results = [
+            {
+                "name": name,
+                "set": result.model.name,
+                "verdict": None if result.verdict is None else result.verdict.use,
+                "sigma": result.noise.sigma,
+                "urdf_sha256": result.nominal.urdf.sha256,
+                "measurements_sha256": result.source.sha256,
+            }
+            for _, name, result in self.results
+        ]
+        return {
+            "schema": SCHEMA,
+            "robot": {"name": robot.name, "base": robot.base, "tip": robot.tip},
+            "outcome": self.outcome,
+            "why": self.why,
+            "test": {**asdict(self.test), "level": LEVEL},
+            "moves": moves,
+            "compensated": list(self.compensated),
+            "only_a": list(self.only_a),
+            "only_b": list(self.only_b),
+            "results": results,
+            "versions": versions(),
+        }
 
     def write_json(self, path: str | Path, *, overwrite: bool = False) -> Path:
         """Write the comparison as JSON.
@@ -115,16 +158,30 @@ def compare(
 
     Raises:
         ArgumentError: An argument of another type.
-        FileError: A file cannot be read or is no result.
+        FileError: A file cannot be read or is not a result.
         ModelError: The results are of different chains.
         UrdfError: The URDF cannot be read, or lacks a joint.
     """
-    first, name_a = _result_and_name(a, "a")
-    second, name_b = _result_and_name(b, "b")
-    _check_same_chain(first, second, (name_a, name_b))
-    shown = _robot_to_show(robot, first.nominal)
-    differences = differences_of(first, second, same_start=_same_origins(first, second))
-    why = _why_not_told(first, second, differences)
+    first, second = result_of(a, "a"), result_of(b, "b")
+    name_a = "a" if isinstance(a, Calibration) else Path(a).name
+    name_b = "b" if isinstance(b, Calibration) else Path(b).name
+    if _chain_and_readings(first.nominal) != _chain_and_readings(second.nominal):
+        raise ModelError(
+            f"{name_a} and {name_b} are not of one chain: {first.nominal!r}, {second.nominal!r}. Calibrate "
+            "both with the same --base, --tip, --hold and, in the cell file, [coupling]."
+        )
+    shown = first.nominal
+    if robot is not None:
+        check_type("robot", robot, (Robot, str, Path), f"{ROBOT}, or None")
+        if isinstance(robot, Robot):
+            shown = robot.rebuilt(base=shown.base, tip=shown.tip)
+        else:
+            shown = robot_of(robot, chain_of(shown))
+
+    origins_a, origins_b = first.nominal.origins(), second.nominal.origins()
+    same_start = all(np.abs(T - origins_b[name]).max() < _SAME for name, T in origins_a.items())
+    differences = differences_of(first, second, same_start=same_start)
+    why = _obstacle(first, second, differences)
     outcome: Outcome = "no drift shown"
     if why:
         outcome = "cannot tell"
@@ -145,99 +202,14 @@ def compare(
     )
 
 
-def _result_and_name(given: ResultInput, letter: str) -> tuple[Calibration, str]:
-    """Return a calibration result and its name.
-
-    Args:
-        given: The result, or the path of its file, which is read.
-        letter: ``"a"`` or ``"b"``: the name of a result that was not given as a file.
-
-    Returns:
-        The result; and the name of its file without the folder, or the letter.
-
-    Raises:
-        FileError: The file cannot be read or is no result.
-    """
-    result = result_of(given, letter)
-    return result, letter if isinstance(given, Calibration) else Path(given).name
+def _chain_and_readings(robot: Robot) -> tuple[Any, ...]:
+    """Return the facts by which two robots are one chain: links, joints, held values and coupled readings."""
+    joints = (robot.joint_names, set(robot.origins()), robot.held, robot.reading_coupling)
+    return robot.base, robot.tip, joints
 
 
-def _check_same_chain(first: Calibration, second: Calibration, names: tuple[str, str]) -> None:
-    """Refuse calibration results of different chains: of other links, joints, held values, or coupled readings.
-
-    Args:
-        first: The first result, of whose nominal robot are compared base and tip link, names of the measured joints,
-            names of the joints with origins, values of held joints, [rad] or [m], and coupled readings.
-        second: The second.
-        names: Names of their files, for the error message.
-
-    Raises:
-        ModelError: Any of these differ.
-    """
-    chains = []
-    for robot in (first.nominal, second.nominal):
-        joints = (robot.joint_names, set(robot.origins()), robot.held, robot.reading_coupling)
-        chains.append((robot.base, robot.tip, joints))
-    if chains[0] != chains[1]:
-        raise ModelError(
-            f"{names[0]} and {names[1]} are not of one chain: {first.nominal!r}, {second.nominal!r}. Calibrate "
-            "both with the same --base, --tip, --hold and, in the cell file, [coupling]."
-        )
-
-
-def _robot_to_show(given: RobotInput | None, nominal: Robot) -> Robot:
-    """Return the robot to show, with base and tip of the results' nominal one.
-
-    Args:
-        given: The robot, or the path of its URDF, nominal or corrected, such as one with meshes; None: the nominal
-            robot is shown.
-        nominal: The nominal robot of the first result, with its base, tip and held joint values.
-
-    Returns:
-        The robot with the nominal one's base and tip; its joint origins are its own.
-
-    Raises:
-        UrdfError: The URDF cannot be read, or lacks a joint.
-    """
-    if given is None:
-        return nominal
-    check_type("robot", given, (Robot, str, Path), f"{ROBOT}, or None")
-    if isinstance(given, Robot):
-        return given.rebuilt(base=nominal.base, tip=nominal.tip)
-    return robot_of(given, chain_of(nominal))
-
-
-def _same_origins(first: Calibration, second: Calibration) -> bool:
-    """Tell if two calibration results count from the same nominal joint origins.
-
-    Args:
-        first: The first result, with the ``<origin>`` of each joint of its nominal URDF, shape (4, 4), [m].
-        second: The second, of the same chain.
-
-    Returns:
-        True if no element of these matrices differs by `_SAME` or more between both nominal robots.
-    """
-    of_second = second.nominal.origins()
-    origins = first.nominal.origins().items()
-    return all(np.abs(T - of_second[name]).max() < _SAME for name, T in origins)
-
-
-def _why_not_told(first: Calibration, second: Calibration, differences: Differences) -> Why:
-    """Return the reason why nothing can be told of a drift; empty if there is none.
-
-    Args:
-        first: Result a: hash of the file of its measurements, its verdict, and the residuals of its fitted rows.
-        second: Result b.
-        differences: The difference of their predictions. Of it are used ``test``, ``moves[0]``, the displacement of the
-            target over the joint values that both data cover, and ``only_a`` and ``only_b``, parameters whose effects
-            only that result can have.
-
-    Returns:
-        ``"same data"`` if both are of one file, or one result; ``"bad verdict"`` if either should not be used;
-        ``"nothing known"`` if no combination of parameters could be tested; ``"other errors"`` if they differ
-        significantly, but either has parameters that the other lacks, and the target's rms displacement without noise
-        is no more than `_FAR` times the larger rms residual [m] of fitted rows.
-    """
+def _obstacle(first: Calibration, second: Calibration, differences: Differences) -> Why:
+    """Return why it cannot be said whether the robot drifted; empty if it can."""
     if first is second:
         return "same data"
     if first.source.sha256 and first.source.sha256 == second.source.sha256:
@@ -247,6 +219,7 @@ def _why_not_told(first: Calibration, second: Calibration, differences: Differen
         return "bad verdict"
     if differences.test.combinations == 0:
         return "nothing known"
+    # A displacement no larger than the residuals may be what either model lacks.
     has_other_errors = bool(differences.only_a or differences.only_b)
     residual = max(result.errors["calibrated"]["estimation"]["m"].rms for result in results)
     far = differences.moves[0].moved > _FAR * residual

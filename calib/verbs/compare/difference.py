@@ -1,10 +1,13 @@
 """Difference of two calibrations' predictions, without what frame and target compensate.
 
 The difference of two results' predictions of one target in the base is delta(q) = J_b x_b - J_a x_a to first order.
-Where a fit estimated the base's place or the target from its own data, the motion of them that explains delta best, by
-least squares over the joint values that both data cover, is subtracted, there and everywhere: frame and target are the
+If a fit estimated the base's place or the target from its own data, the motion of them that explains delta best, by
+least squares over the joint values that both data cover, is subtracted at all joint values: frame and target are the
 gauge of the comparison. Measured orientations count as their effect at the end of a lever of 100 mm. The difference is
 tested by `calib.verbs.compare.drift`.
+
+Below, N is a number of joint values, and D the number of coordinates of a prediction at each: 3 of the position, and
+with measured orientations 3 of the rotation vector times the lever, all along the base's axes [m].
 """
 
 from __future__ import annotations
@@ -48,17 +51,17 @@ _LEVER = 0.1
 #: Rounding of one coordinate of one pose [m].
 _ROUNDING = 1e-7
 
-#: Effects below this share of the strongest one's are none.
-_NOTHING = 1e-5
+#: Displacements below this share of the largest, as singular values, span no direction of the comparison.
+_NEGLIGIBLE = 1e-5
 
-#: The same where the nominal robots differ, so that effects are not quite comparable.
-_NOTHING_APART = 2e-3
+#: The same if the nominal robots differ, so that effects are not quite comparable.
+_NEGLIGIBLE_APART = 2e-3
 
-#: A parameter with more than this share of its effect outside of those of the other result is its own; one of whose
-#: effect less than this share is left is compensated by frame and target.
+#: A parameter belongs to one result alone if more than this share of its effect is outside of what the other's
+#: parameters can do; it is compensated by frame and target if less than this share of its effect remains.
 _OWN = 0.03
 
-#: Effects below this share of the strongest one's span no direction.
+#: The other result's effects below this share of their largest, as singular values, span no direction.
 _SPANS_NOTHING = 1e-4
 
 
@@ -81,12 +84,7 @@ class Displacement:
 
     @property
     def moved(self) -> float:
-        """The rms displacement without the part that the noise of both results would show [m], 0 or more.
-
-        sqrt(rms^2 - noise^2), with ``rms``, the rms displacement of the predicted target from result a to result b over
-        joint values [m], and ``noise``, the rms that the covariance of the parameters of both results alone would show
-        [m].
-        """
+        """The rms displacement without the part that noise alone would show [m], sqrt(rms^2 - noise^2), 0 or more."""
         return float(np.sqrt(max(self.rms**2 - self.noise**2, 0.0)))
 
 
@@ -98,7 +96,7 @@ class Differences:
     test: DriftTest
     #: Displacement of the target: over the joint values that both data cover, then over the limits
     moves: tuple[Displacement, Displacement]
-    #: Parameters that frame and target compensate
+    #: Parameters that frame and target compensate, so that no drift of them shows
     compensated: tuple[str, ...]
     #: Parameters of a whose effects those of b cannot have
     only_a: tuple[str, ...]
@@ -106,53 +104,80 @@ class Differences:
     only_b: tuple[str, ...]
 
 
-def own_names(result: Calibration) -> tuple[str, ...]:
-    """Return the names of the robot's own parameters, in the order of the result's vector x.
+def differences_of(first: Calibration, second: Calibration, *, same_start: bool) -> Differences:
+    """Test the difference of two results' predictions of a target, and average it over joint values.
 
     Args:
-        result: A calibration result. Its ``model`` lists the p parameters of its geometry; those of measurement frames
-            and targets are left out.
+        first: Result a.
+        second: Result b, of the same chain.
+        same_start: Whether both have the same nominal joint origins, from which their parameters count.
     """
+    compensation = _Compensation.of(first, second, same_start=same_start)
+    inside = compensation.inside
+    everywhere = _Predictions.of(first, second, spread_poses(first.nominal, _POSES))
+    own_a = _OwnEffects.of(first, inside.effects[0], compensation)
+    own_b = _OwnEffects.of(second, inside.effects[1], compensation)
+
+    # Orthonormal basis of the displacements that typical errors of both robots can make, (N D, r).
+    in_steps = np.hstack([own_a.in_steps, own_b.in_steps])
+    U, values, _ = np.linalg.svd(in_steps, full_matrices=False)
+    negligible = _NEGLIGIBLE if same_start else _NEGLIGIBLE_APART
+    basis = np.asarray(U[:, values > max(values.max(initial=0.0), 1e-300) * negligible])
+
+    # In its coordinates, (r, p_a) and (r, p_b), [m] a unit of each parameter.
+    effect_a, effect_b = own_a.along(basis), own_b.along(basis)
+    test = drift_test(
+        basis.T @ compensation.difference(inside),
+        (effect_a, effect_b),
+        compensation.estimates,
+        compensation.joint,
+        _ROUNDING * np.sqrt(_POSES),
+    )
+    in_steps_a, in_steps_b = effect_a * own_a.steps, effect_b * own_b.steps
+    return Differences(
+        test=test,
+        moves=(
+            compensation.displacement("measured ranges", inside),
+            compensation.displacement("joint limits", everywhere),
+        ),
+        compensated=tuple(dict.fromkeys(own_a.compensated + own_b.compensated)),
+        only_a=_not_spanned(in_steps_a, in_steps_b, own_a.names),
+        only_b=_not_spanned(in_steps_b, in_steps_a, own_b.names),
+    )
+
+
+# Parameters, frames and joint ranges of a result
+
+
+def own_names(result: Calibration) -> tuple[str, ...]:
+    """Return the names of the robot's own parameters, in the order of x: those of frames and targets are left out."""
     return tuple(result.model.names[k] for k in _own_indices(result))
 
 
 def _own_indices(result: Calibration) -> NDArray[np.int_]:
-    """Return the indices of the robot's own parameters in a result's parameter vector x.
-
-    Args:
-        result: A calibration result. Its ``model`` lists p parameters: of the robot, of measurement frames and of
-            targets; the last two are left out.
-
-    Returns:
-        shape (k,), from 0, ascending.
-    """
+    """Return the indices of the robot's own parameters in x, ascending."""
     return np.flatnonzero(result.model.of_robot)
 
 
 def _own_steps(result: Calibration) -> Array:
-    """Return typical errors of arms in each of the robot's own parameters: 1 mm of a length, 1 mrad of an angle.
-
-    Args:
-        result: A calibration result, of whose ``model`` the units of the parameters are used.
-
-    Returns:
-        shape (k,), for the k parameters that are not of frames and targets, in the order of x, each in its SI unit:
-        1e-3 [m], 1e-3 [rad], and those that `calib.model.families` declares for other units.
-    """
+    """Return a typical error of arms in each of the robot's own parameters: 1 mm, 1 mrad, or as its family declares."""
     return steps([result.model.units[k] for k in _own_indices(result)])
 
 
-def unknown_frame(result: Calibration) -> tuple[str, ...]:
-    """Return the directions in which a result's measurements did not determine the base's pose beforehand.
+def _same_parameters(first: Calibration, second: Calibration) -> bool:
+    """Say if two results have the same model, ties and parameters of the robot; frames and targets do not count."""
+    same_names = own_names(first) == own_names(second)
+    same_ties = dict(first.method.ties) == dict(second.method.ties)
+    return same_names and same_ties and first.model.name == second.model.name
 
-    Args:
-        result: A calibration result. Of it are used the kinds of its rows, ``frame_estimated``, whether the measurement
-            frames were left to be estimated, and ``setup.unknown``, the directions of each frame that were.
+
+def unknown_frame(result: Calibration) -> tuple[str, ...]:
+    """Return the directions of the base's pose that were not known before the fit.
 
     Returns:
         Some of ``"x"``, ``"y"``, ``"z"``, ``"rx"``, ``"ry"`` and ``"rz"``, along and about the base's axes, in this
-        order: those that were estimated for at least one frame. All six where no row determines where the base stands;
-        none where the measurement frames were taken as known.
+        order: those that were estimated for at least one measurement frame. All six if no row determines where the
+        base stands; none if the measurement frames were taken as known.
     """
     if not result.rows.tells_place:
         return DIRECTIONS  # sockets, planes, anchors and pairs never do
@@ -162,16 +187,22 @@ def unknown_frame(result: Calibration) -> tuple[str, ...]:
     return tuple(direction for direction in DIRECTIONS if direction in estimated)
 
 
+def _unknown_places(a: Calibration, b: Calibration, *, turns: bool) -> list[bool]:
+    """Say of each column of `_place_twists` if either result had to estimate that motion of base or target.
+
+    A target's orientation is estimated only if orientations were measured for both (``turns``).
+    """
+    unknown = {*unknown_frame(a), *unknown_frame(b)}
+    target = a.setup.estimate_target or b.setup.estimate_target
+    of_base = [direction in unknown for direction in DIRECTIONS]
+    return of_base + [target] * 3 + [target and turns] * 3
+
+
 def _common_ranges(a: Array, b: Array) -> Array:
-    """Return the range of each joint that both data cover, or from the lowest to the highest value of both if none is.
+    """Return the range of each joint that both data cover, or the hull of both ranges if they are apart.
 
-    Args:
-        a: Smallest and largest fitted value of each of m joints in the first result, shape (m, 2), [rad] or [m]; NaN,
-            or from infinity down to minus infinity, where no row was fitted: then the other result's range is taken.
-        b: Those of the second.
-
-    Returns:
-        Lower and upper end, shape (m, 2), [rad] or [m], finite; both 0 where neither has fitted rows.
+    Ranges are (m, 2), [rad] or [m]. A joint without fitted rows has NaN, or a range from infinity to minus infinity:
+    then the other result's range is taken, and 0 if neither has one.
     """
     low = np.fmax(a[:, 0], b[:, 0])
     high = np.fmin(a[:, 1], b[:, 1])
@@ -186,24 +217,12 @@ def _common_ranges(a: Array, b: Array) -> Array:
 
 
 def _estimate(result: Calibration, other: Calibration) -> Estimate:
-    """Return a result under priors that both results share and that leave room for a drift, to first order.
+    """Return the robot's own parameters under priors that both results share, to first order.
 
         C_q = (C^-1 + Q - P)^-1,    x_q = x + C_q (s - Q x)
 
-    with the diagonal precision P of the fit's priors and Q of the shared ones, which have the mean 0. Q differs from P
-    for the k parameters of the robot alone. Parameters at a bound are held there.
-
-    Args:
-        result: The calibration result: its p parameters ``x``, offsets from the registered start in their units; their
-            ``covariance`` C, shape (p, p); of each of ``parameters`` the ``prior_std``, NaN without prior,
-            ``at_bound``, and ``data_gradient`` s, minus the derivative of half the data's weighted squares [1/unit];
-            and ``freedom``, the degrees of freedom of its noise.
-        other: The result with which it is compared, of which only the priors count.
-
-    Returns:
-        Of the k parameters of the robot: ``covariance`` C_q and ``noise``, its part from the measurements, C_q - C_q Q
-        C_q over all p parameters, both shape (k, k); ``pull`` C_q Q, shape (k, k); ``prior``, the shared priors'
-        variances, and ``shift``, x_q - x, both shape (k,); and the degrees of freedom.
+    with the diagonal precision P of the fit's priors and Q of the shared ones, of mean 0. Q differs from P for the
+    robot's own parameters alone. Parameters at a bound are held there.
     """
     precision, indices = _prior_precision(result), _own_indices(result)
     shared = _shared_precision(result, other)
@@ -229,19 +248,10 @@ def _estimate(result: Calibration, other: Calibration) -> Estimate:
 
 
 def _shared_precision(result: Calibration, other: Calibration) -> Array:
-    """Return the precision of the priors under which two results are compared, for one result's own parameters.
+    """Return 1 / variance of the common prior of each of the robot's own parameters, [1/unit^2].
 
-    It is the lower of both results' precisions, or this result's where the other lacks the parameter; but the prior's
-    standard deviation is at least `_ROOM`, to leave room for a drift, and at most `_WIDEST`, both in the typical errors
-    of arms, 1 mm or 1 mrad.
-
-    Args:
-        result: The calibration result, with the prior standard deviations of its parameters.
-        other: The result with which it is compared; its parameters are matched by name.
-
-    Returns:
-        1 / variance of the k parameters of the result's robot, those of frames and targets left out, shape (k,),
-        [1/unit^2].
+    It is the lower precision of both results, or this result's if the other lacks the parameter; but never so high
+    that it would leave no room for a drift, nor lower than what any arm errs by.
     """
     precision, of_other = _prior_precision(result), _prior_precision(other)
     by_name = dict(zip(other.model.names, of_other, strict=True))
@@ -250,21 +260,12 @@ def _shared_precision(result: Calibration, other: Calibration) -> Array:
     for k in _own_indices(result):
         of_same_name = by_name.get(result.model.names[k], np.inf)
         shared.append(min(precision[k], of_same_name))
-    # Never wider than anything an arm may err by either: with priors off there is none.
     lowest, highest = 1.0 / (_WIDEST * step) ** 2, 1.0 / (_ROOM * step) ** 2
     return np.asarray(np.clip(shared, lowest, highest))
 
 
 def _prior_precision(result: Calibration) -> Array:
-    """Return the precision of each parameter's prior, 1 / variance.
-
-    Args:
-        result: A calibration result. Of its ``parameters``, p in the order of x, frames and targets included, the
-            ``prior_std`` is used, in the parameter's unit; NaN without prior.
-
-    Returns:
-        shape (p,), [1/unit^2]; 0 where there was no prior.
-    """
+    """Return 1 / variance of the prior of each parameter in x, [1/unit^2]; 0 without prior."""
     prior_std = np.array([p.prior_std for p in result.parameters])
     return np.nan_to_num(prior_std**-2.0)
 
@@ -274,142 +275,80 @@ def _prior_precision(result: Calibration) -> Array:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Predictions:
-    """Predictions of the target by both results at N joint values, as lengths [m].
+    """Predictions of one target in the base by both results at N joint values, as lengths [m]."""
 
-    D = 3, or 6 where orientations count.
-    """
-
-    #: Whether orientations count
+    #: Whether orientations count, D = 6
     turns: bool
     #: (N D,), prediction of b less that of a
     difference: Array
-    #: (N D, p), derivatives by each result's own parameters, at the nominal robot
+    #: (N D, p_a) and (N D, p_b), derivatives by each robot's own parameters, at the nominal robot
     effects: tuple[Array, Array]
-    #: (N D, p), the same at the results
+    #: The same at the calibrated robot
     slopes: tuple[Array, Array]
-    #: (N D, g), derivatives by the motions of base and target that are not known
+    #: (N D, g), derivatives by the motions of base and target that either result had to estimate
     gauge: Array
+
+    @classmethod
+    def of(cls, a: Calibration, b: Calibration, q: Array) -> _Predictions:
+        """Predict the first target of result a at joint values q, shape (N, m), [rad] or [m]."""
+        turns = a.setup.rotation and b.setup.rotation
+        poses, effects, slopes = [], [], []
+        for result in (a, b):
+            x = result.geometry.x[_own_indices(result)]
+            kinematics = _own_kinematics(result, a.setup.T_tip_target[0])
+            # Effects at the nominal robot, from which both count: at the calibrated ones they would differ by terms of
+            # second order, which would look like combinations that only one result has.
+            nominal, effect = kinematics.twists(np.zeros(len(x)), q)
+            calibrated, slope = kinematics.twists(x, q)
+            poses.append((nominal, calibrated))
+            effects.append(_as_lengths(effect, turns=turns))
+            slopes.append(_as_lengths(slope, turns=turns))
+
+        (nominal_a, by_a), (_, by_b) = poses
+        difference = by_b[:, :3, 3] - by_a[:, :3, 3]
+        if turns:
+            R_ab = Rotation.from_matrix(by_b[:, :3, :3] @ by_a[:, :3, :3].transpose(0, 2, 1))
+            difference = np.hstack([difference, _LEVER * R_ab.as_rotvec()])
+        gauge = _place_twists(nominal_a)[:, :, _unknown_places(a, b, turns=turns)]
+        return cls(
+            turns=turns,
+            difference=difference.ravel(),
+            effects=(effects[0], effects[1]),
+            slopes=(slopes[0], slopes[1]),
+            gauge=_as_lengths(gauge, turns=turns),
+        )
 
     @property
     def signed(self) -> Array:
-        """Derivative of b's prediction less a's by the parameters of both results: minus those of a, then those of b.
-
-        Shape (N D, p_a + p_b), [m] a unit of each parameter. With ``effects``, the derivatives of the predictions of a
-        and of b by the p_a and p_b parameters of their robots, shapes (N D, p_a) and (N D, p_b), at the nominal robot:
-        D coordinates at each of N joint values.
-        """
+        """Derivative of b's prediction less a's by the parameters of both: minus a's, then b's, (N D, p_a + p_b)."""
         effect_a, effect_b = self.effects
         return np.hstack([-effect_a, effect_b])
 
     @property
     def coordinates(self) -> int:
-        """Number D of coordinates of a prediction: 3 of the position, and with ``turns`` 3 of the orientation."""
+        """Number D of coordinates of a prediction."""
         return 6 if self.turns else 3
 
-    def moved(self, estimates: tuple[Estimate, Estimate]) -> Array:
-        """Return the difference of the predictions, b less a, with both results brought to the same priors.
-
-        To ``difference``, shape (N D,) [m], of the results as they are, is added what the change of each result's
-        parameters does, by ``slopes``, shapes (N D, p_a) and (N D, p_b), [m] a unit: derivatives of the predictions of
-        a and of b by the parameters of their robots, at the calibrated values.
-
-        Args:
-            estimates: Results a and b under common priors, of which ``shift`` is used: the change of their p_a and p_b
-                parameters by the change of priors, in their units.
-
-        Returns:
-            shape (N D,), [m]: of each of N joint values the position in the base, and with D = 6 the rotation vector
-            behind, times a lever of 0.1 m.
-        """
+    def difference_under(self, estimates: tuple[Estimate, Estimate]) -> Array:
+        """Return the prediction of b less that of a, (N D,), both under common priors, which shift the parameters."""
         slope_a, slope_b = self.slopes
         a, b = estimates
         return np.asarray(self.difference + slope_b @ b.shift - slope_a @ a.shift)
 
 
-def _predictions(a: Calibration, b: Calibration, q: Array) -> _Predictions:
-    """Predict one target in the base by two calibration results.
-
-    Args:
-        a: The first result, whose first target, as it is in the tip, is predicted by both.
-        b: The second.
-        q: Joint values, shape (N, m), [rad] or [m].
-
-    Returns:
-        The difference of the predictions by the calibrated geometries, b less a, shape (N D,) [m]; their derivatives by
-        the parameters of either robot; and ``gauge``, shape (N D, g), those by the g directions of base and target that
-        either result had to estimate. D is 6, with rotation vectors of R_b R_a^T times a lever of 0.1 m, where both
-        results measured orientations; else 3, positions alone. All along the base's axes.
-    """
-    turns = a.setup.rotation and b.setup.rotation
-    by_a, by_b = _prediction(a, a, q), _prediction(b, a, q)
-    difference = by_b.calibrated[:, :3, 3] - by_a.calibrated[:, :3, 3]
-    if turns:
-        R_a, R_b = by_a.calibrated[:, :3, :3], by_b.calibrated[:, :3, :3]
-        R_ab = Rotation.from_matrix(R_b @ R_a.transpose(0, 2, 1))
-        difference = np.hstack([difference, _LEVER * R_ab.as_rotvec()])
-    gauge = _place_twists(by_a.nominal)[:, :, _unknown_places(a, b, turns=turns)]
-    effects = [_as_lengths(prediction.effect, turns=turns) for prediction in (by_a, by_b)]
-    slopes = [_as_lengths(prediction.slope, turns=turns) for prediction in (by_a, by_b)]
-    return _Predictions(
-        turns=turns,
-        difference=difference.ravel(),
-        effects=(effects[0], effects[1]),
-        slopes=(slopes[0], slopes[1]),
-        gauge=_as_lengths(gauge, turns=turns),
-    )
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Prediction:
-    """Poses of one target in the base at N joint values by one result, with p parameters of its robot."""
-
-    #: Shape (N, 4, 4), T_base_target by the nominal robot [m]
-    nominal: Array
-    #: Shape (N, 4, 4), T_base_target by the calibrated robot [m]
-    calibrated: Array
-    #: Shape (N, 6, p), the target's velocity in a unit of each parameter at the nominal robot, linear [m] then angular
-    #: [rad], along the base's axes
-    effect: Array
-    #: The same at the calibrated robot
-    slope: Array
-
-
-def _prediction(result: Calibration, first: Calibration, q: Array) -> _Prediction:
-    """Predict a target in the base by the parameters of one result's robot, those of frames and targets left out.
-
-    Args:
-        result: The calibration result that predicts, by its nominal robot and the k parameters of its geometry that are
-            the robot's own, with their values in ``x``.
-        first: The result whose first target is predicted: ``setup.T_tip_target[0]``, as it was estimated or given.
-        q: Joint values, shape (N, m), [rad] or [m].
-
-    Returns:
-        T_base_target by the nominal and by the calibrated robot, shape (N, 4, 4) [m], and the target's derivatives by
-        the k parameters at either, shape (N, 6, k), linear [m] then angular [rad], along the base's axes.
-    """
-    indices = _own_indices(result)
-    others = np.delete(np.array(result.model.names), indices)
+def _own_kinematics(result: Calibration, T_tip_target: Array) -> Kinematics:
+    """Return the kinematics of a result's robot, its own parameters alone, with a target given in the tip."""
+    others = np.delete(np.array(result.model.names), _own_indices(result))
     frames = np.tile(np.eye(4), (len(result.setup.groups), 1, 1))
-    targets = np.tile(first.setup.T_tip_target[0], (len(result.setup.targets), 1, 1))
-    kinematics = Kinematics(result.nominal, result.model.without(others), frames, targets)
-    # Effects at the nominal robot, from which both count: elsewhere they would differ by what is of second order, and
-    # that would look like combinations of their own.
-    # Poses, (N, 4, 4), and their derivatives, (N, 6, k).
-    nominal, effect = kinematics.twists(np.zeros(len(indices)), q)
-    calibrated, slope = kinematics.twists(result.geometry.x[indices], q)
-    return _Prediction(nominal, calibrated, effect, slope)
+    targets = np.tile(T_tip_target, (len(result.setup.targets), 1, 1))
+    return Kinematics(result.nominal, result.model.without(others), frames, targets)
 
 
 def _place_twists(T_base_target: Array) -> Array:
-    """Return the twists of the target by small motions of the base and of the target itself.
+    """Return the twists of the target, along the base's axes, by small motions of the base and of the target.
 
-    Args:
-        T_base_target: Poses of the target in the base, shape (N, 4, 4), [m].
-
-    Returns:
-        shape (N, 6, 12), the target's velocity along the base's axes, linear [m] then angular [rad]. Columns are a
-        unit, 1 m or 1 rad, of x, y, z, rx, ry, rz of the base, along its axes and about its origin; then of the target,
-        along and about its own axes.
+    For poses (N, 4, 4) they are (N, 6, 12), linear [m] then angular [rad]. Columns are a unit of x, y, z, rx, ry, rz of
+    the base, along its axes and about its origin; then of the target, along and about its own axes.
     """
     twists = np.zeros((len(T_base_target), 6, 12))
     points, R = T_base_target[:, None, :3, 3], T_base_target[:, :3, :3]
@@ -420,36 +359,8 @@ def _place_twists(T_base_target: Array) -> Array:
     return twists
 
 
-def _unknown_places(a: Calibration, b: Calibration, *, turns: bool) -> list[bool]:
-    """Tell of each motion of base and target if either result had to estimate it.
-
-    Args:
-        a: The first calibration result: its unknown directions of the base, see `unknown_frame`, and whether it
-            estimated a target.
-        b: The second.
-        turns: Whether orientations were measured for both, so that the target's orientation was estimated too.
-
-    Returns:
-        12 values, True where it had to: x, y, z, rx, ry, rz of the base, then of the target, as the columns of
-        `_place_twists`.
-    """
-    unknown = {*unknown_frame(a), *unknown_frame(b)}
-    target = a.setup.estimate_target or b.setup.estimate_target
-    of_base = [direction in unknown for direction in DIRECTIONS]
-    return of_base + [target] * 3 + [target and turns] * 3
-
-
 def _as_lengths(twists: Array, *, turns: bool) -> Array:
-    """Return twists as displacements in length: angles are multiplied by a lever of `_LEVER`, 0.1 m.
-
-    Args:
-        twists: shape (N, 6, k), at N joint values, linear [m] then angular [rad], by each of k motions or parameters.
-        turns: Whether orientations count; if not, the angular part is left out.
-
-    Returns:
-        shape (N D, k), [m], with D = 6 coordinates where orientations count, else 3; those of one joint value follow
-        each other.
-    """
+    """Return twists (N, 6, k), linear then angular, as displacements (N D, k) [m], angles times the lever."""
     scaled = twists * np.repeat([1.0, _LEVER], 3)[:, None]
     coordinates = 6 if turns else 3
     return np.asarray(scaled[:, :coordinates].reshape(-1, twists.shape[2]))
@@ -466,7 +377,7 @@ class _Compensation:
     inside: _Predictions
     #: Results a and b under common priors
     estimates: tuple[Estimate, Estimate]
-    #: Shape (p_a + p_b, p_a + p_b), covariance of the parameters of both results together, those of their robots
+    #: Shape (p_a + p_b, p_a + p_b), covariance of the robot parameters of both results together
     joint: Array
     #: Shape (g, N D), takes displacements at the joint values inside to the motion
     to_motion: Array
@@ -474,94 +385,30 @@ class _Compensation:
     motion: Array
 
     @classmethod
-    def of(
-        cls,
-        inside: _Predictions,
-        estimates: tuple[Estimate, Estimate],
-        joint: Array,
-    ) -> _Compensation:
-        """Fit the motion of base and target to the difference of two results' predictions, by least squares.
-
-        Args:
-            inside: Predictions of both results at N joint values that both data cover, D coordinates each. Their
-                ``gauge``, shape (N D, g) [m], is what a unit of each of g directions of base and target does, those
-                that either result had to estimate; it may have no columns.
-            estimates: Results a and b under common priors, of which the change of their parameters is used.
-            joint: Covariance of the parameters of both results together, those of the robots, shape
-                (p_a + p_b, p_a + p_b), which is only stored.
-
-        Returns:
-            The fitted motion, shape (g,), [m] and [rad], with what it was fitted to.
-        """
+    def of(cls, first: Calibration, second: Calibration, *, same_start: bool) -> _Compensation:
+        """Bring two results to common priors, and fit the motion to the difference of their predictions."""
+        estimates = (_estimate(first, second), _estimate(second, first))
+        # If both count from the same nominal robot, equal parameters share the means of their priors: their errors are
+        # correlated.
+        alike = same_start and _same_parameters(first, second)
+        joint = joint_covariance(*estimates, alike=alike)
+        ranges = _common_ranges(first.rows.ranges, second.rows.ranges)
+        inside = _Predictions.of(first, second, spread_between(ranges, _POSES))
         to_motion = np.asarray(np.linalg.pinv(inside.gauge, rcond=1e-9), dtype=np.float64)
-        motion = to_motion @ inside.moved(estimates)
+        motion = to_motion @ inside.difference_under(estimates)
         return cls(inside, estimates, joint, to_motion, motion)
 
-    def remaining(self, effect: Array) -> Array:
-        """Return effects of parameters without what a motion of base and target explains of each.
-
-        The motion is fitted by ``to_motion``, shape (g, N D), the least-squares inverse of ``inside.gauge``, shape
-        (N D, g), which is what g directions of base and target do.
-
-        Args:
-            effect: Displacements of the target by a unit of each of p parameters, shape (N D, p), [m]: D coordinates at
-                each of the N joint values of ``inside``.
-
-        Returns:
-            Likewise, shape (N D, p), [m].
-        """
-        return np.asarray(effect - self.inside.gauge @ (self.to_motion @ effect))
-
     def difference(self, at: _Predictions) -> Array:
-        """Return the difference of two results under common priors, without the ``motion`` of base and target.
-
-        With ``estimates``, results a and b under common priors, and ``motion``, shape (g,), which was fitted to the
-        difference at other joint values, those that both data cover: g directions of base and target, [m] and [rad].
-
-        Args:
-            at: Predictions of both results at any N joint values, D coordinates each, with ``gauge``, shape (N D, g),
-                the displacements of the target by a unit of each direction.
-
-        Returns:
-            b less a, shape (N D,), [m], along the base's axes: of each joint value the position, then, with D = 6, the
-            rotation vector times a lever of 0.1 m.
-        """
-        return np.asarray(at.moved(self.estimates) - at.gauge @ self.motion)
-
-    def jacobian(self, at: _Predictions) -> Array:
-        """Return the derivative of `difference` by the parameters of both results' robots.
-
-        The motion of base and target follows the parameters: ``to_motion``, shape (g, M), takes displacements at the
-        joint values of ``inside``, M coordinates together, to the motion in g directions that explains them best.
-
-        Args:
-            at: Predictions of both results at any N joint values, D coordinates each: ``signed``, shape
-                (N D, p_a + p_b), the derivative of b's prediction less a's by the parameters of both, and ``gauge``,
-                shape (N D, g), that by the motion.
-
-        Returns:
-            shape (N, D, p_a + p_b), [m] a unit of each parameter of a, then of b.
-        """
-        J = at.signed - at.gauge @ (self.to_motion @ self.inside.signed)
-        return np.asarray(J.reshape(-1, at.coordinates, J.shape[1]))
+        """Return the prediction of b less that of a under common priors, without the motion, shape (N D,)."""
+        return np.asarray(at.difference_under(self.estimates) - at.gauge @ self.motion)
 
     def displacement(self, where: Where, at: _Predictions) -> Displacement:
-        """Return the displacement of the target from result a to result b, without the motion of base and target.
-
-        With ``joint``, the covariance of the parameters of both results together, shape (p_a + p_b, p_a + p_b).
-
-        Args:
-            where: Name of the joint values: ``"measured ranges"`` or ``"joint limits"``.
-            at: Predictions of both results at these N joint values.
-
-        Returns:
-            ``rms`` and ``max``, of the displacements of the position over the N joint values [m]; ``noise``, the rms
-            that ``joint`` alone would make [m]; ``std``, the standard deviation of ``rms`` by it [m]; and ``rms_angle``
-            [rad], NaN where orientations do not count.
-        """
+        """Return the displacement of the target from result a to result b, without the motion."""
         moved = self.difference(at).reshape(-1, at.coordinates)
         points, angles = moved[:, :3], moved[:, 3:] / _LEVER  # b less a, (N, 3) [m] and [rad]
-        J = self.jacobian(at)[:, :3]  # (N, 3, p_a + p_b)
+        # Derivative of the points by the parameters of both, (N, 3, p_a + p_b): the motion follows the parameters.
+        J = at.signed - at.gauge @ (self.to_motion @ self.inside.signed)
+        J = J.reshape(-1, at.coordinates, J.shape[1])[:, :3]
         count = len(points)
         noise = float(np.einsum("ndp,pq,ndq->", J, self.joint, J)) / count
         square = np.sum(points**2, axis=1)
@@ -574,44 +421,8 @@ class _Compensation:
             max=float(np.sqrt(square.max())),
             noise=float(np.sqrt(max(noise, 0.0))),
             std=std / (count * rms) if rms > 0.0 else 0.0,
-            rms_angle=_rms_norm(angles) if at.turns else np.nan,
+            rms_angle=float(np.sqrt(np.mean(np.sum(angles**2, axis=1)))) if at.turns else np.nan,
         )
-
-
-def _rms_norm(vectors: Array) -> float:
-    """Return the root mean square of the norms of vectors.
-
-    Args:
-        vectors: shape (N, d), such as rotation vectors [rad].
-
-    Returns:
-        In their unit.
-    """
-    return float(np.sqrt(np.mean(np.sum(vectors**2, axis=1))))
-
-
-def _compensation(first: Calibration, second: Calibration, *, same_start: bool) -> _Compensation:
-    """Bring two results to common priors, and fit a motion of base and target to the difference of their predictions.
-
-    The motion is what frame and target, which each result estimated from its own data, can absorb of the difference.
-
-    Args:
-        first: Result a, with its parameters, their covariance and priors, and the joint ranges of its fitted rows.
-        second: Result b.
-        same_start: Whether both count from the same nominal robot. If so, and if their parameters are the same, they
-            share the means of their priors, and their errors are correlated.
-
-    Returns:
-        The motion, with the predictions at the 200 joint values, spread over the ranges that both data cover, to which
-        it was fitted, both results under common priors, and the covariance of the parameters of both together.
-    """
-    estimates = (_estimate(first, second), _estimate(second, first))
-    alike = same_start and _same_parameters(first, second)
-    # Covariance of the parameters of both results together, (p_a + p_b, p_a + p_b).
-    joint = joint_covariance(*estimates, alike=alike)
-    ranges = _common_ranges(first.rows.ranges, second.rows.ranges)
-    inside = _predictions(first, second, spread_between(ranges, _POSES))
-    return _Compensation.of(inside, estimates, joint)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -628,169 +439,34 @@ class _OwnEffects:
     known: Mask
 
     @classmethod
-    def of(
-        cls,
-        result: Calibration,
-        effect: Array,
-        compensation: _Compensation,
-    ) -> _OwnEffects:
-        """Take from the effects of a robot's parameters what a motion of base and target explains.
-
-        Args:
-            result: The calibration result, for names and units of the p parameters of its robot, frames and targets
-                left out.
-            effect: Displacements of the target by a unit of each of these, shape (N D, p), [m]: D coordinates, along
-                the base's axes, at each of N joint values that both data cover.
-            compensation: The fit of a motion of base and target at these joint values.
-
-        Returns:
-            The effects that remain, shape (N D, p), and ``known``, of which parameters enough remains, shape (p,).
-        """
-        remaining = compensation.remaining(effect)
-        return cls(
-            names=np.array(own_names(result)),
-            steps=_own_steps(result),
-            remaining=remaining,
-            known=_is_known(remaining, effect),
-        )
+    def of(cls, result: Calibration, effect: Array, compensation: _Compensation) -> _OwnEffects:
+        """Subtract from displacements (N D, p) by a unit of each parameter what a motion explains of each."""
+        explained = compensation.inside.gauge @ (compensation.to_motion @ effect)
+        remaining = np.asarray(effect - explained)
+        size = np.linalg.norm(effect, axis=0)
+        known = np.asarray(np.linalg.norm(remaining, axis=0) >= _OWN * size)
+        return cls(np.array(own_names(result)), _own_steps(result), remaining, known)
 
     @property
     def in_steps(self) -> Array:
-        """Displacements of the target by a typical error of each parameter, shape (N D, p), [m].
-
-        ``remaining``, shape (N D, p), the displacements by a unit of each of p parameters in the base frame, D = 3
-        coordinates at each of N joint values, or 6 with rotations at the end of a lever, without what a motion of base
-        and target explains, times ``steps``, shape (p,), typical errors of arms such as 1 mm or 1 mrad.
-        """
+        """Displacements of the target by a typical error of each parameter, shape (N D, p), [m]."""
         return self.remaining * self.steps
 
     @property
     def compensated(self) -> list[str]:
-        """Names of the parameters that a motion of base and target compensates: of ``names``, those not ``known``."""
+        """Names of the parameters that a motion of base and target compensates."""
         return list(self.names[~self.known].tolist())
 
     def along(self, basis: Array) -> Array:
-        """Return the components of the effects of a unit of each parameter along an orthonormal basis of displacements.
-
-        With ``remaining``, shape (N D, p), [m]: displacements of the target in the base by a unit of each of p
-        parameters of the robot, D coordinates (3 of the position, and 3 of the orientation times a lever of 0.1 m if it
-        counts) at each of N joint values that both data cover, without what a motion of base and target explains; and
-        ``known``, shape (p,), False for parameters of which such a motion explains all but a trace.
-
-        Args:
-            basis: Orthonormal displacements as columns, shape (N D, r), [1].
-
-        Returns:
-            shape (r, p), [m]; zero for parameters that are not ``known``.
-        """
+        """Return the components (r, p) along a basis (N D, r), [m] a unit, zero for compensated parameters."""
         return np.asarray(basis.T @ np.where(self.known, self.remaining, 0.0))
 
 
-def differences_of(first: Calibration, second: Calibration, *, same_start: bool) -> Differences:
-    """Test the difference of two results' predictions of a target, and average it over joint values.
-
-    Args:
-        first: Result a: its nominal robot, the parameters of its geometry with covariance and priors, frames and
-            targets, and fitted joint ranges.
-        second: Result b, of the same chain.
-        same_start: Whether both have the same nominal joint origins, from which their parameters count.
-
-    Returns:
-        ``test``, whether the difference is more than noise; ``moves``, the displacement of the target from a to b over
-        the joint values that both data cover, and over the joint limits; and names of parameters: ``compensated``,
-        whose drift frame and target would hide, and ``only_a`` and ``only_b``, whose effects the other result's
-        parameters cannot have.
-    """
-    compensation = _compensation(first, second, same_start=same_start)
-    inside = compensation.inside
-    everywhere = _predictions(first, second, spread_poses(first.nominal, _POSES))
-    own_a = _OwnEffects.of(first, inside.effects[0], compensation)
-    own_b = _OwnEffects.of(second, inside.effects[1], compensation)
-    basis = _basis(own_a, own_b, _NOTHING if same_start else _NOTHING_APART)
-    # In the r coordinates of the basis, (r, p_a) and (r, p_b), [m] a unit of each parameter.
-    effect_a, effect_b = own_a.along(basis), own_b.along(basis)
-    test = drift_test(
-        basis.T @ compensation.difference(inside),
-        (effect_a, effect_b),
-        compensation.estimates,
-        compensation.joint,
-        _ROUNDING * np.sqrt(_POSES),
-    )
-    compensated = own_a.compensated + own_b.compensated
-    in_steps_a, in_steps_b = effect_a * own_a.steps, effect_b * own_b.steps
-    return Differences(
-        test=test,
-        moves=(
-            compensation.displacement("measured ranges", inside),
-            compensation.displacement("joint limits", everywhere),
-        ),
-        compensated=tuple(dict.fromkeys(compensated)),
-        only_a=_not_spanned(in_steps_a, in_steps_b, own_a.names),
-        only_b=_not_spanned(in_steps_b, in_steps_a, own_b.names),
-    )
-
-
-def _same_parameters(first: Calibration, second: Calibration) -> bool:
-    """Tell if two calibration results have the same parameters of the robot, tied alike.
-
-    Args:
-        first: The first result: names of its parameters, name of its parameter set, and ``ties``.
-        second: The second.
-
-    Returns:
-        True if names, in their order, parameter set and ties are equal; parameters of frames and targets do not count.
-    """
-    same_names = own_names(first) == own_names(second)
-    same_ties = dict(first.method.ties) == dict(second.method.ties)
-    return same_names and same_ties and first.model.name == second.model.name
-
-
-def _is_known(remaining: Array, effect: Array) -> Mask:
-    """Tell of each parameter if a motion of base and target does not compensate it.
-
-    Args:
-        remaining: Displacements of the target by a unit of each of p parameters, without what the motion explains,
-            shape (N D, p), [m]: D coordinates at each of N joint values.
-        effect: The whole displacements, shape (N D, p), [m].
-
-    Returns:
-        shape (p,), True where the norm of what remains, over all N D displacements, is at least `_OWN` times that of
-        the effect.
-    """
-    size = np.linalg.norm(effect, axis=0)
-    return np.asarray(np.linalg.norm(remaining, axis=0) >= _OWN * size)
-
-
-def _basis(a: _OwnEffects, b: _OwnEffects, smallest: float) -> Array:
-    """Return an orthonormal basis of all displacements that the parameters of both results' robots can make.
-
-    Args:
-        a: Effects of the p_a parameters of result a on the target at N joint values, D coordinates each, without what a
-            motion of base and target explains; used by typical errors of arms, such as 1 mm or 1 mrad.
-        b: Those of result b, at the same joint values.
-        smallest: Singular values up to this share of the largest are none.
-
-    Returns:
-        shape (N D, r), its vectors as columns.
-    """
-    in_steps = np.hstack([a.in_steps, b.in_steps])
-    U, values, _ = np.linalg.svd(in_steps, full_matrices=False)
-    least = max(values.max(initial=0.0), 1e-300) * smallest
-    return np.asarray(U[:, values > least])
-
-
 def _not_spanned(effect: Array, other: Array, names: NDArray[Any]) -> tuple[str, ...]:
-    """List the parameters of one result whose effects those of the other result cannot have.
+    """List the parameters of one result whose effects cannot be made by those of the other.
 
-    Args:
-        effect: Displacements of the target by typical errors of the result's p parameters, in r coordinates, shape
-            (r, p), [m].
-        other: Those by the other result's parameters, in the same coordinates, shape (r, p_other), [m].
-        names: Names of the result's parameters, shape (p,).
-
-    Returns:
-        Names of parameters of whose effect more than the share `_OWN` lies outside of what the other's effects span;
-        effects below `_OWN` times the largest count as that large.
+    Effects are (r, p) and (r, p_other), displacements by typical errors in r coordinates [m]; those below `_OWN` times
+    the largest count as that large.
     """
     U, values, _ = np.linalg.svd(other, full_matrices=False)
     largest = max(float(values.max(initial=0.0)), 1e-300)

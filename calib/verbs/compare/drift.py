@@ -29,7 +29,7 @@ from calib.basics.arrays import Array, Mask
 #: A difference is called a drift below this p-value: one comparison in a hundred of an unchanged robot is.
 LEVEL = 0.01
 
-#: A combination takes part where the share of its variance that the data leave, C / (C + S), is below this.
+#: A combination is tested if the share of its variance that the data leave, C / (C + S), is below this.
 _KNOWN = 0.5
 
 #: Probabilities below this have no digits.
@@ -96,7 +96,7 @@ def covariance_under(covariance: Array, change: Array, free: Mask) -> Array:
     scaled = covariance[block] / np.outer(scale, scale)
     M = np.linalg.pinv(scaled, rcond=1e-14, hermitian=True)
     M += np.diag(change[free] * scale**2)
-    # Scaled anew, so that what had been held tightly does not drown the others.
+    # Scaled again, so that parameters that had been held tightly do not drown the others.
     size = 1.0 / np.sqrt(np.maximum(np.diag(M), 1e-12))
     inverse = np.linalg.pinv(M * np.outer(size, size), rcond=1e-13, hermitian=True)
     result = np.zeros_like(covariance)
@@ -140,116 +140,41 @@ def drift_test(
         floor: Rounding of each coordinate, standard deviation, in the unit of the difference.
 
     Returns:
-        The test; of no combinations, with p = 1, where there is no difference or the data know nothing.
+        The test; of no combinations, with p = 1, if there is no difference or the data know nothing.
     """
     if not len(difference):
         return _NOT_TESTED
-    by_data = _covariances_by_data(effects, estimates)
-    by_prior = _covariance_by_prior(effects, estimates)
+    effect_a, effect_b = effects
+    a, b = estimates
     rounding = floor**2 * np.eye(len(difference))
-    kept = _known_combinations(by_data[0] + by_data[1] + rounding, by_prior)
-    if kept.shape[1] == 0:
+
+    # Combinations of coordinates that the data know better than the prior, as columns, (r, k).
+    by_data_a = effect_a @ a.covariance @ effect_a.T
+    by_data_b = effect_b @ b.covariance @ effect_b.T
+    by_prior_a = (effect_a * a.prior) @ effect_a.T
+    by_prior_b = (effect_b * b.prior) @ effect_b.T
+    by_data = by_data_a + by_data_b + rounding
+    share, vectors = eigh(by_data, by_data + (by_prior_a + by_prior_b) / 2.0)
+    kept = vectors[:, share < _KNOWN]
+    k = kept.shape[1]
+    if k == 0:
         return _NOT_TESTED
-    covariance = _covariance_of_difference(effects, joint) + rounding
-    whitening = _whitening(kept, covariance)
-    a, b = estimates
-    freedom = _welch_freedom(whitening, by_data, (a.freedom, b.freedom))
-    return _f_test(whitening @ difference, freedom)
 
-
-def _covariances_by_data(
-    effects: tuple[Array, Array], estimates: tuple[Estimate, Estimate]
-) -> tuple[Array, Array]:
-    """Return the covariance of the predictions of each estimate, C of the parameters, shapes (r, r).
-
-    Args:
-        effects: Derivatives of r predictions by the parameters of a and of b, shapes (r, p_a) and (r, p_b).
-        estimates: The estimates a and b.
-    """
-    effect_a, effect_b = effects
-    a, b = estimates
-    by_a = effect_a @ a.covariance @ effect_a.T
-    by_b = effect_b @ b.covariance @ effect_b.T
-    return by_a, by_b
-
-
-def _covariance_by_prior(
-    effects: tuple[Array, Array], estimates: tuple[Estimate, Estimate]
-) -> Array:
-    """Return the covariance of the predictions by the prior alone, the mean of both, shape (r, r).
-
-    Args:
-        effects: Derivatives of r predictions by the parameters of a and of b, shapes (r, p_a) and (r, p_b).
-        estimates: The estimates a and b.
-    """
-    effect_a, effect_b = effects
-    a, b = estimates
-    by_a = (effect_a * a.prior) @ effect_a.T
-    by_b = (effect_b * b.prior) @ effect_b.T
-    return np.asarray((by_a + by_b) / 2.0)
-
-
-def _covariance_of_difference(effects: tuple[Array, Array], joint: Array) -> Array:
-    """Return the covariance of the predictions of b less those of a, shape (r, r).
-
-    Args:
-        effects: Derivatives of the predictions by the parameters of a and of b, shapes (r, p_a) and (r, p_b).
-        joint: Covariance of both estimates, shape (p_a + p_b, p_a + p_b).
-    """
-    effect_a, effect_b = effects
+    # W, (k, r), with W V W^T = 1, makes them independent, of variance 1.
     signed = np.hstack([-effect_a, effect_b])
-    return np.asarray(signed @ joint @ signed.T)
+    covariance = signed @ joint @ signed.T + rounding
+    values, axes = eigh(kept.T @ covariance @ kept)
+    root = np.sqrt(np.maximum(values, 1e-12 * values[-1]))
+    W = np.asarray(((kept @ axes) / root).T)
 
+    # Welch's degrees of freedom of the sum of the variances by both data.
+    variance_a = float(np.trace(W @ by_data_a @ W.T))
+    variance_b = float(np.trace(W @ by_data_b @ W.T))
+    per_freedom_a = variance_a**2 / max(a.freedom, 1.0)
+    per_freedom_b = variance_b**2 / max(b.freedom, 1.0)
+    freedom = (variance_a + variance_b) ** 2 / (per_freedom_a + per_freedom_b)
 
-def _f_test(whitened: Array, freedom: float) -> DriftTest:
-    """Test that k independent numbers of mean zero have the variance 1, known with some degrees of freedom.
-
-    Args:
-        whitened: shape (k,), combinations of the difference in their standard deviations.
-        freedom: Degrees of freedom of the noise from which these were estimated.
-    """
-    k = len(whitened)
-    chi_square = float(np.sum(whitened**2))
+    chi_square = float(np.sum((W @ difference) ** 2))
     p = max(float(fdtrc(k, freedom, chi_square / k)), _SMALLEST_P)
     sigma = max(-float(ndtri(p)), 0.0)
     return DriftTest(k, chi_square, freedom, p, sigma)
-
-
-def _known_combinations(posterior: Array, prior: Array) -> Array:
-    """Return the combinations of coordinates that the data know better than the prior, as columns, shape (r, k).
-
-    Args:
-        posterior: Covariance by the data of both results, shape (r, r).
-        prior: Covariance by the prior, shape (r, r).
-    """
-    share, vectors = eigh(posterior, posterior + prior)
-    return np.asarray(vectors[:, share < _KNOWN])
-
-
-def _whitening(kept: Array, covariance: Array) -> Array:
-    """Return the matrix W, shape (k, r), with W V W^T = 1, by which kept combinations become independent.
-
-    Args:
-        kept: shape (r, k), combinations of coordinates, as columns.
-        covariance: shape (r, r), V, of the coordinates.
-    """
-    values, axes = eigh(kept.T @ covariance @ kept)
-    root = np.sqrt(np.maximum(values, 1e-12 * values[-1]))
-    return np.asarray(((kept @ axes) / root).T)
-
-
-def _welch_freedom(
-    whitening: Array, by_data: tuple[Array, Array], freedoms: tuple[float, float]
-) -> float:
-    """Return Welch's degrees of freedom of the sum of two variances.
-
-    Args:
-        whitening: shape (k, r), turns r predictions into k independent ones of variance 1.
-        by_data: Covariance of the predictions of each of two results by its data, shapes (r, r).
-        freedoms: Degrees of freedom of each result's noise; at least one is assumed.
-    """
-    of_a, of_b = by_data
-    a = float(np.trace(whitening @ of_a @ whitening.T))
-    b = float(np.trace(whitening @ of_b @ whitening.T))
-    freedom_a, freedom_b = (max(freedom, 1.0) for freedom in freedoms)
-    return (a + b) ** 2 / (a**2 / freedom_a + b**2 / freedom_b)

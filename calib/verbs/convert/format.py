@@ -1,8 +1,8 @@
 """What a format is: a row of the registry, and what its functions take and return.
 
-A format is written from a `Source` by a function of source, path and `Options`, which returns `Note`s. Each module of a
-format has its rows in ``FORMATS``, and of files that it reads in ``KINDS``; `calib.verbs.convert.convert` puts them
-together.
+A format is written from a `Source` by a function of source, path and `Options`, which returns a list of `Note`. Each
+module of a format has its rows in ``FORMATS``, and of files that it reads in ``KINDS``; `calib.verbs.convert.convert`
+puts them together.
 """
 
 from __future__ import annotations

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from calib.basics.channels import RESIDUAL_UNITS
-from calib.show.doubtful_rows import joint_unit
 from calib.show.lines import fill, number
 from calib.show.sizes import shown
 from calib.show.tables import Column, name_column, table_lines
+from calib.show.words import joint_unit
 from calib.verbs.convert.format import Conversion
 from calib.verbs.convert.rounded_zeros import (
     RmsErrors,

@@ -13,7 +13,6 @@ from calib.cli.terminal import command_line, say
 from calib.cli.verb import verb
 
 if TYPE_CHECKING:
-    from calib.numerics.errors import Errors
     from calib.result.calibration import Calibration
 
 
@@ -62,7 +61,9 @@ def demo(
 ) -> None:
     """Calibrate the example, write the files and print the summary."""
     from calib.basics.files import make_folder
+    from calib.show.plotting import require_matplotlib
 
+    require_matplotlib("The report of the demo")
     make_folder(out)
     paths = [out / name for name in (_CAMERA_FILES if camera else _FILES)]
     check_outputs(paths, [], force=force)
@@ -102,11 +103,7 @@ def _calibrate() -> tuple[Calibration, Calibration]:
 
 
 def _calibrate_by_camera(*, quiet: bool) -> Calibration:
-    """Calibrate the Franka arm from the corners in its pictures.
-
-    Args:
-        quiet: True to show no progress.
-    """
+    """Calibrate the Franka arm from the corners in its pictures."""
     from calib.boards.board_file import read_board
     from calib.camera.camera_file import read_camera
     from calib.cli.terminal import progress_bar
@@ -142,31 +139,20 @@ def _write(result: Calibration, paths: list[Path], *, force: bool) -> None:
 
 
 def _against_the_paper(result: Calibration, by_paper: Calibration) -> str:
-    """Compare the errors on rows 31 to 35 with those that the paper prints, [mm].
+    """Compare the errors on rows 31 to 35, by calib and by the paper's algorithm, with those that the paper prints."""
+    from calib.show.as_text import blocks_text
+    from calib.show.tables import Column, Table, name_column
 
-    Args:
-        result: The calibration by calib.
-        by_paper: That by the paper's algorithm.
-    """
-    nominal = result.errors["nominal"]["validation"]
-    algorithm = by_paper.errors["calibrated"]["validation"]
-    calibrated = result.errors["calibrated"]["validation"]
+    def in_mm(calibration: Calibration, robot: str) -> tuple[float, float, float]:
+        figures = calibration.errors[robot]["validation"]["m"]
+        return 1e3 * figures.max, 1e3 * figures.mean, 1e3 * figures.rms
+
     rows = [
-        ("nominal, as the paper prints it", _PAPER["before"]),
-        ("nominal, here", _in_mm(nominal)),
-        ("calibrated, as the paper prints it", _PAPER["after"]),
-        ("calibrated, the paper's algorithm here", _in_mm(algorithm)),
-        ("calibrated, calib", _in_mm(calibrated)),
+        ("nominal, as the paper prints it", *_PAPER["before"]),
+        ("nominal, here", *in_mm(result, "nominal")),
+        ("calibrated, as the paper prints it", *_PAPER["after"]),
+        ("calibrated, the paper's algorithm here", *in_mm(by_paper, "calibrated")),
+        ("calibrated, calib", *in_mm(result, "calibrated")),
     ]
-    head = f"{'Position error on rows 31 to 35 [mm]':<58}{'max':>10}{'mean':>10}{'rms':>10}"
-    lines = [head]
-    for label, values in rows:
-        cells = "".join(f"{value:>10.3f}" for value in values)
-        lines.append(f"{label:<58}{cells}")
-    return "\n".join(lines)
-
-
-def _in_mm(errors: Errors) -> tuple[float, float, float]:
-    """Return max, mean and rms [mm]."""
-    figures = errors["m"]
-    return 1e3 * figures.max, 1e3 * figures.mean, 1e3 * figures.rms
+    columns = (name_column("", 58), *(Column(head, 9) for head in ("max", "mean", "rms")))
+    return blocks_text([Table("Position error on rows 31 to 35 [mm]", columns, rows)])

@@ -2,14 +2,28 @@
 
 from __future__ import annotations
 
-import base64
 from pathlib import Path
 
 from calib.basics.files import write_atomically
 from calib.boards.detection.detect import Detection
 from calib.boards.detection.picture import Picture
+from calib.show.blocks import (
+    HTML,
+    Bullets,
+    Gallery,
+    GalleryPicture,
+    Page,
+    Paragraph,
+    Section,
+    report_date,
+)
 from calib.show.page import check_ending, page_bytes
 from calib.verbs.detect.text import findings_text, reason_text, summary
+
+_KEY = (
+    "Circles: the corners found, in the order of the line; the first is yellow, and the line goes along the board's x "
+    "first. Red ones are not used."
+)
 
 
 def write_contact_sheet(detection: Detection, path: str | Path, *, overwrite: bool = False) -> Path:
@@ -27,30 +41,41 @@ def write_contact_sheet(detection: Detection, path: str | Path, *, overwrite: bo
         FileError: The name has another ending, or the file exists or cannot be written.
     """
     check_ending(path)
-    cards = []
-    for picture in detection.pictures:
-        encoded = base64.b64encode(picture.small).decode("ascii")
-        address = f"data:image/jpeg;base64,{encoded}" if encoded else ""
-        cards.append((picture, _text(picture, detection.fewest), address))
-    content = {
-        "document": "Contact sheet",
-        "summary": summary(detection),
-        "boards": [board.name for board in detection.boards],
-        "findings": findings_text(detection),
-        "cards": cards,
-        "not_used": len(detection.pictures) - len(detection.used),
-    }
-    template = Path(__file__).with_name("contact_sheet.html.j2")
-    return write_atomically(path, page_bytes(template, content), overwrite=overwrite)
+    return write_atomically(path, page_bytes(contact_sheet(detection)), overwrite=overwrite)
 
 
-def _text(picture: Picture, fewest: int) -> str:
-    """Write how many corners of a picture are used, or why none are."""
-    if not picture.used:
-        return reason_text(picture, fewest)
+def contact_sheet(detection: Detection) -> Page:
+    """Say what the contact sheet of a detection contains."""
+    names = [board.name for board in detection.boards]
+    date = report_date()
+    made = f"By calib detect, {date}; {'board' if len(names) == 1 else 'boards'} {', '.join(names)}"
+    findings = Bullets(findings_text(detection))
+    pictures = [_gallery_picture(picture, detection.fewest) for picture in detection.pictures]
+    sections = [
+        Section(lambda: [Paragraph(made)], on=HTML),
+        Section(lambda: [findings] if findings.items else [], "Findings", on=HTML),
+        Section(lambda: [Gallery(pictures, _KEY)], on=HTML),
+    ]
+    return Page("Contact sheet", summary(detection), sections, date, is_sheet=True)
+
+
+def _gallery_picture(picture: Picture, fewest: int) -> GalleryPicture:
+    """Return a picture with its corners, and how many of them are used or why none are."""
     several = len(picture.views) > 1
-    texts = []
+    counts = []
     for view in picture.used:
         count = f"{len(view.ids)} corners"
-        texts.append(f"{view.board}: {count}" if several else count)
-    return ", ".join(texts)
+        counts.append(f"{view.board}: {count}" if several else count)
+    return GalleryPicture(
+        name=picture.file.name,
+        camera=picture.file.camera,
+        is_used=bool(picture.used),
+        text=", ".join(counts) if picture.used else reason_text(picture, fewest),
+        size=picture.size,
+        jpeg=picture.small,
+        marks=[
+            (view.is_used and not picture.reason, view.pixels.tolist())
+            for view in picture.views
+            if len(view.ids)
+        ],
+    )

@@ -14,13 +14,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Literal, NoReturn
+from typing import Any, Literal
 
 import numpy as np
 from scipy.special import betaincinv
 
 from calib.basics.arguments import check_mapping, check_type
-from calib.basics.arrays import Array, Mask
+from calib.basics.arrays import Mask
 from calib.basics.channels import RESIDUAL_UNITS, residual_unit
 from calib.basics.units import split_header
 from calib.basics.values import ReadOnlyMapping, Value, keep_read_only, one_line
@@ -64,7 +64,7 @@ class Check:
     figure: float
     #: The tolerance T
     tolerance: float
-    #: Expanded measuring uncertainty U as stated; 0 where none was
+    #: Expanded measuring uncertainty U as stated; 0 if none was
     uncertainty: float
     #: The factor f: random errors before registration to the same rows over those after it; >= 1
     factor: float
@@ -73,13 +73,7 @@ class Check:
 
     @property
     def outcome(self) -> Outcome:
-        """``"fail"`` if A - U > T, ``"pass"`` if f A + U <= T and the judged rows are unseen, else ``"undecided"``.
-
-        Of this check's fields, A is ``figure``, an error such as the largest pose accuracy, U ``uncertainty``, the
-        expanded measuring uncertainty, and T ``tolerance``, all in m or all in rad; f >= 1 is ``factor``, random errors
-        before frames or targets were registered to the judged rows over those after it. ``seen`` is True where a
-        calibration was fitted to judged rows: these can fail, but not pass.
-        """
+        """``"fail"`` if A - U > T, ``"pass"`` if f A + U <= T and the judged rows are unseen, else ``"undecided"``."""
         if self.figure - self.uncertainty > self.tolerance:
             return "fail"
         if self.held <= self.tolerance and not self.seen:
@@ -88,11 +82,7 @@ class Check:
 
     @property
     def held(self) -> float:
-        """The sum f A + U [m] or [rad], which must be within the tolerance for a pass.
-
-        A is the judged error ``figure``, U its expanded measuring ``uncertainty``, in the same unit, and f >= 1 the
-        ``factor`` by which random errors were larger before frames or targets were registered to the judged rows.
-        """
+        """The sum f A + U, which must be within the tolerance for a pass; in the unit of the figure."""
         return self.figure * self.factor + self.uncertainty
 
 
@@ -136,9 +126,8 @@ class Acceptance:
     def share(self) -> float:
         """Least share of poses, chosen as these were, that is within the tolerances, with 95 % confidence; 0 to 1.
 
-        Clopper and Pearson's lower limit of a binomial share, where the number ``within`` of the judged
-        ``accuracy.poses`` are within the tolerances; it holds for poses chosen at random and independently of each
-        other.
+        Clopper and Pearson's lower limit of a binomial share; it holds for poses chosen at random and independently of
+        each other.
         """
         count = len(self.accuracy.poses)
         if not self.within:
@@ -146,30 +135,11 @@ class Acceptance:
         return float(betaincinv(self.within, count - self.within + 1, 0.05))
 
     def size(self, pose: PoseAccuracy, unit: str) -> float:
-        """Return the error of a pose that this acceptance test's ``criterion`` looks at.
-
-        Args:
-            pose: Accuracy and repeatability at one of the judged poses, over its repeats.
-            unit: Symbol of the unit: ``"m"`` for the error of the position or length, ``"rad"`` for the orientation's.
-
-        Returns:
-            The largest error of a single repeat where the criterion is ``"single"``; for ``"max"`` and ``"mean"`` the
-            pose accuracy AP, the norm of the mean error over the repeats; in the unit, 0 or more. NaN if it was not
-            measured.
-        """
-        return error_of(pose, self.criterion, unit)
+        """Return the error of a judged pose that the criterion looks at; see `pose_error`."""
+        return pose_error(pose, self.criterion, unit)
 
     def used(self, pose: PoseAccuracy) -> float:
-        """Return the share of its tolerance that a pose uses: error over tolerance.
-
-        Args:
-            pose: Accuracy and repeatability at one of the judged poses. Its error is the largest of a single repeat, or
-                the pose accuracy AP, by ``criterion``.
-
-        Returns:
-            The largest error over tolerance in a unit of which ``checks`` has a tolerance [1]: 0 or more, above 1 out
-            of tolerance; 0 if no such error was measured at the pose.
-        """
+        """Return the share of its tolerance that a judged pose uses [1]: the largest of the units, 0 if it has none."""
         largest = 0.0
         for unit, check in self.checks.items():
             share = self.size(pose, unit) / check.tolerance
@@ -178,13 +148,13 @@ class Acceptance:
         return largest
 
 
-def error_of(pose: PoseAccuracy, criterion: str, unit: str) -> float:
+def pose_error(pose: PoseAccuracy, criterion: str, unit: str) -> float:
     """Return the error of a pose that a criterion of acceptance looks at.
 
     Args:
-        pose: Accuracy and repeatability at one pose, over its repeats: measured minus predicted.
-        criterion: ``"single"`` looks at the largest error of a single repeat; ``"max"`` and ``"mean"`` at the pose
-            accuracy AP, the norm of the mean error over the repeats.
+        pose: Accuracy and repeatability at the pose.
+        criterion: ``"single"`` looks at the largest error of a single repeat, ``"max"`` and ``"mean"`` at the pose
+            accuracy AP.
         unit: Symbol of the unit: ``"m"`` for the error of the position or length, ``"rad"`` for the orientation's.
 
     Returns:
@@ -202,18 +172,18 @@ def acceptance(
     criterion: str = "max",
     seen: bool | Mask = False,
 ) -> Acceptance:
-    """Compare a robot's pose accuracy with a tolerance, which it keeps or not for certain, or neither (ISO 14253-1).
+    """Compare a robot's pose accuracy with a tolerance by ISO 14253-1: pass, fail or undecided.
 
-    Judged are rows that no calibration was fitted to and nothing registered to where there are enough of them, else all
-    measured rows; see `calib.verbs.evaluate.accuracy.judged_rows`.
+    Rows that no calibration was fitted to and nothing was registered to are judged if there are enough of them,
+    otherwise all measured rows; see `calib.verbs.evaluate.accuracy.judged_rows`.
 
     Args:
         evaluation: Residuals, measured minus predicted, of the robot that is judged at the N rows of a table, with
             frames and targets as given or registered.
         tolerance: By the symbol of its unit: ``"m"`` of positions and lengths, ``"rad"`` of orientations; what has none
             is not judged.
-        uncertainty: Expanded uncertainty (k = 2) of what is measured, by the same symbols; None, and for a unit that is
-            missing: it is not taken account of.
+        uncertainty: Expanded uncertainty (k = 2) of what is measured, by the same symbols; None, and a unit that is
+            missing, count as 0.
         criterion: What must be within: ``"max"``, the pose accuracy AP of every pose, the norm of its mean error over
             repeats; ``"mean"``, the mean of AP over the poses; ``"single"``, the error of every single repeat.
         seen: True for the rows that a calibration of this robot was fitted to, shape (N,); or one bool: whether it was
@@ -236,79 +206,33 @@ def acceptance(
         raise CalibError("State a tolerance: of positions in m, of orientations in rad, or both.")
     uncertainty = {} if uncertainty is None else uncertainty
     for unit, limit in tolerance.items():
-        _check_limits(limit, uncertainty.get(unit, 0.0), residual_unit(unit).symbol)
+        symbol, stated = residual_unit(unit).symbol, uncertainty.get(unit, 0.0)
+        if not 0.0 < limit < np.inf or not 0.0 <= stated < np.inf:
+            raise CalibError(
+                f"The tolerance is {limit} {symbol} with an uncertainty of {stated} {symbol}; the first must be above "
+                "0, the second 0 or larger."
+            )
     if criterion not in CRITERIA:
         raise CalibError(f"The criterion is '{criterion}'; choose one of {choices(CRITERIA)}.")
+
     judged = accuracy(evaluation, seen=seen)
     checks = {}
     within = np.ones(len(judged.poses), dtype=bool)
-    for unit in (unit for unit in RESIDUAL_UNITS if unit in tolerance):
-        limit = tolerance[unit]
-        sizes = np.array([error_of(pose, criterion, unit) for pose in judged.poses])
+    for symbol, of_unit in RESIDUAL_UNITS.items():
+        if symbol not in tolerance:
+            continue
+        limit, stated = tolerance[symbol], uncertainty.get(symbol, 0.0)
+        sizes = np.array([pose_error(pose, criterion, symbol) for pose in judged.poses])
         if not np.any(np.isfinite(sizes)):
-            _refuse_unmeasured(evaluation.measurements.source, limit, unit)
-        checks[unit] = _check(judged, criterion, sizes, limit, uncertainty.get(unit, 0.0))
+            raise MeasurementError(
+                f"{evaluation.measurements.source or 'Measurements'}: a tolerance of {of_unit.to_shown * limit:g} "
+                f"{of_unit.shown} was stated, and no {of_unit.measured} was measured in the rows that are judged."
+            )
+        figure = np.nanmean(sizes) if criterion == "mean" else np.nanmax(sizes)
+        checks[symbol] = Check(float(figure), limit, stated, judged.factor, judged.seen)
         # A pose without such an error, NaN here, is judged by its others.
         within &= ~(sizes > limit)
     return Acceptance(judged, criterion, checks, int(np.sum(within)))
-
-
-def _refuse_unmeasured(source: str, tolerance: float, symbol: str) -> NoReturn:
-    """Refuse a tolerance of what no judged row measures.
-
-    Args:
-        source: The table's file; may be empty.
-        tolerance: The tolerance, in its unit.
-        symbol: Symbol of the unit.
-    """
-    unit = RESIDUAL_UNITS[symbol]
-    raise MeasurementError(
-        f"{source or 'Measurements'}: a tolerance of {unit.to_shown * tolerance:g} {unit.shown} was stated, and no "
-        f"{unit.measured} was measured in the rows that are judged."
-    )
-
-
-def _check_limits(tolerance: float, uncertainty: float, unit: str) -> None:
-    """Refuse a tolerance that is not positive and finite, and an uncertainty that is negative or infinite.
-
-    Args:
-        tolerance: The stated tolerance, in the unit.
-        uncertainty: Expanded measuring uncertainty, in the unit; 0 where none was stated.
-        unit: Symbol of the unit, for the error message.
-
-    Raises:
-        CalibError: One of them is out of range.
-    """
-    if not 0.0 < tolerance < np.inf or not 0.0 <= uncertainty < np.inf:
-        raise CalibError(
-            f"The tolerance is {tolerance} {unit} with an uncertainty of {uncertainty} {unit}; the first must be above "
-            "0, the second 0 or larger."
-        )
-
-
-def _check(
-    judged: Accuracy,
-    criterion: str,
-    sizes: Array,
-    tolerance: float,
-    uncertainty: float,
-) -> Check:
-    """Compare the errors of poses with a tolerance, all in one unit.
-
-    Args:
-        judged: Accuracy of the robot. Of it are used ``seen``, whether a calibration was fitted to judged rows, and
-            ``factor``, 1 or more, random errors before frames or targets were registered to the judged rows over those
-            after it.
-        criterion: ``"mean"`` compares the mean of the errors, ``"max"`` and ``"single"`` compare the largest.
-        sizes: Error of each of k poses, shape (k,), 0 or more; NaN where it was not measured, but not everywhere.
-        tolerance: The tolerance T > 0.
-        uncertainty: Expanded measuring uncertainty U; 0: it is not taken account of.
-
-    Returns:
-        The judged error with tolerance, uncertainty and factor, from which the outcome follows.
-    """
-    figure = np.nanmean(sizes) if criterion == "mean" else np.nanmax(sizes)
-    return Check(float(figure), tolerance, uncertainty, judged.factor, judged.seen)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -323,7 +247,7 @@ class Assessment(Value):
     characteristics: Mapping[str, tuple[Characteristic, ...]]
     #: Name of the robot that is judged
     judged: str
-    #: The acceptance, where a tolerance was stated
+    #: The acceptance, if a tolerance was stated
     accepted: Acceptance | None
     #: Judged rows with joint values outside of the fitted ranges, and the numbers of all judged rows
     outside: tuple[tuple[OutsideRow, ...], tuple[int, ...]]
@@ -388,17 +312,52 @@ def assess(
         MeasurementError: The table holds commands, and nothing was measured.
     """
     _refuse_commands(robot, table, calibration)
-    if calibration is not None:
-        cell = calibration.optics.given_to(cell)
-    evaluations = _evaluations(robot, table, cell, calibration, which)
+    evaluations: dict[str, Evaluation] = {}
     seen = np.zeros(len(table), dtype=bool)
-    if calibration is not None:
+    if calibration is None:
+        evaluations["urdf"] = evaluate(robot, table, cell)
+    else:
+        cell = calibration.optics.given_to(cell)
+        nominal, corrected = calibration.uncorrected(robot), calibration.corrected(robot)
+        setup = calibration.setup
+        if calibration.rows.nominal_is_judged:
+            known = calibration.nominal_setup
+            evaluations["nominal"] = evaluate(nominal, table, cell, known=known, which=which)
+        evaluations["urdf"] = evaluate(robot, table, cell, known=setup, which=which)
+        evaluations["calibration"] = evaluate(corrected, table, cell, known=setup, which=which)
+        if calibration.non_geometric is not None:
+            evaluations["non_geometric"] = evaluate(
+                nominal, table, cell, which=which, non_geometric=calibration.non_geometric
+            )
         seen = fitted_rows(calibration, robot, table, cell)
-    judged = _judged_name(judge, evaluations)
+
+    judged = judge or ("urdf" if calibration is None else "calibration")
+    if judged not in evaluations:
+        raise CalibError(
+            f"--judge {judged}: there is no such robot; choose one of {choices(evaluations)}."
+        )
     accuracies = {name: accuracy(evaluation, seen=seen) for name, evaluation in evaluations.items()}
     accepted = None
     if limits:
         accepted = acceptance(evaluations[judged], **limits, seen=seen)
+
+    # Only these robots depend on the ranges that the calibration was fitted to.
+    outside: tuple[OutsideRow, ...] = ()
+    numbers = tuple(pose.rows[0] for pose in accuracies[judged].poses)
+    if calibration is not None and judged in ("calibration", "non_geometric"):
+        first_rows = np.isin(table.rows, numbers)
+        q = table.joints_for(calibration.nominal.joint_names)[first_rows]
+        numbers = tuple(np.array(table.rows)[first_rows].tolist())
+        outside = calibration.outside_of_measured(q)
+
+    if calibration is None:
+        urdf = evaluations["urdf"]
+        # A target that was given is where it was given, its orientation too.
+        given = replace(cell, estimate_target="target" in urdf.registered)
+        hint = find_usual_mistake(urdf.robot, given, table.select(registration_rows(table)))
+    else:
+        robot_now = evaluations["calibration"].robot
+        hint = moved_place(robot_now, table, cell, calibration.setup, which)
     return Assessment(
         evaluations=evaluations,
         accuracies=accuracies,
@@ -408,132 +367,9 @@ def assess(
         },
         judged=judged,
         accepted=accepted,
-        outside=_outside(table, calibration, accuracies[judged], judged),
-        hint=_explanation(evaluations, cell, calibration, which),
+        outside=(outside, numbers),
+        hint=hint,
     )
-
-
-def _evaluations(
-    robot: Robot,
-    table: Measurements,
-    cell: Cell,
-    calibration: Calibration | None,
-    which: tuple[str, ...],
-) -> dict[str, Evaluation]:
-    """Evaluate each robot that a URDF and a result hold against one table.
-
-    Args:
-        robot: The robot as its URDF is, nominal or corrected.
-        table: The N measurement rows.
-        cell: What is known of frames, targets and loads.
-        calibration: A result of this robot: joint origins, frames and targets, nominal and calibrated; None: only the
-            URDF is evaluated.
-        which: What is taken from the result and not registered to these rows: ``"frame"``, ``"target"``, both or none.
-
-    Returns:
-        Residuals of each robot, measured minus predicted, by its name: ``"urdf"``, the robot as it is; and with a
-        result ``"nominal"``, its nominal robot unless a frame of it was not found; ``"calibration"``, the robot with
-        calibrated joint origins; and ``"non_geometric"``, the nominal robot with the non-geometric model, if there is
-        one.
-    """
-    if calibration is None:
-        return {"urdf": evaluate(robot, table, cell)}
-    nominal, corrected = calibration.uncorrected(robot), calibration.corrected(robot)
-    setup = calibration.setup
-    evaluations = {}
-    if calibration.rows.nominal_is_judged:
-        known = calibration.nominal_setup
-        evaluations["nominal"] = evaluate(nominal, table, cell, known=known, which=which)
-    evaluations["urdf"] = evaluate(robot, table, cell, known=setup, which=which)
-    evaluations["calibration"] = evaluate(corrected, table, cell, known=setup, which=which)
-    if calibration.non_geometric is not None:
-        model = calibration.non_geometric
-        evaluations["non_geometric"] = evaluate(
-            nominal, table, cell, which=which, non_geometric=model
-        )
-    return evaluations
-
-
-def _explanation(
-    evaluations: Mapping[str, Evaluation],
-    cell: Cell,
-    calibration: Calibration | None,
-    which: tuple[str, ...],
-) -> Reason | None:
-    """Explain large errors of the robot by something other than the robot itself.
-
-    Args:
-        evaluations: Errors of each robot at the rows of one table, by the names of `Assessment.evaluations`:
-            ``"urdf"``, and with a result ``"calibration"``, each with its robot and the table.
-        cell: What is known of frames, targets and loads.
-        calibration: The result that was evaluated, with its frames and targets; None: there is none.
-        which: What was taken from the result: ``"frame"``, ``"target"``, both or none.
-
-    Returns:
-        Without a result a usual mistake of the table, such as a wrong unit, that would explain the URDF's errors far
-        better; with one the frame or target that has moved since. None where nothing of this kind explains the errors.
-    """
-    if calibration is None:
-        urdf = evaluations["urdf"]
-        table = urdf.measurements
-        # A target that was given is where it was given, its orientation too.
-        known = replace(cell, estimate_target="target" in urdf.registered)
-        return find_usual_mistake(urdf.robot, known, table.select(registration_rows(table)))
-    corrected = evaluations["calibration"]
-    return moved_place(corrected.robot, corrected.measurements, cell, calibration.setup, which)
-
-
-def _judged_name(judge: str | None, evaluations: Mapping[str, Evaluation]) -> str:
-    """Return the name of the robot that is judged.
-
-    Args:
-        judge: The name that the user chose; None or empty: ``"calibration"`` if there is one, else ``"urdf"``.
-        evaluations: Errors of each robot, by the names to choose from: ``"urdf"``, and with a result ``"nominal"``,
-            ``"calibration"`` and perhaps ``"non_geometric"``.
-
-    Returns:
-        A key of ``evaluations``.
-
-    Raises:
-        CalibError: There is no such robot.
-    """
-    default = "calibration" if "calibration" in evaluations else "urdf"
-    judged = judge or default
-    if judged not in evaluations:
-        raise CalibError(
-            f"--judge {judged}: there is no such robot; choose one of {choices(evaluations)}."
-        )
-    return judged
-
-
-def _outside(
-    table: Measurements,
-    calibration: Calibration | None,
-    figures: Accuracy,
-    judged: str,
-) -> tuple[tuple[OutsideRow, ...], tuple[int, ...]]:
-    """List judged rows whose joint values lie outside of the ranges that the calibration was fitted to.
-
-    Args:
-        table: All N rows, with their numbers in the table, from 1, and joint values.
-        calibration: The result, with the smallest and largest fitted value of each joint; None: there are no fitted
-            ranges.
-        figures: Accuracy of the robot that is judged; each of its poses names the rows that repeat it, of which the
-            first counts.
-        judged: Name of that robot, of `Assessment.evaluations`; only ``"calibration"`` and ``"non_geometric"`` depend
-            on fitted ranges.
-
-    Returns:
-        The rows outside, each by its index, from 0, in the second part, with the joints and by how much, [rad] or [m];
-        empty for other robots. And the numbers in the table of the first rows of all judged poses.
-    """
-    numbers = tuple(pose.rows[0] for pose in figures.poses)
-    if calibration is None or judged not in ("calibration", "non_geometric"):
-        return (), numbers
-    first_rows = np.isin(table.rows, numbers)
-    q = table.joints_for(calibration.nominal.joint_names)[first_rows]
-    numbers = tuple(np.array(table.rows)[first_rows].tolist())
-    return calibration.outside_of_measured(q), numbers
 
 
 def _refuse_commands(robot: Robot, table: Measurements, calibration: Calibration | None) -> None:
@@ -541,24 +377,15 @@ def _refuse_commands(robot: Robot, table: Measurements, calibration: Calibration
 
     Commands are recognised by a column that 'calib compensate' writes, together with errors of the nominal robot below
     `_EXACT` [m] in all rows, which hold more scalars than the registration of frame and target has unknowns.
-
-    Args:
-        robot: The robot as its URDF is, nominal or corrected.
-        table: The rows, measured or commanded; ``ignored`` are the headers of columns that are not used otherwise.
-        calibration: The result with the nominal joint origins of this robot; None: the robot is taken to be nominal.
-
-    Raises:
-        MeasurementError: The table holds commands, and nothing was measured.
-        UrdfError: The robot lacks one of the result's joints.
     """
-    nominal = robot if calibration is None else calibration.uncorrected(robot)
     columns = {split_header(label)[0] for label in table.ignored}
     if _COMMANDS not in columns:
         return
+    nominal = robot if calibration is None else calibration.uncorrected(robot)
     try:
         evaluation = evaluate(nominal, table, Cell(estimate_frame=True))
     except CalibError:
-        return  # too few rows to tell
+        return  # too few rows to decide
     enough = evaluation.used.sum() > evaluation.setup.count
     if enough and evaluation.errors["all"]["m"].max < _EXACT:
         raise MeasurementError(

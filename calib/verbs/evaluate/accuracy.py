@@ -30,19 +30,18 @@ from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.errors import CalibError, MeasurementError
 from calib.fit.registration.rows import Rows
-from calib.fit.registration.setup import Setup
 from calib.fit.registration.table_rows import rows_and_setup
 from calib.result.calibration import Calibration
 from calib.robot.robot import Robot
 from calib.verbs.evaluate.evaluation import Evaluation, evaluate, registration_rows
 
-#: Rows that are judged: all of a table, its validation rows, or those that nothing was fitted or registered to.
+#: Rows that are judged: all of a table, its validation rows, or others that nothing was fitted or registered to.
 JudgedRows = Literal["all", "validation", "fresh"]
 
-#: Fewer repeats than this have no RP: of two, both lie equally far from their mean, and S is 0 whatever the robot does.
+#: Fewer repeats have no RP: two are equally far from their mean, so that S is 0 whatever the robot does.
 FEWEST_REPEATS = 3
 
-#: From this many poses on, rows are judged alone that the table itself does not set aside from the fitted ones.
+#: With this many poses or more, rows that were not fitted are judged alone, even if the table does not set them aside.
 FEWEST_APART = 5
 
 #: Residuals that differ by less are those of one row [m]: far above rounding, far below the difference of repeats.
@@ -55,11 +54,11 @@ class PoseFigures(Value):
 
     #: Pose accuracy: norm of the mean error
     ap: float
-    #: Shape (3,), the mean error along, or about, the base's axes; NaN where no vector was measured
+    #: Shape (3,), the mean error along, or about, the base's axes; NaN if no vector was measured
     ap_axis: Array
     #: Pose repeatability, of orientations the largest about an axis; NaN below three repeats
     rp: float
-    #: Shape (3,), three standard deviations along, or about, each; NaN likewise, and below three repeats
+    #: Shape (3,), three standard deviations along, or about, each; NaN as above, and below three repeats
     rp_axis: Array
     #: Largest error of a single repeat
     single: float
@@ -91,7 +90,7 @@ class PoseAccuracy(Value):
         object.__setattr__(self, "by_unit", ReadOnlyMapping(self.by_unit))
 
     def __getitem__(self, unit: str) -> PoseFigures:
-        """Return the figures in a unit, by its symbol; all NaN where none was measured."""
+        """Return the figures in a unit, by its symbol; all NaN if none was measured."""
         return self.by_unit.get(unit, _NOTHING)
 
 
@@ -101,10 +100,10 @@ class Accuracy:
 
     #: The poses in the order of the table
     poses: tuple[PoseAccuracy, ...]
-    #: ``"all"``; where something was registered to the others, ``"validation"``, the table's validation rows, or
-    #: ``"fresh"``, others that nothing was fitted or registered to
+    #: ``"all"``; ``"validation"``, the table's validation rows; or ``"fresh"``, others that nothing was fitted or
+    #: registered to
     rows: JudgedRows
-    #: Where some rows alone are judged, the use of the others: ``"calibration"``, ``"target"``, ``"frame"``
+    #: What the rows that are not judged were used for: ``"calibration"``, ``"target"``, ``"frame"``
     others: tuple[str, ...]
     #: Number of rows that hold a measurement
     measured: int
@@ -121,11 +120,10 @@ class Accuracy:
 
     @property
     def factor(self) -> float:
-        """Random errors before something was registered to the same rows, over those after it; 1 or more.
+        """Random errors before something was registered to the judged rows, over those after it; 1 or more.
 
-        With n scalars that frames and targets were registered to (``numbers``, repeats counted once) and u unknowns of
-        frames and targets (``unknowns``) it is sqrt(n / (n - u)); infinite where no degree of freedom remains, and 1
-        where nothing is ``registered`` to the judged rows.
+        With n ``numbers`` and u ``unknowns`` it is sqrt(n / (n - u)); infinite if no degree of freedom remains, 1 if
+        nothing was registered to the judged rows.
         """
         if not self.registered:
             return 1.0
@@ -143,28 +141,23 @@ class Accuracy:
         """Return one figure of all judged poses that have it.
 
         Args:
-            name: ``"ap"``, pose accuracy, the norm of the mean error over repeats, ``"rp"``, pose repeatability by ISO
-                9283, or ``"single"``, the largest error of a single repeat.
+            name: ``"ap"``, ``"rp"`` or ``"single"``, as of `PoseFigures`.
             unit: Symbol of the unit: ``"m"`` of positions and lengths, ``"rad"`` of orientations.
 
         Returns:
-            shape (k,), in the order of ``poses``, the judged ones, 0 or more; poses where the figure is NaN, not
-            measured, are left out.
+            shape (k,), in the order of the poses.
         """
         values = np.array([getattr(pose[unit], name) for pose in self.poses])
         return np.asarray(values[np.isfinite(values)])
 
     def figures(self, unit: str) -> dict[str, float]:
-        """Return the largest and the mean AP and RP over the judged ``poses``, and the largest single error.
-
-        AP is pose accuracy, the norm of the mean error over a pose's repeats; RP is pose repeatability. Poses without a
-        figure are left out of it.
+        """Return the largest and the mean AP and RP over the poses that have them, and the largest single error.
 
         Args:
             unit: Symbol of the unit: ``"m"`` of positions and lengths, ``"rad"`` of orientations.
 
         Returns:
-            By ``"ap_max"``, ``"ap_mean"``, ``"rp_max"``, ``"rp_mean"`` and ``"single_max"``; NaN where no pose has one.
+            By ``"ap_max"``, ``"ap_mean"``, ``"rp_max"``, ``"rp_mean"`` and ``"single_max"``; NaN if no pose has one.
         """
         figures = {}
         for name in ("ap", "rp"):
@@ -177,7 +170,7 @@ class Accuracy:
 
     @property
     def repeats(self) -> tuple[int, int]:
-        """The smallest and the largest number of repeats of a judged pose: ``rows`` of each of ``poses``."""
+        """The smallest and the largest number of repeats of a judged pose."""
         counts = [len(pose.rows) for pose in self.poses]
         return min(counts), max(counts)
 
@@ -185,13 +178,11 @@ class Accuracy:
 def accuracy(evaluation: Evaluation, *, seen: bool | Mask = False) -> Accuracy:
     """Return pose accuracy and repeatability of an evaluated robot.
 
-    Where a target or a frame was registered to the estimation rows, the validation rows are judged alone, if there are
-    any; where a calibration was fitted to some rows, the others, see `judged_rows`.
+    If a target or a frame was registered to the estimation rows, the validation rows are judged alone, if there are
+    any; if a calibration was fitted to some rows, the others, see `judged_rows`.
 
     Args:
-        evaluation: Errors of the robot at the N rows of a table: ``residual``, measured minus predicted, shape (N, D),
-            and its ``channels``; frames and targets as given or registered; and ``registered``,
-            which of both were registered to these rows.
+        evaluation: Errors of the robot at the N rows of a table.
         seen: True for the rows that a calibration of this robot was fitted to, shape (N,); or one bool: whether it was
             fitted to the rows that frames and targets are registered to, the estimation rows.
 
@@ -209,7 +200,11 @@ def accuracy(evaluation: Evaluation, *, seen: bool | Mask = False) -> Accuracy:
     # Repeats have the same joint values: frames, targets and loads of a cell have no part in it.
     of_images = Cell(cameras=evaluation.cameras, boards=evaluation.boards)
     rows, _ = rows_and_setup(evaluation.robot, m, of_images)
-    registration = _registered_to(m, setup, rows)
+
+    # The rows that frames and targets were registered to, if any were; and those that alone see one of them.
+    registration = registration_rows(m)
+    unseen = setup.with_given_fixed(rows.samples.select(registration))
+    registration = registration | unseen.unknown_at(rows.samples)
     of_calibration = seen if isinstance(seen, np.ndarray) else registration & seen
     fitted = measured & of_calibration
     judged = judged_rows(m, measured, fitted, rows.poses, registered=bool(evaluation.registered))
@@ -220,120 +215,41 @@ def accuracy(evaluation: Evaluation, *, seen: bool | Mask = False) -> Accuracy:
         others += ("calibration",)
     if apart:
         others += evaluation.registered
+    name: JudgedRows = "fresh"
+    if np.array_equal(judged, measured):
+        name = "all"
+    elif np.array_equal(judged, measured & m.validation):
+        name = "validation"
+
+    # A target has 3 unknowns, or 6 if orientations were measured; a frame as many as its unknown directions.
+    of_target = 6 if setup.rotation else 3
+    unknowns = of_target * int(np.sum(setup.target_unknown & ~setup.target_given))
+    for directions, given in zip(setup.unknown, setup.frame_given, strict=True):
+        if not given:
+            unknowns += len(directions)
+    # Repeats of a pose count once.
+    chosen = measured & registration
+    _, first_of_pose = np.unique(rows.poses[chosen], return_index=True)
+    one_per_pose = np.flatnonzero(chosen)[first_of_pose]
     return Accuracy(
         poses=_poses(evaluation, rows, judged),
-        rows=_name_of(judged, measured, m.validation),
+        rows=name,
         others=others,
         measured=int(np.sum(measured)),
         fitted=int(np.sum(fitted)),
         seen=bool(np.any(fitted & judged)),
         registered=() if apart else evaluation.registered,
-        unknowns=_unknowns(setup),
-        numbers=_scalars_without_repeats(rows, measured & registration),
+        unknowns=unknowns,
+        numbers=int(np.sum(rows.used[one_per_pose])),
     )
 
 
-def _scalars_without_repeats(rows: Rows, chosen: Mask) -> int:
-    """Return the number of scalars that some rows measure, those of repeats of a pose counted once.
-
-    Args:
-        rows: The N rows of a table. Those of one number in ``poses``, shape (N,), are repeats; ``used``, shape (N, D),
-            is True for the scalars that a row measures.
-        chosen: True for the rows that count, shape (N,).
-    """
-    _, first_of_pose = np.unique(rows.poses[chosen], return_index=True)
-    one_per_pose = np.flatnonzero(chosen)[first_of_pose]
-    return int(np.sum(rows.used[one_per_pose]))
-
-
-def _registered_to(measurements: Measurements, setup: Setup, rows: Rows) -> Mask:
-    """Return the rows that frames and targets were registered to, if any were.
-
-    Args:
-        measurements: The N rows of the table.
-        setup: Frames and targets of these rows, which of them are unknown, and which were given.
-        rows: The same N rows as arrays, with the index of the frame and target of each.
-
-    Returns:
-        True for these rows, shape (N,): the estimation rows, or all if there are none; and other rows that see an
-        unknown frame or target which was not given and which none of these sees.
-    """
-    usual = registration_rows(measurements)
-    unseen_by_usual = setup.with_given_fixed(rows.samples.select(usual))
-    return usual | unseen_by_usual.unknown_at(rows.samples)
-
-
-def _unknowns(setup: Setup) -> int:
-    """Return the number of unknowns of the targets and frames that were not given, and so were registered.
-
-    Args:
-        setup: F frames and T targets of a table: ``target_unknown`` and ``target_given``, masks of shape (T,),
-            ``frame_given``, of shape (F,), and ``unknown``, the estimated directions of each frame. A target counts 3
-            unknowns, or 6 where orientations were measured (``rotation``); a frame as many as its unknown directions.
-    """
-    targets = int(np.sum(setup.target_unknown & ~setup.target_given))
-    of_target = 6 if setup.rotation else 3
-    of_frames = 0
-    for directions, given in zip(setup.unknown, setup.frame_given, strict=True):
-        if not given:
-            of_frames += len(directions)
-    return of_target * targets + of_frames
-
-
-def _name_of(judged: Mask, measured: Mask, validation: Mask) -> JudgedRows:
-    """Return the name of the judged rows among the N rows of a table.
-
-    Args:
-        judged: True for the rows that the robot is judged by, shape (N,).
-        measured: True for rows that hold a measurement, shape (N,).
-        validation: True for the rows of the table's set ``validate``, shape (N,).
-
-    Returns:
-        ``"all"`` if all measured rows are judged; ``"validation"`` if just the measured validation rows are; else
-        ``"fresh"``, rows that no calibration was fitted to.
-    """
-    if np.array_equal(judged, measured):
-        return "all"
-    if np.array_equal(judged, measured & validation):
-        return "validation"
-    return "fresh"
-
-
 def _poses(evaluation: Evaluation, rows: Rows, judged: Mask) -> tuple[PoseAccuracy, ...]:
-    """Return accuracy and repeatability at each pose of the judged rows.
+    """Return accuracy and repeatability at each pose of the judged rows, in the order of their first rows.
 
-    Args:
-        evaluation: Residuals of the robot, measured minus predicted, at the N rows of a table, with T_frame_base of
-            each measurement frame.
-        rows: The same N rows as arrays; those of one number in ``poses``, shape (N,), are repeats of one pose, target,
-            station and kind.
-        judged: True for the rows that the robot is judged by, shape (N,).
-
-    Returns:
-        One entry a pose, in the order of their first rows.
+    Vectors are turned into the axes of the base, e_base = R^T e_frame, with the rotation R of T_frame_base.
     """
-    residual = _in_base_axes(evaluation, rows)
-    chosen = np.flatnonzero(judged)
-    order = chosen[np.argsort(rows.poses[chosen], kind="stable")]
-    first_of_pose = np.flatnonzero(np.diff(rows.poses[order])) + 1
-    repeats = np.split(order, first_of_pose)
-    repeats.sort(key=lambda indices: int(indices[0]))
-    return tuple(_of_pose(evaluation, residual, indices) for indices in repeats)
-
-
-def _in_base_axes(evaluation: Evaluation, rows: Rows) -> Array:
-    """Return residuals along the axes of the robot's base: e_base = R^T e_frame, with the rotation R of T_frame_base.
-
-    Args:
-        evaluation: ``residual``, measured minus predicted by the robot at N rows, along the axes of each row's
-            measurement frame, shape (N, D); and ``setup.T_frame_base``, the pose of the base in each of F frames, shape
-            (F, 4, 4).
-        rows: The same N rows as arrays: their kinds, and ``samples.frame``, the index of each row's frame, shape (N,).
-
-    Returns:
-        shape (N, D): vectors of three components, of positions or of orientations, are turned; what has fewer, such as
-        one length, stays as it is.
-    """
+    m = evaluation.measurements
     residual = evaluation.residual.copy()
     R = evaluation.setup.T_frame_base[rows.samples.frame, :3, :3]
     for unit in rows.channels.present:
@@ -341,74 +257,47 @@ def _in_base_axes(evaluation: Evaluation, rows: Rows) -> Array:
         if len(columns):
             at = np.ix_(are_vectors, columns)
             residual[at] = np.einsum("nji,nj->ni", R[are_vectors], residual[at])
-    return np.asarray(residual)
 
+    chosen = np.flatnonzero(judged)
+    order = chosen[np.argsort(rows.poses[chosen], kind="stable")]
+    first_of_pose = np.flatnonzero(np.diff(rows.poses[order])) + 1
+    repeats_of_poses = np.split(order, first_of_pose)
+    repeats_of_poses.sort(key=lambda indices: int(indices[0]))
 
-def _of_pose(evaluation: Evaluation, residual: Array, repeats: NDArray[np.intp]) -> PoseAccuracy:
-    """Return accuracy and repeatability at one pose, as ISO 9283 defines them.
-
-    Args:
-        evaluation: Errors of the robot at the N rows of a table: ``channels``, the unit of each scalar that a row
-            measures, shape (N, D), and the table itself, for kind, station and target of the pose.
-        residual: Measured minus predicted of all N rows, shape (N, D), vectors along the base's axes.
-        repeats: Indices of the pose's rows in the table, from 0, shape (n,).
-
-    Returns:
-        The figures of the pose in each unit that was measured, with the numbers of its rows in the table.
-    """
-    m, first = evaluation.measurements, repeats[0]
-    channels = evaluation.channels.select(repeats)
-    by_unit = {}
-    for unit in channels.present:
-        columns, _ = channels.vector_columns(unit)
-        errors = residual[repeats][:, channels.columns(unit)]
-        by_unit[unit] = _figures(errors, unit, are_vectors=bool(len(columns)))
-    return PoseAccuracy(
-        rows=tuple(int(m.rows[i]) for i in repeats),
-        kind=m.kinds[first],
-        group=m.groups[first],
-        target=m.targets[first],
-        by_unit=by_unit,
-    )
+    poses = []
+    for repeats in repeats_of_poses:
+        channels = evaluation.channels.select(repeats)
+        by_unit = {}
+        for unit in channels.present:
+            columns, _ = channels.vector_columns(unit)
+            errors = residual[repeats][:, channels.columns(unit)]
+            by_unit[unit] = _figures(errors, unit, are_vectors=bool(len(columns)))
+        first = repeats[0]
+        poses.append(
+            PoseAccuracy(
+                rows=tuple(int(m.rows[i]) for i in repeats),
+                kind=m.kinds[first],
+                group=m.groups[first],
+                target=m.targets[first],
+                by_unit=by_unit,
+            )
+        )
+    return tuple(poses)
 
 
 def _figures(e: Array, unit: str, *, are_vectors: bool) -> PoseFigures:
-    """Return accuracy and repeatability of the repeats of one pose in one unit.
-
-    Args:
-        e: Residuals of n repeats, measured minus predicted, shape (n, d).
-        unit: Symbol of their unit.
-        are_vectors: Whether they are vectors along, or about, the base's axes.
-
-    Returns:
-        In this unit; NaN for repeatability with fewer than `FEWEST_REPEATS` rows.
-    """
+    """Return the figures of the residuals (n, d) of the repeats of one pose, vectors along the base's axes or not."""
     mean = e.mean(axis=0)
     enough = len(e) >= FEWEST_REPEATS
     by_axis = 3.0 * e.std(axis=0, ddof=1) if enough else np.full(len(mean), np.nan)
-    rp = np.nan
-    if enough:
-        rp = repeatability(e, unit)
     nothing = np.full(3, np.nan)
     return PoseFigures(
         ap=float(np.linalg.norm(mean)),
         ap_axis=read_only(mean if are_vectors else nothing),
-        rp=rp,
+        rp=repeatability(e, unit) if enough else np.nan,
         rp_axis=read_only(by_axis if are_vectors else nothing),
-        single=_largest_norm(e),
+        single=float(np.linalg.norm(e, axis=1).max()),
     )
-
-
-def _largest_norm(vectors: Array) -> float:
-    """Return the largest norm of vectors, such as the largest error of a single repeat.
-
-    Args:
-        vectors: shape (n, d) with n >= 1, residuals [m] or rotation vectors [rad].
-
-    Returns:
-        In their unit.
-    """
-    return float(np.linalg.norm(vectors, axis=1).max())
 
 
 def repeatability(e: Array, unit: str) -> float:
@@ -440,9 +329,9 @@ def judged_rows(
 ) -> Mask:
     """Choose the rows that a robot is judged by.
 
-    Rows that the calibration was not fitted to, if the table sets some of them aside or they are of at least
-    `FEWEST_APART` poses; and of these the validation rows alone, if there are any and something was registered to the
-    estimation rows. Otherwise all measured rows.
+    They are the rows that the calibration was not fitted to, if the table sets some of them aside or they are of at
+    least `FEWEST_APART` poses; and of these the validation rows alone, if there are any and something was registered to
+    the estimation rows. Otherwise they are all measured rows.
 
     Args:
         measurements: The N rows, of the sets ``estimate`` and ``validate``. Validation rows are set aside if there are
@@ -488,9 +377,9 @@ def fitted_rows(
         True for these rows, shape (N,).
     """
     fitted = np.zeros(len(measurements), dtype=bool)
-    # Of a station that the result does not know no row was fitted.
+    # A station that the result does not know has no fitted row.
     with contextlib.suppress(CalibError):
-        fitted = _recognised(calibration, robot, measurements, cell)
+        fitted = _recognise(calibration, robot, measurements, cell)
     same_file = bool(calibration.source.sha256)
     same_file = same_file and calibration.source.sha256 == measurements.sha256
     if same_file and not np.any(fitted):
@@ -502,7 +391,7 @@ def fitted_rows(
 class _KnownResiduals:
     """Residuals of N rows by two robots, by which a row is recognised in another table.
 
-    Of a row count the scalars in the first of its units: lengths, if it measures any.
+    Only the scalars in the first of a row's units count: lengths, if it measures any.
     """
 
     #: Shape (N, D), measured minus predicted by the nominal robot
@@ -514,13 +403,7 @@ class _KnownResiduals:
 
     @classmethod
     def of(cls, nominal: Array, corrected: Array, channels: Channels) -> _KnownResiduals:
-        """Return residuals with a mask of the scalars that count.
-
-        Args:
-            nominal: Measured minus predicted by the nominal robot at N rows, shape (N, D).
-            corrected: The same by the corrected robot.
-            channels: The unit of each scalar.
-        """
+        """Return residuals (N, D) by both robots with a mask of the scalars that count."""
         counts = np.zeros_like(channels.used)
         for unit in channels.present:
             not_yet = ~counts.any(axis=1, keepdims=True)
@@ -528,18 +411,11 @@ class _KnownResiduals:
         return cls(nominal, corrected, counts)
 
     def rows_with(self, scalars: int) -> NDArray[np.intp]:
-        """Return the indices of the rows, from 0, of which a number of scalars count, shape (n,)."""
+        """Return the indices of the rows with this number of scalars that count, shape (n,)."""
         return np.flatnonzero(self.counts.sum(axis=1) == scalars)
 
     def side_by_side(self, rows: Integers) -> Array:
-        """Return the residuals of some rows by both robots, side by side.
-
-        Args:
-            rows: Indices, from 0, of n rows of which the same number k of scalars count.
-
-        Returns:
-            shape (n, 2 k), measured minus predicted: the k by the nominal robot, then those by the corrected one.
-        """
+        """Return the k residuals of n rows by the nominal, then those by the corrected robot, shape (n, 2 k)."""
         both = []
         for residual in (self.nominal, self.corrected):
             scalars = residual[rows][self.counts[rows]]
@@ -547,29 +423,16 @@ class _KnownResiduals:
         return np.hstack(both)
 
 
-def _recognised(c: Calibration, robot: Robot, measurements: Measurements, cell: Cell) -> Mask:
-    """Find the rows of a table whose residuals are those of a row that a result was fitted to.
+def _recognise(c: Calibration, robot: Robot, measurements: Measurements, cell: Cell) -> Mask:
+    """Find the rows of a table, shape (N,), whose residuals are those of a row that a result was fitted to.
 
-    Args:
-        c: The result, which holds the residuals of its own rows by its nominal and by its calibrated robot, and the
-            frames and targets of either.
-        robot: The robot with which the table is evaluated, nominal or corrected; its joint origins are replaced by
-            those of the result.
-        measurements: The table, N rows.
-        cell: What is known of frames, targets and loads of the table.
-
-    Returns:
-        True for these rows, shape (N,).
-
-    Raises:
-        CalibError: The table cannot be evaluated, such as with a station that the result does not know.
+    A table that cannot be evaluated, such as one with a station that the result does not know, raises `CalibError`.
     """
     nominal = evaluate(c.uncorrected(robot), measurements, cell, known=c.nominal_setup)
     corrected = evaluate(c.corrected(robot), measurements, cell, known=c.setup)
     by_nominal, stored_by_nominal = nominal.residual, c.rows.residual_nominal
-    if (
-        not c.rows.nominal_is_judged
-    ):  # none are stored: those by the calibrated robot alone have to tell the rows
+    if not c.rows.nominal_is_judged:
+        # None are stored: those by the calibrated robot alone have to distinguish the rows.
         by_nominal, stored_by_nominal = np.zeros_like(by_nominal), np.zeros_like(stored_by_nominal)
     of_table = _KnownResiduals.of(by_nominal, corrected.residual, corrected.channels)
     fitted = c.rows.estimation
@@ -588,15 +451,7 @@ def _recognised(c: Calibration, robot: Robot, measurements: Measurements, cell: 
 
 
 def _are_among(residuals: Array, stored: Array) -> Mask:
-    """Find the rows of residuals that are, to rounding, one of the stored rows.
-
-    Args:
-        residuals: shape (n, k), [m].
-        stored: shape (s, k) with s >= 1, [m].
-
-    Returns:
-        True where no component differs from those of some stored row by more than `_SAME`, shape (n,).
-    """
+    """Say which residuals (n, k) are, within `_SAME` in every component, one of the stored ones (s, k); shape (n,)."""
     tree = KDTree(stored)
     distance, _ = tree.query(residuals, p=np.inf, distance_upper_bound=_SAME)
     return np.asarray(distance <= _SAME)

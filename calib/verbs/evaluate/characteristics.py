@@ -36,6 +36,9 @@ MOST_POSES = 2_000
 #: The unit of distances.
 _LENGTH = "m"
 
+#: A judged pose with the indices of its rows in the table.
+_Repeats = tuple[PoseAccuracy, NDArray[np.intp]]
+
 
 @dataclass(frozen=True, slots=True)
 class Characteristic:
@@ -45,9 +48,9 @@ class Characteristic:
     symbol: str
     #: Symbol of the unit, of `calib.basics.channels.RESIDUAL_UNITS`
     unit: str
-    #: The largest value, in the unit; NaN where the rows do not have it
+    #: The largest value, in the unit; NaN if the rows do not have it
     largest: float
-    #: The mean; NaN likewise
+    #: The mean; NaN if the rows do not have it
     mean: float
     #: Number of poses, or of pairs of poses, that have it
     count: int
@@ -62,57 +65,49 @@ class _Pose(NamedTuple):
     row: int
     #: Shape (n, d), measured minus predicted
     errors: Array
-    #: Direction that each was approached from; empty where it is not given
+    #: Direction that each was approached from; empty if it is not given
     approaches: tuple[str, ...]
-
-
-class _Pairs(NamedTuple):
-    """Errors D_j - Dc_j of the distances of P pairs of poses, over the repeats j that both poses have."""
-
-    #: Shape (P, 2), numbers of the first rows of both poses
-    rows: NDArray[np.int_]
-    #: Shape (P,), number of repeats
-    counts: NDArray[np.int_]
-    #: Shape (P,), their mean [m]
-    means: Array
-    #: Shape (P,), their standard deviation over n - 1 [m]; 0 for one repeat
-    deviations: Array
 
 
 def characteristics(evaluation: Evaluation, judged: Accuracy) -> tuple[Characteristic, ...]:
     """Return the characteristics of an evaluated robot, in the units that were measured.
 
     Args:
-        evaluation: Residuals of the robot at the N rows of a table, measured minus predicted.
-        judged: Its pose accuracy, whose ``poses`` name the rows that count.
+        evaluation: Errors of the robot at the rows of a table.
+        judged: Its pose accuracy, whose poses name the rows that count.
 
     Returns:
         AD and RD of positions, if any were measured, then vAP, dAP and dRP in each unit; NaN, with a count of 0, for
         those that the rows do not have.
     """
+    index = {number: i for i, number in enumerate(evaluation.measurements.rows)}
+    # Each judged pose with the indices of its rows in the table.
+    repeats = [(pose, np.array([index[number] for number in pose.rows])) for pose in judged.poses]
+
     result = []
     if _LENGTH in judged.units:
-        result += _of_distances(_pairs(evaluation, judged))
-    poses = {unit: list(_poses(evaluation, judged, unit)) for unit in judged.units}
+        result += _of_distances(evaluation, repeats)
+    approaches = evaluation.measurements.approaches
+    poses: dict[str, list[_Pose]] = {unit: [] for unit in judged.units}
+    for unit, of_unit in poses.items():
+        for pose, indices in repeats:
+            if unit in pose.by_unit:
+                # Along the axes of their measurement frames, on which no norm depends.
+                columns = evaluation.channels.select(indices).columns(unit)
+                errors = evaluation.residual[np.ix_(indices, columns)]
+                of_unit.append(_Pose(pose.rows[0], errors, tuple(approaches[i] for i in indices)))
     for symbol, figure in _OF_POSES.items():
         for unit, of_unit in poses.items():
             values = [figure(pose, unit) for pose in of_unit]
             rows = [(pose.row,) for pose in of_unit]
-            result.append(_summary(symbol, unit, np.array(values), rows))
+            result.append(_summarise(symbol, unit, np.array(values), rows))
     return tuple(result)
 
 
-def _summary(
+def _summarise(
     symbol: str, unit: str, values: Array, rows: Sequence[tuple[int, ...]]
 ) -> Characteristic:
-    """Return the largest and the mean of a characteristic.
-
-    Args:
-        symbol: Its symbol.
-        unit: Symbol of its unit.
-        values: Its value at each of k poses or pairs, shape (k,); NaN for those that do not have it.
-        rows: The first row of each, or of both poses of each.
-    """
+    """Return the largest and the mean of values (k,), NaN for none, of k poses or pairs with their first rows."""
     has_value = np.isfinite(values)
     if not np.any(has_value):
         return Characteristic(symbol, unit, np.nan, np.nan, 0, ())
@@ -127,90 +122,60 @@ def _summary(
     )
 
 
-# Distances between two poses
-
-
-def _of_distances(pairs: _Pairs) -> list[Characteristic]:
-    """Return AD and RD of pairs of poses; RD of pairs with at least `FEWEST_REPEATS` repeats."""
-    rows = [(first, second) for first, second in pairs.rows.tolist()]
-    enough = pairs.counts >= FEWEST_REPEATS
-    return [
-        _summary("AD", _LENGTH, np.abs(pairs.means), rows),
-        _summary("RD", _LENGTH, np.where(enough, 3.0 * pairs.deviations, np.nan), rows),
-    ]
-
-
-def _pairs(evaluation: Evaluation, judged: Accuracy) -> _Pairs:
-    """Return the errors of the distances of all pairs of poses of one target at one station.
-
-    Args:
-        evaluation: Residuals of the robot, and the measured positions.
-        judged: Poses with the rows that repeat them; those whose positions were not measured have no part.
-    """
+def _of_distances(evaluation: Evaluation, repeats: Sequence[_Repeats]) -> list[Characteristic]:
+    """Return AD and RD of all pairs of poses of one target at one station; RD of `FEWEST_REPEATS` repeats or more."""
     columns, are_positions = evaluation.channels.vector_columns(_LENGTH)
     has_position = are_positions & evaluation.measurements.positions
     places: dict[tuple[str, str], list[NDArray[np.intp]]] = {}
-    for pose, indices in _indices(evaluation, judged):
+    for pose, indices in repeats:
         if np.all(has_position[indices]):
             places.setdefault((pose.group, pose.target), []).append(indices)
-    if not places:
-        no_pair = np.zeros(0, dtype=int)
-        return _Pairs(no_pair.reshape(0, 2), no_pair, np.zeros(0), np.zeros(0))
+
+    # Of P pairs: the first rows of both poses, the number of repeats that both have, and mean and standard deviation
+    # over n - 1 (0 for one repeat) of the errors D_j - Dc_j over these [m].
+    rows: list[tuple[int, ...]] = []
+    counts: list[NDArray[np.int_]] = [np.zeros(0, dtype=int)]
+    means, deviations = [np.zeros(0)], [np.zeros(0)]
     measured = evaluation.measurements.points
-    predicted = measured - evaluation.residual[:, columns]
     numbers = np.array(evaluation.measurements.rows)
-    of_places = [
-        _pairs_of_place(measured, predicted, numbers, poses[:MOST_POSES])
-        for poses in places.values()
+    for of_place in places.values():
+        poses = of_place[:MOST_POSES]
+        first, second = np.triu_indices(len(poses), 1)
+        lengths = np.array(list(map(len, poses)))
+        counted = np.minimum(lengths[first], lengths[second])
+        predicted = measured - evaluation.residual[:, columns]
+        errors = _distance_errors(measured, predicted, poses)
+        mean, deviation = _mean_and_deviation(errors, counted)
+        first_rows = numbers[[pose[0] for pose in poses]]
+        pairs = np.stack([first_rows[first], first_rows[second]], axis=1)
+        rows += [(one, other) for one, other in pairs.tolist()]
+        counts.append(counted)
+        means.append(mean)
+        deviations.append(deviation)
+
+    enough = np.concatenate(counts) >= FEWEST_REPEATS
+    spread = np.where(enough, 3.0 * np.concatenate(deviations), np.nan)
+    return [
+        _summarise("AD", _LENGTH, np.abs(np.concatenate(means)), rows),
+        _summarise("RD", _LENGTH, spread, rows),
     ]
-    return _Pairs(*(np.concatenate(parts) for parts in zip(*of_places, strict=True)))
-
-
-def _pairs_of_place(
-    measured: Array, predicted: Array, numbers: NDArray[np.int_], poses: list[NDArray[np.intp]]
-) -> _Pairs:
-    """Return the errors of the distances of all pairs of k poses.
-
-    Args:
-        measured: Measured positions of N rows in one frame, shape (N, 3), [m].
-        predicted: Those that the robot's model predicts, likewise.
-        numbers: Numbers of the rows in the table, shape (N,).
-        poses: Of each pose the indices of its repeats, in the order of the table.
-
-    Returns:
-        The k (k - 1) / 2 pairs.
-    """
-    first, second = np.triu_indices(len(poses), 1)
-    repeats = np.array(list(map(len, poses)))
-    counts = np.minimum(repeats[first], repeats[second])
-    errors = _distance_errors(measured, predicted, poses)
-    first_rows = numbers[_rows_of_repeat(poses, 0)]
-    rows = np.stack([first_rows[first], first_rows[second]], axis=1)
-    return _Pairs(rows, counts, *_mean_and_deviation(errors, counts))
 
 
 def _distance_errors(
     measured: Array, predicted: Array, poses: list[NDArray[np.intp]]
 ) -> Iterator[Array]:
-    """Yield, repeat by repeat, the errors D_j - Dc_j of the distances of all pairs of poses, shape (P,), [m].
+    """Yield, repeat by repeat, the errors D_j - Dc_j [m] of the distances of all P pairs of poses, shape (P,).
 
-    Args:
-        measured: Measured positions of N rows in one frame, shape (N, 3), [m].
-        predicted: Those that the robot's model predicts, likewise.
-        poses: Of each pose the indices of its repeats; errors of a repeat that one of a pair lacks have no meaning.
+    Of positions (N, 3) [m] in one frame; errors of a repeat that one of a pair lacks have no meaning.
     """
     for j in range(max(map(len, poses))):
-        row = _rows_of_repeat(poses, j)
+        # The first repeat stands for one that a pose lacks.
+        row = np.array([pose[j] if j < len(pose) else pose[0] for pose in poses])
         yield pdist(measured[row]) - pdist(predicted[row])
 
 
 def _mean_and_deviation(errors: Iterable[Array], counts: NDArray[np.int_]) -> tuple[Array, Array]:
-    """Return mean and standard deviation over n - 1 of P errors, updated repeat by repeat (Welford).
-
-    Args:
-        errors: The errors of each repeat, shape (P,).
-        counts: Of each error the number of repeats that count, the first ones, shape (P,).
-    """
+    """Return mean and standard deviation over n - 1 of P errors over their first ``counts`` repeats (Welford)."""
     mean = np.zeros(len(counts))
     square = np.zeros(len(counts))
     for j, error in enumerate(errors):
@@ -220,41 +185,7 @@ def _mean_and_deviation(errors: Iterable[Array], counts: NDArray[np.int_]) -> tu
     return mean, np.sqrt(square / np.maximum(counts - 1, 1))
 
 
-def _rows_of_repeat(poses: list[NDArray[np.intp]], j: int) -> NDArray[np.intp]:
-    """Return the index of repeat j, from 0, of each of k poses, shape (k,).
-
-    Of a pose with fewer repeats it is that of the first one, whose distances do not count.
-    """
-    return np.array([pose[j] if j < len(pose) else pose[0] for pose in poses])
-
-
 # Approaches and drift of one pose
-
-
-def _indices(
-    evaluation: Evaluation, judged: Accuracy
-) -> Iterator[tuple[PoseAccuracy, NDArray[np.intp]]]:
-    """Yield each judged pose with the indices of its rows in the table, from 0."""
-    index = {number: i for i, number in enumerate(evaluation.measurements.rows)}
-    for pose in judged.poses:
-        yield pose, np.array([index[number] for number in pose.rows])
-
-
-def _poses(evaluation: Evaluation, judged: Accuracy, unit: str) -> Iterator[_Pose]:
-    """Yield the errors of the repeats of each judged pose that was measured in a unit.
-
-    Args:
-        evaluation: Residuals of the robot at N rows along the axes of their measurement frames, on which no norm
-            depends.
-        judged: Poses with the rows that repeat them.
-        unit: Symbol of the unit.
-    """
-    approaches = evaluation.measurements.approaches
-    for pose, indices in _indices(evaluation, judged):
-        if unit in pose.by_unit:
-            columns = evaluation.channels.select(indices).columns(unit)
-            errors = evaluation.residual[np.ix_(indices, columns)]
-            yield _Pose(pose.rows[0], errors, tuple(approaches[i] for i in indices))
 
 
 def _variation(pose: _Pose, unit: str) -> float:  # noqa: ARG001
@@ -280,12 +211,7 @@ def _repeatability_drift(pose: _Pose, unit: str) -> float:
 
 
 def _largest_change(pose: _Pose, figure: Callable[[Array], float]) -> float:
-    """Return the largest change of a figure from the first ten repeats of a pose to any later ten; NaN without these.
-
-    Args:
-        pose: The repeats, in the order of time.
-        figure: From the errors of ten repeats, shape (10, d), to the figure.
-    """
+    """Return the largest change of a figure from the first ten repeats, in the order of time, to any later ten."""
     starts = range(0, len(pose.errors) - DRIFT_REPEATS + 1, DRIFT_REPEATS)
     figures = [figure(pose.errors[start : start + DRIFT_REPEATS]) for start in starts]
     return max((abs(later - figures[0]) for later in figures[1:]), default=np.nan)

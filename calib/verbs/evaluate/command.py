@@ -30,10 +30,8 @@ from calib.errors import CalibError
 from calib.verbs.detect.picture_folder import table_of
 
 if TYPE_CHECKING:
-    from calib.data.cell import Cell
-    from calib.result.calibration import Calibration
-    from calib.robot.robot import Robot
     from calib.verbs.evaluate.acceptance import Assessment
+    from calib.verbs.evaluate.report import Origins
 
 #: A tolerance as it could be typed.
 _EXAMPLE = "0.5 mm 0.1 deg"
@@ -126,24 +124,19 @@ class EvaluationOutputs:
     force: Force = False
 
     def check(self, inputs: Iterable[str | Path | None]) -> None:
-        """Refuse files that cannot be written before the work begins; see `check_outputs`.
-
-        Args:
-            inputs: The files that are read; None: not given.
-        """
+        """Refuse files that cannot be written before the work begins; see `check_outputs`."""
         if self.report is not None:
             from calib.show.page import check_ending
 
             check_ending(self.report)
         check_outputs([self.json, self.report], inputs, force=self.force)
 
-    def write(self, e: Assessment, calibration: Path | None, target_source: str) -> None:
+    def write(self, e: Assessment, origins: Origins) -> None:
         """Write the files that were asked for.
 
         Args:
             e: The evaluation.
-            calibration: The result's file; None: none was given.
-            target_source: Where targets are from that were not registered.
+            origins: Its sources.
         """
         if self.json is not None:
             from calib.result.calibration_file import write_table
@@ -151,14 +144,9 @@ class EvaluationOutputs:
 
             write_table(assessment_table(e), self.json, overwrite=self.force)
         if self.report is not None:
-            from calib.verbs.evaluate.evaluation_report import Origins, write_evaluation_report
+            from calib.verbs.evaluate.report import write_report
 
-            name, sha256 = "", ""
-            if calibration is not None:
-                contents = read_bytes(calibration, "calibration result")
-                name, sha256 = calibration.name, hashlib.sha256(contents).hexdigest()
-            origins = Origins(name, sha256, target_source, command_line())
-            write_evaluation_report(e, self.report, origins, overwrite=self.force)
+            write_report(e, self.report, origins, overwrite=self.force)
 
 
 @verb("""Compare a robot with measurements, and judge its accuracy by a tolerance.
@@ -194,21 +182,30 @@ def evaluate(
     """Evaluate, write the files and print the errors; exit status 3 if a tolerance is not shown to be kept."""
     from calib.result.calibration_file import read_result
     from calib.verbs.evaluate.acceptance import assess
+    from calib.verbs.evaluate.report import Origins, summary
 
     outputs.check([robot, data, cell_options.file, calibration, table_options.points])
     limits = acceptance_options.limits()
     cell = cell_options.cell()
-    result = None
+    result, name, sha256 = None, "", ""
     if calibration is not None:
         result = read_result(calibration)
+        contents = read_bytes(calibration, "calibration result")
+        name, sha256 = calibration.name, hashlib.sha256(contents).hexdigest()
         cell = with_chain_of_result(cell, result, str(calibration))
     boards = cell.boards or ({} if result is None else result.optics.nominal_boards)
     cameras = cell.cameras or ({} if result is None else result.optics.nominal_cameras)
     with table_of(data, list(boards.values()), list(cameras.values()), quiet=quiet) as path:
         arm, measurements = load_with_data(robot, cell, path, table_options)
-    cell, target_source = _with_target(arm, cell, cell_options, result)
+
+    target_source = "as given"
+    if result is not None and "target" not in cell_options.given:
+        target_source = "as the result has it"
+    elif result is None and cell.target is None and not cell.targets:
+        cell = with_target_link(arm, cell)
+        target_source = "as the URDF's link 'calib_target' has it"
     # Where the options give no frame or target, those of the result are taken.
-    of_result = tuple(name for name in ("frame", "target") if name not in cell_options.given)
+    of_result = tuple(place for place in ("frame", "target") if place not in cell_options.given)
     assessment = assess(
         arm,
         measurements,
@@ -218,48 +215,15 @@ def evaluate(
         judge=acceptance_options.judge,
         limits=limits,
     )
-    outputs.write(assessment, calibration, target_source)
+
+    origins = Origins(name, sha256, target_source, command_line())
+    outputs.write(assessment, origins)
     if not quiet:
         say_ignored(measurements, arm)
         say_coupled(arm)
-        _say_assessment(assessment, calibration, target_source, outputs)
+        say(summary(assessment, origins))
+        written = written_lines(outputs.json, outputs.report)
+        if written:
+            typer.echo("\n".join(["", *written]))
     if assessment.accepted is not None and assessment.accepted.outcome != "pass":
         raise typer.Exit(ExitStatus.NOT_ACCEPTED)
-
-
-def _say_assessment(
-    assessment: Assessment,
-    calibration: Path | None,
-    target_source: str,
-    outputs: EvaluationOutputs,
-) -> None:
-    """Print the assessment and the names of the files that were written.
-
-    Args:
-        assessment: The evaluation.
-        calibration: The result's file; None: none was given.
-        target_source: The source, in words, of targets that were not registered.
-        outputs: The files.
-    """
-    from calib.verbs.evaluate.text import assessment_text
-
-    name = calibration.name if calibration else ""
-    say(assessment_text(assessment, name, target_source))
-    written = written_lines(outputs.json, outputs.report)
-    if written:
-        typer.echo("\n".join(["", *written]))
-
-
-def _with_target(
-    arm: Robot,
-    cell: Cell,
-    cell_options: EvaluateOptions,
-    result: Calibration | None,
-) -> tuple[Cell, str]:
-    """Return the cell with the URDF's target where nothing else gives one, and words for where targets are from."""
-    if result is not None:
-        words = "as given" if "target" in cell_options.given else "as the result has it"
-        return cell, words
-    if cell.target is None and not cell.targets:
-        return with_target_link(arm, cell), "as the URDF's link 'calib_target' has it"
-    return cell, "as given"

@@ -23,7 +23,6 @@ from calib.data.record import BLANK, Record
 from calib.diagnosis.reasons import Reason, Why
 from calib.errors import CalibError, ModelError, choices
 from calib.fit.registration.registration import nominal_setup, register_held_out
-from calib.fit.registration.rows import Rows
 from calib.fit.registration.setup import Setup
 from calib.fit.registration.table_rows import rows_and_setup
 from calib.model.error_model import DIRECTIONS
@@ -36,13 +35,13 @@ from calib.robot.robot import Robot
 #: What may be taken from an earlier result.
 PLACES = ("frame", "target")
 
-#: The reason that names a place which has moved, by the place; of two that explain the errors alike the last counts.
+#: The reason that names a place which has moved, by the place; of two that explain the errors equally the last counts.
 _MOVED = {"frame": Why.FRAME_MOVED, "target": Why.TARGET_MOVED}
 
-#: A frame or target has moved if registering it anew makes the rms error this many times smaller.
+#: A frame or target has moved if registering it again makes the rms error this many times smaller.
 _FAR_SMALLER = 3.0
 
-#: A registration is believed if it rests on this many scalars per unknown.
+#: A registration is trusted if it has this many measured scalars per unknown.
 _SCALARS_PER_UNKNOWN = 3
 
 #: An rms error up to this needs no explanation [m].
@@ -80,16 +79,16 @@ class Evaluation(Value):
 
     def _repr_html_(self) -> str:
         """A small table for notebooks: errors by set."""
-        return str(shown_by("verbs.evaluate.text").evaluation_html(self))
+        return str(shown_by("verbs.evaluate.report").evaluation_html(self))
 
     def summary(self) -> str:
         """Return the evaluation as text, without colours, in 100 columns, as ``calib evaluate`` prints it."""
-        return str(shown_by("verbs.evaluate.text").evaluation_text(self))
+        return str(shown_by("verbs.evaluate.report").evaluation_text(self))
 
     def write_report(
         self, path: str | Path, *, accepted: Value | None = None, overwrite: bool = False
     ) -> Path:
-        """Write the report, a page that prints on A4, with the figures of ISO 9283 and a first page to sign.
+        """Write the report, a page that prints on A4, with the characteristics of ISO 9283 and a first page to sign.
 
         Args:
             path: The HTML file.
@@ -105,21 +104,17 @@ class Evaluation(Value):
             FileError: The file exists, or cannot be written.
         """
         check_path("path", path)
-        report = shown_by("verbs.evaluate.evaluation_report")
-        return Path(report.write_evaluation_report_of(self, accepted, path, overwrite=overwrite))
+        report = shown_by("verbs.evaluate.report")
+        return Path(report.write_evaluation_report(self, accepted, path, overwrite=overwrite))
 
     @property
     def used(self) -> Mask:
-        """True for the entries of the residual that were measured, of ``channels``, shape (N, D)."""
+        """True for the entries of the residual that were measured, shape (N, D)."""
         return self.channels.used
 
     @property
     def errors(self) -> dict[str, Errors]:
-        """``errors["estimation" | "validation" | "all"]``: largest, mean and rms error of the rows of one set.
-
-        Of ``residual``, measured minus predicted by the robot as it is at N rows, shape (N, D), in each unit of
-        ``channels`` that was measured, such as ``["m"]``. The sets are those of ``measurements``.
-        """
+        """``errors["estimation" | "validation" | "all"]``: errors of the rows of one set, in each unit measured."""
         m = self.measurements
         every_row = np.ones(len(m), dtype=bool)
         sets = {"estimation": m.estimation, "validation": m.validation, "all": every_row}
@@ -142,7 +137,7 @@ def evaluate(
     """Compare a robot with measurements.
 
     Target and measurement frame are used as the cell gives them; what it does not give is registered to the estimation
-    rows, or to all rows if there are none; to the others where no estimation row sees it.
+    rows, or to all rows if there are none; to the others if no estimation row sees it.
 
     Args:
         robot: The robot, nominal or corrected; or the path of a URDF or xacro, or a name such as ``"ur3"``: base and
@@ -185,11 +180,22 @@ def evaluate(
     rows, setup = rows_and_setup(arm, table, known_cell)
     if known is not None:
         setup = replace(_with_known(setup, known, which), internals=known.internals)
-    T_base_tip = _tip_poses(arm, rows, non_geometric)
-    placed = _registered(T_base_tip, rows, setup, registration_rows(table))
-    seen = placed.sightings(T_base_tip, rows.samples)
-    residual = rows.residual(seen)
-    scale = length_of_pixels(seen, rows)
+    if non_geometric is None:
+        T_base_tip = arm.poses(rows.joints)
+    else:
+        kinematics = replace(non_geometric.kinematics, robot=arm)
+        model = replace(non_geometric, kinematics=kinematics)
+        T_base_tip = model.tips(Samples.at(rows.joints, rows.samples.load))
+
+    # Frames and targets that were not given, and what only the other rows see of them.
+    chosen = registration_rows(table)
+    placed = nominal_setup(T_base_tip[chosen], setup, rows.select(chosen))
+    unseen = setup.with_given_fixed(rows.samples.select(chosen))
+    placed = register_held_out(T_base_tip[~chosen], placed, unseen, rows.select(~chosen))
+
+    sightings = placed.sightings(T_base_tip, rows.samples)
+    residual = rows.residual(sightings)
+    scale = length_of_pixels(sightings, rows)
     return Evaluation(
         robot=arm,
         measurements=table,
@@ -218,57 +224,8 @@ def registration_rows(measurements: Measurements) -> Mask:
     return np.ones(len(measurements), dtype=bool)
 
 
-def _tip_poses(robot: Robot, rows: Rows, non_geometric: NonGeometric | None) -> Array:
-    """Return T_base_tip, the pose of the tip in the base, at each row.
-
-    Args:
-        robot: The robot: nominal or corrected, but nominal under a non-geometric model.
-        rows: The N rows as arrays: joint values, shape (N, m), [rad] or [m], and the loads of gravity on the joints.
-        non_geometric: The fitted model, geometry included, whose errors displace the robot; None: the robot is taken as
-            it is.
-
-    Returns:
-        shape (N, 4, 4), [m].
-    """
-    if non_geometric is None:
-        return robot.poses(rows.joints)
-    kinematics = replace(non_geometric.kinematics, robot=robot)
-    model = replace(non_geometric, kinematics=kinematics)
-    return model.tips(Samples.at(rows.joints, rows.samples.load))
-
-
-def _registered(T_base_tip: Array, rows: Rows, setup: Setup, chosen: Mask) -> Setup:
-    """Register the frames and targets that were not given to the chosen rows, and what only the others see to these.
-
-    Args:
-        T_base_tip: Predicted poses of the tip in the base, shape (N, 4, 4), [m].
-        rows: The N rows as arrays: what was measured, and the frame and target of each.
-        setup: Frames and targets as far as they are given: which are unknown, and which of these are given all the same
-            and stay as they are.
-        chosen: True for the rows to register to, shape (N,).
-
-    Returns:
-        The frames and targets, all placed: T_frame_base, pose of the base in each frame, and T_tip_target, [m].
-
-    Raises:
-        MeasurementError: Too few rows for a frame or target.
-    """
-    placed = nominal_setup(T_base_tip[chosen], setup, rows.select(chosen))
-    unseen = setup.with_given_fixed(rows.samples.select(chosen))
-    return register_held_out(T_base_tip[~chosen], placed, unseen, rows.select(~chosen))
-
-
 def _not_given(setup: Setup) -> tuple[str, ...]:
-    """List what has to be registered: frames and targets that are unknown and were not given.
-
-    Args:
-        setup: F frames and T targets of a table: ``unknown``, the directions of each frame that are to be estimated,
-            ``frame_given``, shape (F,); ``target_unknown`` and ``target_given``, shape (T,).
-
-    Returns:
-        ``"target"`` if a target is unknown and not given, and ``"frame"`` if a frame is; neither, one or both, in this
-        order.
-    """
+    """List what has to be registered, of ``"target"`` and ``"frame"``: what is unknown and was not given."""
     places = []
     if np.any(setup.target_unknown & ~setup.target_given):
         places.append("target")
@@ -279,102 +236,53 @@ def _not_given(setup: Setup) -> tuple[str, ...]:
 
 
 def _with_known(setup: Setup, known: Setup, which: tuple[str, ...]) -> Setup:
-    """Return a table's measurement setup with the frames and targets of an earlier result.
+    """Return a table's frames and targets with those of an earlier result, which are then given and no longer unknown.
 
-    They are matched by name. Where table and result have one frame each, or one target, these are matched whatever they
+    They are matched by name. If table and result have one frame each, or one target, these are matched whatever they
     are called; but a single target that the table names, so that it is not the default one, is matched by name.
-
-    Args:
-        setup: Frames and targets of the table, as far as they are given.
-        known: Those of the result, as it estimated them or was given them: T_frame_base of each station, T_tip_target
-            of each target [m], and ``oriented``, whether the orientations of its targets are known.
-        which: What to take from the result: ``"frame"``, ``"target"``, or both.
-
-    Returns:
-        The table's setup; frames and targets that were taken are given, and no longer unknown. Where orientations were
-        measured and those of the result's targets are not known, targets stay unknown and count as not given; their
-        position is only where registration begins.
-
-    Raises:
-        ModelError: Frames are to be taken, and the table has a station that the result lacks, with a frame that is not
-            to be estimated.
     """
+    # Index in the result by the index in the table, both from 0, without those that the result lacks.
     frame_index: dict[int, int] = {}
     target_index: dict[int, int] = {}
     if "frame" in which:
-        frame_index = _matches(setup.groups, known.groups)
+        frame_index = _match(setup.groups, known.groups)
     if "target" in which:
         other_target = setup.targets[0] != DEFAULT_TARGET
-        target_index = _matches(setup.targets, known.targets, by_name=other_target)
-    frames = _replaced(setup.T_frame_base, known.T_frame_base, frame_index)
-    targets = _replaced(setup.T_tip_target, known.T_tip_target, target_index)
-    frame_known = np.isin(np.arange(len(frames)), list(frame_index))
-    target_known = np.isin(np.arange(len(targets)), list(target_index))
+        target_index = _match(setup.targets, known.targets, by_name=other_target)
+    T_frame_base, T_tip_target = setup.T_frame_base.copy(), setup.T_tip_target.copy()
+    for k, of_result in frame_index.items():
+        T_frame_base[k] = known.T_frame_base[of_result]
+    for k, of_result in target_index.items():
+        T_tip_target[k] = known.T_tip_target[of_result]
+    frame_known = np.isin(np.arange(len(T_frame_base)), list(frame_index))
+    target_known = np.isin(np.arange(len(T_tip_target)), list(target_index))
+
     if "frame" in which:
-        _check_stations(setup, frame_known, known.groups)
-    # Where orientations were measured, a position alone is only where registration of the target begins.
+        # A frame that is neither known nor to be registered.
+        missing = [
+            group
+            for k, group in enumerate(setup.groups)
+            if not frame_known[k] and not setup.unknown[k]
+        ]
+        if missing:
+            raise ModelError(
+                f"The result has the stations {choices(known.groups)}; the table's {choices(missing)} are not among "
+                "them. Let the measurement frames be found (--frame estimate), or give them in a cell file."
+            )
+    # If orientations were measured, a position alone is only where registration of the target begins.
     whole = known.oriented or not setup.rotation
     fixed = target_known if whole else np.zeros_like(target_known)
     return replace(
-        setup.with_fixed(frame_known, fixed).with_poses(frames, targets),
+        setup.with_fixed(frame_known, fixed).with_poses(T_frame_base, T_tip_target),
         frame_given=setup.frame_given | frame_known,
         target_given=np.where(target_known, fixed, setup.target_given),
     )
 
 
-def _replaced(poses: Array, known: Array, index: Mapping[int, int]) -> Array:
-    """Return poses of a table's frames or targets, some of them replaced by those of a result.
-
-    Args:
-        poses: Of the table's n frames or targets, T_frame_base or T_tip_target, shape (n, 4, 4), [m].
-        known: The same of the result's k frames or targets, shape (k, 4, 4), [m].
-        index: Index in the result, by the index in the table, of those to replace; from 0.
-
-    Returns:
-        A copy of ``poses``, shape (n, 4, 4), [m].
-    """
-    result: Array = poses.copy()
-    for k, known_index in index.items():
-        result[k] = known[known_index]
-    return result
-
-
-def _check_stations(setup: Setup, frame_known: Mask, known_groups: tuple[str, ...]) -> None:
-    """Refuse a station whose frame the result does not know and that is not to be registered.
-
-    Args:
-        setup: Frames and targets of the table: ``groups``, the F stations' names, and ``unknown``, the directions of
-            each frame that are to be estimated, none for a frame taken as known.
-        frame_known: True for frames that were taken from the result, shape (F,).
-        known_groups: Names of the result's stations.
-
-    Raises:
-        ModelError: There is one.
-    """
-    missing = []
-    for k, group in enumerate(setup.groups):
-        if not frame_known[k] and not setup.unknown[k]:
-            missing.append(group)
-    if missing:
-        raise ModelError(
-            f"The result has the set-ups {choices(known_groups)}; the table's {choices(missing)} are none of them. Let "
-            "the measurement frames be found (--frame estimate), or give them in a cell file."
-        )
-
-
-def _matches(
+def _match(
     names: tuple[str, ...], known: tuple[str, ...], *, by_name: bool = False
 ) -> dict[int, int]:
-    """Match frames or targets of a table with those of a result, by name or the only one with the only one.
-
-    Args:
-        names: Names of all stations, or of all targets, in the table.
-        known: Those in the result.
-        by_name: True to match by name also where there is only one of each.
-
-    Returns:
-        Index in the result, by the index in the table, both from 0; without those that the result lacks.
-    """
+    """Match names of a table with those of a result, or the only one with the only one unless ``by_name``."""
     if len(names) == len(known) == 1 and not by_name:
         return {0: 0}
     return {k: known.index(name) for k, name in enumerate(names) if name in known}
@@ -389,7 +297,7 @@ def moved_place(
 ) -> Reason | None:
     """Name the frame or the target of an earlier result if it has moved since.
 
-    It has if registering it anew makes the rms error at most one `_FAR_SMALLER`-th. If both do, it is the one with the
+    It has if registering it again makes the rms error at most one `_FAR_SMALLER`-th. If both do, it is the one with the
     smaller error.
 
     Args:
@@ -401,7 +309,7 @@ def moved_place(
 
     Returns:
         The reason, ``FRAME_MOVED`` or ``TARGET_MOVED``, with the rms errors in length before, ``given_m``, and after,
-        ``error_m`` [m]; None where nothing has moved, or the error is below `_SMALL`.
+        ``error_m`` [m]; None if nothing has moved, or the error is below `_SMALL`.
     """
     as_known = evaluate(robot, measurements, cell, known=known, which=which)
     rms, best = as_known.errors["all"]["m"].rms, None
@@ -411,51 +319,18 @@ def moved_place(
     for place, why in _MOVED.items():
         if place in as_known.registered:
             continue
+        open_cell = replace(cell, estimate_target=True)
+        if place == "frame":
+            open_cell = replace(cell, estimate_frame=True, frame_directions=DIRECTIONS)
         others = tuple(name for name in which if name != place)
-        open_cell = _with_open(cell, place)
-        error = _registered_error(robot, measurements, open_cell, known, others)
-        if error is not None and error <= least:
+        try:
+            after = evaluate(robot, measurements, open_cell, known=known, which=others)
+        except CalibError:
+            continue
+        unknowns, scalars = after.setup.count, int(after.used.sum())
+        if not unknowns or scalars < _SCALARS_PER_UNKNOWN * unknowns:
+            continue
+        error = after.errors["all"]["m"].rms
+        if error <= least:
             least, best = error, Reason.of(why, given_m=rms, error_m=error)
     return best
-
-
-def _with_open(cell: Cell, place: str) -> Cell:
-    """Return a cell that leaves its frames or its targets to be registered.
-
-    Args:
-        cell: What is known of frames, targets and loads.
-        place: ``"frame"``, all six directions of which are then unknown; or ``"target"``.
-    """
-    if place == "frame":
-        return replace(cell, estimate_frame=True, frame_directions=DIRECTIONS)
-    return replace(cell, estimate_target=True)
-
-
-def _registered_error(
-    robot: Robot,
-    measurements: Measurements,
-    cell: Cell,
-    known: Setup,
-    which: tuple[str, ...],
-) -> float | None:
-    """Return the rms error in length of a robot after frames or targets were registered to the rows.
-
-    Args:
-        robot: The calibrated robot.
-        measurements: The rows.
-        cell: What is known of frames, targets and loads; what it leaves open is registered.
-        known: Frames and targets of an earlier result.
-        which: What is taken from them: ``"frame"``, ``"target"``, both or none.
-
-    Returns:
-        [m], over all rows; None where the table cannot be evaluated, nothing is open, or there are fewer than
-        `_SCALARS_PER_UNKNOWN` measured scalars for each unknown of frames and targets.
-    """
-    try:
-        after = evaluate(robot, measurements, cell, known=known, which=which)
-    except CalibError:
-        return None
-    unknowns, scalars = after.setup.count, int(after.used.sum())
-    if not unknowns or scalars < _SCALARS_PER_UNKNOWN * unknowns:
-        return None
-    return after.errors["all"]["m"].rms

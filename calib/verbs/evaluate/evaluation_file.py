@@ -7,11 +7,9 @@ from dataclasses import asdict
 from typing import Any
 
 from calib.result.calibration_file import error_table, pose_table, versions
-from calib.result.image_errors import ImageFigures
 from calib.verbs.evaluate.acceptance import Acceptance, Assessment
 from calib.verbs.evaluate.accuracy import Accuracy
 from calib.verbs.evaluate.characteristics import Characteristic
-from calib.verbs.evaluate.evaluation import Evaluation
 
 
 def assessment_table(e: Assessment) -> dict[str, Any]:
@@ -23,6 +21,24 @@ def assessment_table(e: Assessment) -> dict[str, Any]:
     accepted = None
     if acceptance is not None:
         accepted = {"robot": e.judged, **acceptance_table(acceptance)}
+    # By the robot, and by the set of rows: estimation, validation, all.
+    errors: dict[str, dict[str, Any]] = {}
+    for who, evaluation in e.evaluations.items():
+        errors[who] = {name: error_table(of_set) for name, of_set in evaluation.errors.items()}
+        figures = evaluation.images
+        if figures is not None:
+            errors[who]["images"] = {
+                "images": figures.images,
+                "corners": figures.corners,
+                "mean_px": figures.mean,
+                "p95_px": figures.p95,
+                "max_px": figures.largest,
+                "bias_u_px": figures.bias[0],
+                "bias_v_px": figures.bias[1],
+                "mean_at_board_m": figures.mean_at_board,
+                "p95_at_board_m": figures.p95_at_board,
+                "max_at_board_m": figures.largest_at_board,
+            }
     read = {"name": m.source, "sha256": m.sha256, "orientation": m.orientation or None}
     return {
         "schema": "evaluation 4",  # a word, so that it is not taken for a result's
@@ -34,7 +50,7 @@ def assessment_table(e: Assessment) -> dict[str, Any]:
             "set_ups": [{"group": name, **pose_table(T, "frame_base_")} for name, T in frames],
             "targets": [{"target": name, **pose_table(T)} for name, T in targets],
         },
-        "errors": {who: _errors_table(evaluation) for who, evaluation in e.evaluations.items()},
+        "errors": errors,
         "inputs": {
             "urdf": {"name": robot.urdf.source, "sha256": robot.urdf.sha256},
             "measurements": {**read, "rows": len(m)},
@@ -46,32 +62,6 @@ def assessment_table(e: Assessment) -> dict[str, Any]:
         },
         "acceptance": accepted,
         "record": asdict(urdf.record),
-    }
-
-
-def _errors_table(evaluation: Evaluation) -> dict[str, Any]:
-    """Return errors of one robot as nested tables by the set of rows: ``estimation``, ``validation``, ``all``."""
-    table: dict[str, Any] = {
-        name: error_table(errors) for name, errors in evaluation.errors.items()
-    }
-    if evaluation.images is not None:
-        table["images"] = _images_table(evaluation.images)
-    return table
-
-
-def _images_table(figures: ImageFigures) -> dict[str, Any]:
-    """Return the errors of images, in pixels and as lengths at the board."""
-    return {
-        "images": figures.images,
-        "corners": figures.corners,
-        "mean_px": figures.mean,
-        "p95_px": figures.p95,
-        "max_px": figures.largest,
-        "bias_u_px": figures.bias[0],
-        "bias_v_px": figures.bias[1],
-        "mean_at_board_m": figures.mean_at_board,
-        "p95_at_board_m": figures.p95_at_board,
-        "max_at_board_m": figures.largest_at_board,
     }
 
 

@@ -27,6 +27,7 @@ from calib.errors import ArgumentError, CalibError, choices, did_you_mean
 from calib.numerics import solvers
 from calib.robot.robot import Robot
 from calib.robot.urdf import read_urdf
+from calib.show.plotting import require_matplotlib
 from calib.verbs.fleet.job import (
     FleetJob,
     FleetOptions,
@@ -254,12 +255,15 @@ def run_fleet(
         A row for each robot, and the outliers among them.
 
     Raises:
-        CalibError: Names that cannot be those of folders or belong to two, or a worker was killed.
+        CalibError: Names that cannot be those of folders or belong to two, a worker was killed, or reports are asked
+            for and matplotlib is missing.
         FileError: The folder cannot be written.
     """
     check_names((robot.name, f"Robot {i}") for i, robot in enumerate(robots, 1))
-    path = make_folder(folder)
     chosen = options or FleetOptions()
+    if chosen.reports:
+        require_matplotlib("A report")
+    path = make_folder(folder)
     rows: dict[str, FleetRow] = {}  # of the robots that are done, in any order
     sent: list[
         tuple[RobotFolder, str]

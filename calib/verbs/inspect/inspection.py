@@ -51,12 +51,12 @@ def inspect(
 
     Args:
         robot: The nominal robot; or the path of a URDF or xacro, or a name such as ``"ur3"``, with the cell's base and
-            tip, or those that the table's joint columns tell.
+            tip, or those that follow from the table's joint columns.
         cell: Its model is analysed, ``"auto"`` as ``"dh"``; or the path of a cell file; None: the default cell. Errors
             of single corners of its boards are left out.
         measurements: Their estimation rows are analysed, with frames and targets registered; or the path of their
-            table. None: 200 poses over the
-            joint limits, with a target or anchor that the cell does not give at a generic place.
+            table. None: 200 poses over the joint limits, with a target or anchor that the cell does not give at a
+            generic place.
 
     Raises:
         ArgumentError: Robot, cell or measurements are of another type.
@@ -71,7 +71,10 @@ def inspect(
         rows, setup, assumed = _rows_over_joint_limits(arm, known)
     else:
         arm, table, known = inputs_of(robot, measurements, cell)
-        known = _with_exact_corners(known)
+        # Corner errors have a narrow prior each, and without it any of them would be mistaken for an error of the robot
+        # or of the print as a whole.
+        boards = {name: replace(board, sigma_corner=0.0) for name, board in known.boards.items()}
+        known = replace(known, boards=boards)
         rows, setup = rows_and_setup(arm, table, known)
         rows = rows.select(table.estimation)
         setup = register(arm.poses(rows.joints), setup, rows)
@@ -89,26 +92,10 @@ def inspect(
     )
 
 
-def _with_exact_corners(cell: Cell) -> Cell:
-    """Return a cell whose boards have their corners in place.
-
-    Errors of single corners have a narrow prior each, and without it any of them would be mistaken for an error of the
-    robot or of the print as a whole.
-    """
-    boards = {name: replace(board, sigma_corner=0.0) for name, board in cell.boards.items()}
-    return replace(cell, boards=boards)
-
-
 def _rows_over_joint_limits(robot: Robot, cell: Cell) -> tuple[Rows, Setup, tuple[str, ...]]:
-    """Make rows of perfect measurements at poses over the joint limits.
+    """Make rows of perfect measurements at poses over the joint limits, and say what was put at a generic place.
 
-    Args:
-        robot: The nominal robot.
-        cell: It says the kind of the rows, points by default, and which frames and targets are known.
-
-    Returns:
-        The rows; their frames and targets, at which the measurements are perfect; and what was put at a generic place:
-        ``"target"``, ``"anchor"``, both or nothing.
+    The rows are of the cell's kind, points by default.
     """
     table = table_of_poses(robot, cell.kind or "point", spread_poses(robot))
     rows, setup = rows_and_setup(robot, table, cell)

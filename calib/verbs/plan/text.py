@@ -13,10 +13,12 @@ from calib.basics.channels import RESIDUAL_UNITS
 from calib.basics.values import one_line
 from calib.instruments.camera import CameraInstrument
 from calib.instruments.instrument import Instrument
+from calib.show.blocks import NOTEBOOK, Facts, Page, Paragraph, Section
 from calib.show.lines import mm, paragraphs, plural, wrap
-from calib.show.notebook import chain_name, html_table
+from calib.show.page import notebook_html
 from calib.show.readings import coupling_sentence
 from calib.show.tables import Column, labelled, name_column, table_lines
+from calib.show.words import chain_name
 from calib.verbs.plan.plan import Plan
 from calib.verbs.plan.plan_file import distances_and_tilts
 
@@ -249,7 +251,8 @@ def plan_html(p: Plan) -> str:
     ]
     if p.blocked:
         rows.append(("moves that are not free", str(len(p.blocked))))
-    return html_table(f"Plan for {chain_name(p.robot)}", rows)
+    excerpt = [Paragraph(f"Plan for {chain_name(p.robot)}"), Facts(rows)]
+    return notebook_html(Page("Plan", p.robot.name, [Section(lambda: excerpt, on=NOTEBOOK)]))
 
 
 def plan_line(p: Plan) -> str:

@@ -16,7 +16,7 @@ from calib.basics.arrays import read_only, rigid_inverse
 from calib.data.cell import Box
 from calib.instruments.camera import CameraInstrument
 from calib.instruments.instrument import Instrument
-from calib.show.figure_base import BEAM, ESTIMATION, VALIDATION
+from calib.show.look import BEAM, ESTIMATION, VALIDATION
 from calib.show.scene.html_page import Key, Page
 from calib.show.scene.scene import (
     Dots,

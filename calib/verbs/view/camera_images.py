@@ -12,11 +12,11 @@ import meshcat
 import numpy as np
 from meshcat import geometry as mc
 
-import calib.show.figure_base as look
 from calib.basics.arrays import Array, Integers, rigid_inverse
 from calib.camera.camera import Camera
 from calib.camera.lenses import LENSES
-from calib.show.row_values import setup_of_rows
+from calib.show.look import INK
+from calib.show.measured_rows import setup_of_rows
 from calib.show.scene.html_page import COLOURS, Key, floats
 from calib.show.scene.posed_robot import PosedRobot, translation
 from calib.show.scene.scene import SCENE, Scene, draw_cloud, draw_lines
@@ -257,7 +257,7 @@ def draw_cameras(scene: Scene, shown: Mapping[str, PosedRobot], images: CameraIm
             node.set_transform(T_base_shape[which])
             _draw_shape(node, shape, COLOURS[name])
         nodes += [f"{name}/{target}", f"{name}/{_STANDING}"]
-    return Key("camera and board, as fitted with each robot", look.INK, " ".join(nodes))
+    return Key("camera and board, as fitted with each robot", INK, " ".join(nodes))
 
 
 def _draw_shape(node: meshcat.Visualizer, shape: Shape, colour: str) -> None:
@@ -273,7 +273,7 @@ def _draw_shape(node: meshcat.Visualizer, shape: Shape, colour: str) -> None:
     front = np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)
     draw_lines(node["lines"], np.concatenate([shape.lines, front]), colour)
     if is_board:
-        draw_cloud(node["corners"], shape.points, look.INK, _DOT * float(shape.edges.max()))
+        draw_cloud(node["corners"], shape.points, INK, _DOT * float(shape.edges.max()))
 
 
 def images_table(images: CameraImages | None, factors: tuple[int, ...]) -> dict[str, Any] | None:

@@ -19,7 +19,6 @@ from typing import Any
 import meshcat
 import numpy as np
 
-import calib.show.figure_base as look
 from calib.basics.arguments import check_flags, check_path, check_type
 from calib.basics.arrays import Array
 from calib.basics.channels import RESIDUAL_UNITS
@@ -29,6 +28,7 @@ from calib.data.inputs import ROBOT, RobotInput, robot_of
 from calib.result.calibration import Calibration
 from calib.result.calibration_file import RESULT, is_result_file, result_of
 from calib.robot.robot import Robot
+from calib.show.look import BEAM, ESTIMATION, OUTLIER, VALIDATION
 from calib.show.scene.html_page import COLOURS, Key, Page, fill_page, floats
 from calib.show.scene.posed_robot import PosedRobot, Visual, packed, read_visuals, translation
 from calib.show.scene.scene import SCENE, draw_robot, new_scene, solid, span
@@ -38,9 +38,9 @@ from calib.verbs.view.view import View, view_of, view_of_result, view_of_robots
 
 #: Colour and text in the legend of the rows of each kind.
 _ROWS = {
-    "estimation": (look.ESTIMATION, "measured, estimation"),
-    "validation": (look.VALIDATION, "measured, validation"),
-    "flagged": (look.OUTLIER, "measured, flagged"),
+    "estimation": (ESTIMATION, "measured, estimation"),
+    "validation": (VALIDATION, "measured, validation"),
+    "flagged": (OUTLIER, "measured, flagged"),
 }
 
 #: Radius of the target's ball, as a fraction of the scene's size.
@@ -234,7 +234,7 @@ def view_page(view: View, *, about: About | None = None) -> Page:
         grid=scene.square,
         legend=_legend(view),
         names=names,
-        beam=look.BEAM,
+        beam=BEAM,
         groups=list(shown),
         view=view,
         two=len(shown) > 1,
@@ -369,7 +369,7 @@ def script_table(view: View, shown: Mapping[str, PosedRobot]) -> dict[str, Any]:
         "labels": list(view.labels),
         "kinds": list(view.kinds),
         "names": [name for name, _ in view.names],
-        "colours": {**COLOURS, **colours, "beam": look.BEAM, "way": WAY_COLOUR},
+        "colours": {**COLOURS, **colours, "beam": BEAM, "way": WAY_COLOUR},
         "robots": robots,
         "measured": floats(view.points),
         "errors": errors,

@@ -20,7 +20,7 @@ from calib.errors import ModelError, choices
 from calib.result.calibration import Calibration
 from calib.robot.ranges import column_ranges, spread_poses
 from calib.robot.robot import Robot
-from calib.show.row_values import (
+from calib.show.measured_rows import (
     flagged_rows,
     measured_in_base,
     setup_of_rows,

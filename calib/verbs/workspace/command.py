@@ -86,8 +86,10 @@ class WorkspaceOutputs:
         """Refuse outputs that cannot be written before the work begins."""
         check_outputs([self.output, self.picture, self.view], inputs, force=self.force)
         if self.picture is not None:
-            from calib.verbs.workspace.figures import check_ending  # with matplotlib
+            from calib.show.plotting import require_matplotlib
+            from calib.verbs.workspace.figures import check_ending
 
+            require_matplotlib("A picture")
             check_ending(self.picture)
 
     def write(self, view: RegionView, seed: int) -> list[str]:

@@ -11,10 +11,20 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-import calib.show.figure_base as base
 from calib.basics.arrays import Array, Mask
 from calib.basics.files import write_atomically
-from calib.show.figure_base import VIEWS, flat, limits_of
+from calib.show.look import ESTIMATION, INK, LITTLE_TO_MUCH, VALIDATION
+from calib.show.plotting import (
+    VIEWS,
+    check_kind,
+    new_figure,
+    number_points,
+    picture_bytes,
+    require_matplotlib,
+    set_view,
+    styled,
+    view_limits,
+)
 from calib.verbs.workspace.region_rows import RegionView
 
 if TYPE_CHECKING:
@@ -31,7 +41,7 @@ _DPI = 150
 def check_ending(path: str | Path) -> str:
     """Return the format of a picture file by the ending of its name; raises `FileError` for another than `KINDS`."""
     kind = Path(path).suffix.lower().removeprefix(".")
-    base.check_kind(kind)
+    check_kind(kind)
     return kind
 
 
@@ -50,18 +60,20 @@ def write_picture(view: RegionView, path: str | Path, *, overwrite: bool = False
 
     Args:
         view: The region, and the rows of a table.
-        path: The file; the ending of its name is one of `calib.show.figure_base.KINDS`.
+        path: The file; the ending of its name is one of `calib.show.plotting.KINDS`.
         overwrite: Whether an existing file is replaced.
 
     Returns:
         The file.
 
     Raises:
+        CalibError: Matplotlib is missing.
         FileError: The name has another ending, or the file exists or cannot be written.
     """
     kind = check_ending(path)
-    with base.styled():
-        data = base.saved(draw_region(view), kind, *headings(view), dpi=_DPI)
+    require_matplotlib("A picture")
+    with styled():
+        data = picture_bytes(draw_region(view), kind, *headings(view), dpi=_DPI)
     return write_atomically(Path(path), data, overwrite=overwrite)
 
 
@@ -73,9 +85,9 @@ def draw_region(view: RegionView) -> Figure:
     mean = indices @ density.counts.ravel() / density.samples
     centre = np.round(mean).astype(np.intp)  # the voxel at the mean of the samples
     points = np.zeros((0, 3)) if view.checked is None else view.checked.points
-    limits = limits_of(1e3 * np.vstack([density.extent, points]))
+    limits = view_limits(1e3 * np.vstack([density.extent, points]))
 
-    figure = base.new_figure(*_SIZE)
+    figure = new_figure(*_SIZE)
     figure.suptitle("\n".join(headings(view)), x=0.01, ha="left")
     axes = figure.subplots(2, 3)
     for column, (i, j, name) in enumerate(VIEWS):
@@ -84,13 +96,13 @@ def draw_region(view: RegionView) -> Figure:
         inside = np.any(view.region.cells, axis=across)
         seen = _draw_panel(upper, density.smooth.sum(axis=across), inside, low[pair], voxel)
         upper.set_title(f"Seen {name}")
-        flat(upper, limits, (i, j))
+        set_view(upper, limits, (i, j))
         inside = view.region.cells.take(centre[across], axis=across)
         values = density.smooth.take(centre[across], axis=across)
         cut = _draw_panel(lower, values, inside, low[pair], voxel)
         height = low[across] + (centre[across] + 0.5) * voxel
         lower.set_title(f"Cut at {'xyz'[across]} = {height:.0f} mm")
-        flat(lower, limits, (i, j))
+        set_view(lower, limits, (i, j))
         _mark_rows(upper, view, (i, j))
     for image, panels, place in (
         (seen, axes[0], "along the line of sight"),
@@ -118,7 +130,7 @@ def _draw_panel(ax: Axes, values: Array, inside: Mask, low: Array, voxel: float)
         np.ma.masked_where(values.T <= 0.0, share),
         origin="lower",
         extent=(low[0], high[0], low[1], high[1]),
-        cmap=LinearSegmentedColormap.from_list("often", list(base.LITTLE_TO_MUCH)),
+        cmap=LinearSegmentedColormap.from_list("often", list(LITTLE_TO_MUCH)),
         vmin=0.0,
         vmax=1.0,
         interpolation="nearest",
@@ -131,9 +143,7 @@ def _draw_panel(ax: Axes, values: Array, inside: Mask, low: Array, voxel: float)
     upright = np.stack([along - [0, 1], along], axis=1)
     level = np.stack([across - [1, 0], across], axis=1)
     edges = low + voxel * np.concatenate([upright, level])  # shape (K, 2, 2)
-    lines = LineCollection(
-        list(edges), colors=base.INK, linewidths=1.3, capstyle="projecting", zorder=3
-    )
+    lines = LineCollection(list(edges), colors=INK, linewidths=1.3, capstyle="projecting", zorder=3)
     lines.set_label("outline of the region")
     ax.add_collection(lines)
     return image
@@ -147,8 +157,8 @@ def _mark_rows(ax: Axes, view: RegionView, pair: tuple[int, int]) -> None:
     places = 1e3 * view.checked.points[:, pair]
     inside = view.region.contains(view.checked.points)
     sets = (
-        (rows.estimation, "estimation", {"marker": "o", "ms": 4.5}, base.ESTIMATION),
-        (rows.validation, "validation", {"marker": "D", "ms": 6.0}, base.VALIDATION),
+        (rows.estimation, "estimation", {"marker": "o", "ms": 4.5}, ESTIMATION),
+        (rows.validation, "validation", {"marker": "D", "ms": 6.0}, VALIDATION),
     )
     for mask, name, look, colour in sets:
         filled: dict[str, Any] = {"mfc": colour, "mec": "white", **look}
@@ -158,4 +168,4 @@ def _mark_rows(ax: Axes, view: RegionView, pair: tuple[int, int]) -> None:
             if len(marked):
                 label = f"{len(marked)} {name} rows {place}"
                 ax.plot(*marked.T, ls="none", zorder=4, label=label, **style)
-    base.number_points(ax, rows.rows, places, rows.validation | ~inside)
+    number_points(ax, rows.rows, places, rows.validation | ~inside)

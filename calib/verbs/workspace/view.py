@@ -9,7 +9,7 @@ import numpy as np
 from meshcat import geometry as mc
 
 from calib.basics.arrays import Array
-from calib.show.figure_base import ESTIMATION, LITTLE_TO_MUCH, NOMINAL, VALIDATION
+from calib.show.look import ESTIMATION, LITTLE_TO_MUCH, NOMINAL, VALIDATION
 from calib.show.scene.html_page import Key, Page
 from calib.show.scene.posed_robot import translation
 from calib.show.scene.scene import (

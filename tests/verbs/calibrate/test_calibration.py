@@ -17,7 +17,7 @@ from calib.result.calibration import Calibration
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
 from calib.verbs.evaluate.acceptance import assess
-from calib.verbs.evaluate.text import assessment_text
+from calib.verbs.evaluate.report import summary
 from calib.verbs.simulate.scenario import Scenario
 from tests.parts import with_part
 from tests.verbs.fleet.arms import CELL
@@ -77,7 +77,7 @@ def test_what_an_earlier_calibration_stated_does_not_stay(result: Calibration, t
 def test_the_summary_of_an_evaluation_is_what_the_command_line_prints(ur3: Robot, table):
     evaluation = calib.evaluate(ur3, table, CELL)
     assessment = assess(ur3, table, CELL)
-    assert assessment_text(assessment, "", "as given").startswith(evaluation.summary())
+    assert summary(assessment).startswith(evaluation.summary())
 
 
 def test_help_lists_every_attribute_of_a_calibration():

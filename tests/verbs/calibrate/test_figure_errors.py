@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.show.figure_base import styled
+from calib.show.plotting import styled
 from calib.verbs.calibrate.figure_errors import (
     by_axis,
     by_row,

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.show.figure_base import styled
+from calib.show.plotting import styled
 from calib.verbs.calibrate.figure_joints import along_joints, residuals_by_joint
 from tests.parts import with_part
 

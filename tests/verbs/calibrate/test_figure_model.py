@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from calib.result.calibrate import calibrate
-from calib.show.figure_base import styled
+from calib.show.plotting import styled
 from calib.verbs.calibrate.figure_model import (
     candidates,
+    changed_parameters,
     changes,
     convergence,
     correlation_indices,
     correlations,
-    shown_parameters,
     singular_values,
 )
 
@@ -45,7 +45,7 @@ def test_changes_and_intervals_are_those_of_the_result(calibrations):
 
 
 def test_frames_and_targets_that_were_not_given_are_not_shown(calibrations):
-    names = [p.name for p in shown_parameters(calibrations.made("poses"))]
+    names = [p.name for p in changed_parameters(calibrations.made("poses"))]
     assert len(names) == 24
     assert not [name for name in names if name.startswith(("frame", "target"))]
 

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from calib.robot.ranges import SPREAD, spread_poses
-from calib.show.figure_base import styled
+from calib.show.plotting import styled
 from calib.verbs.calibrate.figure_space import (
     POSES,
-    _predicted_places,
     measured_places,
     points,
+    predicted_places,
     uncertainty,
 )
 
@@ -87,8 +87,8 @@ def test_places_that_nobody_measured_are_predicted(calibrations):
     np.testing.assert_allclose(measured_places(c), T[:, :3, :3] @ c.target + T[:, :3, 3])
 
 
-def test_predicted_places_are_those_of_the_target(calibrations):
+def testpredicted_places_are_those_of_the_target(calibrations):
     c = calibrations.made("paper")
     q = c.fit.measurements.joints_for(c.nominal.joint_names)
     homogeneous = c.robot.poses(q) @ np.append(c.target, 1.0)
-    np.testing.assert_allclose(_predicted_places(c, q), homogeneous[:, :3], atol=1e-12)
+    np.testing.assert_allclose(predicted_places(c, q), homogeneous[:, :3], atol=1e-12)

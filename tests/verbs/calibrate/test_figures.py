@@ -8,7 +8,7 @@ from xml.etree import ElementTree
 import pytest
 
 from calib.errors import FileError
-from calib.show.drawing import rendered
+from calib.show.plotting import render
 from calib.verbs.calibrate import figures
 from calib.verbs.calibrate.figures import CAPTIONS, drawings, write_figures
 
@@ -58,7 +58,7 @@ def check_svg(svg):
 def test_every_figure_is_made_and_holds_text_only_as_text(calibrations, case):
     c = calibrations.many_rows(6000) if case == "many_rows" else calibrations.made(case)
     for drawing in drawings(c):
-        check_svg(rendered(drawing, "svg"))
+        check_svg(render(drawing, "svg"))
 
 
 def test_all_are_written_and_none_is_written_over(calibrations, tmp_path, monkeypatch):

@@ -1,4 +1,4 @@
-"""Places of targets and frames: the numbers are those of the result."""
+"""Places of targets and frames, cameras and boards: the numbers are those of the result."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import re
 import numpy as np
 import pytest
 
+import calib
 from calib.basics.arrays import read_only
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
@@ -15,7 +16,8 @@ from calib.result.calibrate import calibrate
 from calib.result.calibration import Calibration
 from calib.robot.robot import Robot
 from calib.show.lines import mm
-from calib.verbs.calibrate.places_text import frame_sentences
+from calib.verbs.calibrate.places_text import camera_and_board_sentences, frame_sentences
+from tests.images import arm, cell, poses, table as image_table
 
 
 @pytest.mark.slow
@@ -70,3 +72,19 @@ def test_planes_have_their_normal_and_distance_in_the_base(calibrated):
         numbers = [float(v) for v in re.findall(r"-?\d+\.\d+", line)]
         np.testing.assert_allclose(numbers[:3], T[2, :3], atol=5.1e-6)
         assert line.endswith(f"{mm(-T[2, 3])} mm along it.")
+
+
+def test_intrinsics_and_print_are_worded():
+    result = calib.calibrate(
+        arm(), image_table(poses(10), noise=0.1), cell=cell(model="frames"), validate=False
+    )
+    camera, board = camera_and_board_sentences(result)
+    for name in ("fx", "fy", "cx", "cy", "k1", "p2"):
+        assert f"{name} " in camera
+    for word in ("scale x", "sag x", "mm rms"):
+        assert word in board
+
+
+def test_nothing_is_said_without_cameras(ur3, paper_table):
+    result = calib.calibrate(ur3, paper_table, cell=Cell(model="frames"), validate=False)
+    assert camera_and_board_sentences(result) == []

@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import hashlib
+import importlib.util
 import re
 from dataclasses import replace
 
 import pytest
 
 from calib.data.record import Record
-from calib.errors import FileError
+from calib.errors import CalibError, FileError
 from calib.show import page as page_module
+from calib.show.as_text import page_text
+from calib.show.errors import ERROR_COLUMNS, ErrorColumn
 from calib.show.lines import mm
+from calib.show.page import notebook_html, page_bytes
 from calib.show.verdict import reason_text
-from calib.verbs.calibrate import figures
-from calib.verbs.calibrate.figures import drawings
-from calib.verbs.calibrate.report import _rows_text, report_bytes, write_report
+from calib.verbs.calibrate import report as report_module
+from calib.verbs.calibrate.figures import drawings, write_figures
+from calib.verbs.calibrate.report import report, write_report
 from tests.show.pages import FULL_RECORD, Page
 from tests.verbs.calibrate.test_tables import every_table
 
@@ -36,8 +40,12 @@ CASES = [
 @pytest.fixture
 def page(monkeypatch):
     """The report of a calibration without its figures, which take their time."""
-    monkeypatch.setattr(figures, "drawings", lambda _: ())
-    return lambda c: Page(report_bytes(c, command="calib calibrate --x <b>").decode())
+    monkeypatch.setattr(report_module, "drawings", lambda _: ())
+    return lambda c: Page(source_of(c))
+
+
+def source_of(c, command: str = "calib calibrate --x <b>") -> str:
+    return page_bytes(report(c, command=command)).decode()
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -53,9 +61,10 @@ def test_every_page_is_complete_and_its_verdict_comes_first(page, calibrations, 
     assert text.index(f"Verdict: {use}") < text.index("Accuracy before and after")
     for reason in () if c.verdict is None else c.verdict.reasons:
         assert " ".join(reason_text(reason).split()) in text
-    assert made.tags.count("h2") == 10 + bool(c.method.candidates)
+    # Those of figures alone are empty here.
+    assert made.tags.count("h2") == 9
     # One more on the first page.
-    assert made.tags.count("caption") == 1 + sum(bool(table.rows) for table in every_table(c))
+    assert made.tags.count("caption") == 1 + len(every_table(c))
 
 
 def test_names_are_text_only(page, calibrations):
@@ -64,12 +73,10 @@ def test_names_are_text_only(page, calibrations):
     assert made.tags.count("style") == 1
     for name in (*calibrations.HOSTILE, calibrations.HOSTILE_SOURCE):
         assert " ".join(name.split()) in made.text
-    source = report_bytes(c).decode()
-    (policy,) = re.findall(r'Security-Policy" content="([^"]*)"', source)
+    (policy,) = re.findall(r'Security-Policy" content="([^"]*)"', source_of(c))
     assert policy == "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
-    assert (
-        '<span class="word">--x</span> <span class="word">&lt;b&gt;</span>'
-        in report_bytes(c, command="--x <b>").decode()
+    assert '<span class="word">--x</span> <span class="word">&lt;b&gt;</span>' in source_of(
+        c, "--x <b>"
     )
 
 
@@ -115,11 +122,11 @@ def test_files_have_the_hashes_of_their_bytes(page, paper_calibration, tmp_path)
 @pytest.mark.usefixtures("page")
 def test_nothing_but_the_date_differs_between_two_reports(paper_calibration, monkeypatch):
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "1700000000")
-    once = report_bytes(paper_calibration)
-    assert report_bytes(paper_calibration) == once
+    once = source_of(paper_calibration)
+    assert source_of(paper_calibration) == once
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "1800000000")
-    later = report_bytes(paper_calibration).decode()
-    assert once.decode().replace("2023-11-14 22:13", "2027-01-15 08:00") == later
+    later = source_of(paper_calibration)
+    assert once.replace("2023-11-14 22:13", "2027-01-15 08:00") == later
 
 
 @pytest.mark.usefixtures("page")
@@ -138,7 +145,7 @@ def test_figures_stand_in_their_sections_and_a_large_one_is_a_picture(
     paper_calibration, monkeypatch
 ):
     monkeypatch.setattr(page_module, "_LARGE", 60_000)
-    text = report_bytes(paper_calibration).decode()
+    text = source_of(paper_calibration)
     made = drawings(paper_calibration)
     kinds = re.findall(r'src="data:image/([^;]+);base64,', text)
     assert len(kinds) == len(made)
@@ -180,7 +187,43 @@ def test_chromium_shows_and_prints_hostile_names(browser, calibrations, tmp_path
     assert 8 <= len(re.findall(rb"/Type /Page\b", pdf)) <= 20
 
 
-def test_the_rows_say_in_which_convention_orientations_were_given(paper_calibration):
-    m = paper_calibration.fit.measurements
-    assert "orientations" not in _rows_text(m)
-    assert "orientations as KUKA's A, B, C" in _rows_text(replace(m, orientation="kuka"))
+def test_the_rows_say_in_which_convention_orientations_were_given(page, paper_calibration):
+    c = paper_calibration
+    assert "orientations as" not in page(c).text
+    m = replace(c.fit.measurements, orientation="kuka")
+    kuka = replace(c, fit_in_memory=replace(c.fit, measurements=m))
+    assert page(kuka).text.count("orientations as KUKA's A, B, C") == 2
+
+
+def test_a_column_more_in_the_tables_of_errors_is_in_every_drawing(paper_calibration):
+    """One typed column, given as a parameter: summary, report and notebook have it."""
+    c = paper_calibration
+    further = ErrorColumn("95 %", lambda errors: 0.95 * errors.max, "95th percentile")
+    made = report(c, columns=(*ERROR_COLUMNS, further))
+    errors = c.errors["calibrated"]["validation"]["m"]
+    cells = [mm(v) for v in (errors.max, errors.mean, errors.rms, *errors.span_axis)]
+    cells.append(mm(0.95 * errors.max))
+
+    (line,) = [
+        k for k in page_text(made).splitlines() if k.startswith("validation rows, calibrated")
+    ]
+    assert line.split()[4:] == cells
+    assert max(map(len, page_text(made).splitlines())) <= 100
+    for drawn in (Page(page_bytes(made).decode()), Page(notebook_html(made))):
+        _, heads, row, *_ = drawn.table("Size of the error by set of rows")
+        assert (heads.count("95 %"), row[-1]) == (2, cells[-1])
+    whole = Page(page_bytes(made).decode()).table("Position error [mm]")
+    assert whole[1][-1] == "95 %"
+    assert whole[5][2:] == cells
+
+
+def test_a_report_without_matplotlib_is_refused_before_anything_is_made(
+    paper_calibration, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(importlib.util, "find_spec", lambda _: None)
+    with pytest.raises(CalibError, match=r"A report needs .*robot-calib\[report\]"):
+        paper_calibration.write_report(tmp_path / "r.html")
+    with pytest.raises(CalibError, match="A figure needs matplotlib"):
+        write_figures(paper_calibration, tmp_path / "figures")
+    assert list(tmp_path.iterdir()) == []
+    assert "Verdict: use" in paper_calibration.summary()

@@ -1,3 +1,5 @@
+"""The summary of a calibration has its sections in order, with the result's numbers; noise and outliers in words."""
+
 from __future__ import annotations
 
 import re
@@ -7,14 +9,24 @@ import numpy as np
 import pytest
 
 import calib
-from calib.basics.channels import channels_of
 from calib.data.cell import Cell
-from calib.data.kinds import get
+from calib.fit.registration.rows import USUAL_POSE_NOISE
+from calib.fit.selection.robustness import Robustness
+from calib.numerics.correlated_noise import PoseNoise
 from calib.numerics.errors import Errors
 from calib.result.calibrate import calibrate
 from calib.result.calibration import Calibration
-from calib.show.errors import error_table, error_title
-from calib.verbs.calibrate.text import EXPECTED, facts
+from calib.result.parts import Outlier
+from calib.verbs.calibrate.text import (
+    EXPECTED,
+    POSE_NOISE,
+    facts,
+    noise_text,
+    outliers_text,
+    pose_noise_text,
+    robustness_text,
+)
+from tests.parts import with_part
 
 
 @pytest.fixture(scope="module")
@@ -88,23 +100,6 @@ def test_the_parameters_are_those_of_the_result(text: str, default_result: Calib
         np.testing.assert_allclose(shown, wanted, atol=5.001e-4)
 
 
-@pytest.mark.parametrize(
-    ("kinds", "title"),
-    [
-        (["point", "fixed"], "Position error"),
-        (["distance", "plane"], "Length error"),
-        (["pose", "pair"], "Position or length error"),
-        ([], "Position error"),
-    ],
-)
-def test_an_error_of_a_length_is_none_of_a_position(kinds: list[str], title: str):
-    units = [get(kind).units for kind in kinds]
-    vector_units = [get(kind).vector_units for kind in kinds]
-    channels = channels_of(units, vector_units, np.arange(len(kinds)))
-    assert error_title("m", channels) == title
-    assert error_title("rad", channels) == "Orientation error"
-
-
 def test_what_too_few_rows_do_not_tell_is_not_expected(ur3, table):
     """Rows of one pose: the sizes of the errors are found from nothing."""
     one = calibrate(ur3, table.select(np.arange(35) < 1), model="zeros", validate=False)
@@ -118,13 +113,60 @@ def test_what_too_few_rows_do_not_tell_is_not_expected(ur3, table):
     assert " mm over the joint limits" in facts(some)[EXPECTED]
 
 
-def test_errors_have_a_span_where_positions_were_measured():
-    rng = np.random.default_rng(1)
-    positions, lengths = (Errors.of(1e-3 * rng.normal(size=(5, n))) for n in (3, 1))
-    for errors, columns in ((positions, 7), (lengths, 4)):
-        head, row = error_table("Error", "m", [("rows", errors)])
-        assert ("span" in head) is (columns == 7)
-        assert len(row.split()) == 1 + columns
-    both = error_table("Error", "m", [("a", lengths), "text", ("b", positions)])
-    assert "span" in both[0]
-    assert both[1].split()[-3:] == ["-"] * 3
+def test_the_noise_has_its_degrees_of_freedom_where_they_are_enough(default_result):
+    told = noise_text(default_result)
+    assert f"{default_result.noise.freedom:.0f} d.o.f." in told
+    few = noise_text(with_part(default_result, "noise", freedom=5.9))
+    assert "d.o.f." not in few
+
+
+def test_the_noise_of_poses_is_told_in_common_units(default_result):
+    noise = PoseNoise(
+        scale=0.37, position=1.25e-4, orientation=np.deg2rad(0.02), joint=np.deg2rad(0.013)
+    )
+    numbers = [float(word) for word in re.findall(r"\d+\.\d+", pose_noise_text(noise))]
+    assert numbers == pytest.approx([0.37, 0.013, 0.125, 0.02])
+    assert "at each joint" not in pose_noise_text(replace(noise, joint=0.0))
+    assert "assumed" in pose_noise_text(USUAL_POSE_NOISE)
+    assert "assumed" not in pose_noise_text(noise)
+    assert POSE_NOISE not in facts(default_result)
+    assert facts(with_part(default_result, "noise", pose_noise=noise))[
+        POSE_NOISE
+    ] == pose_noise_text(noise)
+
+
+def test_outliers_are_listed_by_row(default_result):
+    far = [Outlier(k, {"m": 1e-3 * k}, 4.0 + k) for k in range(1, 15)]
+    told = outliers_text(default_result, far).split("; ")
+    assert told[1] == "row 2 (2.00 mm, 6.0 sigma)"
+    assert told[12] == "and 2 more"
+
+
+def test_outliers_of_images_are_listed_by_image(default_result):
+    count = len(default_result.rows)
+    images = tuple(f"{k // 3}.png" for k in range(count))
+    named = replace(default_result, rows=replace(default_result.rows, images=images))
+    numbers = default_result.rows.numbers
+    far = [Outlier(numbers[k], {"px": 0.1 * k}, 4.0 + k) for k in (3, 5, 7)]
+    told = outliers_text(named, far).split("; ")
+    assert told == [
+        "1.png, 2 corners (up to 0.50 px, 9.0 sigma)",
+        "2.png, 1 corner (up to 0.70 px, 11.0 sigma)",
+    ]
+
+
+def test_full_weights_beside_lowered_ones():
+    lowered, full = (Errors.of(np.full((4, 1), error)) for error in (1e-4, 3e-4))
+    robustness = Robustness(True, 2e-4, 5e-4, lowered, full)
+    text = robustness_text(robustness)
+    assert text.startswith("With full weight these rows would change the prediction by 0.200 mm")
+    assert "0.500 mm at most" in text
+    assert "from about 0.100 to 0.300 mm rms" in text
+    other = robustness_text(replace(robustness, lowered=False))
+    assert other.startswith("With lowered weight")
+    assert "from about 0.300 to 0.100 mm rms" in other
+
+
+def test_without_held_out_rows_no_error_is_said():
+    nothing = Errors.of(np.zeros((0, 3)))
+    assert robustness_text(Robustness(True, 2e-4, 5e-4, nothing, nothing)).endswith("at most.")

@@ -13,7 +13,7 @@ from calib.show.lines import mm
 from calib.verbs.compare.comparison import Comparison, Displacement, Why, compare
 from calib.verbs.compare.difference import Where
 from calib.verbs.compare.drift import LEVEL, DriftTest
-from calib.verbs.compare.text import comparison_table, comparison_text, notes, sentence
+from calib.verbs.compare.text import comparison_text, notes, sentence
 
 
 @pytest.fixture(scope="module")
@@ -73,7 +73,7 @@ def test_notes_name_what_limits_the_comparison(same: Comparison):
 
 
 def test_the_table_has_the_values(drifted: Comparison):
-    table = comparison_table(drifted)
+    table = drifted.table()
     assert table["outcome"] == "drift"
     assert table["test"]["level"] == LEVEL
     assert table["test"]["chi_square"] == drifted.test.chi_square

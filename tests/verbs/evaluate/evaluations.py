@@ -10,8 +10,9 @@ from calib.data.measurements import Measurements
 from calib.data.record import Record
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
+from calib.show.page import page_bytes
 from calib.verbs.evaluate.acceptance import Assessment, assess
-from calib.verbs.evaluate.evaluation_report import Origins, evaluation_report_bytes
+from calib.verbs.evaluate.report import Origins, report
 from tests.show.pages import Page
 
 RECORD = Record(customer="A & B <c>", robot_serial="4711", temperature_C=(20.5,))
@@ -45,4 +46,4 @@ def made(robot: Robot, worst: float = 8e-4, record: Record = RECORD, **given) ->
 
 
 def page_of(e: Assessment) -> Page:
-    return Page(evaluation_report_bytes(e, Origins(command="calib evaluate")).decode())
+    return Page(page_bytes(report(e, Origins(command="calib evaluate"))).decode())

@@ -14,12 +14,14 @@ from calib.data.measurements import Measurements
 from calib.errors import CalibError, MeasurementError
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
+from calib.show.as_text import blocks_text
+from calib.show.blocks import TERMINAL
 from calib.verbs.evaluate.acceptance import Acceptance, Check, acceptance, assess
 from calib.verbs.evaluate.accuracy import accuracy
-from calib.verbs.evaluate.accuracy_text import accuracy_text
 from calib.verbs.evaluate.evaluation import Evaluation, evaluate
 from calib.verbs.evaluate.evaluation_file import acceptance_table
-from calib.verbs.evaluate.text import assessment_text
+from calib.verbs.evaluate.report import Origins, summary
+from calib.verbs.evaluate.tables import accuracies
 
 
 def table_of(
@@ -135,7 +137,7 @@ def test_the_text_of_a_verdict(ur3: Robot):
     found = assess(
         ur3, table, cell, limits={"tolerance": {"m": 0.55e-3}, "uncertainty": {"m": 1e-4}}
     )
-    text = assessment_text(found, "", "as given")
+    text = summary(found, Origins("", target="as given"))
     assert text.splitlines()[0] == "Verdict: fail"
     said = " ".join(text.split())
     for part in (
@@ -156,11 +158,23 @@ def test_the_text_of_a_verdict(ur3: Robot):
 def test_robots_side_by_side(ur3: Robot):
     many = accuracy(evaluation(ur3, [0.1, 0.2], 3, turns=[1.0, 2.0]))
     few = accuracy(evaluation(ur3, [0.3, 0.4]))
-    lines = [line.split() for line in accuracy_text({"nominal": few, "new": many}).splitlines()]
+    tables = accuracies({"nominal": few, "urdf": many}, "urdf", TERMINAL)
+    lines = [line.split() for line in blocks_text(tables).splitlines()]
     assert lines[1] == ["nominal", "2", "0.400", "0.350", "-", "-", "0.400"]
-    assert lines[2] == ["new", "2", "0.200", "0.150", "0.000", "0.000", "0.200"]
+    assert lines[2] == ["URDF", "as", "it", "is", "2", "0.200", "0.150", "0.000", "0.000", "0.200"]
     assert lines[5] == ["nominal", "0", "-", "-", "-", "-", "-"]
-    assert lines[6] == ["new", "2", "0.1146", "0.0859", "0.0000", "0.0000", "0.1146"]
+    assert lines[6] == [
+        "URDF",
+        "as",
+        "it",
+        "is",
+        "2",
+        "0.1146",
+        "0.0859",
+        "0.0000",
+        "0.0000",
+        "0.1146",
+    ]
 
 
 COMMANDS = ("correction position [mm]",)

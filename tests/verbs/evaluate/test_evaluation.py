@@ -16,7 +16,7 @@ from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 from calib.verbs.evaluate.acceptance import assess
 from calib.verbs.evaluate.accuracy import accuracy
-from calib.verbs.evaluate.evaluation import _not_given, _replaced, evaluate, moved_place
+from calib.verbs.evaluate.evaluation import _not_given, evaluate, moved_place
 from tests.fits import FREE, TARGETS, TRACKERS
 
 
@@ -72,7 +72,9 @@ def test_targets_that_a_result_lacks_are_registered(calibrated):
 def test_set_ups_that_nothing_is_known_of_are_refused(calibrated):
     _, c = calibrated("known set-ups")
     known = replace(c.setup, groups=("0", "2"))
-    with pytest.raises(ModelError, match=r"has the set-ups '0', '2'; the table's '1' are none"):
+    with pytest.raises(
+        ModelError, match=r"has the stations '0', '2'; the table's '1' are not among"
+    ):
         evaluate(c.robot, c.fit.measurements, known=known)
 
 
@@ -191,10 +193,3 @@ def test_nothing_moved_where_nothing_is_known(ur3: Robot, shift: float, count: i
     off = noise * np.random.default_rng(4).normal(size=(count, 3))
     table = Measurements(m.joint_names, m.joints, m.points + off)
     assert moved_place(ur3, table, Cell(), known) is None
-
-
-def test_poses_of_a_result_take_the_place_of_those_of_a_table():
-    poses, known = np.zeros((3, 4, 4)), np.stack([np.full((4, 4), 1.0), np.full((4, 4), 2.0)])
-    replaced = _replaced(poses, known, {0: 1, 2: 0})
-    np.testing.assert_array_equal(replaced[:, 0, 0], [2.0, 0.0, 1.0])
-    assert not np.any(poses)

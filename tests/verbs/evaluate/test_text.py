@@ -14,7 +14,8 @@ from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 from calib.show.lines import mm
 from calib.verbs.evaluate.acceptance import Assessment, assess
-from calib.verbs.evaluate.text import assessment_text, outcome_reasons
+from calib.verbs.evaluate.report import Origins, summary
+from calib.verbs.evaluate.text import outcome_reasons
 
 KNOWN = Cell(target=(0.0, 0.0, 0.0), estimate_target=False)
 
@@ -36,7 +37,7 @@ def assessment(ur3: Robot) -> Assessment:
 
 @pytest.fixture(scope="module")
 def text(assessment: Assessment) -> str:
-    return assessment_text(assessment, "result.json", "as given")
+    return summary(assessment, Origins("result.json"))
 
 
 def numbers(line: str) -> list[float]:
@@ -80,14 +81,14 @@ def test_the_worst_poses_are_listed(text: str):
 
 
 def test_long_names_of_files_are_shortened(assessment: Assessment):
-    long = assessment_text(assessment, "a" * 200 + ".json", "as given")
+    long = summary(assessment, Origins("a" * 200 + ".json"))
     assert "the URDF as it is:" in long.splitlines()
 
 
 def test_what_fails_is_above_the_tolerance_without_the_guard_band(ur3: Robot):
     limits = {"tolerance": {"m": 0.9e-3}, "uncertainty": {"m": 1e-4}}
     failed = assess(ur3, measured(ur3, 1e-4 * np.arange(1, 13)), KNOWN, limits=limits)
-    said = " ".join(assessment_text(failed, "result.json", "as given").split())
+    said = " ".join(summary(failed, Origins("result.json")).split())
     figure = failed.accepted.checks["m"].figure
     assert said.startswith("Verdict: fail")
     assert (

@@ -21,7 +21,7 @@ def test_the_poses_of_a_table_are_judged_against_the_best(examples):
     found = re.search(
         r"Forecast for a fit of these 30 poses with a noise of 0\.039 mm per coordinate: "
         r"position error ([\d.]+) mm rms over the joint limits \(90 % of calibrations: ([\d.]+) to ([\d.]+)\), "
-        r"([\d.]+) mm where it is worst\. The best 30 poses would give about ([\d.]+) mm rms",
+        r"([\d.]+) mm at the worst place\. The best 30 poses would give about ([\d.]+) mm rms",
         text,
     )
     assert found, text

@@ -14,7 +14,7 @@ import pytest
 
 import calib
 from calib.errors import FileError
-from calib.show.figure_base import CALIBRATED, NOMINAL, OUTLIER, VALIDATION
+from calib.show.look import CALIBRATED, NOMINAL, OUTLIER, VALIDATION
 from calib.show.scene.posed_robot import packed, read_visuals, translation
 from calib.verbs.view.page import FACTORS, magnification, pose_robots, script_table, view_page
 from calib.verbs.view.view import Measured, View, view_of

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from calib.robot.robot import Robot
-from calib.show.row_values import flagged_rows
+from calib.show.measured_rows import flagged_rows
 from calib.verbs.evaluate.evaluation import Evaluation
 from calib.verbs.view.steps import rows_of_steps, seen_from_root, typical_step
 from calib.verbs.view.view import view_at_rows

@@ -1,0 +1,56 @@
+"""The rows of a calibration: which of them are flagged, and where their targets were measured."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from calib.basics.arrays import Array, Mask, rigid_inverse
+from calib.data.measurements import Measurements
+from calib.fit.registration.setup import Setup
+from calib.result.calibration import Calibration
+
+
+def flagged_rows(c: Calibration) -> Mask:
+    """Return the mask of the flagged rows of a calibration, shape (N,).
+
+    They are the outliers among the estimation rows, and the suspects among the validation rows.
+    """
+    flagged = [*c.rows.outliers, *c.rows.suspects]
+    numbers = [outlier.row for outlier in flagged]
+    return np.isin(c.fit.measurements.rows, numbers)
+
+
+def setup_of_rows(setup: Setup, m: Measurements) -> tuple[Array, Array]:
+    """Return the poses of frame and target that each row was measured with.
+
+    Args:
+        setup: Frames of the stations and targets.
+        m: N rows; each names its station (``groups``) and its target.
+
+    Returns:
+        T_frame_base and T_tip_target of each row, shapes (N, 4, 4), [m].
+    """
+    frames = [setup.groups.index(group) for group in m.groups]
+    targets = [setup.targets.index(target) for target in m.targets]
+    return setup.T_frame_base[frames], setup.T_tip_target[targets]
+
+
+def measured_in_base(m: Measurements, T_frame_base: Array) -> Array:
+    """Return the measured positions of the target in the base frame.
+
+    A target in a socket was at the origin of its station's frame. Distances and planes measure no position.
+
+    Args:
+        m: N rows.
+        T_frame_base: shape (N, 4, 4), base in each row's measurement frame [m].
+
+    Returns:
+        shape (N, 3), [m]; NaN in rows that measured no position.
+    """
+    T_base_frame = rigid_inverse(T_frame_base)
+    rotation = T_base_frame[:, :3, :3]
+    origin = T_base_frame[:, :3, 3]
+    points = np.nan_to_num(m.points)
+    places = np.einsum("nij,nj->ni", rotation, points) + origin
+    is_measured = m.where(lambda kind: kind.coordinates)
+    return np.where(is_measured[:, None], places, np.nan)

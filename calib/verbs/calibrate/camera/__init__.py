@@ -1,1 +1,0 @@
-"""What a report shows of images: residuals over the image and the board, images one by one, and what was covered."""
