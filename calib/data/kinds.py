@@ -151,11 +151,9 @@ class Kind(Value):
     place: str = "Measurement frame"
     #: Numbers of the instrument by which readings are predicted, besides the pose; None: there are none. With c of them
     #: ``measure``, ``residual`` and ``derivative`` take their values as a last argument, shape (n, c), and
-    #: ``derivative`` returns the derivative by them too, shape (n, s, c).
+    #: ``derivative`` returns the derivative by them too, shape (n, s, c). `calib.instruments.internals` makes them of
+    #: cell and table, for kinds of calib itself.
     internals: Internals | None = None
-    #: Whether rows are the points of a board in images: they have columns for the point as designed, and may have words
-    #: for the image and the point.
-    is_image: bool = False
 
     def __post_init__(self) -> None:
         """Check that the residual is defined, and its units."""
@@ -250,6 +248,11 @@ class Kind(Value):
         Those of ``point`` and ``pose`` do, and of any kind of a user's that has ``directions`` and no ``own_frame``.
         """
         return bool(self.directions) and not self.own_frame
+
+    @property
+    def is_image(self) -> bool:
+        """True if rows are the points of a board in images, with columns for the point as designed."""
+        return self.internals is not None and self.internals.is_camera
 
     @property
     def measures_length(self) -> bool:
@@ -556,6 +559,7 @@ def _pixel_lengths(points: Array, internals: Array) -> Array:
 
 _OPTICS = Internals(
     count=optics.COUNT,
+    is_camera=True,
     point_number=optics.CORNER,
     points=optics.board_points,
     lengths=_pixel_lengths,
@@ -564,14 +568,14 @@ _OPTICS = Internals(
         StatedSize(
             name="focal_length",
             owner=optics.CAMERA,
-            columns=tuple(range(*optics.FOCAL.indices(optics.COUNT))),
+            columns=tuple(range(optics.COUNT)[optics.FOCAL]),
             relative=True,
             is_unit_of_length=False,
         ),
         StatedSize(
             name="board_scale",
             owner=optics.BOARD,
-            columns=tuple(range(*optics.SCALE.indices(optics.COUNT))),
+            columns=tuple(range(optics.COUNT)[optics.SCALE]),
             relative=False,
             is_unit_of_length=True,
         ),
@@ -674,7 +678,6 @@ _add(
         fewest=8,
         place="Camera",
         internals=_OPTICS,
-        is_image=True,
     )
 )
 plugins.watch("kinds", _KINDS)

@@ -26,7 +26,7 @@ from calib.diagnosis.reasons import Reason, Why
 from calib.diagnosis.stations import SOME_FLAGGED
 from calib.fit.estimate.fitting import Fitted
 from calib.model.error_model import error_model
-from calib.model.kinematics import Kinematics, Sightings
+from calib.model.kinematics import Kinematics
 from calib.model.parameters import ErrorModel
 
 #: Noise below this is rounding, in which any test finds patterns [m, rad].
@@ -92,7 +92,7 @@ class Residuals:
         frames = dict.fromkeys(fitted.setup.frame_unknowns, ())
         model = error_model(robot, "zeros", frame=frames, target=names, targets=names)
         nominal = Kinematics(robot, model, setup.T_frame_base, setup.T_tip_target)
-        columns = rows.derivative(Sightings(*nominal.twists(np.zeros(len(model)), rows.samples)))
+        columns = rows.derivative(nominal.linearised(np.zeros(len(model)), rows.samples))
 
         weights = np.where(_flagged_from_some_row_on(fitted), 1.0, fitted.estimate.weights)
         counts = rows.used & (weights > 0.0)[:, None]

@@ -45,6 +45,8 @@ class Internals:
 
     #: Number of columns
     count: int
+    #: Whether the instrument is a camera: its rows are the points of a board in images
+    is_camera: bool
     #: Column with the number of the measured point on the target; rows of one pose and different points are not repeats
     point_number: int
     #: Place of the measured point in the target's frame: internals to shape (n, 3) [m]
