@@ -188,10 +188,10 @@ def fresh_rows(cell: VirtualCell, fitted: Rows, seed: int, setting: Setting) -> 
     rows, _ = rows_and_setup(cell.truth.nominal, table_of(simulated), known)
     assert rows.samples.internals is not None
     assert fitted.samples.internals is not None
-    optics = rows.samples.internals.copy()
-    optics[:, INTRINSICS] = fitted.samples.internals[0, INTRINSICS]
-    assert set(optics[:, CORNER]) <= set(fitted.samples.internals[:, CORNER])
-    samples = replace(rows.samples, internals=read_only(optics))
+    internals = rows.samples.internals.copy()
+    internals[:, INTRINSICS] = fitted.samples.internals[0, INTRINSICS]
+    assert set(internals[:, CORNER]) <= set(fitted.samples.internals[:, CORNER])
+    samples = replace(rows.samples, internals=read_only(internals))
     return replace(rows, samples=samples, measured=simulated.pictures.true_pixels)
 
 

@@ -91,7 +91,7 @@ def initial_internals(
         pose: shape (N,), number of the robot's pose at each row.
 
     Returns:
-        shape (N, c), zero in rows of instruments without internals; None if all are. And the unknowns, camera by
+        shape (N, c), zero in rows of instruments without internals; None if no instrument has any. And the unknowns, camera by
         camera, then board by board.
 
     Raises:

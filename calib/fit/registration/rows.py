@@ -301,7 +301,7 @@ class Rows:
         Returns:
             shape (N, D), in the units of ``channels``; 0 where nothing was measured.
         """
-        seen = _sightings(sightings)
+        seen = sightings if isinstance(sightings, Sightings) else Sightings(sightings)
         result = np.zeros((len(self), self.width))
         for kind, rows in self._by_kind:
             measured = self.measured[rows, : kind.size]
@@ -476,8 +476,3 @@ class Rows:
         if np.any(self.partner >= 0):
             size = max(len(self), 1)
         return [slice(k, k + size) for k in range(0, len(self), size)]
-
-
-def _sightings(given: SightingsOrPoses) -> Sightings:
-    """Return sightings, or those of poses alone, by instruments as they are before the fit."""
-    return given if isinstance(given, Sightings) else Sightings(given)
