@@ -91,8 +91,8 @@ def initial_internals(
         pose: shape (N,), number of the robot's pose at each row.
 
     Returns:
-        shape (N, c), zero in rows of instruments without internals; None if no instrument has any. And the unknowns, camera by
-        camera, then board by board.
+        shape (N, c), zero in rows of instruments without internals; None if no instrument has any. And the
+        unknowns, camera by camera, then board by board.
 
     Raises:
         MeasurementError: Nothing says how large the images of a camera are, or corners or intrinsics are of images of
